@@ -13,12 +13,17 @@ from typing import TypeVar
 import msgspec
 
 from labos.errors import BadInput
-from labos.private import make_folder
+from labos.private import make_folder, replace_file
 
 S = TypeVar("S", bound=msgspec.Struct)
 
+URL = "LABOS_URL"
 HOME = "LABOS_HOME"
 DATABASE = "LABOS_DATABASE_URL"
+TOKEN = "LABOS_TOKEN"
+TOKEN_FILE = "LABOS_TOKEN_FILE"
+CA = "LABOS_CA"
+OIDC = "LABOS_OIDC"
 CONTACTS = "LABOS_CONTACTS"
 BLOBS = "LABOS_BLOBS"
 ON_DATABASE_LOSS = "LABOS_ON_DATABASE_LOSS"
@@ -26,7 +31,9 @@ DATABASE_SILENCE = "LABOS_DATABASE_SILENCE"
 QUARANTINE = "LABOS_QUARANTINE"
 NODE_SETTINGS = "LABOS_NODE_SETTINGS"
 NODE_SETTINGS_FILE = "nodes.yaml"
+PKI = "LABOS_PKI"
 DEFAULT_HOME = "lab"
+HOME_KEY = "home.key"
 PATIENCE_S = 30.0
 """How long a kernel waits for its database unless it is told otherwise."""
 SILENCE_S = 10.0
@@ -44,13 +51,18 @@ class Settings(msgspec.Struct, frozen=True):
     much faster than real time simulated instruments run, ``simulate`` whether the bench is a
     simulated one; None for both: as this lab has been so far. ``wire``: simulated instruments are
     reached over simulated wires, where their drivers have them; ``trace_wires``: every byte on wires is
-    written down. ``on_database_loss`` says what the
-    kernel does when it cannot write its log: ``stop``, ``wait`` or a number of seconds to wait.
+    written down; ``node_metrics``: each node shows metrics, on a free port. ``on_database_loss`` says what
+    the kernel does when it cannot write its log: ``stop``, ``wait`` or a number of seconds to wait.
     ``database_silence`` is how many seconds a database may take to answer before it counts as lost.
     ``bus`` are the endpoints of a bus that runs by itself (``labos bus``); empty: the kernel runs one.
     ``quarantine`` says after how many failures in how many lab seconds a module is taken out of
-    service, as ``5/600``, or ``never``. ``open_to_network`` is needed for a ``host`` that other computers
-    reach: there are no users and passwords yet.
+    service, as ``5/600``, or ``never``. ``open_to_network``: a bus that asks nobody for a certificate may
+    listen on a ``host`` that other computers reach. ``tls_certificate`` and ``tls_key`` are PEM files, for
+    HTTP over TLS; ``behind_proxy``: another program does that; ``names`` are those under which browsers reach
+    the lab. ``first_user`` is added to a lab that has none, with the password in the file ``first_password``.
+    ``secure`` says whether the bus is one of TLS and certificates (None: as it was last), ``certificate`` is
+    the folder of the kernel's own if the authority is elsewhere, ``addresses`` are further names by which
+    other computers reach the bus that the kernel runs.
     """
 
     home: Path
@@ -69,6 +81,17 @@ class Settings(msgspec.Struct, frozen=True):
     bus: tuple[str, ...] = ()
     quarantine: str = ""
     open_to_network: bool = False
+    node_metrics: bool = False
+    secure: bool | None = None
+    certificate: Path | None = None
+    addresses: tuple[str, ...] = ()
+    authority: Path | None = None
+    names: tuple[str, ...] = ()
+    tls_certificate: str = ""
+    tls_key: str = ""
+    behind_proxy: bool = False
+    first_user: str = ""
+    first_password: str = ""
 
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
@@ -132,6 +155,22 @@ class Settings(msgspec.Struct, frozen=True):
         )
 
     @property
+    def is_secure(self) -> bool:
+        """Whether the bus speaks TLS: as it was said, else as its address says, else as it was last."""
+        if self.secure is not None:
+            return self.secure
+        if self.bus:
+            return self.bus[0].startswith("tls/")
+        last = last_kernel(self.home)
+        return last is not None and last.bus.startswith("tls/")
+
+    @property
+    def pki(self) -> Path:
+        """The lab's own certificate authority: as said, else LABOS_PKI, else ``pki`` in the home."""
+        named = self.authority or os.environ.get(PKI)
+        return Path(named).absolute() if named else self.home / "pki"
+
+    @property
     def contacts(self) -> Path:
         """Who is told of what: LABOS_CONTACTS, else ``contacts.yaml`` in the home."""
         named = os.environ.get(CONTACTS)
@@ -148,6 +187,17 @@ class Settings(msgspec.Struct, frozen=True):
         in the home."""
         named = os.environ.get(NODE_SETTINGS)
         return Path(named).absolute() if named else self.home / NODE_SETTINGS_FILE
+
+    @property
+    def home_key(self) -> Path:
+        """By what is in it, the owner of the lab's folder is known to the running lab."""
+        return self.home / HOME_KEY
+
+    @property
+    def providers(self) -> Path:
+        """Which identity provider people may sign in with: LABOS_OIDC, else ``oidc.yaml`` in the home."""
+        named = os.environ.get(OIDC)
+        return Path(named).absolute() if named else self.home / "oidc.yaml"
 
     @property
     def journals(self) -> Path:
@@ -214,6 +264,7 @@ class KernelInfo(msgspec.Struct, frozen=True):
     simulated: bool = False
     speed: float = 1.0
     blobs: str = ""
+    certificate: str = ""
 
 
 class Ports(msgspec.Struct, frozen=True):
@@ -239,6 +290,15 @@ def withdraw(home: Path) -> None:
     if found is not None and found.pid == os.getpid():
         with contextlib.suppress(OSError):
             announce(home, msgspec.structs.replace(found, pid=0))
+
+
+def lab_url() -> str:
+    """The address of a lab on another computer, as LABOS_URL says; empty if it says none. Raises
+    BadInput."""
+    url = os.environ.get(URL, "").strip().rstrip("/")
+    if url and not url.startswith(("http://", "https://")):
+        raise BadInput(f"{URL} is {url[:100]!r}, which is no address.", remedy="Write http://host:port.")
+    return url
 
 
 def find_kernel(home: Path) -> KernelInfo | None:
@@ -338,11 +398,7 @@ def _database_of(home: Path) -> str:
 
 def _write(path: Path, value: msgspec.Struct) -> None:
     make_folder(path.parent)
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
-    # A database URL may hold a password.
-    fresh.touch(mode=0o600)
-    fresh.write_bytes(msgspec.json.encode(value) + b"\n")
-    os.replace(fresh, path)
+    replace_file(path, msgspec.json.encode(value) + b"\n")
 
 
 def _read(path: Path, kind: type[S]) -> S | None:

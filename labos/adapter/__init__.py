@@ -6,6 +6,6 @@ or that nobody can know. What exactly-once means with each protocol stands in do
 """
 
 from labos.adapter._foreign import ForeignNode, adapt
-from labos.adapter.registry import ADAPTERS, adapted, describe_foreign
+from labos.adapter.registry import ADAPTERS, adapter_class, describe_foreign
 
-__all__ = ["ADAPTERS", "ForeignNode", "adapt", "adapted", "describe_foreign"]
+__all__ = ["ADAPTERS", "ForeignNode", "adapt", "adapter_class", "describe_foreign"]

@@ -11,11 +11,11 @@ from typing import Any, Protocol
 
 import msgspec
 
-from labos.adapter._http import Lost
+from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 from labos.spec.signals import Condition
 
-__all__ = ["Channels", "Lost", "Reading", "fits", "missing_package"]
+__all__ = ["Channels", "NoResponse", "Reading", "fits", "missing_package"]
 
 SETTLED = 3
 """How often in a row a device must say that it does nothing before its silence on an action is believed."""

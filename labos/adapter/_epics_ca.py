@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import Lost, Reading, missing_package, number_of, text_of
+from labos.adapter._channels import NoResponse, Reading, missing_package, number_of, text_of
 from labos.errors import DeviceError
 
 PUT_FAILED, NO_ACCESS = 160, 376
@@ -66,9 +66,9 @@ class CaChannels:
             if error.errorcode in REFUSED:
                 effects = "none" if error.errorcode == NO_ACCESS else "unknown"
                 raise DeviceError(f"{name} does not take {value!r} ({error}).", effects=effects) from error
-            raise Lost(f"{name}: {error}") from error
+            raise NoResponse(f"{name}: {error}") from error
         except self._gone as error:
-            raise Lost(f"{name}: {error}") from error
+            raise NoResponse(f"{name}: {error}") from error
         except (TypeError, ValueError) as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
 

@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import Lost, Reading, missing_package, number_of, text_of
+from labos.adapter._channels import NoResponse, Reading, missing_package, number_of, text_of
 from labos.errors import DeviceError
 
 READ_S = 5.0
@@ -52,9 +52,9 @@ class PvaChannels:
         try:
             await self._context.put(name, once, wait=callback, get=False)
         except _Again as again:
-            raise Lost(f"{name}: its server was lost before it answered") from again
+            raise NoResponse(f"{name}: its server was lost before it answered") from again
         except self._Disconnected as error:
-            raise Lost(f"{name}: {error}") from error
+            raise NoResponse(f"{name}: {error}") from error
         except self._RemoteError as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).") from error
         except (TypeError, ValueError, KeyError) as error:

@@ -81,6 +81,10 @@ class ForeignNode(Node):
 
     # -- how it is ---------------------------------------------------------------------------
 
+    def note_version(self, version: Any) -> None:
+        """What the foreign node tells as its version, when it is first reached."""
+        self.setup.firmware = str(version or "").strip()
+
     @property
     def where(self) -> str:
         """Whom a message means that speaks of the foreign node."""

@@ -1,7 +1,7 @@
 """HTTP to a foreign node, with one distinction that matters: sent, or perhaps sent.
 
 A request that never left is a failure without effects. One whose answer did not come may have been
-carried out: that is ``Lost``, and whoever asked has to find out. Connections are not kept between
+carried out: that is ``NoResponse``, and whoever asked has to find out. Connections are not kept between
 requests, because a stale one fails in a way that looks like a lost answer.
 """
 
@@ -47,7 +47,7 @@ CONNECT_S = 5.0
 READ_S = 10.0
 
 
-class Lost(Exception):
+class NoResponse(Exception):
     """No answer came; the request may have been carried out."""
 
 
@@ -91,24 +91,24 @@ class Http:
             ):
                 answer = await _whole(streamed, limit)
         except TimeoutError as error:
-            raise Lost(f"{method} {url}: its answer comes so slowly that it does not end") from error
+            raise NoResponse(f"{method} {url}: its answer comes so slowly that it does not end") from error
         except NOT_SENT as error:
             raise DeviceError(
-                f"{self.address} does not answer ({_said(error, read_s)}).",
+                f"{self.address} does not answer ({_error_text(error, read_s)}).",
                 effects="none",
                 remedy="Is it running?",
             ) from error
         except httpx.HTTPError as error:
-            raise Lost(f"{method} {url}: {_said(error, read_s)}") from error
+            raise NoResponse(f"{method} {url}: {_error_text(error, read_s)}") from error
         if answer.status_code in GATEWAY:
-            raise Lost(f"{method} {url}: a gateway had no answer ({answer.status_code})")
+            raise NoResponse(f"{method} {url}: a gateway had no answer ({answer.status_code})")
         return answer
 
     async def ask(self, path: str) -> Any:
         """The JSON at a path. Raises DeviceError (``none``): a question moves nothing."""
         try:
             return read_json(await self.send("GET", path))
-        except Lost as lost:
+        except NoResponse as lost:
             raise DeviceError(f"The foreign node does not answer ({lost}).", effects="none") from lost
 
 
@@ -123,7 +123,7 @@ async def _whole(streamed: httpx.Response, limit: asyncio.Timeout) -> httpx.Resp
             limit.reschedule(clock() + READ_S)
         if len(data) > LARGEST_ANSWER:
             path = streamed.request.url.path
-            raise Lost(f"{streamed.request.method} {path}: more than {LARGEST_ANSWER} bytes came")
+            raise NoResponse(f"{streamed.request.method} {path}: more than {LARGEST_ANSWER} bytes came")
     # The content is decoded by now: these headers spoke of it as it was sent.
     told = [(key, value) for key, value in streamed.headers.multi_items() if key not in _OF_THE_WIRE]
     return httpx.Response(streamed.status_code, headers=told, content=bytes(data), request=streamed.request)
@@ -137,7 +137,7 @@ def read_json(answer: httpx.Response) -> Any:
         return read_json_text(answer.content)
     except ValueError as error:
         raise DeviceError(
-            f"{answer.request.url.path} answered what cannot be read as JSON ({error}): {shown(answer)}"
+            f"{answer.request.url.path} answered what cannot be read as JSON ({error}): {excerpt(answer)}"
         ) from error
 
 
@@ -179,7 +179,7 @@ def address(config: dict[str, Any], *keys: str) -> str:
     raise DeviceError(f"`config:` does not say `{keys[0]}`.", effects="none", remedy="Write the node's URL.")
 
 
-def _said(error: Exception, read_s: float | None) -> str:
+def _error_text(error: Exception, read_s: float | None) -> str:
     if isinstance(error, httpx.ConnectTimeout):
         return f"no connection within {CONNECT_S:g} s"
     if isinstance(error, httpx.TimeoutException) and read_s is not None:
@@ -191,11 +191,11 @@ def _detail(answer: httpx.Response) -> str:
     try:
         body = read_json_text(answer.content)
     except ValueError:
-        return shown(answer)
+        return excerpt(answer)
     detail = body.get("detail", body) if isinstance(body, dict) else body
     return (detail if isinstance(detail, str) else json.dumps(detail))[:SHOWN]
 
 
-def shown(answer: httpx.Response) -> str:
+def excerpt(answer: httpx.Response) -> str:
     """The beginning of an answer, for a person."""
     return repr(answer.content[: 4 * SHOWN].decode("utf-8", "replace")[:SHOWN])

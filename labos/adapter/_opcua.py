@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import Lost, Reading, missing_package
+from labos.adapter._channels import NoResponse, Reading, missing_package
 from labos.adapter._opcua_security import Access
 from labos.adapter._opcua_types import Kind, Types, plain
 from labos.errors import DeviceError
@@ -96,7 +96,9 @@ class UaChannels:
                     await client.check_connection()
                     await asyncio.wait_for(client.nodes.server_state.read_value(), READ_S)
             except (OSError, ValueError, TimeoutError, self._ua.UaError) as error:
-                self._why = f"The connection says: {_said(error, READ_S)}."  # told below, and tried again
+                self._why = (
+                    f"The connection says: {_error_text(error, READ_S)}."  # told below, and tried again
+                )
             finally:
                 self._client = None
                 for changed in self._watched.values():
@@ -143,7 +145,7 @@ class UaChannels:
             node = await asyncio.wait_for(self._node(client, name), timeout_s)
             told = await asyncio.wait_for(node.read_data_value(raise_on_bad_status=False), timeout_s)
         except (OSError, ValueError, TimeoutError, RecursionError, self._ua.UaError) as error:
-            why = _said(error, timeout_s)
+            why = _error_text(error, timeout_s)
             raise DeviceError(f"{self._url}: {name} does not answer ({why}).", effects="none") from error
         return self._reading(name, told)
 
@@ -154,20 +156,20 @@ class UaChannels:
             send = await asyncio.wait_for(self._prepared(client, name, value, on), READ_S)
         except (OSError, TimeoutError) as error:
             await _let_go(client)
-            why = f"{self._url} does not answer ({_said(error, READ_S)}); {name} was sent nothing."
+            why = f"{self._url} does not answer ({_error_text(error, READ_S)}); {name} was sent nothing."
             raise DeviceError(why, effects="none") from error
         except (TypeError, ValueError, self._ua.UaError) as error:
             await _let_go(client)
-            why = f"{self._url}: {name} does not take {value!r} ({_said(error, READ_S)})."
+            why = f"{self._url}: {name} does not take {value!r} ({_error_text(error, READ_S)})."
             raise DeviceError(why, effects="none") from error
         try:
             await send()
         except self._ua.UaStatusCodeError as error:
-            said = _said(error, LONGEST_S)
+            said = _error_text(error, LONGEST_S)
             effects = "none" if any(word in said for word in UNTOUCHED) else "unknown"
             raise DeviceError(f"{name} does not take {value!r} ({said}).", effects=effects) from error
         except (OSError, TimeoutError, self._ua.UaError) as error:
-            raise Lost(f"{self._url}: {name}: {_said(error, LONGEST_S)}") from error
+            raise NoResponse(f"{self._url}: {name}: {_error_text(error, LONGEST_S)}") from error
         finally:
             # Whoever gives the put up does not wait for that, but whoever closes the adapter does.
             leaving = asyncio.create_task(_let_go(client))
@@ -223,7 +225,7 @@ async def _let_go(client: Any) -> None:
         await asyncio.wait_for(client.disconnect(), READ_S)
 
 
-def _said(error: BaseException, limit_s: float) -> str:
+def _error_text(error: BaseException, limit_s: float) -> str:
     if isinstance(error, TimeoutError):
         return f"no answer within {limit_s:g} s"
     return str(error) or type(error).__name__

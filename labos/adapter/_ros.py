@@ -15,7 +15,7 @@ from typing import Any
 import structlog
 
 from labos.adapter._decode import LARGEST_JSON, read_json_text
-from labos.adapter._http import Lost
+from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 
 PROGRAM = Path(__file__).with_name("ros_bridge.py")
@@ -127,7 +127,7 @@ class Bridge:
         async with self._asked(frame=topic, file=str(file)) as answers:
             try:
                 found: dict[str, Any] = await asyncio.wait_for(_answer(topic, answers), limit_s)
-            except (TimeoutError, Lost) as error:
+            except (TimeoutError, NoResponse) as error:
                 raise DeviceError(f"No picture came on {topic}.", effects="none") from error
             return found
 
@@ -161,7 +161,7 @@ async def _answer(name: str, answers: asyncio.Queue[dict[str, Any] | None]) -> A
     while True:
         told = await answers.get()
         if told is None:
-            raise Lost(f"the bridge to ROS ended before {name} had answered")
+            raise NoResponse(f"the bridge to ROS ended before {name} had answered")
         if "sent" in told:
             sent = True
         elif "absent" in told:

@@ -13,9 +13,9 @@ from typing import Any, ClassVar
 
 import msgspec
 
-from labos.adapter._channels import SETTLED, SEVERITIES, Channels, Lost, Reading, fits
-from labos.adapter._filled import filled
+from labos.adapter._channels import SETTLED, SEVERITIES, Channels, NoResponse, Reading, fits
 from labos.adapter._foreign import ForeignNode
+from labos.adapter._placeholders import fill
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup, current_action
@@ -51,9 +51,9 @@ class SignalNode(ForeignNode):
         self._losses = 0
 
     async def connect(self) -> None:
-        if flaw := flaw_in(SignalMapping, self.told_mapping()):
+        if flaw := flaw_in(SignalMapping, self.configured_mapping()):
             raise DeviceError(f"In `{self.table}:`, {flaw}.", effects="none")
-        self.mapping = SignalMapping.model_validate(self.told_mapping())
+        self.mapping = SignalMapping.model_validate(self.configured_mapping())
         for spec in self.described.actions:
             if not spec.recovers and spec.name not in self.mapping.actions:
                 raise DeviceError(
@@ -72,7 +72,7 @@ class SignalNode(ForeignNode):
         for each in channels.values():
             await each.close()
 
-    def told_mapping(self) -> dict[str, Any]:
+    def configured_mapping(self) -> dict[str, Any]:
         """What the file says of the device."""
         return dict(self.setup.config.get(self.table) or {})
 
@@ -192,7 +192,7 @@ class SignalNode(ForeignNode):
         for put in puts:
             try:
                 await self._put(put, {}, self.patience_s)
-            except Lost as lost:
+            except NoResponse as lost:
                 raise DeviceError(f"{put.pv}: no answer came ({lost}).") from lost
 
     # -- actions -----------------------------------------------------------------------------
@@ -203,18 +203,18 @@ class SignalNode(ForeignNode):
         if absent := self._silent():
             raise DeviceError(f"Nobody answers for {absent} ({self.where}).", effects="none")
         ends_by = [_filled_in(condition, values, self.table) for condition in told.done]
-        start = told.start.model_copy(update={"value": filled(told.start.value, values, self.table)})
+        start = told.start.model_copy(update={"value": fill(told.start.value, values, self.table)})
         try:
             for put in told.set:
                 await self._put(put, values, self.patience_s)
-        except (Lost, DeviceError) as error:
+        except (NoResponse, DeviceError) as error:
             raise DeviceError(f"{spec.name} was not started: {error}", effects="none") from error
         started = Started(boot=await self._boot(), done=[_as_written(condition) for condition in ends_by])
         losses = self._losses
         await self.note_handle(msgspec.json.encode(started).decode())
         try:
             await self._put(start, values, self._limit_s(spec, told))
-        except Lost as lost:
+        except NoResponse as lost:
             await self._see_proof(spec, told, ends_by, NOT_KEPT.format(why=lost))
             return await self._result(told)
         if ends_by or told.failed:
@@ -244,7 +244,7 @@ class SignalNode(ForeignNode):
         working = loop.time()
         sending = asyncio.ensure_future(
             self._by(protocol).put(
-                whole, filled(put.value, values, self.table), callback=put.callback, on=self._object(put)
+                whole, fill(put.value, values, self.table), callback=put.callback, on=self._object(put)
             )
         )
         try:
@@ -253,10 +253,10 @@ class SignalNode(ForeignNode):
                 await asyncio.wait({sending, changed}, return_when=asyncio.FIRST_COMPLETED)
                 changed.cancel()
                 if self._losses != losses and not sending.done():
-                    raise Lost(f"{put.pv}: {self.where} was lost")
+                    raise NoResponse(f"{put.pv}: {self.where} was lost")
                 working = loop.time() if self._works() else working
                 if loop.time() - working > limit_s and not sending.done():
-                    raise Lost(f"{put.pv}: {self.where} has not answered the put for {limit_s:.0f} s")
+                    raise NoResponse(f"{put.pv}: {self.where} has not answered the put for {limit_s:.0f} s")
             sending.result()
         finally:
             sending.cancel()
@@ -371,7 +371,7 @@ def _plain(told: Reading) -> Any:
 
 
 def _filled_in(condition: Condition, values: dict[str, Any], table: str) -> Condition:
-    told = {"is_": filled(condition.is_, values, table), "near": filled(condition.near, values, table)}
+    told = {"is_": fill(condition.is_, values, table), "near": fill(condition.near, values, table)}
     return condition.model_copy(update=told)
 
 

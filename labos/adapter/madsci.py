@@ -17,8 +17,9 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labos.adapter._foreign import ForeignNode, Silence, read_file
-from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse
+from labos.adapter._foreign import Silence, read_file
+from labos.adapter._http import Http, NoResponse, address, authorization, read_json, refuse
+from labos.adapter._http_node import HttpNode
 from labos.adapter._types import type_of
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -39,33 +40,18 @@ FORGOTTEN = (
 )
 
 
-class MadsciRestNode(ForeignNode):
+class MadsciRestNode(HttpNode):
     """Config: ``node_url``; ``node_auth`` names a file that holds the value of the Authorization
     header."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._http: Http | None = None
         self._checked = False
-
-    @property
-    def http(self) -> Http:
-        if self._http is None:
-            raise DeviceError("The adapter is not connected.", effects="none")
-        return self._http
-
-    @property
-    def where(self) -> str:
-        return self.http.address
 
     async def connect(self) -> None:
         config = self.setup.config
         where = address(config, "node_url", "rest_node_address")
         self._http = Http(where, authorization(config, "node_auth"), patience_s=self.patience_s)
-
-    async def close(self) -> None:
-        if self._http is not None:
-            await self._http.close()
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -77,7 +63,9 @@ class MadsciRestNode(ForeignNode):
         try:
             status = await self._status()
             if not self._checked:
-                actions = (await self._info()).get("actions") or {}
+                info = await self._info()
+                self.note_version(info.get("module_version"))
+                actions = info.get("actions") or {}
                 if absent := self.missing(actions.__contains__):
                     return absent
                 self._checked = True
@@ -136,7 +124,7 @@ class MadsciRestNode(ForeignNode):
     async def _command(self, name: str) -> None:
         try:
             told = read_json(await self.http.send("POST", f"/admin/{name}"))
-        except Lost as lost:
+        except NoResponse as lost:
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
         if isinstance(told, dict) and not told.get("success", True):
             raise DeviceError(f"{name}: {_errors(told)}")
@@ -191,7 +179,7 @@ class MadsciRestNode(ForeignNode):
         for number in range(TRIES):
             try:
                 return await send()
-            except Lost as lost:
+            except NoResponse as lost:
                 if number == TRIES - 1:
                     raise DeviceError(f"The foreign node does not answer ({lost}).", effects="none") from lost
                 await asyncio.sleep(min(0.2 * 2**number, self.poll_s))
@@ -207,7 +195,7 @@ class MadsciRestNode(ForeignNode):
             try:
                 refuse(await self.http.send("POST", f"/action/{name}/{handle}/start"))
                 return
-            except Lost:
+            except NoResponse:
                 lost_once = True
             except DeviceError as error:
                 # After a lost start, that a second one was refused says nothing of the first.
@@ -234,7 +222,7 @@ class MadsciRestNode(ForeignNode):
                 told = {"status": "running"}
             status = str(told.get("status"))
             if status == "succeeded":
-                return await self._kept(handle, told)
+                return await self._result_with_files(handle, told)
             if status == "not_ready":
                 raise DeviceError(f"{name}: {_errors(told)}", effects="none")
             if status == "unknown":
@@ -261,7 +249,7 @@ class MadsciRestNode(ForeignNode):
         entries = history if isinstance(history, list) else [{"status": "running"}]
         return any(entry.get("status") == "running" for entry in entries)
 
-    async def _kept(self, handle: str, told: dict[str, Any]) -> Any:
+    async def _result_with_files(self, handle: str, told: dict[str, Any]) -> Any:
         """The result, with what stands for the files and data points that belong to it."""
         result, points = told.get("json_result"), told.get("datapoints")
         if not told.get("files") and not points:
@@ -281,7 +269,7 @@ class MadsciRestNode(ForeignNode):
             refuse(answer)
             with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
                 content = {name: archive.read(name) for name in archive.namelist()}
-        except (Lost, DeviceError, zipfile.BadZipFile) as error:
+        except (NoResponse, DeviceError, zipfile.BadZipFile) as error:
             raise DeviceError(
                 f"It was done, but its files were not handed out: {error}", effects="all"
             ) from error

@@ -13,7 +13,7 @@ from typing import Any
 
 from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import ForeignNode, Silence, read_file
-from labos.adapter._http import Lost
+from labos.adapter._http import NoResponse
 from labos.adapter._protobuf import framed, read_message, schema
 from labos.adapter._tcp import Address
 from labos.adapter.wei import describe
@@ -123,7 +123,7 @@ class TcpNode(ForeignNode):
                 mute_s=limit_s,
                 ended="it is asked for what became of it",
             )
-        except (Lost, OutcomeUnknown):
+        except (NoResponse, OutcomeUnknown):
             return await self._end(name, known)
         finally:
             self._starting -= 1
@@ -142,7 +142,7 @@ class TcpNode(ForeignNode):
             try:
                 asking = schema()["Request"](ask=schema()["Ask"](id=known))
                 progress = _expected(await self._exchange(asking, READ_S), "progress")
-            except (Lost, DeviceError) as error:
+            except (NoResponse, DeviceError) as error:
                 silence.go_on(error)
             else:
                 silence.end()
@@ -154,7 +154,7 @@ class TcpNode(ForeignNode):
 
     def _ended(self, name: str, progress: Any) -> Any:
         if progress.status == SUCCEEDED:
-            return _kept(progress)
+            return _result_with_files(progress)
         if progress.status == FAILED:
             raise DeviceError(f"{name}: {progress.error or 'the node says that it failed'}")
         if progress.status == NOT_STARTED:
@@ -171,7 +171,7 @@ class TcpNode(ForeignNode):
         getattr(request, what).SetInParent()
         try:
             told = await self._exchange(request, limit_s or READ_S)
-        except Lost as lost:
+        except NoResponse as lost:
             effects = "unknown" if what in ("reset", "stop") else "none"
             raise DeviceError(f"{what}: no answer came ({lost}).", effects=effects) from lost
         return _expected(told, "done" if what in ("reset", "stop") else what)
@@ -185,9 +185,9 @@ class TcpNode(ForeignNode):
             await writer.drain()
             return await asyncio.wait_for(read_message(reader, schema()["Response"]), limit_s)
         except TimeoutError as error:
-            raise Lost(f"{self.where}: no answer within {limit_s:g} s") from error
+            raise NoResponse(f"{self.where}: no answer within {limit_s:g} s") from error
         except (OSError, EOFError, ValueError) as error:
-            raise Lost(f"{self.where}: {str(error) or 'the line was cut'}") from error
+            raise NoResponse(f"{self.where}: {str(error) or 'the line was cut'}") from error
         finally:
             writer.close()
 
@@ -202,7 +202,7 @@ def _expected(told: Any, what: str) -> Any:
     return getattr(told, what)
 
 
-def _kept(progress: Any) -> Any:
+def _result_with_files(progress: Any) -> Any:
     """The result, with what stands for the files that came with it."""
     result = _from_json(progress.result)
     if not progress.files:

@@ -31,7 +31,7 @@ ADAPTERS: Mapping[str, str] = {
 NOT_DESCRIBED = "What {} reaches does not say what it offers."
 
 
-def adapted(interface: str, description: Description) -> type[Node]:
+def adapter_class(interface: str, description: Description) -> type[Node]:
     """The node class that reaches a foreign node with this description. Raises BadInput."""
     return adapt(_adapter(interface), description)
 
@@ -40,7 +40,7 @@ async def describe_foreign(interface: str, config: dict[str, Any]) -> Descriptio
     """What a running foreign node says of itself. Raises BadInput, DeviceError."""
     if _adapter(interface).foreign_description is ForeignNode.foreign_description:
         raise DeviceError(NOT_DESCRIBED.format(interface), effects="none", remedy="Write `about:` by hand.")
-    node_class = adapted(interface, Description(driver=interface, version="", description=""))
+    node_class = adapter_class(interface, Description(driver=interface, version="", description=""))
     node = node_class(Setup("node", "foreign", config))
     assert isinstance(node, ForeignNode)
     await node.connect()

@@ -15,12 +15,13 @@ from urllib.parse import quote
 import httpx
 import structlog
 
-from labos.adapter._foreign import SENT, ForeignNode, Silence
-from labos.adapter._http import Http, Lost, address, authorization, read_json, refuse, refuse_at_end
+from labos.adapter._foreign import SENT, Silence
+from labos.adapter._http import Http, NoResponse, address, authorization, read_json, refuse, refuse_at_end
+from labos.adapter._http_node import HttpNode
 from labos.adapter.wei import levels_in
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
-from labos.node.node import Setup, current_action
+from labos.node.node import current_action
 from labos.spec.rest import Reading, Request, RestMapping, flaw_in, request_of
 
 JOB_START_S = 30.0
@@ -30,23 +31,9 @@ _log = structlog.get_logger(__name__)
 _PLACE = re.compile(r"\{(\w+)\}")
 
 
-class RestNode(ForeignNode):
+class RestNode(HttpNode):
     """Config: ``rest_node_address``, ``rest`` (the mapping); ``rest_node_auth`` names a file that holds
     the value of the Authorization header, ``rest_node_auth_env`` a variable that does."""
-
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self._http: Http | None = None
-
-    @property
-    def http(self) -> Http:
-        if self._http is None:
-            raise DeviceError("The adapter is not connected.", effects="none")
-        return self._http
-
-    @property
-    def where(self) -> str:
-        return self.http.address
 
     async def connect(self) -> None:
         config = self.setup.config
@@ -59,10 +46,6 @@ class RestNode(ForeignNode):
         where = address(config, "rest_node_address", "node_url")
         auth = authorization(config, "rest_node_auth")
         self._http = Http(where, auth, patience_s=self.patience_s)
-
-    async def close(self) -> None:
-        if self._http is not None:
-            await self._http.close()
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -114,7 +97,7 @@ class RestNode(ForeignNode):
     async def _command(self, told: dict[str, Any]) -> None:
         try:
             refuse(await self._send(request_of(told), {}))
-        except Lost as lost:
+        except NoResponse as lost:
             raise DeviceError(f"No answer came ({lost}).") from lost
 
     async def _send(
@@ -122,10 +105,10 @@ class RestNode(ForeignNode):
     ) -> httpx.Response:
         options: dict[str, Any] = {}
         if request.params:
-            texts = filled(request.params, values)
+            texts = fill_request(request.params, values)
             options["params"] = {key: _as_text(value) for key, value in texts.items()}
         if request.json_ is not None:
-            options["json"] = filled(request.json_, values)
+            options["json"] = fill_request(request.json_, values)
         path = in_path(request.path, values)
         return await self.http.send(request.method, path, read_s=read_s, **options)
 
@@ -147,7 +130,7 @@ class RestNode(ForeignNode):
             if job is None:
                 return await self._at_once(spec, request, values)
             answer = await self._send(request, values, JOB_START_S)
-        except Lost as lost:
+        except NoResponse as lost:
             if named_by_us:
                 return await self._end(spec, action)
             raise OutcomeUnknown(f"the answer to its start was lost ({lost})") from lost
@@ -202,7 +185,7 @@ class RestNode(ForeignNode):
                 if answer.status_code == 404:
                     raise OutcomeUnknown(f"the device does not know the job {handle}")
                 told = read_json(answer)
-            except (Lost, DeviceError) as error:
+            except (NoResponse, DeviceError) as error:
                 silence.go_on(error)
             else:
                 silence.end()
@@ -273,21 +256,21 @@ def field(told: Any, path: str) -> Any:
 
 def in_path(path: str, values: dict[str, Any]) -> str:
     """A path with its place-holders filled in."""
-    return str(filled(path, {key: quote(str(value), safe="") for key, value in values.items()}))
+    return str(fill_request(path, {key: quote(str(value), safe="") for key, value in values.items()}))
 
 
 def _as_text(value: Any) -> Any:
     return value if isinstance(value, str | int | float) else json.dumps(value)
 
 
-def filled(written: Any, values: dict[str, Any]) -> Any:
+def fill_request(written: Any, values: dict[str, Any]) -> Any:
     """A request's table with its place-holders filled in. Raises DeviceError (``none``)."""
     if isinstance(written, dict):
         # An argument that was not given is left out.
         given = {k: v for k, v in written.items() if not _absent(v, values)}
-        return {key: filled(value, values) for key, value in given.items()}
+        return {key: fill_request(value, values) for key, value in given.items()}
     if isinstance(written, list):
-        return [filled(value, values) for value in written]
+        return [fill_request(value, values) for value in written]
     if not isinstance(written, str):
         return written
     if whole := _PLACE.fullmatch(written):

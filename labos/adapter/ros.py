@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from labos.adapter._decode import LARGEST_JSON, read_json_text
-from labos.adapter._filled import filled
 from labos.adapter._foreign import LATE_S, SENT, ForeignNode
-from labos.adapter._http import Lost
+from labos.adapter._http import NoResponse
+from labos.adapter._placeholders import fill
 from labos.adapter._png import png
 from labos.adapter._ros import Bridge
 from labos.adapter.rest import field
@@ -60,7 +60,7 @@ class RosNode(ForeignNode):
         self._starting = asyncio.Lock()
         self._state, self._state_at = "", 0.0
 
-    def told_mapping(self) -> dict[str, Any]:
+    def configured_mapping(self) -> dict[str, Any]:
         """What the file says of the node's interface."""
         return dict(self.setup.config.get("ros") or {})
 
@@ -71,7 +71,7 @@ class RosNode(ForeignNode):
         return self._bridge
 
     async def connect(self) -> None:
-        written = self.told_mapping()
+        written = self.configured_mapping()
         if flaw := flaw_in(RosMapping, written):
             raise DeviceError(f"In `ros:`, {flaw}.", effects="none")
         self.mapping = RosMapping.model_validate(written)
@@ -144,7 +144,7 @@ class RosNode(ForeignNode):
         services = {_service_of(call) for call in calls if call is not None and not call.frame}
         try:
             return all([await self.bridge.ready(name, kind) for name, kind in services])
-        except (TimeoutError, Lost, DeviceError):
+        except (TimeoutError, NoResponse, DeviceError):
             return False
 
     async def resources(self) -> dict[str, float]:
@@ -169,11 +169,11 @@ class RosNode(ForeignNode):
     async def _ask(self, call: Call) -> Any:
         """A call that ends soon. Raises DeviceError."""
         try:
-            calling = self.bridge.call(call.service, call.type, filled(call.fields, {}, "ros"), wait_s=WAIT_S)
+            calling = self.bridge.call(call.service, call.type, fill(call.fields, {}, "ros"), wait_s=WAIT_S)
             return read_end(call, await asyncio.wait_for(calling, ANSWER_S))
         except TimeoutError as late:
             raise DeviceError(f"{call.service}: no answer within {ANSWER_S:g} s.") from late
-        except Lost as lost:
+        except NoResponse as lost:
             raise DeviceError(f"{call.service}: no answer came ({lost}).") from lost
 
     # -- actions -----------------------------------------------------------------------------
@@ -185,7 +185,7 @@ class RosNode(ForeignNode):
             return await self._picture(call)
         told = {"action_handle": name, "action_vars": args}
         own = {"args": args, "vars": json.dumps(args), "message": json.dumps(told), "action": name}
-        fields = filled(call.fields, {**args, **own, "id": current_action.get()}, "ros")
+        fields = fill(call.fields, {**args, **own, "id": current_action.get()}, "ros")
         if call.action:
             return await self._pursue(spec, call, fields)
         await self.note_handle(SENT)
@@ -233,7 +233,7 @@ class RosNode(ForeignNode):
                     raise OutcomeUnknown(f"{call.service} has not answered for {idle_s:.0f} s: {NO_RECORD}")
                 if silent_s > self.patience_s:
                     raise OutcomeUnknown(f"{call.service} has been gone from ROS for {silent_s:.0f} s")
-        except Lost as lost:
+        except NoResponse as lost:
             raise OutcomeUnknown(f"{lost}; {NO_RECORD}") from lost
         finally:
             waiting.cancel()
@@ -241,7 +241,7 @@ class RosNode(ForeignNode):
     async def _offered(self, call: Call) -> bool:
         try:
             return await self.bridge.ready(*_service_of(call))
-        except (TimeoutError, Lost, DeviceError):
+        except (TimeoutError, NoResponse, DeviceError):
             return False
 
     # -- goals of ROS actions ----------------------------------------------------------------
@@ -254,7 +254,7 @@ class RosNode(ForeignNode):
         sending = self.bridge.call(*_service_of(call), fields, wait_s=WAIT_S)
         try:
             answer = await asyncio.wait_for(sending, ANSWER_S)
-        except (TimeoutError, Lost):
+        except (TimeoutError, NoResponse):
             return await self._result(spec, call, known)
         if not answer.get("accepted"):
             raise DeviceError(f"{call.action} does not accept the goal.", effects="none")
@@ -275,7 +275,7 @@ class RosNode(ForeignNode):
                     said = f"{call.action} has not told the result of the goal for {waited:.0f} s"
                     raise OutcomeUnknown(f"{said} without a sign of work") from None
                 continue
-            except (DeviceError, Lost) as gone:
+            except (DeviceError, NoResponse) as gone:
                 silent_s += WAIT_S
                 if silent_s > self.patience_s:
                     raise OutcomeUnknown(
@@ -321,15 +321,15 @@ class RosNode(ForeignNode):
 class WeiRosNode(RosNode):
     """Config: ``ros_node_address``, the node's name; ``ros`` says what is called otherwise."""
 
-    def told_mapping(self) -> dict[str, Any]:
-        return {**wei_mapping(_node_name(self.setup.config)), **super().told_mapping()}
+    def configured_mapping(self) -> dict[str, Any]:
+        return {**wei_mapping(_node_name(self.setup.config)), **super().configured_mapping()}
 
 
 class WeiRosCamera(RosNode):
     """Config: ``ros_node_address``, the camera's name; any action takes a picture."""
 
-    def told_mapping(self) -> dict[str, Any]:
-        return {**camera_mapping(_node_name(self.setup.config)), **super().told_mapping()}
+    def configured_mapping(self) -> dict[str, Any]:
+        return {**camera_mapping(_node_name(self.setup.config)), **super().configured_mapping()}
 
 
 def _node_name(config: dict[str, Any]) -> str:

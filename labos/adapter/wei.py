@@ -17,16 +17,17 @@ from typing import Any
 import httpx
 
 from labos.adapter._decode import read_json_text
-from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
+from labos.adapter._foreign import SENT, Silence, read_file
 from labos.adapter._http import (
     LARGEST_ANSWER,
     Http,
-    Lost,
+    NoResponse,
     address,
     authorization,
     read_json,
     refuse_at_end,
 )
+from labos.adapter._http_node import HttpNode
 from labos.adapter._types import type_of
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -42,35 +43,20 @@ HALTED = {"LOCKED", "PAUSED", "CANCELLED"}
 NO_RECORD = "the foreign node has ended it or lost it, and WEI keeps no record of how"
 
 
-class WeiRestNode(ForeignNode):
+class WeiRestNode(HttpNode):
     """Config: ``rest_node_address``; ``rest_node_auth`` names a file that holds the value of the
     Authorization header, ``rest_node_auth_env`` a variable that does."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._http: Http | None = None
         self._checked = False
         self._admin: tuple[str, ...] = ()
-
-    @property
-    def http(self) -> Http:
-        if self._http is None:
-            raise DeviceError("The adapter is not connected.", effects="none")
-        return self._http
-
-    @property
-    def where(self) -> str:
-        return self.http.address
 
     async def connect(self) -> None:
         config = self.setup.config
         where = address(config, "rest_node_address", "node_url")
         auth = authorization(config, "rest_node_auth")
         self._http = Http(where, auth, patience_s=self.patience_s)
-
-    async def close(self) -> None:
-        if self._http is not None:
-            await self._http.close()
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -82,7 +68,9 @@ class WeiRestNode(ForeignNode):
         try:
             flags, error = await self._state()
             if not self._checked:
-                offered = {str(action.get("name")) for action in (await self._about()).get("actions", [])}
+                about = await self._about()
+                self.note_version(about.get("version"))
+                offered = {str(action.get("name")) for action in about.get("actions", [])}
                 if absent := self.missing(lambda name: name in offered):
                     return absent
                 self._checked = True
@@ -147,7 +135,7 @@ class WeiRestNode(ForeignNode):
             raise DeviceError(f"The foreign node has no command {name!r}.", effects="none")
         try:
             told = read_json(await self.http.send("POST", f"/admin/{name}"))
-        except Lost as lost:
+        except NoResponse as lost:
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
         if isinstance(told, dict) and told.get("error"):
             raise DeviceError(f"{name}: {told['error']}")
@@ -184,7 +172,7 @@ class WeiRestNode(ForeignNode):
             return await self.answer_to(
                 sending, at_work, silent_s=self.patience_s, mute_s=self.limit_s(spec), ended=NO_RECORD
             )
-        except Lost as lost:
+        except NoResponse as lost:
             await self._until_not_busy()
             raise OutcomeUnknown(f"its answer was lost ({lost}); {NO_RECORD}") from lost
 
@@ -216,14 +204,14 @@ class WeiRestNode(ForeignNode):
         error = told.get("error") or told.get("action_log") or ""
         match word:
             case "succeeded":
-                return self._kept(told, answer)
+                return self._result_with_files(told, answer)
             case "not_ready":
                 raise DeviceError(f"{name}: {error or 'the foreign node is not ready'}", effects="none")
             case "failed" | "cancelled":
                 raise DeviceError(f"{name}: {error or word}")
         raise OutcomeUnknown(f"the foreign node answered {status!r}, which is no end of an action")
 
-    def _kept(self, told: dict[str, Any], answer: httpx.Response) -> Any:
+    def _result_with_files(self, told: dict[str, Any], answer: httpx.Response) -> Any:
         """The data, with what stands for the files that came with it."""
         data = told.get("data", told.get("action_msg"))
         files = told.get("files") if "x-wei-status" in answer.headers else None

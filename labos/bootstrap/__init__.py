@@ -22,12 +22,14 @@ if TYPE_CHECKING:
     from labos.bootstrap._lab import LabRuntime, open_lab
     from labos.bootstrap._node import run_node
     from labos.bootstrap._node_class import own_class
-    from labos.bootstrap._notify import find_contacts, watching
+    from labos.bootstrap._notify import find_contacts, make_notifier
+    from labos.bootstrap._secure import Guard
     from labos.bootstrap._stop import stop_over_bus
     from labos.bootstrap._thread import LabThread
 
 _HOME = {
     "Drivers": "_drivers",
+    "Guard": "_secure",
     "LabRuntime": "_lab",
     "LabThread": "_thread",
     "description_path": "_drivers",
@@ -42,12 +44,13 @@ _HOME = {
     "run_node": "_node",
     "shape_of": "_drivers",
     "source_of": "_drivers",
-    "watching": "_notify",
+    "make_notifier": "_notify",
     "stop_over_bus": "_stop",
 }
 
 __all__ = [
     "Drivers",
+    "Guard",
     "LabRuntime",
     "LabThread",
     "description_path",
@@ -56,6 +59,7 @@ __all__ = [
     "installed",
     "load_driver",
     "load_drivers",
+    "make_notifier",
     "module_beside",
     "open_lab",
     "own_class",
@@ -63,7 +67,6 @@ __all__ = [
     "shape_of",
     "source_of",
     "stop_over_bus",
-    "watching",
 ]
 
 

@@ -137,7 +137,7 @@ def _only(name: str, entries: Sequence[EntryPoint]) -> type[Node]:
 def _in_file(path: Path, wanted: str) -> type[Node]:
     if not path.is_file():
         raise NotFound(f"There is no file {path}.", remedy="Name a Python file that holds a driver.")
-    module = _imported(path.resolve())
+    module = _import_package(path.resolve())
     found = {
         name: kind
         for name, kind in vars(module).items()
@@ -159,10 +159,10 @@ def module_beside(node: type[Node], name: str) -> ModuleType | None:
     if package:
         return import_module(f"{package}.{name}") if importlib.util.find_spec(f"{package}.{name}") else None
     path = Path(inspect.getfile(node)).with_name(f"{name}.py")
-    return _imported(path.resolve()) if path.is_file() else None
+    return _import_package(path.resolve()) if path.is_file() else None
 
 
-def _imported(path: Path) -> ModuleType:
+def _import_package(path: Path) -> ModuleType:
     """The module of a file, as a program would import it that has its folder, or the folder of its
     outermost package, in its path: what it says of its package and what stands beside it is found."""
     folder, name = path.parent, path.stem
@@ -170,7 +170,7 @@ def _imported(path: Path) -> ModuleType:
         name, folder = f"{folder.name}.{name}", folder.parent
     sys.path.insert(0, str(folder))
     try:
-        module = import_module(name) if "." in name else _alone(path)
+        module = import_module(name) if "." in name else _import_file(path)
     except BadInput:
         raise
     except Exception as error:
@@ -183,7 +183,7 @@ def _imported(path: Path) -> ModuleType:
     return module
 
 
-def _alone(path: Path) -> ModuleType:
+def _import_file(path: Path) -> ModuleType:
     """The module of a file that is in no package."""
     known = sys.modules.get(path.stem)
     if known is not None and Path(known.__file__ or "").resolve() == path:

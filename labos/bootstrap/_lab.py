@@ -16,9 +16,20 @@ import msgspec
 import structlog
 
 from labos.bootstrap._drivers import load_drivers
-from labos.bootstrap._notify import find_contacts, notifying
-from labos.bus import ZenohBus, open_bus
+from labos.bootstrap._gate import (
+    add_first_user,
+    expect_tls,
+    expect_users,
+    give_first_password,
+    listening,
+    opened_gate,
+)
+from labos.bootstrap._metrics import LabMetrics
+from labos.bootstrap._notify import find_contacts, run_notifier
+from labos.bootstrap._secure import Guard, unheard_by_name
+from labos.bus import SCHEME, Security, Unheard, ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
+from labos.core.actions import ActionStatus
 from labos.core.decide.control import PauseStarts
 from labos.core.decide.nodes import HearJournal
 from labos.core.decide.shorter import ReportShorterLog
@@ -28,20 +39,25 @@ from labos.core.model import Description
 from labos.core.shorter import BenchCompared
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
+from labos.http.campaign_rows import CampaignRows
 from labos.http.feed import Feed
-from labos.http.server import HttpServer, is_own_address
+from labos.http.identity import Gate
+from labos.http.server import HttpServer
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
 from labos.node.limits import read
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
+from labos.pki import Identity
 from labos.ports import Handle
 from labos.private import make_folder
 from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
+from labos.runtime.feeder import Feeder
 from labos.runtime.files import FileDesk
 from labos.runtime.follower import Follower
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Entry
 from labos.runtime.log_check import LogCheck
 from labos.runtime.reconcile import Reconciler
@@ -97,11 +113,16 @@ class LabRuntime:
     bus: ZenohBus
     registry: Registry
     dispatcher: Dispatcher
+    announcer: Announcer
     service: LabService
+    metrics: LabMetrics
     bus_endpoint: str
+    gate: Gate
     http: HttpServer
     log_check: LogCheck | None = None
     """The check of the whole log, once it has begun."""
+    guard: Guard | None = None
+    """The certificates of a secure bus."""
 
     def __init__(self, settings: Settings, kernel: Kernel, store: SqlEventStore, *, simulated: bool) -> None:
         self.settings, self.kernel, self.store, self.simulated = settings, kernel, store, simulated
@@ -117,6 +138,7 @@ class LabRuntime:
         """The position in the log after which this kernel's nodes were started."""
         self.cut_short: list[str] = []
         """The actions, with their runs, that had not ended when the lab was closed."""
+        self._unheard: dict[ModuleName, str] = {}
         self._worlds: dict[str, World] = {}
         self._declared: list[Handle] = []
         self._detach = False
@@ -170,6 +192,8 @@ class LabRuntime:
         known = self.kernel.state.modules.by_name
         old = [name for name in supervisor.nodes if name not in known or name in changed]
         await asyncio.gather(*(supervisor.stop(name) for name in old))
+        if self.guard is not None:
+            await asyncio.to_thread(self.guard.issue_for, list(known))
         self.start_nodes(detach=self._detach)
 
     def _argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
@@ -180,15 +204,26 @@ class LabRuntime:
             *("--name", local(module), "--workcell", workcell_of(module)),
             *("--home", str(self.settings.home)),
             *(word for endpoint in self._endpoints for word in ("--connect", endpoint)),
+            *(["--cert", str(self.guard.of_node(module))] if self.guard is not None else []),
             *(["--simulate"] if self.simulated else []),
             *(["--wire"] if self.simulated and self.settings.wire else []),
             *(["--trace", str(self.settings.trace(module))] if self.settings.trace_wires else []),
+            *(["--metrics-port", "0"] if self.settings.node_metrics else []),
             *([] if detach else ["--with-parent"]),
         )
 
     @property
     def _endpoints(self) -> tuple[str, ...]:
         return self.settings.bus or (self.bus_endpoint,)
+
+    def note_unheard(self, unheard: Unheard) -> None:
+        """Say of modules that their nodes are connected and not heard; and no more of those that are."""
+        found, rejected = unheard_by_name(unheard, self.kernel.lab), self.registry.rejected
+        for module, why in self._unheard.items():
+            if module not in found and rejected.get(module) == why:
+                del rejected[module]
+        rejected.update(found)
+        self._unheard = found
 
     async def on_setup(self, payload: bytes) -> bytes:
         """A starting node asks what its module is. It is told of this module and of no other."""
@@ -199,6 +234,16 @@ class LabRuntime:
             reply = SetupReply(unknown=str(error))
         return msgspec.json.encode(reply)
 
+    async def on_setup_of(self, key: str, payload: bytes) -> bytes:
+        """The same on a key of its own for each module, which only its node may ask on a secure bus."""
+        try:
+            module = read(payload, _setup_request).module
+        except Unreadable as error:
+            return msgspec.json.encode(SetupReply(unknown=str(error)))
+        if key != Keys(self.kernel.lab).setup_of(module):
+            return msgspec.json.encode(SetupReply(unknown="this key is that of another module"))
+        return await self.on_setup(payload)
+
     def _setup(self, name: ModuleName) -> SetupReply:
         state = self.kernel.state
         module = state.modules.by_name.get(name)
@@ -208,7 +253,7 @@ class LabRuntime:
         return SetupReply(
             driver=module.spec.driver,
             config=told.get("config", {}),
-            poses={**told.get("poses", {}), **{local(s): list(t.pose) for s, t in module.taught.items()}},
+            poses={**told.get("poses", {}), **module.poses()},
             poses_of=module.poses_of(),
             regrip=local(module.spec.regrip),
             pace=state.lab.pace,
@@ -244,7 +289,7 @@ async def open_lab(
     lost and its nodes' journals are there, BusError or BadInput for a port in use, SpecError for the contacts
     file, StoreError, LogTooNew.
     """
-    _check_host(settings)
+    expect_tls(settings)
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
@@ -254,26 +299,37 @@ async def open_lab(
             refuse_lost_log(store, settings.journals, shown_url(settings.database))
             known, ended = store.known_position, store.head().position
             with _folder(settings.worlds if simulated else settings.home):
-                kernel = await _open_kernel(settings, store, follower)
+                kernel, writer = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
+        await add_first_user(settings, kernel)
+        expect_users(settings, kernel)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
+        lab.metrics = LabMetrics(lab, writer)
+        stack.push_async_callback(lab.metrics.close)
         lab.blobs.tidy()
         stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
         if 0 < ended < known:  # a new lab in an old folder has lost nothing
             kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")
         _hear_journals(settings, store, kernel)
-        kernel.listeners.append(_EndAccepted(store))
+        kernel.listeners.append(_LogEndListener(store))
         await kernel.begin_planning()
-        notifier = await stack.enter_async_context(notifying(settings, contacts, kernel))
-        await _open_bus(settings, lab, stack, math.inf if follower is not None else BUS_PATIENCE_S)
+        notifier = await stack.enter_async_context(run_notifier(settings, contacts, kernel))
+        modules = [*kernel.state.modules.by_name, *(m.name for c in workcells for m in c.workcell.modules)]
+        security = await _secure(settings, lab, modules if nodes == "processes" else [])
+        await _open_bus(settings, lab, stack, security, math.inf if follower is not None else BUS_PATIENCE_S)
         feed = Feed()
         kernel.listeners.append(feed)
         lab.service = LabService(lab, feed, _viewers(settings))
         http_port = _port(settings, settings.http_port, last_ports(settings.home).http)
-        lab.http = HttpServer(lab.service, settings.host, http_port)
+        lab.gate = stack.enter_context(opened_gate(settings, kernel, lab.metrics))
+        await give_first_password(settings, lab.gate.accounts)
+        lab.http = HttpServer(lab.service, lab.gate, listening(settings, http_port))
         await lab.http.start()
         stack.push_async_callback(lab.http.close)
+        feeder = Feeder(kernel, CampaignRows(lab.service))
+        feeder.start()
+        stack.push_async_callback(feeder.close)
         watching = asyncio.get_running_loop().create_task(lab.service.miss_silent())
         stack.callback(watching.cancel)
         for cell in workcells:
@@ -282,8 +338,9 @@ async def open_lab(
         stack.callback(withdraw, settings.home)
         if nodes == "processes":
             lab.start_nodes(detach=detach)
-        lab.log_check = _checking(settings, kernel)
+        lab.log_check = _check_log(settings, kernel)
         lab.log_check.start()
+        lab.metrics.start()
         stack.push_async_callback(lab.log_check.close)
         try:
             yield lab
@@ -298,7 +355,7 @@ async def open_lab(
                 lab.cut_short = _cut_short(kernel, killed)
 
 
-def _checking(settings: Settings, kernel: Kernel) -> LogCheck:
+def _check_log(settings: Settings, kernel: Kernel) -> LogCheck:
     """Checks the whole log in the background. Once a damage is found nothing is started any more: what the
     lab goes by may never have been so. A person decides what follows."""
 
@@ -325,7 +382,7 @@ def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
         open_ = list(kernel.state.actions.open.values())
     except StoreError:
         return []  # whoever reads the log next finds them
-    cut = [action for action in open_ if action.module in killed and action.status != "unknown"]
+    cut = [action for action in open_ if action.module in killed and action.status != ActionStatus.UNKNOWN]
     return [f"{local(action.module)}.{action.name} of {action.run}" for action in cut]
 
 
@@ -347,7 +404,9 @@ def _is_fenced(kernel: Kernel) -> bool:
     return kernel.failed.done() and isinstance(kernel.failed.result(), Fenced)
 
 
-async def _open_kernel(settings: Settings, store: SqlEventStore, follower: Follower | None) -> Kernel:
+async def _open_kernel(
+    settings: Settings, store: SqlEventStore, follower: Follower | None
+) -> tuple[Kernel, ThreadWriter]:
     owner = f"pid {os.getpid()} on {socket.gethostname()}"
     after, within_s = settings.failures_borne
     chosen = KernelSettings(
@@ -365,17 +424,37 @@ async def _open_kernel(settings: Settings, store: SqlEventStore, follower: Follo
     except BaseException:
         await kernel.close()
         raise
-    return kernel
+    return kernel, writer
 
 
-async def _join_bus(endpoints: Sequence[str], patience_s: float) -> ZenohBus:
+async def _secure(settings: Settings, lab: LabRuntime, modules: Sequence[str]) -> Security | None:
+    """The certificates of a secure bus; ``modules`` are those whose nodes run here. Raises NotFound, Refused,
+    BadInput."""
+    if not settings.is_secure:
+        return None
+
+    def run_here() -> list[str]:
+        return list(lab.supervised.nodes) if lab.supervised is not None else []
+
+    lab.guard = Guard(
+        Identity("kernel", lab=lab.kernel.lab),
+        settings,
+        runs_bus=not settings.bus,
+        own=settings.certificate,
+        modules=run_here,
+        tell=lab.note_unheard,
+    )
+    return await asyncio.to_thread(lab.guard.prepare, modules)
+
+
+async def _join_bus(endpoints: Sequence[str], patience_s: float, security: Security | None) -> ZenohBus:
     """The bus that runs by itself, as soon as somebody answers there: after a power cut it may be the last to
     start. Raises BusError if nobody does for ``patience_s``."""
     now, told = asyncio.get_running_loop().time, False
     give_up = now() + patience_s
     while True:
         try:
-            return await open_bus(mode="client", connect=endpoints)
+            return await open_bus(mode="client", connect=endpoints, security=security)
         except BusError as error:
             if now() >= give_up:
                 raise
@@ -385,25 +464,38 @@ async def _join_bus(endpoints: Sequence[str], patience_s: float) -> ZenohBus:
         await asyncio.sleep(BUS_POLL_S)
 
 
-async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack, patience_s: float) -> None:
+async def _open_bus(
+    settings: Settings,
+    lab: LabRuntime,
+    stack: AsyncExitStack,
+    security: Security | None,
+    patience_s: float,
+) -> None:
     """The router that everybody connects to, unless one runs by itself; and what the kernel says and
     hears there."""
     if settings.bus:
         lab.bus_endpoint = settings.bus[0]
-        lab.bus = await _join_bus(settings.bus, patience_s)
+        lab.bus = await _join_bus(settings.bus, patience_s, security)
     else:
         port = _port(settings, settings.bus_port, last_ports(settings.home).bus) or free_port(settings.host)
-        lab.bus_endpoint = f"tcp/{settings.host}:{port}"
-        lab.bus = await open_bus(mode="router", listen=[lab.bus_endpoint])
+        scheme = SCHEME if security is not None else "tcp/"
+        listening = f"{scheme}{settings.host}:{port}"
+        # No certificate is one for every address.
+        dialled = "127.0.0.1" if security is not None and settings.host == "0.0.0.0" else settings.host
+        lab.bus_endpoint = f"{scheme}{dialled}:{port}"
+        lab.bus = await open_bus(mode="router", listen=[listening], security=security)
     stack.push_async_callback(lab.bus.close)
+    if lab.guard is not None:
+        await lab.guard.watch(lab.bus)
+        stack.push_async_callback(lab.guard.close)
     keys = Keys(lab.kernel.lab)
     lab.dispatcher = Dispatcher(lab.kernel, lab.bus)
     lab.registry = Registry(lab.kernel, lab.bus, lab.dispatcher, is_stopping=lab.is_stopping)
     await lab.dispatcher.start()
     stack.push_async_callback(lab.dispatcher.close)
-    announcer = Announcer(lab.kernel, lab.bus)
-    await announcer.start()
-    stack.push_async_callback(announcer.close)
+    lab.announcer = Announcer(lab.kernel, lab.bus)
+    await lab.announcer.start()
+    stack.push_async_callback(lab.announcer.close)
     await lab.registry.start()
     stack.push_async_callback(lab.registry.close)
     reconciler = Reconciler(lab.kernel, lab.bus)
@@ -413,6 +505,7 @@ async def _open_bus(settings: Settings, lab: LabRuntime, stack: AsyncExitStack, 
     verifier.start()
     stack.callback(verifier.close)
     await lab.bus.serve(keys.setup, lab.on_setup)
+    await lab.bus.serve_all(keys.all_setups, lab.on_setup_of)
     await lab.bus.serve(keys.files, FileDesk(lab.blobs, settings.arriving).on_request)
     await lab.bus.declare_alive(keys.kernel)
 
@@ -437,22 +530,12 @@ def _is_simulated(settings: Settings) -> bool:
     return wanted
 
 
-def _check_host(settings: Settings) -> None:
-    """Raises BadInput for an address that other computers reach, unless that was said to be meant."""
-    if not is_own_address(settings.host) and not settings.open_to_network:
-        raise BadInput(
-            f"Other computers reach {settings.host}, and there are no passwords yet: whoever reaches the lab "
-            "can command it.",
-            remedy="Leave --host out, or add --open-to-network if only people you trust are in that network.",
-        )
-
-
 def _viewers(settings: Settings) -> Viewers | None:
     """The process for those who follow the log, where a connection can be handed to another process."""
     return Viewers(settings.database) if sys.platform != "win32" else None
 
 
-class _EndAccepted:
+class _LogEndListener:
     """Tells the store when a person has compared the bench with the log: the same loss is not asked about at
     the next start."""
 
@@ -494,4 +577,5 @@ def _info(settings: Settings, lab: LabRuntime) -> KernelInfo:
         simulated=lab.simulated,
         speed=lab.kernel.state.lab.pace,
         blobs=str(settings.blobs),
+        certificate=str(Path(settings.tls_certificate).absolute()) if settings.tls_certificate else "",
     )

@@ -18,6 +18,7 @@ import structlog
 
 from labos.bootstrap._drivers import load_driver
 from labos.bootstrap._node_class import foreign_class, own_class
+from labos.bootstrap._node_security import check_lab, keep_certificate, node_security
 from labos.bootstrap._node_settings import with_own_settings
 from labos.clock import SystemClock, Uuid7Ids
 from labos.errors import BadInput, BusError, NoAnswer, Unreadable
@@ -33,10 +34,13 @@ from labos.private import make_folder
 from labos.settings import Settings, find_kernel
 
 if TYPE_CHECKING:
-    from labos.bus import ZenohBus
+    from labos.bus import Security, ZenohBus
     from labos.ports import Bus
+    from labos.telemetry.node import MetricsServer
 
 T = TypeVar("T")
+Address = tuple[str, int]
+"""A host and a port; 0 for a free one."""
 
 FINISH_S = 30.0
 """How long a simulated action may go on when its node is asked to stop. A real device's action
@@ -44,6 +48,9 @@ is never broken off because a process is to end."""
 
 OWN_LAB_S = 5.0
 """How long a node looks for the kernel of its own lab where those of others live."""
+
+NO_KERNEL_S = 10.0
+"""How long no kernel shows itself before a node says that it waits for one."""
 
 OTHER_LABS_S = 0.5
 """How long a node that belongs to no lab yet looks whether there are several."""
@@ -59,9 +66,12 @@ async def run_node(
     settings: Settings,
     *,
     connect: Sequence[str] = (),
+    certificate: Path | None = None,
+    secure: bool = False,
     simulate: bool = False,
     wire: bool = False,
     trace: str = "",
+    metrics: Address | None = None,
     with_parent: bool = False,
     finish_s: float | None = None,
     stop: asyncio.Event | None = None,
@@ -69,9 +79,12 @@ async def run_node(
     """Answer for ``workcell/name`` until asked to stop; with an empty ``driver``, with the one that the
     workcell names.
 
-    ``connect`` are addresses of the lab's bus; none: that of the lab in the home folder. Waits
+    ``connect`` are addresses of the lab's bus; none: that of the lab in the home folder. ``certificate`` is
+    the folder of the node's own, for a secure bus; none: that in the lab's folder. ``secure`` joins no bus
+    but a secure one. Waits
     for a lab that is not there yet, and goes on when its kernel is restarted. ``wire`` reaches a
-    simulated device over a simulated wire, ``trace`` names a file for every byte on the wire.
+    simulated device over a simulated wire, ``trace`` names a file for every byte on the wire; ``metrics`` is
+    where Prometheus may ask.
     ``with_parent``
     ends the node when its standard input does. What runs is finished first, for ``finish_s`` at
     the most; asked twice, the node ends at once.
@@ -86,12 +99,17 @@ async def run_node(
     journal = await Journal.open(FileJournalFile(settings.journal(module)), Uuid7Ids())
     bus: ZenohBus | None = None
     server: NodeServer | None = None
+    shown: MetricsServer | None = None
+    keeping: asyncio.Task[None] | None = None
     try:
-        bus = await ends.unless_stopped(_join_bus(settings, connect))
-        if bus is None:
+        joined = await ends.unless_stopped(_join_bus(settings, module, connect, certificate, secure))
+        if joined is None:
             return
-        lab = await ends.unless_stopped(find_lab(bus, module, journal.lab or _lab_of(settings, connect)))
-        told = await ends.unless_stopped(_learn(bus, lab, module)) if lab else None
+        bus, security, belongs_to = joined
+        known = journal.lab or belongs_to or _lab_of(settings, connect)
+        check_lab(module, known, belongs_to)
+        lab = await ends.unless_stopped(find_lab(bus, module, known))
+        told = await ends.unless_stopped(_learn(bus, lab, module, security is not None)) if lab else None
         if lab is None or told is None:
             return
         if skew := skew_with(told.protocol, "The lab's kernel", told.labos):
@@ -108,9 +126,25 @@ async def run_node(
         node = node_class(_setup(name, workcell, settings, told, simulate, wire))
         files = Files(bus, Keys(lab).files, settings.files(module))
         switch = partial(_switch_trace, Path(trace or settings.trace(module)))
-        server = NodeServer(node, bus, lab, journal, SystemClock(), Uuid7Ids(), files=files, trace=switch)
+        shown = _show_metrics(metrics, node_class, simulate) if metrics is not None else None
+        server = NodeServer(
+            node,
+            bus,
+            lab,
+            journal,
+            SystemClock(),
+            Uuid7Ids(),
+            files=files,
+            trace=switch,
+            metrics=shown.address if shown is not None else "",
+            on_end=shown.metrics.on_end if shown is not None else None,
+        )
+        if shown is not None:
+            shown.metrics.watch(server, asyncio.get_running_loop())
         await server.start()
         _log.info("node_started", module=module, lab=lab, status=server.status)
+        if security is not None:
+            keeping = asyncio.create_task(keep_certificate(bus, security, server.is_at_work))
         asked = asyncio.create_task(server.stopping.wait())
         await asyncio.wait({asked, ends.first_task()}, return_when=asyncio.FIRST_COMPLETED)
         asked.cancel()
@@ -118,6 +152,10 @@ async def run_node(
         await ends.unless_hurried(server.retire(), limit)
         _log.info("node_stopped", module=module)
     finally:
+        if keeping is not None:
+            keeping.cancel()
+        if shown is not None:
+            await asyncio.to_thread(shown.close)
         await (server.close() if server is not None else journal.close())
         if bus is not None:
             await bus.close()
@@ -133,6 +171,14 @@ def _switch_trace(file: Path, on: bool) -> str:
     else:
         stop_recording()
     return str(file)
+
+
+def _show_metrics(at: Address, node_class: type[Node], simulated: bool) -> MetricsServer:
+    """Raises BadInput for an address that cannot be used."""
+    # Most nodes show none: they need not load what does.
+    from labos.telemetry.node import MetricsServer, NodeMetrics
+
+    return MetricsServer(NodeMetrics(node_class.driver, node_class.version, simulated=simulated), *at)
 
 
 def _setup(
@@ -158,8 +204,11 @@ def _setup(
     )
 
 
-async def _join_bus(settings: Settings, connect: Sequence[str]) -> ZenohBus:
-    """The bus, as soon as somebody answers there."""
+async def _join_bus(
+    settings: Settings, module: str, connect: Sequence[str], certificate: Path | None, secure: bool
+) -> tuple[ZenohBus, Security | None, str]:
+    """The bus, as soon as somebody answers there; and on a secure one the node's certificate, and the lab
+    that it is for. Raises NotFound, BadInput for a certificate that cannot be used."""
     from labos.bus import open_bus
 
     pause, told = 0.1, ""
@@ -168,7 +217,9 @@ async def _join_bus(settings: Settings, connect: Sequence[str]) -> ZenohBus:
         where = list(connect) or ([found.bus] if found is not None else [])
         try:
             if where:
-                return await open_bus(mode="client", connect=where)
+                lab = _lab_of(settings, connect)
+                security, belongs_to = node_security(settings, module, lab, where, certificate, secure=secure)
+                return await open_bus(mode="client", connect=where, security=security), security, belongs_to
             why = f"no lab runs in {settings.home}"
         except BusError as error:
             why = str(error)
@@ -202,6 +253,11 @@ async def find_lab(bus: Bus, module: str, known: str) -> str:
 
     watch = await bus.watch_alive(ANY_KERNEL, note)
     try:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(seen.wait(), NO_KERNEL_S)
+        if not seen.is_set():
+            why = "no kernel shows itself on this bus, or a secure bus does not know this certificate (yet)"
+            _log.warning("waiting_for_the_kernel", module=module, why=why)
         await seen.wait()
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(right.wait(), OWN_LAB_S if known else OTHER_LABS_S)
@@ -223,12 +279,13 @@ async def find_lab(bus: Bus, module: str, known: str) -> str:
     return next(iter(found))
 
 
-async def _learn(bus: ZenohBus, lab: str, module: str) -> SetupReply:
+async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> SetupReply:
     """What the kernel knows of the module, as soon as it knows it."""
     told = ""
+    key = Keys(lab).setup_of(module) if secure else Keys(lab).setup
     while True:
         try:
-            answer = await bus.query(Keys(lab).setup, msgspec.json.encode(SetupRequest(module)), 5.0)
+            answer = await bus.query(key, msgspec.json.encode(SetupRequest(module)), 5.0)
             reply = read(answer, _setup_reply, limit=REPLY_LIMIT)
             if not reply.unknown:
                 return reply

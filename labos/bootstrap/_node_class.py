@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 def foreign_class(module: str, told: SetupReply) -> type[Node]:
     """The adapter of a foreign node. Raises BadInput, NotFound."""
-    from labos.adapter import adapted
+    from labos.adapter import adapter_class
     from labos.spec.interfaces import REMEDY, why_not_reached
 
     if why := why_not_reached(told.interface):
         raise BadInput(f"{module} cannot be reached: {why}", remedy=REMEDY)
     described = _described(told) if told.about else load_driver(told.driver).describe()
-    return adapted(told.interface, _extended(described, told))
+    return adapter_class(told.interface, _extended(described, told))
 
 
 def own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -> type[Node]:

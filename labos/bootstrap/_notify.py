@@ -11,16 +11,17 @@ import structlog
 
 from labos.clock import Clock
 from labos.errors import LabosError
+from labos.lockfile import FileLock
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.services.notify import TYPES, Book, Notifier, Outbox, load_contacts
 from labos.settings import CONTACTS, Settings, was_simulated
-from labos.store import FileLock, open_store
+from labos.store import open_store
 
 _log = structlog.get_logger(__name__)
 
 
-class _Bell:
+class _NotifierWaker:
     """Wakes the notifier for what it reads, and for nothing else."""
 
     def __init__(self, notifier: Notifier) -> None:
@@ -42,14 +43,16 @@ def find_contacts(settings: Settings) -> Book | None:
 
 
 @asynccontextmanager
-async def notifying(settings: Settings, book: Book | None, kernel: Kernel) -> AsyncIterator[Notifier | None]:
+async def run_notifier(
+    settings: Settings, book: Book | None, kernel: Kernel
+) -> AsyncIterator[Notifier | None]:
     """Tell people as long as the block lasts. Whatever fails here, the lab runs."""
     if book is None:
         yield None
         return
     with ExitStack() as stack:
         try:
-            notifier = stack.enter_context(watching(settings, book, kernel.clock))
+            notifier = stack.enter_context(make_notifier(settings, book, kernel.clock))
         except (LabosError, OSError) as error:
             _log.error("nobody_is_told", why=str(error))
             notifier = None
@@ -57,7 +60,7 @@ async def notifying(settings: Settings, book: Book | None, kernel: Kernel) -> As
             yield None
             return
         kernel.failed.add_done_callback(lambda failed: notifier.kernel_stopped(str(failed.result())))
-        bell = _Bell(notifier)
+        bell = _NotifierWaker(notifier)
         kernel.listeners.append(bell)
         notifier.start()
         try:
@@ -68,7 +71,7 @@ async def notifying(settings: Settings, book: Book | None, kernel: Kernel) -> As
 
 
 @contextmanager
-def watching(settings: Settings, book: Book, clock: Clock) -> Iterator[Notifier | None]:
+def make_notifier(settings: Settings, book: Book, clock: Clock) -> Iterator[Notifier | None]:
     """A notifier that has not been started; None while another process tells people."""
     lock = FileLock(settings.notifications.with_suffix(".lock"))
     if not lock.acquire(f"pid {os.getpid()}"):

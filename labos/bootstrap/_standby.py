@@ -11,6 +11,7 @@ import structlog
 
 from labos.bootstrap._drivers import load_drivers
 from labos.errors import BadInput, StoreUnavailable
+from labos.pki import Authority
 from labos.runtime.follower import Follower
 from labos.settings import Settings
 from labos.store import Holder, SqlEventStore, database_file, open_store
@@ -29,7 +30,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Standby:
-    """Follows one lab. Made by ``standing_by``."""
+    """Follows one lab. Made by ``open_standby``."""
 
     def __init__(self, store: SqlEventStore) -> None:
         self._store = store
@@ -89,7 +90,7 @@ class Standby:
 
 
 @asynccontextmanager
-async def standing_by(settings: Settings) -> AsyncIterator[Standby]:
+async def open_standby(settings: Settings) -> AsyncIterator[Standby]:
     """A standby for the lab in a database. Raises BadInput where none is possible, StoreUnavailable."""
     if database_file(settings.database) is not None:
         raise BadInput(
@@ -101,6 +102,11 @@ async def standing_by(settings: Settings) -> AsyncIterator[Standby]:
         raise BadInput(
             "A standby needs a bus that outlives the kernel.",
             remedy="Run one with `labos bus`, and name it to both kernels: --bus tcp/HOST:7447.",
+        )
+    if settings.is_secure and settings.certificate is None and not Authority(settings.pki).exists:
+        raise BadInput(
+            f"The bus is a secure one, and there is no certificate, and no authority in {settings.pki}.",
+            remedy="Copy the kernel's folder here from where the authority is, and name it with --cert.",
         )
     store = await asyncio.to_thread(
         open_store, settings.database, create=False, read_only=True, home=settings.home

@@ -4,20 +4,33 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from pathlib import Path
 
+from labos.clock import SystemClock
 from labos.core.ids import ModuleName
 from labos.node.protocol import Keys
+from labos.pki import Credentials
 from labos.runtime.stop import StopReport, meant, stop_modules
 
 LOOK_S = 0.5
 """How long to look for living nodes."""
 
 
-async def stop_over_bus(connect: Sequence[str], target: str, by: str, lab: str = "*") -> StopReport:
-    """Stop a module, a workcell or everything (``*``) that lives on a bus. Raises BusError."""
-    from labos.bus import open_bus
+async def stop_over_bus(
+    connect: Sequence[str], target: str, by: str, lab: str = "*", certificate: Path | None = None
+) -> StopReport:
+    """Stop a module, a workcell or everything (``*``) that lives on a bus. On a secure one that takes the
+    ``certificate`` of the kernel, or of somebody who may stop. Raises BusError, BadInput, NotFound."""
+    from labos.bus import Security, open_bus
 
-    bus = await open_bus(mode="client", connect=connect)
+    security = None
+    if certificate is not None:
+        credentials = Credentials(certificate)
+        credentials.check(SystemClock().now_ns())
+        said = credentials.identity()
+        lab = said.lab if said is not None else lab
+        security = Security(credentials)
+    bus = await open_bus(mode="client", connect=connect, security=security)
     try:
         living: dict[str, set[ModuleName]] = {}
 

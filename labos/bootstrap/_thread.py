@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 
 from labos.bootstrap._lab import LabRuntime, Nodes, open_lab
-from labos.bootstrap._standby import standing_by
+from labos.bootstrap._standby import open_standby
 from labos.errors import LabosError, Refused, StoreUnavailable
 from labos.runtime.follower import Follower
 from labos.settings import Settings
@@ -121,7 +121,7 @@ class LabThread:
         if self._standby is None:
             await self._serve(None)
             return
-        async with standing_by(self.settings) as standby:
+        async with open_standby(self.settings) as standby:
             while not self._lab:
                 self.replaced = await standby.wait(self._end, self._standby)
                 if not self.replaced:

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import home_option, json_option, json_option_saying, user_option, who, why_option
 from labos.cli._out import show_json, tell
 
 
 @click.command("observe")
-@click.argument("station", shell_complete=offering("station"))
+@click.argument("station", shell_complete=completes("station"))
 @click.argument("what", required=False, default="")
 @json_option_saying("What follows from it, for a program.")
 @user_option
 @home_option
 def observe(station: str, what: str, as_json: bool, user: str | None, home: str | None) -> None:
-    """Say what you see at STATION: empty, how many pieces, labware by its id or barcode, or a
+    """Report an observation at STATION: empty, how many pieces, labware by its id or barcode, or a
     labware type; without WHAT: something stands there.
 
-    Labware of which the lab is not sure where it stands is narrowed down by every place that is
-    seen empty, and settled where it is seen; the question about it answers itself. What contradicts
-    the log is asked back: only the labware concerned waits for the answer.
+    Labware of which the lab is not sure where it stands is narrowed down by every station that
+    is observed empty, and settled where it is observed; the question about it is auto-resolved. An
+    observation that contradicts the log opens a question: only the labware concerned waits for it.
 
     \b
     labos observe pf400.gripper empty
@@ -44,7 +44,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
     for labware, places in follows["uncertain"].items():
         click.echo(f"{labware} may be at: {', '.join(local(p) or 'gone' for p in places)}.")
     for question in follows["answered"]:
-        click.echo(f"{question} has answered itself.")
+        click.echo(f"{question} is auto-resolved.")
     for asked in follows["asked"]:
         click.echo(f"{asked['id']}  {asked['text']}")
         for offered in asked["choices"]:
@@ -54,7 +54,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
 
 
 @click.command("give")
-@click.argument("labware", shell_complete=offering("labware"))
+@click.argument("labware", shell_complete=completes("labware"))
 @click.option(
     "--to",
     type=click.Choice(["user", "experiment", "shared"]),
@@ -63,7 +63,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
 )
 @click.argument("name", required=False, default="")
 @click.option("--force", is_flag=True, help="As an operator: it is not yours; say --why.")
-@why_option("A word about it for the log.")
+@why_option("A note for the log.")
 @user_option
 @home_option
 @json_option
@@ -77,7 +77,7 @@ def give(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Hand LABWARE over: from then on the runs of its new owner may use it, and yours not.
+    """Hand LABWARE over: from then on the runs of its new owner may use it, and yours may not.
 
     Refused while a run uses it, while it is carried or worked on, and if it is not yours.
 

@@ -139,10 +139,10 @@ def show_not_known(view: Mapping[str, Any]) -> None:
 def _line(station: Mapping[str, Any]) -> str:
     mark = "" if station["must_be_said"] else f"   (`{AS_RECORDED}` is enough)"
     perhaps = f"; perhaps {', '.join(station['perhaps'])}" if station["perhaps"] else ""
-    return f"{station['station']}: recorded {believed(station)}{perhaps}{mark}"
+    return f"{station['station']}: recorded {recorded_contents(station)}{perhaps}{mark}"
 
 
-def believed(station: Mapping[str, Any]) -> str:
+def recorded_contents(station: Mapping[str, Any]) -> str:
     """What the log believes of a station, in words."""
     if station["kind"] == "waste":
         return f"{len(station['recorded'])} thrown away"
@@ -189,7 +189,7 @@ def _ask_others(client: LabClient, cell: str, by: str) -> None:
         return
     click.echo(f"In {cell} nothing is known to have been at work at:")
     for station in left:
-        click.echo(f"  {station['station']}: recorded {believed(station)}")
+        click.echo(f"  {station['station']}: recorded {recorded_contents(station)}")
     names = {station["station"]: station for station in left}
     text = click.prompt("Which of these are NOT as recorded? (Enter: none)", default="", show_default=False)
     for name in filter(None, (part.strip() for part in text.replace(",", " ").split())):

@@ -26,7 +26,7 @@ PATIENCE_S = 0.5
 Completer = Callable[[click.Context, click.Parameter, str], "list[CompletionItem]"]
 
 
-def offering(*kinds: str) -> Completer:
+def completes(*kinds: str) -> Completer:
     """Offers names of these kinds: ``run``, ``experiment``, ``module``, ``station``, ``labware``,
     ``intervention``, ``workcell``, ``driver``, ``lab`` (the word); ``workflow`` and ``workcell file``, which
     LabOS brings along or which are files."""
@@ -78,42 +78,42 @@ class _Lab:
     @property
     def where(self) -> Where:
         from labos.cli._query import Where
-        from labos.settings import Settings
+        from labos.settings import Settings, lab_url
 
         given = self._context.params
         settings = Settings.of(given.get("home"), given.get("database"))
-        return Where(Path(settings.home), settings.database)
+        lab = "" if given.get("home") or given.get("database") else lab_url()
+        return Where(Path(settings.home), settings.database, lab)
 
     def begun(self, kind: str) -> list[str]:
         """Runs or experiments, the newest first."""
-        from labos.cli._query import reading
+        from labos.cli._query import open_log
         from labos.core.experiments import ExperimentStarted
         from labos.core.runs import RunSubmitted
         from labos.ports import LogQuery
         from labos.services.log import events
 
         type_ = RunSubmitted.TYPE if kind == "run" else ExperimentStarted.TYPE
-        with reading(self.where) as store:
+        with open_log(self.where) as store:
             found = list(events(store.select(LogQuery(types=(type_,), last=RUNS_OFFERED))))
         return [str(getattr(event, kind)) for event, _ in reversed(found)]
 
     def known(self, kind: str) -> list[str]:
         if self._known is None:
-            self._known = self._asked() or self._read()
+            self._known = self._ask_kernel() or self._read()
         return self._known[kind]
 
-    def _asked(self) -> dict[str, list[str]] | None:
+    def _ask_kernel(self) -> dict[str, list[str]] | None:
         """From the kernel that runs the lab."""
         from labos.settings import find_kernel
 
-        home = self.where.home
-        if find_kernel(home) is None:
+        if not self.where.lab and find_kernel(self.where.home) is None:
             return None
         from labos.client import LabClient
         from labos.errors import LabosError
 
         try:
-            with LabClient(home=home, patience_s=PATIENCE_S) as client:
+            with LabClient(self.where.lab, home=self.where.home, patience_s=PATIENCE_S) as client:
                 state = client.state(waits=False)
         except LabosError:
             return None
@@ -126,10 +126,10 @@ class _Lab:
 
     def _read(self) -> dict[str, list[str]]:
         """From the log of a lab that no kernel runs."""
-        from labos.cli._query import reading
+        from labos.cli._query import open_log
         from labos.services.history import state_at
 
-        with reading(self.where) as store:
+        with open_log(self.where) as store:
             state = state_at(store)
         return {
             "module": _short(list(map(str, state.modules.by_name))),

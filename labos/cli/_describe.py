@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command("describe")
-@click.argument("driver", shell_complete=offering("driver"))
+@click.argument("driver", shell_complete=completes("driver"))
 @click.option("--variant", default="", metavar="NAME", help="Another size of the instrument.")
 @click.option("--urdf", metavar="FOLDER", help="Write a URDF and its meshes into this folder.")
 @json_option

@@ -26,7 +26,7 @@ MEANT = {
     "lint": "validate",
     "why": "explain",
     "plates": "labware",
-    "campaigns": "experiments",
+    "campaigns": "campaign",
     "convert": "import",
 }
 """Words of other programs, and the command of ours that does it."""

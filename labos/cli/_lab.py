@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from labos.cli._remote import lab_of
 from labos.client import LabClient
 from labos.errors import NotFound
 from labos.settings import Settings, find_kernel, keep_private
 
 if TYPE_CHECKING:
+    from labos.cli._query import Where
     from labos.spec import Compiled, CompiledWorkcell, Source
 
 
@@ -40,9 +42,9 @@ def read_workcell(name: str, workflows: Sequence[Source] | None = None) -> Compi
     drafted from the ``workflows`` that use it. Raises SpecErrors, NotFound."""
     from labos.bootstrap import descriptions
     from labos.spec import load_workcell
-    from labos.spec.uses import uses_in
+    from labos.spec.uses import read_uses
 
-    uses = None if workflows is None else uses_in(workflows)
+    uses = None if workflows is None else read_uses(workflows)
     cell = load_workcell(workcell_file(name), descriptions(), uses)
     for finding in cell.findings:
         click.echo(f"labos: {finding}", err=True)
@@ -86,9 +88,13 @@ def orderly() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell]) -> Iterator[LabClient]:
-    """The lab that runs in the home folder, else one of our own for as long as the block lasts,
-    with these workcells."""
+def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], url: str = "") -> Iterator[LabClient]:
+    """The lab at an address, or the one that runs in the home folder, else one of our own for as long as the
+    block lasts, with these workcells."""
+    if url:
+        with LabClient(url) as client:
+            yield client
+        return
     running = find_kernel(settings.home)
     if running is not None:
         with LabClient(home=settings.home) as client:
@@ -102,13 +108,21 @@ def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell]) -> Itera
 
 
 def need_lab(home: str | None) -> LabClient:
-    """The running lab. Raises NotFound if none runs."""
+    """The lab that LABOS_URL names, else the one that runs in the home folder. Raises NotFound if none
+    runs."""
+    if url := lab_of(home):
+        return LabClient(url)
     settings = Settings.of(home)
     if find_kernel(settings.home) is None:
         raise NotFound(
             f"No lab runs in {settings.home}.", remedy="Start one with `labos up`, or name its --home."
         )
     return LabClient(home=settings.home)
+
+
+def need_lab_of(where: Where) -> LabClient:
+    """As ``need_lab``, for a command that reads the log. Raises NotFound if none runs."""
+    return LabClient(where.lab) if where.lab else need_lab(str(where.home))
 
 
 def stands_at(client: LabClient, names: Sequence[str]) -> dict[str, str]:

@@ -13,10 +13,11 @@ from labos.client import LabClient, RunResult
 from labos.core import fold  # noqa: F401 - registers the event types
 from labos.core.envelope import Envelope
 from labos.core.ids import ExperimentId, ModuleName, RunId
-from labos.core.interventions import PLANNED_WORK, InterventionRequested
+from labos.core.interventions import InterventionRequested
 from labos.core.model import PlanStep
 from labos.core.registry import Event, decode
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.core.topics import PlannedWork
 from labos.errors import LabosError
 from labos.services.catalogue import Catalogue, PlanEntry
 from labos.services.describe import describe
@@ -58,7 +59,7 @@ class Narrator:
         if run:
             self._learn(run)
         click.echo(f"{show_time(head.recorded_at)}  {describe(event, head, self.names)}")
-        if isinstance(event, InterventionRequested) and event.kind == PLANNED_WORK:
+        if isinstance(event, InterventionRequested) and event.kind == PlannedWork.KIND:
             click.echo(f"            labos confirm {event.intervention}   (or --not-done)")
         elif isinstance(event, InterventionRequested):
             for choice in event.choices:
@@ -87,7 +88,7 @@ class Narrator:
         shown = next((shown for shown in self.client.state()["runs"] if shown["id"] == run), None)
         if shown is None:
             return told
-        does = [under_way(step) for step in shown["doing"]]
+        does = [describe_step(step) for step in shown["doing"]]
         waits = list(dict.fromkeys(f"waits: {wait['why']}" for wait in shown["waits"]))
         lines = does or waits
         if lines != told:
@@ -114,7 +115,7 @@ class Narrator:
     def _say_what_lasts(self, told: set[tuple[str, int]]) -> set[tuple[str, int]]:
         """The steps that are under way, but those ``told`` already; returns all of them."""
         runs = self.client.state(waits=False)["runs"]
-        steps = {(run["id"], step["since"]): under_way(step) for run in runs for step in run["doing"]}
+        steps = {(run["id"], step["since"]): describe_step(step) for run in runs for step in run["doing"]}
         for (run, since), words in steps.items():
             if (run, since) not in told:
                 click.echo(f"            {run} {words}")
@@ -134,8 +135,10 @@ class Narrator:
         self.names.plans[run] = PlanEntry(result.workflow, "", steps)
 
 
-def under_way(step: dict[str, Any]) -> str:
-    """A step that a module is at, and how long that still takes."""
+def describe_step(step: dict[str, Any]) -> str:
+    """A step that a module is at, and how long that still takes; or that nobody knows how it ended."""
+    if step.get("state") == "unknown":
+        return f"{step['key']!r}: nobody knows how {step['action']} on {step['module']} ended"
     left = step.get("left_s")
     words = f"{step['key']!r}: {step['module']} is at {step['action']}"
     return f"{words}, about {show_span(left)} left" if left else words

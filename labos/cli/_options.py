@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
+from labos.cli._remote import folder_if_needed
 from labos.errors import BadInput
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+SPEED_HELP = "Speed-up factor: simulated time divided by real time."
 
 
 def without_password(context: click.Context, option: click.Parameter, url: str | None) -> str | None:
@@ -29,13 +34,28 @@ def without_password(context: click.Context, option: click.Parameter, url: str |
 
 
 home_option = click.option(
-    "--home", metavar="DIR", help="The lab's folder (LABOS_HOME; ./lab if neither is given)."
+    "--home",
+    metavar="DIR",
+    help="The lab's folder (LABOS_HOME; ./lab if neither is given).",
+    callback=folder_if_needed,
 )
 database_option = click.option(
     "--database",
     metavar="URL",
     help="sqlite:///file or postgresql://… (LABOS_DATABASE_URL; a file in the home folder).",
     callback=without_password,
+)
+pki_option = click.option(
+    "--pki",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="The certificate authority (LABOS_PKI; pki in the lab's folder if neither is given).",
+)
+cert_option = click.option(
+    "--cert",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="The folder that `labos pki issue` made, for a secure bus (that in the lab's folder).",
 )
 
 
@@ -63,12 +83,13 @@ user_option = click.option(
 
 def lab_options(command: F) -> F:
     """Options of commands that may run a kernel themselves."""
+    seed = "The seed of the simulated instruments' random durations."
     for option in reversed(
         (
             home_option,
             database_option,
-            click.option("--speed", type=click.FloatRange(min=0.01), help="Simulated time, times real time."),
-            click.option("--seed", type=int, default=0, help="For the jitter of simulated instruments."),
+            click.option("--speed", type=click.FloatRange(min=0.01), help=SPEED_HELP),
+            click.option("--seed", type=int, default=0, help=seed),
         )
     ):
         command = option(command)
@@ -86,3 +107,13 @@ def who(user: str | None) -> str:
         return "labos-login" if login == "labos" else login  # the name itself is LabOS' own
     except (OSError, KeyError, ImportError):
         return "somebody"
+
+
+def read_result(text: str | None) -> Any:
+    """What stands behind ``--result``. Raises BadParameter."""
+    if text is None:
+        return None
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise click.BadParameter(f"{text!r} is not JSON ({error}).", param_hint="--result") from error

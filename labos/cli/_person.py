@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._options import home_option, json_option, user_option, wait_option, who, why_option
+from labos.cli._complete import completes
+from labos.cli._options import (
+    home_option,
+    json_option,
+    read_result,
+    user_option,
+    wait_option,
+    who,
+    why_option,
+)
 from labos.cli._out import show_json, tell
 
 if TYPE_CHECKING:
@@ -16,9 +23,9 @@ if TYPE_CHECKING:
 
 
 @click.command("cancel")
-@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
+@click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
 @wait_option("Wait until what was cancelled has ended.", default=False)
-@click.option("--stay", is_flag=True, help="Leave labware where it is, even if there is a way out.")
+@click.option("--stay", is_flag=True, help="Leave labware where it is, even if there are `on_cancel` steps.")
 @why_option("The reason, for the log and for whoever asks later.")
 @user_option
 @home_option
@@ -28,14 +35,14 @@ def cancel(
 ) -> None:
     """Cancel TARGET: a run, an experiment, or the runs of a module, a workcell or the whole `lab`.
 
-    What is in flight ends first. Labware of a run then goes the way out that its workflow has under
-    `on_cancel`; if there is none, it stays where it is and a person is asked. An experiment takes no
-    more runs and closes. Of a module, those runs are meant that are under way and still need it.
+    Actions in progress end first. Labware of a run is then cleared away by the `on_cancel` steps of its
+    workflow; if there are none, it stays where it is and a person is asked. An experiment takes no
+    more runs and closes. For a module, the active runs that still need it are cancelled.
 
     \b
     labos cancel R3 --why "wrong plate"
     labos cancel R3 --wait    come back when it has ended
-    labos cancel R3 --stay    carry nothing any more, also if it is on its way out
+    labos cancel R3 --stay    move no labware any more, even if it is being cleared away
     labos cancel R3 --why "wrong plate"
     labos cancel E2           all its runs; then its closing workflow clears away
     labos cancel E2 --stay    its closing workflow too: all labware stays where it is
@@ -49,15 +56,20 @@ def cancel(
         ends = (client.wait(run) if wait else client.status(run) for run in runs)
         if as_json:
             told = [{"id": end.id, "status": end.status, "why": end.why} for end in ends]
-            show_json({"kind": done["kind"], "target": done["target"], "runs": told})
+            facts = {"kind": done["kind"], "target": done["target"], "already": done["already"]}
+            show_json({**facts, "runs": told})
             return
-        if done["kind"] != "run":
-            click.echo(f"{_called(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
+        if done["already"]:
+            is_one = done["kind"] in ("run", "experiment")
+            what = "is being cancelled already" if is_one else "has nothing to cancel"
+            click.echo(f"{_capital(_target_name(done))} {what}.{_noted(done)}")
+        elif done["kind"] != "run":
+            click.echo(f"{_target_name(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
         for end in ends:
-            click.echo(_ending(end, stay=stay))
+            click.echo(_describe_end(end, stay=stay))
 
 
-def _ending(result: RunResult, *, stay: bool) -> str:
+def _describe_end(result: RunResult, *, stay: bool) -> str:
     """How far a run is that was cancelled."""
     from labos.core.ids import local
 
@@ -77,7 +89,7 @@ def _has_way_out(result: RunResult) -> bool:
     return result.status == "leaving" or any(step.key.startswith("on_cancel/") for step in result.steps)
 
 
-def _called(done: dict[str, Any]) -> str:
+def _target_name(done: dict[str, Any]) -> str:
     """What was meant, in words: ``R3``, ``the lab``, ``the module rpl/pf400``."""
     kind, target = done["kind"], done["target"]
     if kind in ("run", "experiment"):
@@ -86,14 +98,14 @@ def _called(done: dict[str, Any]) -> str:
 
 
 @click.command("pause")
-@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
+@click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
 @why_option()
 @user_option
 @home_option
 @json_option
 def pause(target: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Start nothing more of TARGET until it is resumed: a run, an experiment, a module, a workcell, or
-    the whole `lab`. What is in flight goes on to its end.
+    """Start no further step of TARGET until it is resumed: a run, an experiment, a module, a workcell, or
+    the whole `lab`. Actions in progress continue to their end.
 
     \b
     labos pause R3
@@ -104,7 +116,7 @@ def pause(target: str, why: str, user: str | None, home: str | None, as_json: bo
 
 
 @click.command("resume")
-@click.argument("target", shell_complete=offering("run", "experiment", "module", "workcell", "lab"))
+@click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
 @user_option
 @home_option
 @json_option
@@ -125,16 +137,25 @@ def _change(
 
     with need_lab(home) as client:
         done = client.control(verb, target, who(user), why=why)
-    told = _called(done)
-    state = "is paused" if verb == "pause" else "goes on"
+    was = " already" if done["already"] else ""
+    state = f"is paused{was}" if verb == "pause" else f"goes on{was}"
     facts = {"kind": done["kind"], "target": done["target"], "paused": verb == "pause"}
-    tell(f"{told[:1].upper()}{told[1:]} {state}.", facts, as_json=as_json)
+    tell(f"{_capital(_target_name(done))} {state}.{_noted(done)}", facts, as_json=as_json)
+
+
+def _capital(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def _noted(done: dict[str, Any]) -> str:
+    """What became of the reason for something that was so already."""
+    return " Your reason is in the log." if done["noted"] else ""
 
 
 @click.command("resolve")
-@click.argument("intervention", shell_complete=offering("intervention"), required=False)
+@click.argument("intervention", shell_complete=completes("intervention"), required=False)
 @click.argument("choice", required=False)
-@why_option("A word about it for the log.")
+@why_option("A note for the log.")
 @click.option("--result", metavar="JSON", help="What a step that was done measured, if later steps read it.")
 @user_option
 @home_option
@@ -156,11 +177,11 @@ def resolve(
     labos resolve I3 done --result '{"od": 0.42}'
     """
     from labos.cli._lab import need_lab
-    from labos.cli._living import open_questions
+    from labos.cli._liveness import open_questions
 
     if intervention and choice:
         with need_lab(home) as client:
-            client.resolve(intervention, choice, who(user), why, _json(result))
+            client.resolve(intervention, choice, who(user), why, read_result(result))
         facts = {"id": intervention, "choice": choice}
         tell(f"{intervention} is answered: {choice}.", facts, as_json=as_json)
         return
@@ -178,23 +199,14 @@ def resolve(
             click.echo(f"      labos resolve {question['id']} {offered['name']}   {offered['consequence']}")
 
 
-def _json(text: str | None) -> Any:
-    if text is None:
-        return None
-    try:
-        return json.loads(text)
-    except ValueError as error:
-        raise click.BadParameter(f"{text!r} is not JSON ({error}).", param_hint="--result") from error
-
-
 @click.command("place")
-@click.argument("station", shell_complete=offering("station"))
+@click.argument("station", shell_complete=completes("station"))
 @click.argument("labware")
 @user_option
 @home_option
 @json_option
 def place(station: str, labware: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Say that you put LABWARE, by its type, on an empty STATION.
+    """Report that you put LABWARE, given by its type, on an empty STATION.
 
     \b
     labos place camera_module.plate_station plate96
@@ -209,7 +221,7 @@ def place(station: str, labware: str, user: str | None, home: str | None, as_jso
 
 
 @click.command("barcode")
-@click.argument("labware", shell_complete=offering("labware"))
+@click.argument("labware", shell_complete=completes("labware"))
 @click.argument("barcode")
 @click.option("--replace", is_flag=True, help="It had another one; its label was changed.")
 @user_option
@@ -218,7 +230,7 @@ def place(station: str, labware: str, user: str | None, home: str | None, as_jso
 def barcode(
     labware: str, barcode: str, replace: bool, user: str | None, home: str | None, as_json: bool
 ) -> None:
-    """Say that LABWARE bears BARCODE: a reader that finds another one there asks a person.
+    """Record that LABWARE has BARCODE: if a reader finds another one there, a person is asked.
 
     \b
     labos barcode P7 LB000815
@@ -231,7 +243,7 @@ def barcode(
 
 
 @click.command("out-of-service")
-@click.argument("module", shell_complete=offering("module"))
+@click.argument("module", shell_complete=completes("module"))
 @why_option("The reason, for everybody whose run waits.", required=True)
 @click.option("--until", metavar="TIME", help="When it is back by itself: 2h, 1d12h, 2026-05-04T10:30.")
 @user_option
@@ -257,7 +269,7 @@ def out_of_service(
 
 
 @click.command("in-service")
-@click.argument("module", shell_complete=offering("module"))
+@click.argument("module", shell_complete=completes("module"))
 @user_option
 @home_option
 @json_option

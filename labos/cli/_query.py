@@ -12,9 +12,14 @@ import click
 import msgspec
 
 from labos.cli._options import json_option, without_password
+from labos.cli._remote import folder_or_database, is_given, needs_folder
+from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
+from labos.ports import BlobReader
+from labos.services.log import Log
 from labos.services.times import Moment, parse_moment, parse_time
-from labos.store import SqlEventStore, open_store
+from labos.settings import Settings, lab_url
+from labos.store import SqlEventStore, open_blobs, open_store
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -23,15 +28,23 @@ KERNEL_FILE = "kernel.json"
 
 
 class Where(msgspec.Struct, frozen=True):
-    """The lab's home folder and, if it was given, its database."""
+    """The lab's home folder and, if it was given, its database; or the address of a ``lab`` on another
+    computer."""
 
     home: Path
     database: str = ""
+    lab: str = ""
 
     @property
     def url(self) -> str:
-        """The database's URL: as given, else the last kernel's, else the home's own file."""
-        return self.database or str(kernel_file(self.home).get("database", "")) or own_database(self.home)
+        """The database's URL: as given, else the last kernel's, else the home's own file; of a lab on another
+        computer its address."""
+        return (
+            self.lab
+            or self.database
+            or str(kernel_file(self.home).get("database", ""))
+            or own_database(self.home)
+        )
 
 
 def own_database(home: Path) -> str:
@@ -52,7 +65,9 @@ def log_options(command: F) -> F:
 
     @wraps(command)
     def wrap(*args: Any, home: Path, database: str | None, **options: Any) -> Any:
-        return command(*args, where=Where(home, database or ""), **options)
+        here = needs_folder() or is_given("home") or is_given("database")
+        lab = "" if here else lab_url()
+        return command(*args, where=Where(home, database or "", lab), **options)
 
     wrapped = click.option(
         "--database",
@@ -60,6 +75,7 @@ def log_options(command: F) -> F:
         metavar="URL",
         help="The lab's database [default: that of the lab's kernel, else labos.db in its home].",
         callback=without_password,
+        is_eager=True,  # before --home, which may be left out then
     )(wrap)
     return click.option(  # type: ignore[return-value]
         "--home",
@@ -68,13 +84,35 @@ def log_options(command: F) -> F:
         default=Path("lab"),
         show_default=True,
         help="The lab's folder.",
+        callback=folder_or_database,
     )(wrapped)
 
 
 @contextmanager
-def reading(where: Where) -> Iterator[SqlEventStore]:
-    """The log, opened for reading only; works with and without a running kernel. Raises
-    StoreUnavailable, LogTooNew, BadInput."""
+def open_log(where: Where) -> Iterator[Log]:
+    """The log, for reading only; works with and without a running kernel, and over HTTP. Raises
+    StoreUnavailable, LogTooNew, BadInput, LabUnreachable."""
+    if where.lab:
+        with LabClient(where.lab) as client:
+            yield LabLog(client)
+    else:
+        with open_database(where) as store:
+            yield store
+
+
+@contextmanager
+def contents(where: Where) -> Iterator[BlobReader]:
+    """The files that results name, from where the lab keeps them."""
+    if where.lab:
+        with LabClient(where.lab) as client:
+            yield LabFiles(client)
+    else:
+        yield open_blobs(Settings.of(where.home, where.url).blobs)
+
+
+@contextmanager
+def open_database(where: Where) -> Iterator[SqlEventStore]:
+    """The log's database, opened for reading only. Raises StoreUnavailable, LogTooNew, BadInput."""
     store = open_store(where.url, create=False, read_only=True, home=where.home)
     try:
         yield store
@@ -110,10 +148,12 @@ __all__ = [
     "as_moment",
     "as_time",
     "at_option",
+    "contents",
     "json_option",
     "kernel_file",
     "log_options",
     "now_ns",
+    "open_database",
+    "open_log",
     "own_database",
-    "reading",
 ]

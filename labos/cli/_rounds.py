@@ -30,7 +30,7 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
     )
     now: dict[str, list[str]] = {}
     for name, things in standing.items():
-        told_now = _asked(name, stations[name], f"  {name}: {', '.join(things)}")
+        told_now = _ask_station(name, stations[name], f"  {name}: {', '.join(things)}")
         if told_now is not None:
             now[name] = told_now
     while (other := _other(stations, hotels)) is not None:
@@ -43,7 +43,7 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
     return changes
 
 
-def _asked(name: str, station: Mapping[str, Any], text: str) -> list[str] | None:
+def _ask_station(name: str, station: Mapping[str, Any], text: str) -> list[str] | None:
     """What stands at a station now; None if it is as before."""
     while True:
         told = _words(click.prompt(text, default=KEPT))

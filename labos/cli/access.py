@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import home_option, json_option, user_option, who, why_option
 from labos.cli._out import tell
 from labos.errors import BadInput, NotFound, Refused
@@ -20,7 +20,7 @@ LOOK_S = 0.2
 
 
 @click.command("access", short_help="Reach into a workcell: everything there waits meanwhile.")
-@click.argument("workcell", shell_complete=offering("workcell"))
+@click.argument("workcell", shell_complete=completes("workcell"))
 @why_option("What for: those whose runs wait can read it. With --done: a word about it.")
 @click.option("--no-park", is_flag=True, help="Leave the arms where they are.")
 @click.option("--timeout", type=float, default=600.0, show_default=True, help="Seconds to wait for it.")
@@ -48,11 +48,11 @@ def command(
     home: str | None,
 ) -> None:
     """Reach into WORKCELL: nothing more starts there, arms that have a home go there, what is in
-    flight ends; then you are told that nothing moves. Runs wait until you say --done.
+    flight ends; then the command reports that nothing moves. Runs wait until you report --done.
 
     This is no safety function: doors, light curtains and emergency stops are what protects you.
-    With --done, say what you changed: the lab believes that all else stands as before. On a terminal you
-    are asked, station by station, and confirm it at the end; until then nothing is told to the lab.
+    With --done, report what you changed: everything else is taken to stand as before. On a terminal you
+    are asked, station by station, and confirm at the end; nothing is sent to the lab before that.
 
     \b
     labos access rpl --why "a plate has slipped"
@@ -94,7 +94,7 @@ def command(
                 "granted": True,
                 "perhaps_moving": doubtful,
                 "parking": parking,
-                "stations": _believed(state, workcell),
+                "stations": _recorded_contents(state, workcell),
             }
         )
         return
@@ -128,7 +128,7 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
         told: list[tuple[str, str]] = []
         if access is not None and access["granted"]:  # else nobody was inside
             try:
-                told = ask(state, workcell, _believed(state, workcell))
+                told = ask(state, workcell, _recorded_contents(state, workcell))
             except (click.Abort, KeyboardInterrupt):
                 click.echo(
                     f"\nNothing was told: {workcell} stays held. Say it again: labos access {workcell} --done"
@@ -166,7 +166,7 @@ def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
         time.sleep(LOOK_S)
 
 
-def _believed(state: dict[str, Any], workcell: str) -> dict[str, list[str]]:
+def _recorded_contents(state: dict[str, Any], workcell: str) -> dict[str, list[str]]:
     """What the log believes of each station that holds something."""
     types = {item["id"]: item["type"] for item in state["labware"]}
     found: dict[str, list[str]] = {}
@@ -183,7 +183,7 @@ def _believed(state: dict[str, Any], workcell: str) -> dict[str, list[str]]:
 
 def _guide(state: dict[str, Any], workcell: str) -> None:
     click.echo("The lab believes that here stands:")
-    for name, standing in _believed(state, workcell).items():
+    for name, standing in _recorded_contents(state, workcell).items():
         click.echo(f"  {name}: {', '.join(standing)}")
     click.echo(
         "All other stations are empty, or nobody has spoken of them.\n"

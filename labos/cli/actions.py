@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._out import show_json, show_table, terminal_width
 from labos.cli._query import Where, json_option, log_options
 
@@ -29,7 +29,11 @@ class Offer(msgspec.Struct, frozen=True):
 
 @click.command("actions")
 @click.argument(
-    "name", shell_complete=offering("module", "driver"), required=False, default="", metavar="[MODULE|DRIVER]"
+    "name",
+    shell_complete=completes("module", "driver"),
+    required=False,
+    default="",
+    metavar="[MODULE|DRIVER]",
 )
 @click.argument("action", required=False, default="")
 @click.option("--drivers", is_flag=True, help="All installed drivers, also where there is a lab.")
@@ -51,7 +55,7 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
     """
     offers = list(_offers(where, file, drivers=drivers))
     if name:
-        offers = _named(offers, list(_of_drivers()), name)
+        offers = _find_offers(offers, list(_of_drivers()), name)
     if action:
         offers = [_only(offer, action) for offer in offers]
     if as_json:
@@ -79,7 +83,7 @@ def _offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[Offer]
     for module in modules:
         found = described(module, known)
         if found is not None:
-            yield Offer(local(module.name), module.driver, found.description, _sorted(found))
+            yield Offer(local(module.name), module.driver, found.description, _sort_actions(found))
 
 
 def _modules(where: Where, file: str | None) -> list[ModuleSpec]:
@@ -88,14 +92,14 @@ def _modules(where: Where, file: str | None) -> list[ModuleSpec]:
         from labos.cli._lab import read_workcell
 
         return list(read_workcell(file).workcell.modules)
-    from labos.cli._query import reading
+    from labos.cli._query import open_log
     from labos.errors import StoreUnavailable
     from labos.services.history import position_at
     from labos.services.log import fold_to
     from labos.services.times import Moment
 
     try:
-        with reading(where) as store:
+        with open_log(where) as store:
             state = fold_to(store, position_at(store, Moment()))
             return [module.spec for module in state.modules.by_name.values()]
     except StoreUnavailable:
@@ -106,7 +110,7 @@ def _modules(where: Where, file: str | None) -> list[ModuleSpec]:
 
 def _of_drivers() -> Iterator[Offer]:
     for name, found in sorted(_descriptions().items()):
-        yield Offer(name, name, found.description, _sorted(found))
+        yield Offer(name, name, found.description, _sort_actions(found))
 
 
 def _descriptions() -> Any:
@@ -115,12 +119,12 @@ def _descriptions() -> Any:
     return descriptions()
 
 
-def _sorted(found: Description) -> tuple[ActionSpec, ...]:
+def _sort_actions(found: Description) -> tuple[ActionSpec, ...]:
     """What runs use first, then what only looks."""
     return tuple(sorted(found.actions, key=lambda spec: (not spec.exclusive, spec.recovers)))
 
 
-def _named(offers: list[Offer], drivers: list[Offer], name: str) -> list[Offer]:
+def _find_offers(offers: list[Offer], drivers: list[Offer], name: str) -> list[Offer]:
     """Modules of that name; else those with that driver; else the driver or model itself. Raises NotFound."""
     from labos.errors import NotFound
     from labos.spec.findings import near
@@ -185,6 +189,8 @@ def _about(spec: ActionSpec) -> str:
         words.append("The module can do it beside something else.")
     if spec.recovers:
         words.append("It brings the module out of an error.")
+    if spec.dangerous:
+        words.append(f"Dangerous: {spec.dangerous}.")
     return " ".join(filter(None, words)) or "No description."
 
 

@@ -19,12 +19,14 @@ SECTIONS = {
         "demo": "Run the demonstration: two users share a simulated workcell.",
         "up": "Run a lab in the foreground until Ctrl-C.",
         "bus": "Run the bus by itself, for kernels that take over from each other.",
+        "pki": "Certificates for a secure bus.",
         "workcell": "Change a workcell while its lab runs.",
         "node": "Start the node of a module.",
         "driver": "Torture a driver, or begin a new one.",
         "backup": "Copy the log and its blobs while the lab runs.",
         "restore": "Put a backup into an empty database.",
         "db": "The database: its state, and migrating it.",
+        "doctor": "Is everything that a lab stands on as it should be?",
     },
     "Workflows": {
         "new": "A workcell, workflow or application to begin with.",
@@ -43,6 +45,8 @@ SECTIONS = {
         "pause": "Start nothing more of a run, an experiment, a module, a workcell.",
         "resume": "Let what is paused go on.",
         "experiments": "Which experiments there are.",
+        "campaign": "Carry out a workflow for each row of a table.",
+        "shares": "Who is to have how much of the lab, and who has had it.",
         "results": "What a run measured, well by well.",
         "files": "Files that steps have returned, to list and to fetch.",
     },
@@ -72,6 +76,13 @@ SECTIONS = {
         "replenish": "Say that a resource was refilled, with its lot.",
     },
     "People": {
+        "login": "Sign in to the lab.",
+        "logout": "Sign out.",
+        "whoami": "Who you are to the lab.",
+        "token": "Tokens of programs.",
+        "user": "Users: who may use the lab.",
+        "group": "Groups: users who share a part of the lab.",
+        "role": "Roles: what users and groups may do.",
         "interventions": "What the lab asks people, and what they may answer.",
         "resolve": "Answer a question that the lab asks a person.",
         "inbox": "The work that workflows plan for people.",
@@ -84,6 +95,15 @@ SECTIONS = {
         "log": "What happened, event by event.",
         "replay": "Step through any log, with the state at each event.",
         "verify": "Check the log's chain of hashes.",
+        "key": "The keys that sign a lab's checkpoints.",
+        "checkpoint": "Sign the log's end, and keep it elsewhere.",
+        "bundle": "One run as a file that proves itself.",
+        "witness": "Cosign other labs' checkpoints.",
+        "sql": "Ask the lab in SQL, read only.",
+        "provenance": "Where something comes from, and what came of it.",
+        "export": "The lab's records in the formats of others.",
+        "diff": "What is different between two moments.",
+        "audit": "The tables beside the log that SQL is asked of.",
         "twh": "Time without human intervention.",
     },
 }
@@ -109,6 +129,7 @@ _ONE_FILE = {
     **dict.fromkeys(("do", "reset", "home"), "do"),
     **dict.fromkeys(("inbox", "confirm"), "inbox"),
     **dict.fromkeys(("teach", "locations"), "teach"),
+    **dict.fromkeys(("login", "logout", "whoami"), "login"),
 }
 """Commands too small for a module of their own."""
 
@@ -154,7 +175,8 @@ def group() -> None:
     """LabOS runs a self-driving laboratory: workflows on instruments, every step in a log.
 
     A lab lives in a folder (--home or LABOS_HOME, ./lab if neither is given) with its database
-    (--database or LABOS_DATABASE_URL, a SQLite file in that folder if neither is given).
+    (--database or LABOS_DATABASE_URL, a SQLite file in that folder if neither is given). A lab on
+    another computer is named by its address, in LABOS_URL. Terms are explained in docs/glossary.md.
     """
 
 
@@ -193,11 +215,11 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _show_error(error: LabosError) -> None:
-    """As over HTTP: ``{error, remedy, code, details}``."""
+    """``{error, remedy, code, details}``; the codes are those of HTTP."""
     from labos.cli._out import show_json
-    from labos.http.errors import body_of
+    from labos.http.problems import plain_error
 
-    show_json(body_of(error))
+    show_json(plain_error(error))
 
 
 def _show_misuse(error: click.ClickException) -> None:

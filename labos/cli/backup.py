@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, kernel_file, log_options, reading
+from labos.cli._query import Where, json_option, kernel_file, log_options, open_database
 from labos.settings import Settings
 from labos.store import backup, key_of, open_blobs
 
@@ -35,12 +35,12 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     labos verify --backup /safe/lab     check it, without a database
     labos restore /safe/lab             put it into an empty database
 
-    A segment is never changed again. The journals of the nodes are not copied: they are what tells a
-    log that was put back from an older copy.
+    A segment is never changed again. The journals of the nodes are not copied: they are how a log that was
+    restored from an older copy is recognised.
     """
     key = key_of(key_file) if key_file else b""
     known = kernel_file(where.home)
-    with reading(where) as store:
+    with open_database(where) as store:
         made = backup(
             store,
             open_blobs(Settings.of(where.home, where.url).blobs),

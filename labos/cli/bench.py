@@ -1,4 +1,4 @@
-"""``labos bench``: saying what stands on the bench at the first start; looking at a simulated one."""
+"""``labos bench``: declare what stands on the bench, report it after a lost log, show a simulated one."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import home_option, json_option, user_option, who
-from labos.cli._query import Where, log_options, reading
+from labos.cli._query import Where, log_options, open_database, open_log
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
 
 
 @click.group("bench", cls=Suggesting)
 def command() -> None:
-    """What stands on the bench: say it, or look at a simulated one."""
+    """What stands on the bench: declare it, or show a simulated one."""
 
 
 @command.command("declare")
 @click.argument("stations", nargs=-1, metavar="[FILE | STATION=TYPE]...")
-@click.option("--empty", is_flag=True, help="All stations that nobody has spoken of stand empty.")
+@click.option("--empty", is_flag=True, help="All stations that were not declared yet are empty.")
 @click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
 @json_option
 @user_option
@@ -31,8 +31,8 @@ def command() -> None:
 def declare(
     stations: tuple[str, ...], empty: bool, workcell: str, as_json: bool, user: str | None, home: str | None
 ) -> None:
-    """Say what stands at stations already. What nobody has spoken of is unknown to LabOS, not empty:
-    runs that would put something there wait and ask (`labos explain`).
+    """Declare what stands at stations. A station that nobody has declared is unknown, not empty: runs that
+    would put something there wait (`labos explain`).
 
     A station is followed by what stands there, bottom to top; nothing behind `=` is an empty one. A
     FILE is YAML: a station and its list of types in each line. All of it is declared, or nothing.
@@ -65,30 +65,30 @@ def declare(
         click.echo("Everything was declared before.")
 
 
-@command.command("look")
+@command.command("show")
 @json_option
 @log_options
-def look(where: Where, as_json: bool) -> None:
-    """Look at a simulated bench: what its devices really did, whatever the log says, and where the two
+def show(where: Where, as_json: bool) -> None:
+    """Show a simulated bench: what its devices really did, whatever the log says, and where the two
     differ (exit code 1). It works with and without a running lab, and changes nothing.
 
     \b
-    labos bench look
+    labos bench show
     labos stations       what the log says
 
-    What an arm holds or has let fall is shown too. On a real bench, go and look.
+    What an arm holds or has dropped is shown too. A real bench can only be checked by a person.
     """
+    from labos.cli._bench_view import BenchView, read_bench, show
     from labos.cli._out import show_json
-    from labos.cli._sight import Sight, look_at, show
 
     benches = sorted((where.home / "world").glob("*.db"))
     if not benches:
         raise BadInput(
             f"There is no simulated bench in {where.home}.",
-            remedy="On a real one, go and look; `labos stations` tells what the log says.",
+            remedy="A real one can only be checked by a person; `labos stations` shows what the log says.",
         )
-    with reading(where) as store:
-        sights: list[Sight] = [look_at(store, path) for path in benches]
+    with open_database(where) as store:
+        sights: list[BenchView] = [read_bench(store, path) for path in benches]
     if as_json:
         show_json({"agrees": all(sight.agrees for sight in sights), "workcells": sights})
     else:
@@ -103,8 +103,8 @@ def look(where: Where, as_json: bool) -> None:
 @click.option(
     "--file", "path", metavar="FILE", help="What stands where: `STATION: WHAT` in each line (YAML)."
 )
-@click.option("--look", "looks", is_flag=True, help="Say what is to be seen on a simulated bench.")
-@click.option("--only-say", is_flag=True, help="Leave the question open, also when all was said.")
+@click.option("--as-simulated", "simulated", is_flag=True, help="Report what a simulated bench really holds.")
+@click.option("--only-say", is_flag=True, help="Leave the question open, even if every station is reported.")
 @json_option
 @user_option
 @log_options
@@ -112,33 +112,34 @@ def round_(
     where: Where,
     told: tuple[str, ...],
     path: str | None,
-    looks: bool,
+    simulated: bool,
     only_say: bool,
     as_json: bool,
     user: str | None,
 ) -> None:
-    """Say what stands where, after the log has lost its end: its nodes, a checkpoint or a journal know more
-    than it holds, or it was put back from an older copy. Nothing starts before that.
+    """Report what stands where, after the log has lost its end: its nodes, a checkpoint or a journal know
+    more than it holds, or it was restored from an older copy. Nothing starts before that.
 
-    On a terminal you are asked, station by station; what was said is kept if you break off. Where something
-    the log does not know has been at work, say what stands there; elsewhere `as recorded` is enough. WHAT is
+    On a terminal you are asked, station by station; answers are kept if you stop. Where an action that the
+    log does not know has worked, report what stands there; elsewhere `as recorded` is enough. WHAT is
     `empty`, labware by its id (P7) or, where the log does not know it, by its type (plate96, 20xplate96),
     with its lid (P7+P8), bottom to top; of a waste the number. A FILE is YAML, and may end with
     `rest: as recorded`.
 
     \b
-    labos bench round --json                  what is known, and what has to be said
+    labos bench round --json                  what is known, and what has to be reported
     labos bench round --say sealer.default=P7 --say peeler.default=empty
     labos bench round --file bench.yaml
 
-    When nothing is left to say, the question is answered: runs that were under way end, their labware stays
-    where you said and belongs to their users; runs that wait are paused (labos resume R7, labos cancel R7).
+    When every station is reported, the question is answered: runs that were under way end, their labware
+    stays where you reported it and belongs to their users; runs that wait are paused (labos resume R7,
+    labos cancel R7).
     """
     from labos.cli._bench_round import ask, from_file, from_options, say, show, show_not_known, show_refused
-    from labos.cli._lab import need_lab
+    from labos.cli._lab import need_lab_of
     from labos.cli._out import show_json
 
-    with need_lab(str(where.home)) as client:
+    with need_lab_of(where) as client:
         view = client.round()
         if not view["intervention"]:
             raise BadInput(
@@ -146,8 +147,8 @@ def round_(
                 remedy="What you see at one station you can say at any time: labos observe STATION WHAT",
             )
         words = {**(from_file(path) if path else {}), **from_options(told)}
-        if looks:
-            words = {**_seen(where), "rest": None, **words}
+        if simulated:
+            words = {**_bench_contents(where), "rest": None, **words}
         found = say(client, view, words, who(user)) if words else {"said": [], "refused": []}
         if not words and not as_json:
             show(view)
@@ -172,23 +173,26 @@ def round_(
         raise SystemExit(1)
 
 
-def _seen(where: Where) -> dict[str, list[str] | None]:
-    """What is to be seen on the simulated benches of this lab."""
+def _bench_contents(where: Where) -> dict[str, list[str] | None]:
+    """What the simulated benches of this lab really hold."""
     from labos.node.world import World
     from labos.services.log import fold_to
-    from labos.services.truth import contents_seen
+    from labos.services.truth import bench_contents
 
-    benches = sorted((where.home / "world").glob("*.db"))
+    benches = [] if where.lab else sorted((where.home / "world").glob("*.db"))
     if not benches:
-        raise BadInput(f"There is no simulated bench in {where.home}.", remedy="On a real one, go and look.")
+        place = where.lab or where.home
+        raise BadInput(
+            f"There is no simulated bench in {place}.", remedy="A real one can only be checked by a person."
+        )
     found: dict[str, list[str] | None] = {}
-    with reading(where) as store:
+    with open_log(where) as store:
         position = store.head().position
         state, records = fold_to(store, position), list(store.read(upto=position))
     for path in benches:
         world = World(str(path))
         try:
-            seen = contents_seen(world, state, records)
+            seen = bench_contents(world, state, records)
         finally:
             world.close()
         found |= {name: told for name, told in seen.items() if workcell_of(name) == path.stem}

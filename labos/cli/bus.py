@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-LISTEN = "tcp/127.0.0.1:7447"
+from labos.cli._options import home_option, pki_option
+
+if TYPE_CHECKING:
+    from labos.bootstrap import Guard
+
+LISTEN = "127.0.0.1:7447"
 
 
 @click.command("bus")
@@ -14,38 +21,79 @@ LISTEN = "tcp/127.0.0.1:7447"
     "--listen",
     multiple=True,
     metavar="ENDPOINT",
-    default=(LISTEN,),
-    show_default=True,
-    help="Where kernels and nodes connect to.",
+    help=f"The address to which kernels and nodes connect (tcp/{LISTEN}, tls/{LISTEN} with --secure).",
 )
-def command(listen: tuple[str, ...]) -> None:
+@click.option(
+    "--secure", is_flag=True, help="TLS and certificates: each node and kernel can speak only for itself."
+)
+@click.option(
+    "--cert",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="The folder of this bus (`labos pki issue bus`), where the authority is elsewhere.",
+)
+@click.option(
+    "--address",
+    multiple=True,
+    metavar="HOST",
+    help="A further name or address by which other computers reach the secure bus.",
+)
+@pki_option
+@home_option
+def command(
+    listen: tuple[str, ...],
+    secure: bool,
+    cert: Path | None,
+    address: tuple[str, ...],
+    pki: Path | None,
+    home: str | None,
+) -> None:
     """Run the bus by itself until Ctrl-C. Kernels and nodes connect to it (`labos up --bus ENDPOINT`).
 
-    Without it the kernel runs the bus, and nodes are cut off as long as there is no kernel. It keeps
-    nothing: it may be stopped and started again at any time, and everybody finds their way back.
+    Without it the kernel runs the bus, and nodes have no connection while there is no kernel. The bus
+    stores nothing: it may be stopped and started again at any time, and everybody reconnects.
     A Zenoh router (zenohd) does as well.
+
+    With --secure only certificates of the lab's authority are accepted. When one is issued or revoked, the
+    running bus uses the change within two seconds (docs/secure-bus.md).
 
     \b
     labos bus
     labos bus --listen tcp/0.0.0.0:7447
+    labos bus --secure --listen tls/0.0.0.0:7447 --address bus.example.org --home /var/lib/labos
     """
+    from labos.bootstrap import Guard
     from labos.cli._lab import orderly
+    from labos.pki import Identity
+    from labos.settings import Settings, keep_private
     from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
+    guard = None
+    if secure or cert is not None:
+        keep_private()
+        settings = Settings.of(home, addresses=address, authority=pki)
+        own = cert.absolute() if cert is not None else None
+        guard = Guard(Identity("bus"), settings, runs_bus=True, own=own)
+    where = listen or (f"{'tls' if guard is not None else 'tcp'}/{LISTEN}",)
     with orderly():
         try:
-            asyncio.run(_carry(listen))
+            asyncio.run(_carry(where, guard))
         except KeyboardInterrupt:
             click.echo("The bus is closed.")
 
 
-async def _carry(listen: tuple[str, ...]) -> None:
+async def _carry(listen: tuple[str, ...], guard: Guard | None) -> None:
     from labos.bus import open_bus
 
-    bus = await open_bus(mode="router", listen=listen)
+    security = await asyncio.to_thread(guard.prepare) if guard is not None else None
+    bus = await open_bus(mode="router", listen=listen, security=security)
     try:
+        if guard is not None:
+            await guard.watch(bus)
         click.echo(f"The bus runs at {', '.join(listen)}. Ctrl-C closes it.")
         await asyncio.Event().wait()
     finally:
+        if guard is not None:
+            await guard.close()
         await bus.close()

@@ -8,7 +8,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._out import show_json, tell
-from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
 from labos.store import (
@@ -31,7 +31,7 @@ def command() -> None:
     \b
     labos db status     revision, size, end of the log, who writes it
     labos db upgrade    bring it to this version of LabOS
-    labos db restored   say that it was put back from a copy
+    labos db restored   record that it was restored from a copy
     labos db writer ROLE   let a PostgreSQL role write the log, and nothing else
     labos db url        which database the other commands use
     """
@@ -90,10 +90,10 @@ def upgrade(where: Where, as_json: bool) -> None:
 @json_option
 @log_options
 def restored(where: Where, as_json: bool) -> None:
-    """Say that this database was put back from a copy made by other means than labos backup. Its
-    next kernel outranks every one that the nodes have seen, and starts nothing before a person has been
-    round the bench (labos bench round). How far the log reached before is of no more account. Refused
-    while a kernel lives."""
+    """Record that this database was restored from a copy made by other means than labos backup. Its next
+    kernel has a greater epoch than any that the nodes have seen, and starts nothing before a person has
+    checked the bench (labos bench round). How far the log reached before no longer counts. Refused while
+    a kernel lives."""
     found = database_status(where.url)
     if found.state != "current":
         raise Refused(f"{found.name}: {_meaning(found)}.", remedy="There is nothing to outrank.")
@@ -107,9 +107,9 @@ def restored(where: Where, as_json: bool) -> None:
 @click.argument("role")
 @log_options
 def writer(where: Where, role: str) -> None:
-    """Let ROLE be what kernels on this PostgreSQL database work as: it may add records to the log and move
-    its head, and may not change or delete any. Give the owner's URL (--database); the lab then uses the
-    role's."""
+    """Let ROLE be what kernels on this PostgreSQL database work as: it may add records to the log and
+    move its head, and may not change or delete any. Run it with the owner's URL (--database); the lab
+    then connects as the role."""
     grant_writer(where.url, role)
     click.echo(
         f"{role} may write the log in {shown_url(where.url)}: add records, move the head, keep snapshots."
@@ -138,7 +138,7 @@ def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
     if found.state != "missing":
         facts["bytes"] = database_bytes(where.url)
     if found.state == "current":
-        with reading(where) as store:
+        with open_log(where) as store:
             head = store.head()
         facts |= {
             "lab": head.lab if head.position else "",

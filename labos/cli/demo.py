@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import database_option
+from labos.cli._options import SPEED_HELP, database_option
 from labos.core.ids import local
 from labos.errors import BadInput, LabosError
 
@@ -26,16 +26,16 @@ SPEED = 400.0
 
 
 @click.command("demo")
-@click.option(
-    "--speed",
-    type=click.FloatRange(min=1),
-    default=SPEED,
-    show_default=True,
-    help="Simulated time, times real time.",
-)
+@click.option("--speed", type=click.FloatRange(min=1), default=SPEED, show_default=True, help=SPEED_HELP)
 @click.option("--keep", is_flag=True, help="Leave the lab running at the end, until Ctrl-C.")
 @database_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Of instruments and solver.")
+@click.option(
+    "--seed",
+    type=int,
+    default=0,
+    show_default=True,
+    help="The seed of the simulated instruments and of the solver.",
+)
 @click.option("--home", metavar="DIR", help="A new folder (lab/demo, lab/demo-2, …).")
 def command(speed: float, keep: bool, database: str | None, seed: int, home: str | None) -> None:
     """Run the demonstration on simulated instruments; takes about 40 seconds.
@@ -78,7 +78,7 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
                     click.echo(f"\n{CLOSING}")
                     raise
         except KeyboardInterrupt:
-            click.echo(f"\nInterrupted. Go on with: labos up --home {_shown(settings.home)}")
+            click.echo(f"\nInterrupted. Go on with: labos up --home {_short_path(settings.home)}")
             raise click.exceptions.Exit(130) from None
     if lab.failure is not None:
         raise lab.failure
@@ -95,7 +95,7 @@ def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult
     """Submit everything and watch it to its end."""
     from labos.client import LabClient
 
-    with LabClient(lab.url) as client, _watched(lab.url):
+    with LabClient(lab.url) as client, _show_progress(lab.url):
         runs = [client.submit("pcr", user="ada") for _ in range(2)]
         application = _start_application(settings, seed)
         try:
@@ -127,7 +127,7 @@ def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]
 
 
 @contextlib.contextmanager
-def _watched(url: str) -> Iterator[None]:
+def _show_progress(url: str) -> Iterator[None]:
     """Show what happens as long as the block lasts: a picture in a terminal, else lines."""
     over = threading.Event()
     watch = _paint if sys.stdout.isatty() else _tell
@@ -179,7 +179,7 @@ def _account(settings: Settings, results: list[RunResult]) -> None:
         store.close()
     click.echo()
     show_summary(summary)
-    home = _shown(settings.home)
+    home = _short_path(settings.home)
     click.echo("\nThe log stays behind. Ask it:")
     for ask in (
         f"labos runs --home {home}",
@@ -193,7 +193,7 @@ def _account(settings: Settings, results: list[RunResult]) -> None:
         click.echo(f"  {ask}")
 
 
-def _shown(folder: Path) -> str:
+def _short_path(folder: Path) -> str:
     """The folder as one would type it here."""
     here = Path.cwd()
     return str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
@@ -214,7 +214,7 @@ def _expect_new(settings: Settings, *, given: bool) -> None:
     if (settings.home / "kernel.json").exists() or (settings.home / "labos.db").exists():
         raise BadInput(
             f"There is a lab in {settings.home} already.",
-            remedy=f"Go on with it by `labos up --home {_shown(settings.home)}`, or name a new folder.",
+            remedy=f"Go on with it by `labos up --home {_short_path(settings.home)}`, or name a new folder.",
         )
     if given:
         from labos.store import open_store

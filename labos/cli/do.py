@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import json_option, lab_options, user_option, wait_option, who
 from labos.errors import BadInput
 
@@ -44,15 +44,15 @@ def _options(command: F) -> F:
 
 
 @click.command("do")
-@click.argument("module", shell_complete=offering("module"))
+@click.argument("module", shell_complete=completes("module"))
 @click.argument("action")
 @click.argument("arguments", nargs=-1, metavar="[NAME=VALUE]...")
 @_options
 def do(module: str, action: str, arguments: tuple[str, ...], **options: Any) -> None:
     """Carry out one ACTION of MODULE, and wait for its end.
 
-    It is a run of one step: in the log, in its turn, checked as a workflow's step is, with your
-    own labware and everybody's. In the running lab if there is one, else in a lab of its own.
+    It is a run of one step: logged, queued and checked as a step of a workflow is; it may use your own
+    labware and shared labware. In the running lab if there is one, else in a lab of its own.
     Exit code 0 if it is done, 1 if it fails or is refused.
 
     \b
@@ -64,13 +64,13 @@ def do(module: str, action: str, arguments: tuple[str, ...], **options: Any) -> 
 
 
 @click.command("reset")
-@click.argument("module", shell_complete=offering("module"))
+@click.argument("module", shell_complete=completes("module"))
 @_options
 def reset(module: str, **options: Any) -> None:
     """Bring MODULE out of its error: `labos do MODULE reset`.
 
     A reset is an action like any other, in the log and done at most once, but it may start while
-    the module is in error. Look at the device first: a reset may move it.
+    the module is in error. Check the device first: a reset may move it.
 
     \b
     labos reset pf400
@@ -79,7 +79,7 @@ def reset(module: str, **options: Any) -> None:
 
 
 @click.command("home")
-@click.argument("module", shell_complete=offering("module"))
+@click.argument("module", shell_complete=completes("module"))
 @_options
 def home(module: str, **options: Any) -> None:
     """Bring MODULE to its home position: `labos do MODULE home`. Not every module has one.
@@ -126,6 +126,7 @@ def _carry_out(
     as_json: bool,
     quiet: bool,
 ) -> None:
+    from labos.cli._remote import lab_of
     from labos.cli.run import Job, carry_out, show_result
     from labos.client import step_text
     from labos.settings import Settings
@@ -142,7 +143,9 @@ def _carry_out(
     if not wait:
         _queue(job, home, as_json=as_json)
         return
-    show_result(carry_out(job, settings, quiet=quiet or as_json, say_waits=True), as_json=as_json)
+    url = "" if database else lab_of(home)
+    found = carry_out(job, settings, url=url, quiet=quiet or as_json, say_waits=True)
+    show_result(found, as_json=as_json)
 
 
 def _queue(job: Any, home: str | None, *, as_json: bool) -> None:

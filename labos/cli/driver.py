@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._describe import describe_command
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option
@@ -26,14 +26,14 @@ MARKS = {"passed": "ok", "failed": "FAILED", "left out": "left out"}
 
 @click.group("driver", cls=Suggesting)
 def command() -> None:
-    """Torture a driver, describe its instrument, or begin a new one."""
+    """Test a driver against faults, describe its instrument, or begin a new driver."""
 
 
 command.add_command(describe_command)
 
 
 @command.command("torture")
-@click.argument("driver", shell_complete=offering("driver"))
+@click.argument("driver", shell_complete=completes("driver"))
 @click.option("--check", "only", multiple=True, metavar="NAME", help="Only this check.")
 @click.option(
     "--at-least",
@@ -53,11 +53,11 @@ command.add_command(describe_command)
 def torture_command(
     driver: str, only: tuple[str, ...], at_least: str, motion_s: float, keep: str | None, as_json: bool
 ) -> None:
-    """Put DRIVER through everything that can go wrong, and print its badge and the evidence for it.
+    """Test DRIVER against faults of every kind, and print its badge and the evidence for it.
 
-    DRIVER is an installed one, or a file: shaker.py, shaker.py:Shaker. What the suite has to know beside
-    the driver's description stands in its TORTURE. Bronze speaks, silver survives, gold reconciles an
-    unknown outcome by observing.
+    DRIVER is an installed one, or a file: shaker.py, shaker.py:Shaker. What the suite needs beside the
+    driver's description is in its TORTURE. Bronze: follows the protocol. Silver: survives faults. Gold:
+    also finds out by observing how an interrupted action ended.
 
     \b
     labos driver torture a4s_sealer
@@ -102,8 +102,8 @@ def _show(report: Report) -> None:
 def new_command(name: str, as_json: bool) -> None:
     """Write the package of a driver called NAME into a new folder of that name.
 
-    It works as it is: an interface, a driver, a simulated device on a real serial line, and a test that
-    puts them to torture. NAME may lead into another folder.
+    It works as it is: an interface, a driver, a simulated device on a real serial line, and a test
+    against faults (`labos driver torture`). NAME may lead into another folder.
 
     \b
     labos driver new shaker
@@ -160,13 +160,13 @@ def _skeleton(folder: Path, name: str) -> dict[Path, str]:
         return text
 
     return {
-        folder / _renamed(path, words): filled(path.read_text(encoding="utf-8"))
+        folder / _rename(path, words): filled(path.read_text(encoding="utf-8"))
         for path in sorted(SKELETON.rglob("*"))
         if path.suffix in (".py", ".md", ".toml", ".yaml")
     }
 
 
-def _renamed(path: Path, words: dict[str, str]) -> str:
+def _rename(path: Path, words: dict[str, str]) -> str:
     parts = path.relative_to(SKELETON).parts
     return "/".join(
         words["PACKAGE"] if part == "package" else part.replace("NAME", words["NAME"]) for part in parts

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._complete import completes
+from labos.cli._options import cert_option, home_option, json_option, user_option, who
 
 PATIENCE_S = 2.0
 """How long a kernel may take to be found before the nodes are told without it."""
@@ -17,10 +18,11 @@ PATIENCE_S = 2.0
 
 @click.command("estop")
 @click.argument(
-    "target", shell_complete=offering("module", "workcell"), required=False, metavar="[MODULE|WORKCELL]"
+    "target", shell_complete=completes("module", "workcell"), required=False, metavar="[MODULE|WORKCELL]"
 )
 @click.option("--all", "everything", is_flag=True, help="Every module of the lab.")
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="Straight over this bus, past the kernel.")
+@cert_option
 @user_option
 @home_option
 @json_option
@@ -28,16 +30,17 @@ def command(
     target: str | None,
     everything: bool,
     connect: tuple[str, ...],
+    cert: Path | None,
     user: str | None,
     home: str | None,
     as_json: bool,
 ) -> None:
     """Stop a MODULE, a WORKCELL or everything at once, in an emergency.
 
-    It waits for nothing: not for the log, not for its turn, and no node refuses it. Who stopped
-    what is written down afterwards. A stopped module is in ERROR until `labos reset`. Without a
-    kernel that answers, the nodes are told over the bus. Exit code 0 only if every module says
-    that it has stopped.
+    It waits neither for the log nor for its turn, and no node refuses it. Who stopped what is logged
+    afterwards. A stopped module is in ERROR until `labos reset`. Without a
+    kernel that answers, the command goes to the nodes over the bus. Exit code 0 only if every module
+    reports that it has stopped.
 
     This is a convenience and no safety function: where people can be hurt, use the hardware's
     emergency stop.
@@ -51,7 +54,7 @@ def command(
 
     if (target is None) is not everything:
         raise click.UsageError("Name one module or workcell, or say --all.")
-    report = _stop(target or "*", connect, who(user), home)
+    report = _stop(target or "*", connect, cert, who(user), home)
     stopped, silent = sorted(report["stopped"]), report["silent"]
     if as_json:
         show_json(report)
@@ -66,12 +69,19 @@ def command(
         raise click.exceptions.Exit(1)
 
 
-def _stop(target: str, connect: Sequence[str], by: str, home: str | None) -> dict[str, Any]:
+def _stop(
+    target: str, connect: Sequence[str], cert: Path | None, by: str, home: str | None
+) -> dict[str, Any]:
     """Through the kernel, else past it. Raises NotFound, BusError."""
+    from labos.cli._remote import lab_of
     from labos.client import LabClient, LabUnreachable
     from labos.errors import NotFound
+    from labos.pki import Authority, Identity
     from labos.settings import Settings, find_kernel, last_kernel
 
+    if not connect and (url := lab_of(home)):
+        with LabClient(url, patience_s=PATIENCE_S) as client:
+            return client.emergency_stop(target, by)
     folder = Settings.of(home).home
     last = last_kernel(folder)
     if not connect and find_kernel(folder) is not None:
@@ -83,21 +93,26 @@ def _stop(target: str, connect: Sequence[str], by: str, home: str | None) -> dic
     if not connect and last is None:
         raise NotFound(f"No lab has run in {folder}.", remedy="Name its --home, or the bus with --connect.")
     if connect or last is None:
-        return _past_the_kernel(connect, target, by)
-    return _past_the_kernel((last.bus,), target, by, last.lab)
+        return _past_the_kernel(connect, cert, target, by)
+    if cert is None and last.bus.startswith("tls/"):
+        cert = Authority(Settings.of(home).pki).credentials(Identity("kernel", lab=last.lab)).folder
+    return _past_the_kernel((last.bus,), cert, target, by, last.lab)
 
 
-def _past_the_kernel(connect: Sequence[str], target: str, by: str, lab: str = "*") -> dict[str, Any]:
+def _past_the_kernel(
+    connect: Sequence[str], cert: Path | None, target: str, by: str, lab: str = "*"
+) -> dict[str, Any]:
     import msgspec
 
     from labos.bootstrap import stop_over_bus
-    from labos.errors import BusError
+    from labos.errors import BadInput, BusError
 
     try:
-        report = asyncio.run(stop_over_bus(connect, target, by, lab))
-    except BusError as error:
+        report = asyncio.run(stop_over_bus(connect, target, by, lab, cert))
+    except (BusError, BadInput) as error:
         raise BusError(
-            f"Nothing was stopped: {error.message}", remedy="Use the hardware's emergency stop."
+            f"Nothing was stopped: {error.message}",
+            remedy=f"Use the hardware's emergency stop. {error.remedy}".rstrip(),
         ) from error
     found: dict[str, Any] = msgspec.to_builtins(report)
     return found

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._living import say_if_dead
+from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, reading
-from labos.services.experiments import ExperimentStory, experiment_stories
+from labos.cli._query import Where, json_option, log_options, open_log
+from labos.services.experiments import ExperimentHistory, experiment_histories
 from labos.services.times import show_span, show_time
 
 ENDED_SHOWN = 20
@@ -25,12 +25,12 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     \b
     labos experiments
     labos runs E1                  its runs
-    labos explain E1               why they do not go on
+    labos explain E1               why they wait
     labos log --experiment E1      what happened in one
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = list(experiment_stories(store).values())
+        told = list(experiment_histories(store).values())
     ended = [story.id for story in told if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in told if story.id not in hidden]
@@ -42,7 +42,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
         click.echo(f"{len(hidden)} more experiments have ended: labos experiments --all")
 
 
-def _row(story: ExperimentStory) -> tuple[str, ...]:
+def _row(story: ExperimentHistory) -> tuple[str, ...]:
     kinds = ("alive", "completed", "failed", "cancelled")
     runs = ", ".join(f"{story.count(kind)} {kind}" for kind in kinds if story.count(kind)) or "none"
     status = f"{story.status} ({story.why})" if story.why else story.status

@@ -4,40 +4,40 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._living import say_if_dead
+from labos.cli._complete import completes
+from labos.cli._liveness import has_kernel, say_if_dead
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.cli.runs import took
 from labos.core.ids import RunId, local
-from labos.core.interventions import PLANNED_WORK, Intervention
+from labos.core.interventions import Intervention
 from labos.core.state import LabState
-from labos.services.experiments import experiment_stories
+from labos.core.topics import PlannedWork
+from labos.services.experiments import experiment_histories
 from labos.services.history import state_at
-from labos.services.runs import RunStory, run_story
+from labos.services.runs import RunHistory, run_history
 from labos.services.times import show_span, show_time
 from labos.services.waits import reasons
-from labos.store import lease_holder
 
 
 @click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
-@click.argument("run", shell_complete=offering("run", "experiment"), metavar="RUN|EXPERIMENT")
+@click.argument("run", shell_complete=completes("run", "experiment"), metavar="RUN|EXPERIMENT")
 @json_option
 @log_options
 def command(where: Where, run: str, as_json: bool) -> None:
-    """Why RUN waits now, in sentences with names; what it has done so far. Of an EXPERIMENT: each of
-    its runs that has not ended.
+    """Why RUN waits now, and what it has done so far; for an EXPERIMENT, each of its runs that has not
+    ended.
 
     \b
     labos explain R3
     labos explain E1
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        inside = experiment_stories(store).get(run) if run.startswith("E") else None
+        inside = experiment_histories(store).get(run) if run.startswith("E") else None
         named = [name for name, kind in inside.runs.items() if kind == "alive"] if inside else [run]
-        stories, state = [run_story(store, name) for name in named], state_at(store)
-        lives = bool(lease_holder(where.url))
+        stories, state = [run_history(store, name) for name in named], state_at(store)
+        lives = has_kernel(where.url)
     now = max(now_ns(), state.recorded_at) if lives else state.recorded_at
     now_of = [_now(state, story, now, lives) for story in stories]
     told = [
@@ -58,14 +58,14 @@ def command(where: Where, run: str, as_json: bool) -> None:
         click.echo(so_far(story))
 
 
-def _now(state: LabState, story: RunStory, now: int, lives: bool) -> list[str]:
+def _now(state: LabState, story: RunHistory, now: int, lives: bool) -> list[str]:
     waits = sentences(state, story, now)
     if not lives and not story.over:
         waits.append("no kernel runs this lab now, so nothing starts: labos up WORKCELL")
     return waits
 
 
-def sentences(state: LabState, story: RunStory, now: int) -> list[str]:
+def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
     """What a run does and waits for."""
     if story.over:
         when = (
@@ -111,7 +111,7 @@ def questions(state: LabState, run: str) -> list[str]:
 
 
 def _how(question: Intervention) -> str:
-    if question.kind == PLANNED_WORK:
+    if question.kind == PlannedWork.KIND:
         return f"labos confirm {question.id}"
     return "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
 
@@ -120,7 +120,7 @@ def _doing(state: str) -> str:
     return "under way" if state == "in flight" else "in an unknown state"
 
 
-def so_far(story: RunStory) -> str:
+def so_far(story: RunHistory) -> str:
     """How far the run has come, in a sentence."""
     text = f"So far {story.done} of {story.in_play} steps are done"
     last = max((step for step in story.steps if step.ended_at), key=lambda s: s.ended_at, default=None)

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._living import say_if_dead
+from labos.cli._complete import completes
+from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
 from labos.errors import BadInput, NotFound
+from labos.ports import BlobReader
 from labos.services.files import ResultFile, files_of
 from labos.services.history import position_at
 from labos.services.times import Moment, show_time
-from labos.settings import Settings
-from labos.store import open_blobs
 
 if TYPE_CHECKING:
-    from labos.ports import BlobStore
+    pass
 
 COLUMNS = ("run", "step", "file", "bytes", "time", "sha256")
 SHORT = 12
@@ -27,7 +26,7 @@ SHORT = 12
 
 
 @click.command("files", short_help="Files that steps have returned, to list and to fetch.")
-@click.argument("run", shell_complete=offering("run"), required=False, default="")
+@click.argument("run", shell_complete=completes("run"), required=False, default="")
 @click.argument("file", required=False, default="", metavar="[FILE]")
 @click.option(
     "-o",
@@ -51,17 +50,17 @@ def command(where: Where, run: str, file: str, to: str | None, as_json: bool, mo
     labos files R3 -o pictures         fetch them all into a folder
     labos files R3 plate.png -o .      fetch one
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         if moment == Moment():
             say_if_dead(where.url, store.head(), last_known=False)
         found = files_of(store, run, position_at(store, moment))
-        blobs = open_blobs(Settings.of(where.home, where.url).blobs)
     if file:
-        found = _named(found, run, file)
+        found = _find_files(found, run, file)
     if to is not None:
         if not run:
             raise click.UsageError("Name the run whose files are to be fetched.")
-        written = _fetch(blobs, found, to, one=bool(file))
+        with contents(where) as blobs:
+            written = _fetch(blobs, found, to, one=bool(file))
         if as_json:
             show_json({"written": written})
         elif to != "-":
@@ -71,6 +70,8 @@ def command(where: Where, run: str, file: str, to: str | None, as_json: bool, mo
         show_json(found)
     elif found:
         show_table(COLUMNS, [_row(told) for told in found])
+        if file:
+            click.echo(f"To fetch it: labos files {run} {file} -o .")
     else:
         click.echo(f"{run or 'This lab'} has no files.")
 
@@ -79,9 +80,10 @@ def _row(told: ResultFile) -> tuple[str, ...]:
     return (told.run, told.step, told.file, str(told.bytes), show_time(told.time), told.sha256[:SHORT])
 
 
-def _named(found: list[ResultFile], run: str, file: str) -> list[ResultFile]:
-    """Those of that name, or the one of that SHA-256. Raises NotFound."""
+def _find_files(found: list[ResultFile], run: str, file: str) -> list[ResultFile]:
+    """Those of that name, with or without their folder, or the one of that SHA-256. Raises NotFound."""
     wanted = [told for told in found if told.file == file]
+    wanted = wanted or [told for told in found if PurePath(told.file).name == file]
     if not wanted and len(file) >= 4:
         wanted = [told for told in found if told.sha256.startswith(file.lower())]
     if not wanted:
@@ -89,7 +91,7 @@ def _named(found: list[ResultFile], run: str, file: str) -> list[ResultFile]:
     return wanted
 
 
-def _fetch(blobs: BlobStore, found: list[ResultFile], to: str, *, one: bool) -> list[str]:
+def _fetch(blobs: BlobReader, found: list[ResultFile], to: str, *, one: bool) -> list[str]:
     """Write files; returns where. Raises BadInput if one is there already, NotFound, LogDamaged."""
     if to == "-":
         for told in found[-1:]:

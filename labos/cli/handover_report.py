@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._living import lab_now, say_if_dead
+from labos.cli._liveness import lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.services.describe import owner_name
-from labos.services.handover import Handover, RunNow, handover
+from labos.services.handover import Handover, OpenRun, handover
 from labos.services.times import parse_time, show_span, show_time
 
 SHIFT = "-8h"
@@ -25,15 +25,15 @@ SHIFT = "-8h"
 @json_option
 @log_options
 def command(where: Where, since: str, as_json: bool) -> None:
-    """What runs and what ended, what waits for whom, which labware nobody's run uses, what runs out
-    next, and how long the lab went on by itself in this shift.
+    """Summary of a shift: open and ended runs, questions that wait, labware that no run uses, resources
+    that run out next, and how long the lab worked without intervention.
 
     \b
     labos handover-report
     labos handover-report --since 2026-05-04T06:00 --json
     """
     began = parse_time(since, now_ns())
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head())
         found = handover(store, began, max(lab_now(where.url, store.head()), began))
     if as_json:
@@ -60,7 +60,7 @@ def _runs(found: Handover) -> None:
         show_table(("run", "workflow", "user", "came out", "why"), ended, title="Ended in this shift")
 
 
-def _run(run: RunNow) -> tuple[str, ...]:
+def _run(run: OpenRun) -> tuple[str, ...]:
     what = "; ".join(run.doing or run.waits)
     stuck = " (a person or a device has to come back)" if run.stuck else ""
     steps = f"{run.done}/{run.steps}"

@@ -29,7 +29,7 @@ MOST_TOLD = 20
 """Things that were assumed which are listed at the end."""
 
 
-class Written(msgspec.Struct):
+class WrittenFile(msgspec.Struct):
     """A file that was taken over. ``kind`` is workcell, workflow or labware; ``assumed`` is what
     the file did not say or LabOS does not use."""
 
@@ -43,27 +43,27 @@ class Written(msgspec.Struct):
     text: str = ""
 
 
-class Left(msgspec.Struct):
+class LeftFile(msgspec.Struct):
     """A file that was not taken over, and why."""
 
     source: str
     why: list[Finding]
 
 
-class Copied(msgspec.Struct):
+class CopiedFile(msgspec.Struct):
     """A file that an argument names, copied to the same place beside its workflow."""
 
     source: str
     target: str
 
 
-class Outcome(msgspec.Struct):
+class ImportOutcome(msgspec.Struct):
     """``skipped`` files are none of ours; ``refused`` ones cannot be used as they are."""
 
-    written: list[Written] = []
-    copied: list[Copied] = []
-    skipped: list[Left] = []
-    refused: list[Left] = []
+    written: list[WrittenFile] = []
+    copied: list[CopiedFile] = []
+    skipped: list[LeftFile] = []
+    refused: list[LeftFile] = []
 
 
 @click.command("import")
@@ -78,10 +78,10 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
     A FOLDER is searched for YAML files, and its order is kept. What a workcell does not say is
     drafted from the workflows in the folder that use it: what a module offers that no driver
     serves, actions and arguments that a driver does not know, places. So all of it can be
-    simulated at once. What had to be assumed stands as a comment at its place, and is listed at
-    the end, the most consequential first. Files already in LabOS' form are copied; files that are
-    none of ours are skipped; exit code 1 if one is refused. Files of the FOLDER that arguments
-    name are copied.
+    simulated at once. Comments are kept. What had to be assumed stands as a comment at its place,
+    and is listed at the end, the most consequential first. Files already in LabOS' form are copied;
+    files that are none of ours are skipped; exit code 1 if one is refused. Files of the FOLDER that
+    arguments name are copied.
 
     \b
     labos import rpl_workcell.yaml -o specs
@@ -103,14 +103,14 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
         raise click.exceptions.Exit(1)
 
 
-def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) -> Outcome:
+def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) -> ImportOutcome:
     """Read everything before anything is written. Raises NotFound."""
     from labos.spec.dialects import find_kind, no_spec
-    from labos.spec.importing import import_spec
+    from labos.spec.importing import Imported, Moved, import_spec
     from labos.spec.source import read
-    from labos.spec.uses import users_of, uses_in
+    from labos.spec.uses import read_uses, workflows_by_workcell
 
-    outcome = Outcome()
+    outcome = ImportOutcome()
     taken: set[Path] = set()
     inside = path.resolve() in output.resolve().parents
     sources: list[tuple[Path, Path, Source]] = []
@@ -120,37 +120,50 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
         try:
             source = read(file, last_wins=True)
             if find_kind(source) is None and path.is_dir():
-                outcome.skipped.append(Left(str(file), [finding_of(no_spec(source))]))
+                outcome.skipped.append(LeftFile(str(file), [finding_of(no_spec(source))]))
                 continue
             sources.append((file, under, source))
         except SpecError as error:
-            outcome.refused.append(Left(str(file), [finding_of(error)]))
-    users = users_of([source for _, _, source in sources])
-    for file, under, source in sources:
+            outcome.refused.append(LeftFile(str(file), [finding_of(error)]))
+    users = workflows_by_workcell([source for _, _, source in sources])
+    moved: dict[str, list[Moved]] = {}
+    files: dict[str, Imported] = {}
+    for file, _, source in sorted(sources, key=lambda each: each[2].file not in users):  # workcells first
         try:
-            found = import_spec(source, descriptions, uses_in(users.get(source.file, ())))
+            uses = read_uses(users.get(source.file, ()))
+            found = import_spec(source, descriptions, uses, moved.get(source.file, ()))
         except SpecErrors as errors:
-            outcome.refused.append(Left(str(file), [f for f in errors.findings if f.severity == "error"]))
+            outcome.refused.append(LeftFile(str(file), [f for f in errors.findings if f.severity == "error"]))
             continue
         except SpecError as error:
-            outcome.refused.append(Left(str(file), [finding_of(error)]))
+            outcome.refused.append(LeftFile(str(file), [finding_of(error)]))
             continue
+        files[source.file] = found
+        if found.moved is not None:
+            for workflow in users.get(source.file, ()):
+                moved.setdefault(workflow.file, []).append(found.moved)
+    for file, under, source in sources:
+        if source.file not in files:
+            continue
+        found = files[source.file]
         target = _free(output / under, taken)
         text = found.text or file.read_text("utf-8-sig")
         outcome.written.append(
-            Written(
+            WrittenFile(
                 str(file), str(target), found.kind, found.dialect, found.name, found.counts,
                 list(found.findings), text,
             )
         )  # fmt: skip
         if found.kind == "workflow" and path.is_dir():
             outcome.copied += _named_files(source, path.resolve(), output)
-    read_too = {file.source for file in outcome.written} | {left.source for left in outcome.refused}
-    outcome.copied = [file for file in outcome.copied if file.source not in read_too]
+    read_too = {Path(file.source).resolve() for file in outcome.written}
+    read_too |= {Path(left.source).resolve() for left in outcome.refused}
+    copies = {file.target: file for file in outcome.copied if Path(file.source) not in read_too}
+    outcome.copied = list(copies.values())
     return outcome
 
 
-def _named_files(workflow: Source, root: Path, output: Path) -> Iterator[Copied]:
+def _named_files(workflow: Source, root: Path, output: Path) -> Iterator[CopiedFile]:
     """The files of the folder that a workflow names in its arguments."""
     here = Path(workflow.file).resolve().parent
     for text in sorted(set(texts_in(workflow.data))):
@@ -159,7 +172,7 @@ def _named_files(workflow: Source, root: Path, output: Path) -> Iterator[Copied]
         with contextlib.suppress(OSError, ValueError):
             file = (here / text).resolve()
             if file.is_file() and file.is_relative_to(root):
-                yield Copied(str(file), str(output / file.relative_to(root)))
+                yield CopiedFile(str(file), str(output / file.relative_to(root)))
 
 
 def _files(path: Path) -> Iterator[tuple[Path, Path]]:
@@ -185,7 +198,7 @@ def _free(target: Path, taken: set[Path]) -> Path:
     return found
 
 
-def _write(outcome: Outcome, *, force: bool) -> None:
+def _write(outcome: ImportOutcome, *, force: bool) -> None:
     """Raises BadInput, before anything is written, for files that are there already."""
     targets = [file.target for file in outcome.written] + [file.target for file in outcome.copied]
     there = [target for target in targets if Path(target).exists()]
@@ -206,14 +219,14 @@ def _write(outcome: Outcome, *, force: bool) -> None:
             raise BadInput(f"{target} cannot be written: {error.strerror or error}.") from None
 
 
-def _shown(outcome: Outcome) -> dict[str, Any]:
+def _shown(outcome: ImportOutcome) -> dict[str, Any]:
     shown: dict[str, Any] = msgspec.to_builtins(outcome)
     for file in shown["written"]:
         del file["text"]
     return shown
 
 
-def _tell(outcome: Outcome) -> None:
+def _tell(outcome: ImportOutcome) -> None:
     rows = [
         (file.target, f"{file.kind} ({file.dialect})", _holds(file.counts), str(len(file.assumed)))
         for file in outcome.written
@@ -232,7 +245,7 @@ def _tell(outcome: Outcome) -> None:
     click.echo("{} written, {} skipped, {} refused.".format(*counts))
 
 
-def _tell_assumed(outcome: Outcome) -> None:
+def _tell_assumed(outcome: ImportOutcome) -> None:
     """What was assumed, the most consequential first; the rest stands in the files."""
     told = sorted(
         (finding for file in outcome.written for finding in file.assumed if finding.assumed),

@@ -2,52 +2,53 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._options import home_option, json_option, user_option, who, why_option
-from labos.cli._query import Where, log_options, reading
-from labos.core.interventions import PLANNED_WORK
+from labos.cli._complete import completes
+from labos.cli._options import home_option, json_option, read_result, user_option, who, why_option
+from labos.cli._query import Where, log_options, open_log
+from labos.core.topics import PlannedWork
 
 if TYPE_CHECKING:
-    from labos.services.interventions import InterventionStory
+    from labos.services.interventions import InterventionHistory
 
 
 @click.command("inbox")
-@click.option("--module", shell_complete=offering("module"), metavar="NAME", help="Of this operator only.")
+@click.option("--module", shell_complete=completes("module"), metavar="NAME", help="Of this operator only.")
 @json_option
 @log_options
 def inbox(where: Where, module: str | None, as_json: bool) -> None:
     """The planned work that waits for a person, the most urgent first.
 
-    Each entry is a step of a run on an operator module: the run goes on when somebody confirms it.
-    What is late stays in the inbox; nothing fails by that.
+    Each entry is a step of a run on an operator module: the run continues when somebody confirms it.
+    Late work stays in the inbox, and no run fails because of it.
 
     \b
     labos inbox
     labos confirm I7 --why "put in upside up"
     """
-    from labos.cli._living import say_if_dead
+    from labos.cli._liveness import say_if_dead
     from labos.cli._out import show_json, show_table
-    from labos.services.interventions import intervention_stories
+    from labos.services.interventions import intervention_histories
     from labos.services.times import show_time
 
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = [story for story in intervention_stories(store).values() if story.open]
+        told = [story for story in intervention_histories(store).values() if story.open]
     entries = [
         story
         for story in sorted(told, key=lambda story: story.due_at)
-        if story.kind == PLANNED_WORK and module in (None, story.module)
+        if story.kind == PlannedWork.KIND and module in (None, story.module)
     ]
     if as_json:
-        show_json([_shown(story) for story in entries])
+        show_json([_as_json(story) for story in entries])
         return
+    asked = [story.id for story in told if story.kind != PlannedWork.KIND]
     if not entries:
         click.echo("No work is planned for anybody now.")
+        _tell_asked(asked)
         return
     rows = [
         [
@@ -61,19 +62,26 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
     ]
     show_table(["id", "for", "due", "run", "work"], rows)
     click.echo("When it is done: labos confirm ID; if it cannot be done: labos confirm ID --not-done")
+    _tell_asked(asked)
 
 
-def _shown(story: InterventionStory) -> dict[str, Any]:
+def _tell_asked(asked: list[str]) -> None:
+    """What is no work and waits for a person all the same."""
+    if asked:
+        click.echo(f"The lab also asks for help: {', '.join(asked)}. See: labos interventions")
+
+
+def _as_json(story: InterventionHistory) -> dict[str, Any]:
     names = ("id", "kind", "text", "run", "module", "requested_at", "due_at", "overdue")
     choices = [{"name": answer.name, "consequence": answer.consequence} for answer in story.answers]
     return {**{name: getattr(story, name) for name in names}, "choices": choices}
 
 
 @click.command("confirm")
-@click.argument("intervention", shell_complete=offering("intervention"))
+@click.argument("intervention", shell_complete=completes("intervention"))
 @click.option("--not-done", is_flag=True, help="It cannot be done, and nothing was moved: the run ends.")
-@why_option("A word about it for the log.")
-@click.option("--result", metavar="JSON", help="What it gave, if later steps read it.")
+@why_option("A note for the log.")
+@click.option("--result", metavar="JSON", help="Its result, if later steps read it.")
 @user_option
 @home_option
 @json_option
@@ -86,7 +94,7 @@ def confirm(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Say that the planned work INTERVENTION is done: it and what it did to the bench are logged.
+    """Confirm that the planned work INTERVENTION is done: it and its effects on the bench are logged.
 
     \b
     labos confirm I7
@@ -100,21 +108,12 @@ def confirm(
     with need_lab(home) as client:
         questions = {q["id"]: q for q in client.state(waits=False)["interventions"]}
         asked = questions.get(intervention)
-        if asked is not None and asked["kind"] != PLANNED_WORK:
+        if asked is not None and asked["kind"] != PlannedWork.KIND:
             raise BadInput(
                 f"{intervention} is no planned work but a question: {asked['text']}",
                 remedy=f"Answer it with `labos resolve {intervention} CHOICE`.",
             )
         choice = "not_done" if not_done else "done"
-        client.resolve(intervention, choice, who(user), why, _json(result))
+        client.resolve(intervention, choice, who(user), why, read_result(result))
     told = f"{intervention} is confirmed{' as not done' if not_done else ''}."
     tell(told, {"id": intervention, "choice": choice}, as_json=as_json)
-
-
-def _json(text: str | None) -> Any:
-    if text is None:
-        return None
-    try:
-        return json.loads(text)
-    except ValueError as error:
-        raise click.BadParameter(f"{text!r} is not JSON ({error}).", param_hint="--result") from error

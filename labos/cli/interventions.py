@@ -7,12 +7,12 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._living import lab_now, say_if_dead
+from labos.cli._liveness import lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, reading
+from labos.cli._query import Where, json_option, log_options, open_log
 from labos.core.state import LabState
 from labos.services.history import state_at
-from labos.services.interventions import WITHDRAWN, InterventionStory, intervention_stories, whereabouts
+from labos.services.interventions import WITHDRAWN, InterventionHistory, intervention_histories, whereabouts
 from labos.services.times import show_span, show_time
 
 
@@ -22,7 +22,7 @@ from labos.services.times import show_span, show_time
 @log_options
 def command(where: Where, everything: bool, as_json: bool) -> None:
     """Each question that waits for a person: since when, what it is about, where its labware is now as far
-    as the lab knows, every choice with what follows from it, and the command that says so. Planned work is
+    as the lab knows, every choice with its consequences, and the command that gives it. Planned work is
     among them.
 
     \b
@@ -30,9 +30,9 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     labos interventions --all      what was answered too
     labos resolve I2 done          answer one
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = list(intervention_stories(store).values())
+        told = list(intervention_histories(store).values())
         now = lab_now(where.url, store.head())
         places = _places(state_at(store)) if any(story.open for story in told) else {}
     shown = [story for story in told if everything or story.open]
@@ -50,7 +50,8 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     if not waiting:
         click.echo("The lab asks nothing.")
     if not everything and len(told) > len(shown):
-        click.echo(f"{len(told) - len(shown)} more are answered: labos interventions --all")
+        more = len(told) - len(shown)
+        click.echo(f"{more} more {'is' if more == 1 else 'are'} answered: labos interventions --all")
 
 
 def _places(state: LabState) -> dict[str, str]:
@@ -58,7 +59,7 @@ def _places(state: LabState) -> dict[str, str]:
     return {name: whereabouts(state, question) for name, question in state.interventions.open.items()}
 
 
-def _tell(story: InterventionStory, now: int, place: str) -> None:
+def _tell(story: InterventionHistory, now: int, place: str) -> None:
     waited = show_span(max(now - story.requested_at, 0) / 1e9)
     due = f", due {show_time(story.due_at)}{' (late)' if story.overdue else ''}" if story.due_at else ""
     click.echo(f"{story.id}  {story.text}")
@@ -69,8 +70,8 @@ def _tell(story: InterventionStory, now: int, place: str) -> None:
         click.echo(f"      {answer.command}   {answer.consequence}")
 
 
-def _row(story: InterventionStory) -> tuple[str, ...]:
-    choice = "answered itself" if story.choice == WITHDRAWN else story.choice
+def _row(story: InterventionHistory) -> tuple[str, ...]:
+    choice = "auto-resolved" if story.choice == WITHDRAWN else story.choice
     return (
         story.id,
         show_time(story.requested_at),
@@ -82,5 +83,5 @@ def _row(story: InterventionStory) -> tuple[str, ...]:
     )
 
 
-def _plain(story: InterventionStory, places: dict[str, str]) -> dict[str, Any]:
+def _plain(story: InterventionHistory, places: dict[str, str]) -> dict[str, Any]:
     return {**msgspec.to_builtins(story), "open": story.open, "now": places.get(story.id, "")}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._living import say_if_dead
+from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, now_ns, reading
+from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.core.ids import local
 from labos.services.history import state_at
 from labos.services.inventory import Inventory, ResourceLeft, StackLeft, WasteLeft, earliest, inventory
@@ -19,14 +19,14 @@ from labos.services.times import iso_time, show_time
 def command(where: Where, as_json: bool) -> None:
     """Levels and lots of all resources, what the stacks hold, the room in wastes, and what runs out when.
 
-    Runs that are alive are walked in their order with nominal durations: the run that would be the
-    first to find too little is named, and when. Whatever waits for a person makes it later.
+    Open runs are simulated in their order with nominal durations: the first run that would find too
+    little is named, and when. Waiting for a person makes it later.
 
     \b
     labos inventory
     labos inventory --json
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head())
         state = state_at(store)
     now = max(now_ns(), state.recorded_at)

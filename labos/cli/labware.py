@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._living import say_if_dead
+from labos.cli._complete import completes
+from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.cli._query import Where, at_option, json_option, log_options, open_log
 from labos.core.ids import local
 from labos.errors import NotFound
 from labos.services.describe import owner_name, short
 from labos.services.history import position_at
-from labos.services.labware import Story, all_stories, story_of
+from labos.services.labware import LabwareHistory, labware_histories, labware_history
 from labos.services.times import Moment, show_span, show_time
 
 
 @click.command("labware", short_help="Every plate, or the whole story of one.")
-@click.argument("labware", shell_complete=offering("labware"), required=False, metavar="[ID]")
+@click.argument("labware", shell_complete=completes("labware"), required=False, metavar="[ID]")
 @click.option(
     "--gone/--here", default=None, help="Only what has left the bench, or only what is still there."
 )
-@click.option("--barcode", metavar="CODE", help="What bears this barcode, or bore it when it left.")
+@click.option("--barcode", metavar="CODE", help="The labware with this barcode, or that had it when it left.")
 @json_option
 @at_option
 @log_options
@@ -33,21 +33,21 @@ def command(
     as_json: bool,
     moment: Moment,
 ) -> None:
-    """All labware there ever was; with an ID, where that one stood from when to when, whose it
-    was, what was done to it and by whom, with the events that prove it.
+    """All labware there ever was; with an ID, the history of one piece: where it stood and when, who owned
+    it, what was done to it and by whom, with the events that prove it.
 
     \b
     labos labware                  all of it, what is gone too
-    labos labware P7               one plate's story
+    labos labware P7               the history of one plate
     labos labware P7 --at -1h      as it was known an hour ago
-    labos labware --barcode LB0815   which one bears it, and where it is
+    labos labware --barcode LB0815   which piece has it, and where it is
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         upto = position_at(store, moment)
         if moment == Moment():
             say_if_dead(where.url, store.head())
-        found = {} if labware else all_stories(store, upto)
-        story = story_of(store, labware, upto) if labware else None
+        found = {} if labware else labware_histories(store, upto)
+        story = labware_history(store, labware, upto) if labware else None
     if labware:
         if story is None:
             raise NotFound(f"There is no labware {labware!r} in this log.", remedy="List it: labos labware")
@@ -76,7 +76,7 @@ def command(
     show_table(("id", "type", "barcode", "place", "of", "since", "first seen"), rows)
 
 
-def _tell(story: Story) -> None:
+def _tell(story: LabwareHistory) -> None:
     values = ", ".join(f"{name} = {short(value)}" for name, value in story.variables.items())
     last = "last " if story.gone else ""
     click.echo(f"{story.id} ({story.type}): {story.place}; {last}of {owner_name(story.owner)}")

@@ -7,10 +7,10 @@ from contextlib import suppress
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._living import say_if_dead
+from labos.cli._complete import completes
+from labos.cli._liveness import say_if_dead
 from labos.cli._options import json_option_saying
-from labos.cli._query import Where, as_time, log_options, reading
+from labos.cli._query import Where, as_time, log_options, open_log
 from labos.core.envelope import Record
 from labos.core.registry import Event
 from labos.services.describe import describe
@@ -24,18 +24,18 @@ POLL_S = 0.25
 @click.command("log", short_help="What happened: the events, filtered or followed.")
 @click.option("--type", "types", multiple=True, metavar="T", help="A type or family: action, run.failed …")
 @click.option(
-    "--run", shell_complete=offering("run"), default="", metavar="R", help="What concerns this run."
+    "--run", shell_complete=completes("run"), default="", metavar="R", help="What concerns this run."
 )
 @click.option(
     "--module",
-    shell_complete=offering("module"),
+    shell_complete=completes("module"),
     default="",
     metavar="M",
     help="What concerns this module and its stations.",
 )
 @click.option(
     "--labware",
-    shell_complete=offering("labware"),
+    shell_complete=completes("labware"),
     default="",
     metavar="P",
     help="What concerns this labware.",
@@ -43,7 +43,7 @@ POLL_S = 0.25
 @click.option("--user", default="", metavar="U", help="What this user did and what was done for them.")
 @click.option(
     "--experiment",
-    shell_complete=offering("experiment"),
+    shell_complete=completes("experiment"),
     default="",
     metavar="E",
     help="What concerns this experiment and its runs.",
@@ -70,7 +70,7 @@ def command(
     follow: bool,
     as_json: bool,
 ) -> None:
-    """What happened, one sentence an event.
+    """Show the log, one sentence for each event.
 
     \b
     labos log --last 20                    the newest events
@@ -83,13 +83,13 @@ def command(
     `labos stations --at POSITION` shows the lab at that moment.
     """
     wanted = Filter(types, run, module, labware, user, experiment, since, until, last)
-    with reading(where) as store, suppress(KeyboardInterrupt):
+    with open_log(where) as store, suppress(KeyboardInterrupt):
         head = store.head()
         seen = head.position
         say_if_dead(where.url, head, last_known=False)
         sieve = Sieve(store, wanted)
         shown = 0
-        for event, record in sieve.found(seen):
+        for event, record in sieve.matching_events(seen):
             _show(sieve, event, record, as_json)
             shown += 1
         if user and not shown and not sieve.knows_user():

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option, user_option, who, why_option
+from labos.cli._options import cert_option, home_option, json_option, user_option, who, why_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
@@ -20,7 +20,7 @@ from labos.settings import HOME, Settings, keep_private
 
 @click.group("node", cls=Suggesting)
 def command() -> None:
-    """Start the node of a module: the process that answers for one instrument."""
+    """Nodes: the processes that control one instrument each."""
 
 
 @command.command("start")
@@ -30,7 +30,21 @@ def command() -> None:
 @click.option("--simulate", is_flag=True, help="Drive a simulated device on the lab's simulated bench.")
 @click.option("--wire", is_flag=True, help="With --simulate: reach the simulated device over its wire.")
 @click.option("--trace", default="", metavar="FILE", help="Write every byte on the device's wire to a file.")
+@click.option(
+    "--metrics-port",
+    type=click.IntRange(0, 65535),
+    metavar="PORT",
+    help="Show the node's metrics to Prometheus there; 0: on a free port, which is reported to the lab.",
+)
+@click.option(
+    "--metrics-host",
+    default="127.0.0.1",
+    show_default=True,
+    help="The address of --metrics-port; 0.0.0.0 lets other computers ask.",
+)
 @click.option("--connect", multiple=True, metavar="ENDPOINT", help="The lab's bus, as tcp/192.168.1.5:7447.")
+@click.option("--secure", is_flag=True, help="Speak to no bus but a secure one (tls/HOST:PORT).")
+@cert_option
 @home_option
 @click.option(
     "--with-parent", is_flag=True, help="End when standard input ends, as it does when the parent dies."
@@ -38,7 +52,7 @@ def command() -> None:
 @click.option(
     "--finish-s",
     type=float,
-    help="How long what runs may go on when the node is stopped (simulated: 30 s, real: to its end).",
+    help="How long an action in progress may continue after a stop (simulated: 30 s, real: to its end).",
 )
 def start(
     driver: str,
@@ -47,20 +61,25 @@ def start(
     simulate: bool,
     wire: bool,
     trace: str,
+    metrics_port: int | None,
+    metrics_host: str,
     connect: tuple[str, ...],
+    secure: bool,
+    cert: Path | None,
     home: str | None,
     with_parent: bool,
     finish_s: float | None,
 ) -> None:
-    """Answer for a module until stopped. DRIVER is the one the workcell names if left out.
+    """Run the node of a module until stopped. DRIVER defaults to the one that the workcell names.
 
     The node waits for its lab, learns the module's settings from it, and goes on when the lab
-    is restarted. Its journal is kept in HOME/journals: name the same --home at every start, or the node
+    is restarted. Its journal is kept in HOME/journals: give the same --home at every start, or the node
     does not know what it did before.
 
     \b
     labos node start a4s_sealer --name sealer --workcell rpl --simulate
     labos node start --name sealer --workcell rpl --connect tcp/192.168.1.5:7447 --home /var/lib/labos
+    labos node start --name sealer --workcell rpl --connect tls/lab.example.org:7447 --cert rpl.sealer
     """
     if wire and not simulate:
         raise click.UsageError("--wire is for simulated devices: add --simulate.")
@@ -80,9 +99,12 @@ def start(
             workcell,
             settings,
             connect=connect,
+            certificate=cert.absolute() if cert is not None else None,
+            secure=secure or cert is not None,
             simulate=simulate,
             wire=wire,
             trace=trace,
+            metrics=(metrics_host, metrics_port) if metrics_port is not None else None,
             with_parent=with_parent,
             finish_s=finish_s,
         )
@@ -117,11 +139,11 @@ def reset_epoch(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Put right what MODULE's journal believes of its lab: an epoch that no kernel of it ever had, or an
-    acknowledged position that its log never reached.
+    """Correct what MODULE's journal has recorded about its lab: an epoch that no kernel of the lab ever
+    had, or an acknowledged position that its log never reached.
 
-    A node that was told of such a number obeys no kernel, or takes no requests, any more. Stop the node,
-    and see to it that only one kernel of this lab runs: older ones are obeyed again too. What the node has
+    A node that has recorded such a number accepts no kernel, or no requests, any more. Stop the node,
+    and see to it that only one kernel of this lab runs: older ones are accepted again too. What the node has
     done stays in its journal, and who reset it, when and why is written there. Run it where the journal
     is: HOME/journals.
 
@@ -142,13 +164,13 @@ def reset_epoch(
 
 
 @command.command("trace")
-@click.argument("module", shell_complete=offering("module"))
-@click.option("--off", is_flag=True, help="Write nothing down any more.")
+@click.argument("module", shell_complete=completes("module"))
+@click.option("--off", is_flag=True, help="Stop recording.")
 @user_option
 @home_option
 @json_option
 def trace_command(module: str, off: bool, user: str | None, home: str | None, as_json: bool) -> None:
-    """Let the running node of MODULE write down every byte on its device's wires, in a file on its computer.
+    """Record every byte on the wires of MODULE's device, in a file on its node's computer.
 
     \b
     labos node trace sealer
@@ -173,8 +195,8 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
     connected next.
 
     A node remembers the serial number of the device that it was connected to first, and refuses another one:
-    what was taught to one robot is wrong for the next. Reset the module afterwards. A number that stands as
-    `serial:` in the workcell file is changed there. Run it where the node's journal is: HOME/journals.
+    positions taught to one robot are wrong for another. Reset the module afterwards. If the workcell file has
+    `serial:`, change it there too. Run it where the node's journal is: HOME/journals.
 
     \b
     labos node accept-unit rpl/ot2_pcr_alpha OT2CEP20200309B04
@@ -194,7 +216,7 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
     tell(told, {"module": module, "serial": serial, "was": was}, as_json=as_json)
 
 
-class Belief(NamedTuple):
+class JournalFacts(NamedTuple):
     """What a journal believes of its lab."""
 
     epoch: int
@@ -206,7 +228,7 @@ class Belief(NamedTuple):
 
 async def _correct(
     path: Path, epoch: int | None, position: int | None, by: str, why: str
-) -> tuple[Belief, Belief]:
+) -> tuple[JournalFacts, JournalFacts]:
     """Write into a journal what a person knows better; what it believed, and believes now. Raises
     JournalError (its node is running), JournalDamaged, BadInput."""
     from labos.clock import SystemClock, Uuid7Ids
@@ -216,7 +238,7 @@ async def _correct(
     clock = SystemClock()
     journal = await Journal.open(FileJournalFile(path), Uuid7Ids())
     try:
-        was = Belief(journal.epoch, journal.pruned)
+        was = JournalFacts(journal.epoch, journal.pruned)
         journal.correct(
             epoch=journal.epoch if epoch is None else epoch,
             position=journal.pruned if position is None else position,
@@ -225,7 +247,7 @@ async def _correct(
             why=why,
         )
         await journal.synced()
-        return was, Belief(journal.epoch, journal.pruned)
+        return was, JournalFacts(journal.epoch, journal.pruned)
     finally:
         await journal.close()
 
@@ -257,15 +279,15 @@ def fork_server(link: int) -> None:
     "more",
     multiple=True,
     metavar="KEY=VALUE",
-    help="What else stands below `config:` of the module, in YAML.",
+    help="Further keys below `config:` of the module, in YAML.",
 )
 @json_option
 def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_json: bool) -> None:
     """Ask a foreign node what it offers, and print it as a module in a workcell file.
 
     INTERFACE is the adapter (wei_rest_node, madsci_rest_node, sila_node, tcp_node, wei_ros_node), ADDRESS
-    the node's URL, its host:port, or its name in ROS. What the actions do to the bench the node does not
-    know: fill in `effects`, `duration` and the stations.
+    the node's URL, its host:port, or its name in ROS. The node does not know what its actions do to the
+    bench: fill in `effects`, `duration` and the stations.
 
     \b
     labos node about wei_rest_node http://barty.lab:8000

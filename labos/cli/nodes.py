@@ -7,10 +7,10 @@ from typing import Any
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._exit import FAILED
 from labos.cli._options import json_option
-from labos.cli._query import Where, kernel_file, log_options, reading
+from labos.cli._query import Where, kernel_file, log_options, open_log
 from labos.core.ids import local
 from labos.errors import NotFound
 
@@ -24,7 +24,7 @@ REMEDIES = {
 
 
 @click.command("nodes")
-@click.argument("modules", nargs=-1, metavar="[MODULE]...", shell_complete=offering("module"))
+@click.argument("modules", nargs=-1, metavar="[MODULE]...", shell_complete=completes("module"))
 @click.option(
     "--check",
     is_flag=True,
@@ -33,32 +33,32 @@ REMEDIES = {
 @json_option
 @log_options
 def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) -> None:
-    """Which modules the lab has, how they are, and what they do. Where no kernel runs, nobody knows how they
-    are: what was known last is shown.
+    """List the lab's modules, their states and current actions. Where no kernel runs, the last known states
+    are shown.
 
     \b
     labos nodes
     labos nodes --json
-    labos nodes --check           ask every node and device now; exit code 1 if one cannot work
+    labos nodes --check           ask every node and device now; exit code 1 if one is unavailable
     labos nodes --check pf400
 
-    A check moves nothing. It tells the driver, its LabOS, the unit (serial number) that the module is pinned
-    to, the device's firmware, and what it sees; for a module that cannot work, what to do.
+    A check moves nothing. It reports the driver, its version of LabOS, the unit (serial number) that the
+    module is pinned to, the device's firmware, and what it observes; for a module that cannot work, what
+    to do.
     """
+    from labos.cli._lab import need_lab_of
     from labos.cli._out import show_json, show_table
-    from labos.client import LabClient
     from labos.settings import find_kernel
 
-    kernel = find_kernel(where.home)
     if check or modules:
         _check(where, modules, as_json=as_json)
         return
-    if kernel is None:
+    if not where.lab and find_kernel(where.home) is None:
         if not where.database and not (where.home / "labos.db").exists() and not kernel_file(where.home):
             raise NotFound(f"No lab runs in {where.home}.", remedy="Start one with `labos up`.")
         known = _last_known(where)
     else:
-        with LabClient(kernel.url) as client:
+        with need_lab_of(where) as client:
             known = client.state(waits=False)["modules"]
     if as_json:
         show_json(known)
@@ -67,10 +67,10 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
 
 
 def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
-    from labos.cli._lab import need_lab
+    from labos.cli._lab import need_lab_of
     from labos.cli._out import show_json, show_table
 
-    with need_lab(str(where.home)) as client:
+    with need_lab_of(where) as client:
         found = client.check_nodes(names)
     if as_json:
         show_json(found)
@@ -107,10 +107,10 @@ def _flat(seen: dict[str, Any]) -> list[tuple[str, Any]]:
 
 def _last_known(where: Where) -> list[dict[str, Any]]:
     """The modules as the log knows them. Raises NotFound if there is none."""
-    from labos.cli._living import say_if_dead
+    from labos.cli._liveness import say_if_dead
     from labos.services.history import state_at
 
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head())
         state = state_at(store)
     doing = state.actions.open
@@ -121,7 +121,7 @@ def _last_known(where: Where) -> list[dict[str, Any]]:
             "simulated": module.simulated,
             "status": "not known",
             "doing": [
-                {"action": doing[action].name, "run": doing[action].run}
+                {"action": doing[action].name, "run": doing[action].run, "status": doing[action].status}
                 for action in module.in_flight
                 if action in doing
             ],
@@ -133,9 +133,14 @@ def _last_known(where: Where) -> list[dict[str, Any]]:
     ]
 
 
+def _doing(action: dict[str, Any]) -> str:
+    ended = " (nobody knows how it ended)" if action["status"] == "unknown" else ""
+    return f"{action['action']} for {action['run']}{ended}"
+
+
 def _row(module: dict[str, Any]) -> tuple[str, ...]:
     process = module["process"] or {}
-    doing = ", ".join(f"{action['action']} for {action['run']}" for action in module["doing"])
+    doing = ", ".join(map(_doing, module["doing"]))
     is_well = module["status"] in ("IDLE", "BUSY") and not module["out_of_service"]
     problem = "" if is_well else module["problem"]
     driver = f"{module['driver']}{' (simulated)' if module['simulated'] else ''}"

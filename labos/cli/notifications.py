@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._living import say_if_dead
+from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table, tell
-from labos.cli._query import Where, json_option, log_options, reading
+from labos.cli._query import Where, json_option, log_options, open_log
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
 from labos.services.times import iso_time, show_time
@@ -33,11 +33,11 @@ LOOK_EVERY_S = 2.0
 @log_options
 @click.pass_context
 def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int, as_json: bool) -> None:
-    """Whom the lab has told of what, and what it is still to tell: questions, missed windows,
-    modules that are down, failed runs, a kernel that stopped.
+    """Notifications that were sent, and those still to be sent: of questions, missed windows, unavailable
+    modules, failed runs, a kernel that stopped.
 
     Contacts stand in the file that LABOS_CONTACTS names, else in contacts.yaml in the lab's home:
-    who is told, in which order if nobody answers, and when not to be woken. What cannot be
+    who is notified, in which order if nobody answers, and the quiet hours. What cannot be
     delivered is tried again, for three days at the most; the last column says why it failed.
 
     \b
@@ -55,7 +55,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
         outbox = Outbox(path, create=False)
         found = outbox.deliveries(contact, waiting=waiting, last=last)
         outbox.close()
-    with suppress(LabosError), reading(where) as store:  # there may be no lab yet
+    with suppress(LabosError), open_log(where) as store:  # there may be no lab yet
         say_if_dead(where.url, store.head(), last_known=False)
     if as_json:
         show_json([_facts(delivery) for delivery in found])
@@ -80,7 +80,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
 @json_option
 @log_options
 def test(where: Where, contact: str, as_json: bool) -> None:
-    """Send CONTACT a test message now, whatever the hour, and say whether it was taken.
+    """Send CONTACT a test message now, whatever the hour, and say whether it was accepted.
 
     \b
     labos notifications test anna
@@ -103,16 +103,16 @@ def test(where: Where, contact: str, as_json: bool) -> None:
 @command.command("watch")
 @log_options
 def watch(where: Where) -> None:
-    """Tell people from a process of its own, until Ctrl-C: also that the kernel is dead.
+    """Send notifications from a separate process, until Ctrl-C: also that the kernel is dead.
 
-    `labos up` tells people itself, unless this runs already; one waits for the other. So this takes
-    over when the kernel is gone: killed, say. To hear of a machine that is gone, let this run on
-    another one, with a --home of its own there and the lab's --database.
+    `labos up` sends notifications itself, unless this runs already; only one of them sends. So this
+    takes over when the kernel is gone, for instance killed. To be notified of a machine that failed, run
+    this on another one, with a --home of its own there and the lab's --database.
 
     \b
     labos notifications watch --home lab
     """
-    from labos.bootstrap import find_contacts, watching
+    from labos.bootstrap import find_contacts, make_notifier
     from labos.cli._lab import orderly
 
     settings = _settings(where)
@@ -125,7 +125,7 @@ def watch(where: Where) -> None:
     try:
         with orderly():
             while True:
-                with watching(settings, book, SystemClock()) as notifier:
+                with make_notifier(settings, book, SystemClock()) as notifier:
                     while notifier is not None:
                         _look(where, notifier)
                         time.sleep(LOOK_EVERY_S)
@@ -156,7 +156,7 @@ def _settings(where: Where) -> Settings:
 
 def _lab_id(where: Where) -> str:
     try:
-        with reading(where) as store:
+        with open_log(where) as store:
             return store.head().lab
     except LabosError:
         return ""  # a contact can be tried before there is a lab

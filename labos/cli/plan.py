@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
-from labos.core.effects import Claims, Move, Needs, Take, emptied, filled
+from labos.core.effects import Carrying, Claims, Needs
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN, ON_CANCEL
 from labos.core.watching import ends
@@ -59,7 +59,7 @@ class Resource(msgspec.Struct):
     capacity: float | None
 
 
-class Kept(msgspec.Struct):
+class ReservedModule(msgspec.Struct):
     """A module that the run has to itself, from the start of one step to the end of another."""
 
     module: str
@@ -89,12 +89,12 @@ class Outline(msgspec.Struct):
     labware_taken: dict[str, int]
     inputs: list[str]
     outputs: list[str]
-    holds: list[Kept] = []
+    holds: list[ReservedModule] = []
     setpoints: list[Setpoint] = []
 
 
 @click.command("plan")
-@click.argument("workflow", shell_complete=offering("workflow"))
+@click.argument("workflow", shell_complete=completes("workflow"))
 @click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
 @payload_option
 @json_option
@@ -115,11 +115,11 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     from labos.bootstrap import descriptions
     from labos.cli._specs import spec_path
     from labos.spec import compile_workflow, load_workcell, read_workflow
-    from labos.spec.uses import uses_in
+    from labos.spec.uses import read_uses
 
     flow, cell = spec_path("workflows", workflow), spec_path("workcells", workcell)
     known = descriptions()
-    loaded = load_workcell(cell, known, uses_in([read_workflow(flow)]))
+    loaded = load_workcell(cell, known, read_uses([read_workflow(flow)]))
     compiled = compile_workflow(
         flow,
         read_payload(payloads),
@@ -186,7 +186,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
         inputs=[local(place) for place in compiled.inputs],
         outputs=[local(place) for place in compiled.outputs],
         holds=[
-            Kept(local(hold.module), plan.steps[hold.first].key, plan.steps[hold.last].key)
+            ReservedModule(local(hold.module), plan.steps[hold.first].key, plan.steps[hold.last].key)
             for hold in plan.holds
         ],
         setpoints=[
@@ -228,13 +228,10 @@ def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -
     for index in sorted(range(len(steps)), key=lambda i: (steps[i].part != MAIN, slots[i].start_s, i)):
         step = steps[index]
         for effect in step.effects:
-            if isinstance(effect, Move):
-                found[index] = [place for place in (effect.source, effect.via, effect.target) if place]
-                here = [place for place in here if place != emptied(effect)]
-                here += [filled(effect)] if filled(effect) else []
-            elif isinstance(effect, Take):
-                found[index] = [effect.stack, effect.target]
-                here.append(effect.target)
+            if isinstance(effect, Carrying):
+                found[index] = list(effect.entered)
+                here = [place for place in here if place != effect.emptied]
+                here += [effect.filled] if effect.filled else []
             elif isinstance(effect, Needs) and not found[index]:
                 own = [place for place in here if owner.get(place) == step.module]
                 found[index] = [effect.station] if effect.station else own

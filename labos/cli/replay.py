@@ -39,7 +39,7 @@ HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: 
 def command(
     log: str, at: int | None, first: int | None, last: int | None, only_hash: bool, as_json: bool
 ) -> None:
-    """Fold LOG again, event by event, and say what each one changed. LOG is a lab's folder, its
+    """Fold LOG again, event by event, and show what each one changed. LOG is a lab's folder, its
     database (a file or a URL), a backup, or a file of records: what labos log --json prints, and what
     a simulated lab saves.
 
@@ -47,7 +47,7 @@ def command(
     labos replay lab                          in a terminal: step by step
     labos replay lab --at 120                 the state after event 120
     labos replay lab.jsonl --from 90 --to 99  ten events and what they changed
-    labos replay /safe/lab --hash             which state it amounts to
+    labos replay /safe/lab --hash             the hash of the state at its end
 
     Nothing is written. A log with events that this LabOS does not know is refused, and one that
     contradicts itself ends at the first event that does.

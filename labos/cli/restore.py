@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, reading
+from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, open_database
 from labos.cli.backup import key_option
 from labos.core.state import state_hash
 from labos.errors import LogDamaged
@@ -38,8 +38,8 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     the lab's folder. SQLite and PostgreSQL take each other's backups.
 
     The backup is checked first, what was written is checked afterwards: chain, fold and hash of the
-    state. The lab's next kernel outranks all that its nodes have seen, and starts nothing before a person
-    has been round the bench: labos bench round.
+    state. The lab's next kernel has a greater epoch than any that its nodes have seen, and starts nothing
+    before a person has checked the bench: labos bench round.
     """
     # What is noted in the home must hold from every working directory.
     where = Where(where.home.absolute(), where.database)
@@ -52,7 +52,7 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     head = restore_log(where.url, records_of(folder, found), found.lab, epoch)
     forget_end(where.home)  # it was put back on purpose
     wanted = state_hash(state)
-    with reading(where) as store:
+    with open_database(where) as store:
         damage = first_damage(store)
         if damage is not None:
             raise LogDamaged(

@@ -8,19 +8,17 @@ from typing import TextIO
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._living import say_if_dead
+from labos.cli._complete import completes
+from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
 from labos.services.history import position_at
 from labos.services.results import COLUMNS, Reading, readings
 from labos.services.times import Moment, iso_time, show_time
-from labos.settings import Settings
-from labos.store import open_blobs
 
 
 @click.command("results", short_help="What a run measured, well by well.")
-@click.argument("run", shell_complete=offering("run"))
+@click.argument("run", shell_complete=completes("run"))
 @click.option(
     "--csv",
     "file",
@@ -39,10 +37,9 @@ def command(where: Where, run: str, file: TextIO | None, as_json: bool, moment: 
     labos results R3
     labos results R3 --csv r3.csv
     """
-    with reading(where) as store:
+    with open_log(where) as store, contents(where) as blobs:
         if moment == Moment():
             say_if_dead(where.url, store.head(), last_known=False)
-        blobs = open_blobs(Settings.of(where.home, where.url).blobs)
         found = readings(store, blobs, run, position_at(store, moment))
     if as_json:
         show_json([dict(zip(COLUMNS, _row(r, iso_time(r.time)), strict=True)) for r in found])
@@ -54,11 +51,11 @@ def command(where: Where, run: str, file: TextIO | None, as_json: bool, moment: 
         click.echo(f"{run} has no results by well.")
 
 
-def _row(reading: Reading, time: str) -> tuple[object, ...]:
-    return (*(getattr(reading, name) for name in COLUMNS[:-1]), time)
+def _row(open_log: Reading, time: str) -> tuple[object, ...]:
+    return (*(getattr(open_log, name) for name in COLUMNS[:-1]), time)
 
 
 def _write(file: TextIO, found: Iterable[Reading]) -> None:
     out = csv.writer(file, lineterminator="\n")
     out.writerow(COLUMNS)
-    out.writerows(_row(reading, iso_time(reading.time)) for reading in found)
+    out.writerows(_row(open_log, iso_time(open_log.time)) for open_log in found)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import json_option, lab_options, user_option, who
 from labos.cli._payload import payload_option
 from labos.core.ids import local
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command("run")
-@click.argument("workflow", shell_complete=offering("workflow"))
+@click.argument("workflow", shell_complete=completes("workflow"))
 @payload_option
 @click.option(
     "--workcell",
@@ -69,6 +69,7 @@ def command(
     labos run mix.yaml --simulate --place camera_module.plate_station=plate96 --payload mix.json
     """
     from labos.cli._payload import read_payload
+    from labos.cli._remote import lab_of
     from labos.client import workflow_text
     from labos.settings import Settings
 
@@ -76,7 +77,8 @@ def command(
     settings = Settings.of(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     text = workflow_text(workflow, values)
     job = Job(text, values, who(user), workcell or "", placed, priority, simulate, workflow)
-    show_result(carry_out(job, settings, quiet=quiet or as_json), as_json=as_json)
+    url = "" if database else lab_of(home)
+    show_result(carry_out(job, settings, url=url, quiet=quiet or as_json), as_json=as_json)
 
 
 Put = tuple[str, str, dict[str, bool]]
@@ -96,20 +98,23 @@ class Job(msgspec.Struct, frozen=True):
     path: str = ""
 
 
-def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = False) -> RunResult:
-    """Run a job to its end, in the running lab if there is one, else in a lab of its own."""
+def carry_out(
+    job: Job, settings: Settings, *, url: str = "", quiet: bool, say_waits: bool = False
+) -> RunResult:
+    """Run a job to its end, in the lab at ``url`` or the running one of the home folder, else in a lab of its
+    own."""
     from labos.cli._lab import check_first, orderly, read_workcell, some_lab
     from labos.cli._narrate import Narrator
     from labos.errors import BadInput
-    from labos.settings import find_kernel, was_simulated
+    from labos.settings import was_simulated
     from labos.spec import parse_workflow
 
     # What is wrong with the file itself is said before a lab is started for it.
     source = parse_workflow(job.text["text"], job.text["name"])
     placed = places_of(job.placed)
-    running = find_kernel(settings.home)
     cells, cell = [], job.workcell
-    if running is None:
+    is_simulated = _is_simulated(settings, url)
+    if is_simulated is None:
         was = was_simulated(settings)
         if not job.simulate and was is None:
             raise BadInput(
@@ -121,30 +126,44 @@ def carry_out(job: Job, settings: Settings, *, quiet: bool, say_waits: bool = Fa
             cell = cells[0].workcell.name
             compiled = check_first(job.text, job.values, cells[0], simulate=job.simulate or bool(was))
             if job.simulate and was is None:
-                placed += _brought(compiled, cells[0].workcell, placed)
-    elif job.simulate and not running.simulated:
+                placed += _place_starting_labware(compiled, cells[0].workcell, placed)
+    elif job.simulate and not is_simulated:
         raise BadInput(
-            f"The lab in {settings.home} is real.", remedy="Leave --simulate out, or use another --home."
+            f"The lab {f'at {url}' if url else f'in {settings.home}'} is real.",
+            remedy="Leave --simulate out, or use another --home.",
         )
     elif job.workcell.endswith((".yaml", ".yml")):
         cell = read_workcell(job.workcell).workcell.name
-    with orderly(), some_lab(settings, cells) as client:
+    with orderly(), some_lab(settings, cells, url) as client:
         after = client.health()["position"]
         run = submit(client, job, cell, placed)
-        if say_waits and running is not None and not quiet:
+        if say_waits and is_simulated is not None and not quiet:
             _say_waits(client, run)
         return Narrator(client, after).follow_run(run, quiet=quiet)
+
+
+def _is_simulated(settings: Settings, url: str) -> bool | None:
+    """Whether the bench of the lab is simulated that runs at ``url``, or in the home folder; None if none
+    runs. Raises LabUnreachable."""
+    from labos.client import LabClient
+    from labos.settings import find_kernel
+
+    if url:
+        with LabClient(url) as client:
+            return bool(client.health()["simulated"])
+    running = find_kernel(settings.home)
+    return None if running is None else running.simulated
 
 
 def _workcell_beside(workflow: str) -> str:
     """The workcell file of the folder where a workflow's file is, or of one around it; empty if there is
     none. Raises BadInput if there are several."""
     from labos.errors import BadInput
-    from labos.spec.files import workcells_around
+    from labos.spec.files import find_workcells
 
     path = Path(workflow)
     is_file = path.suffix in (".yaml", ".yml") and path.is_file()
-    found = workcells_around(path.resolve().parent) if is_file else []
+    found = find_workcells(path.resolve().parent) if is_file else []
     if len(found) > 1:
         names = ", ".join(each.name for each in found)
         raise BadInput(
@@ -156,7 +175,7 @@ def _workcell_beside(workflow: str) -> str:
     return str(found[0]) if found else ""
 
 
-def _brought(compiled: Compiled, cell: Workcell, placed: Sequence[Put]) -> list[Put]:
+def _place_starting_labware(compiled: Compiled, cell: Workcell, placed: Sequence[Put]) -> list[Put]:
     """What a person would have to bring for a workflow, put on the simulated bench of its own lab."""
     found: list[Put] = []
     aliases = {alias: local(station.name) for station in cell.stations for alias in station.aliases}

@@ -7,19 +7,19 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import offering
-from labos.cli._living import lab_now, say_if_dead
+from labos.cli._complete import completes
+from labos.cli._liveness import lab_now, say_if_dead
 from labos.cli._out import show_json, show_parts, show_table
-from labos.cli._query import Where, json_option, log_options, reading
+from labos.cli._query import Where, json_option, log_options, open_log
 from labos.core.ids import local
 from labos.planning.scheduler import Scheduler
 from labos.services.describe import short
-from labos.services.experiments import experiment_stories
+from labos.services.experiments import experiment_histories
 from labos.services.history import state_at
-from labos.services.runs import RunStory, StepStory, run_stories, run_story
+from labos.services.log import Log
+from labos.services.runs import RunHistory, StepHistory, run_histories, run_history
 from labos.services.times import show_span, show_time
 from labos.services.waits import reasons
-from labos.store import SqlEventStore
 
 ENDED_SHOWN = 20
 WAITS_TOLD = 50
@@ -28,7 +28,7 @@ WAITS_TOLD = 50
 
 @click.command("runs", short_help="Runs, or one run's steps, times, results and errors.")
 @click.argument(
-    "run", shell_complete=offering("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
+    "run", shell_complete=completes("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
 )
 @click.option(
     "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
@@ -36,23 +36,23 @@ WAITS_TOLD = 50
 @json_option
 @log_options
 def command(where: Where, run: str | None, everything: bool, as_json: bool) -> None:
-    """Runs that have not ended and the last ones that have; with RUN, its steps; with
-    EXPERIMENT, all its runs.
+    """List open runs and the last ones that ended; with RUN, its steps; with EXPERIMENT, all its
+    runs.
 
     \b
     labos runs            what is under way, and what ended last
     labos runs --all      all runs ever
     labos runs R3         each step: when, how long, result or error
     labos runs E1         the runs of an experiment
-    labos explain R3      why it does not go on
+    labos explain R3      why it waits
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        inside = experiment_stories(store).get(run) if run and run.startswith("E") else None
+        inside = experiment_histories(store).get(run) if run and run.startswith("E") else None
         if inside is not None:
-            stories = {name: run_story(store, name) for name in inside.runs}
+            stories = {name: run_history(store, name) for name in inside.runs}
         else:
-            stories = {run: run_story(store, run)} if run else run_stories(store)
+            stories = {run: run_history(store, run)} if run else run_histories(store)
         now = lab_now(where.url, store.head())
         waits = _waits(store, stories, now)
     if run and inside is None:
@@ -70,7 +70,7 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
         click.echo(f"{len(hidden)} more runs have ended: labos runs --all")
 
 
-def _waits(store: SqlEventStore, stories: dict[str, RunStory], now: int) -> dict[str, list[str]]:
+def _waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, list[str]]:
     """Why those runs wait that do not go on, in sentences."""
     if all(story.over for story in stories.values()):
         return {}
@@ -87,11 +87,11 @@ def _waits(store: SqlEventStore, stories: dict[str, RunStory], now: int) -> dict
     return {run: told for run, told in found.items() if told}
 
 
-def _plain(run: RunStory, waits: dict[str, list[str]]) -> dict[str, Any]:
+def _plain(run: RunHistory, waits: dict[str, list[str]]) -> dict[str, Any]:
     return {**msgspec.to_builtins(run), "waits": waits.get(run.id, [])}
 
 
-def _row(run: RunStory, now: int, waits: dict[str, list[str]]) -> tuple[str, ...]:
+def _row(run: RunHistory, now: int, waits: dict[str, list[str]]) -> tuple[str, ...]:
     steps = f"{run.done}/{run.in_play}"
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
@@ -99,7 +99,7 @@ def _row(run: RunStory, now: int, waits: dict[str, list[str]]) -> tuple[str, ...
     return run.id, name, run.user, run.experiment, run.status, steps, submitted, took(run, now), why
 
 
-def took(run: RunStory, now: int) -> str:
+def took(run: RunHistory, now: int) -> str:
     """From start to end, or to now with a mark that it goes on."""
     if not run.started_at:
         return ""
@@ -108,7 +108,7 @@ def took(run: RunStory, now: int) -> str:
     return f"{show_span(max(now - run.started_at, 0) / 1e9)} so far"
 
 
-def _one(run: RunStory, waits: dict[str, list[str]]) -> None:
+def _one(run: RunHistory, waits: dict[str, list[str]]) -> None:
     experiment = f" in experiment {run.experiment}" if run.experiment else ""
     click.echo(f"{run.id}: {run.workflow} on {run.workcell} for {run.user}{experiment}: {run.status}")
     if run.why:
@@ -122,7 +122,7 @@ def _one(run: RunStory, waits: dict[str, list[str]]) -> None:
     show_table(columns, [_step(step) for step in run.steps if step.state != "asleep" or step.part >= 0])
 
 
-def _step(step: StepStory) -> tuple[str, ...]:
+def _step(step: StepHistory) -> tuple[str, ...]:
     span = show_span((step.ended_at - step.requested_at) / 1e9) if step.ended_at else ""
     outcome = step.error or (short(step.result) if step.result is not None else "")
     late = "; started too late" if step.breached else ""

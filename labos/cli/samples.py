@@ -8,19 +8,17 @@ from pathlib import Path
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._living import say_if_dead
+from labos.cli._liveness import say_if_dead
 from labos.cli._options import home_option, user_option, who
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
 from labos.core.wells import well_index
 from labos.errors import NotFound
 from labos.services.history import position_at
 from labos.services.samples import Registration, registrations
 from labos.services.times import Moment, iso_time, show_time
-from labos.settings import Settings
-from labos.store import open_blobs
 
 
 @click.group("samples", cls=Suggesting, short_help="Which samples are in which wells.")
@@ -52,7 +50,7 @@ def command() -> None:
 def load(
     sheet: Path, plate: str, station: str, replace: bool, user: str | None, home: str | None, as_json: bool
 ) -> None:
-    """Register the samples of SHEET in the running lab, all of them or none: every fault is told with
+    """Register the samples of SHEET in the running lab, all of them or none: every fault is reported with
     its line and column.
 
     \b
@@ -72,7 +70,7 @@ def load(
 
 
 @command.command("show")
-@click.argument("plate", shell_complete=offering("labware"))
+@click.argument("plate", shell_complete=completes("labware"))
 @click.option("--csv", "as_csv", is_flag=True, help="As a sheet that can be loaded again.")
 @json_option
 @at_option
@@ -84,10 +82,9 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
     labos samples show P7
     labos samples show P7 --csv > sheet.csv
     """
-    with reading(where) as store:
+    with open_log(where) as store, contents(where) as blobs:
         if moment == Moment():
             say_if_dead(where.url, store.head())
-        blobs = open_blobs(Settings.of(where.home, where.url).blobs)
         found = registrations(store, blobs, plate, position_at(store, moment))
     if not found:
         raise NotFound(

@@ -8,7 +8,9 @@ import click
 
 
 @click.command("schema")
-@click.argument("kind", type=click.Choice(["workcell", "workflow", "labware", "description"]))
+@click.argument(
+    "kind", type=click.Choice(["workcell", "workflow", "labware", "description", "campaign", "shares"])
+)
 def command(kind: str) -> None:
     """Print the JSON Schema of a KIND of file: each key, what it means, and what it takes.
 

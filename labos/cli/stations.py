@@ -7,16 +7,16 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import offering
-from labos.cli._living import say_if_dead
+from labos.cli._complete import completes
+from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, reading
+from labos.cli._query import Where, at_option, json_option, log_options, open_log
 from labos.core.bench import Station
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
 from labos.services.describe import owner_name
 from labos.services.history import position_at, possibly_at, stations_of
-from labos.services.labware import Story, all_stories
+from labos.services.labware import LabwareHistory, labware_histories
 from labos.services.log import Log, fold_to
 from labos.services.times import Moment, iso_time, show_time
 
@@ -41,7 +41,7 @@ class Place(msgspec.Struct, frozen=True):
 
 @click.command("stations", short_help="What stands where, now or at any past moment.")
 @click.argument(
-    "names", shell_complete=offering("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
+    "names", shell_complete=completes("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
 )
 @click.option("--occupied", is_flag=True, help="Leave out empty stations.")
 @json_option
@@ -56,10 +56,10 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     labos stations --at 1234             after the event at that position
     labos stations sciclops wc.output    only these
 
-    `unknown` is not `empty`: nobody has said yet what stands there. Empty shelves of a hotel are shown
+    `unknown` is not `empty`: nobody has declared yet what stands there. Empty shelves of a hotel are shown
     only where you name the hotel or the shelf, as wc.output.3.
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         position = position_at(store, moment)
         if moment == Moment():
             say_if_dead(where.url, store.head())
@@ -79,7 +79,7 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
 def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place]:
     """The stations of a state; of modules or stations with these names only, if there are any.
     Raises click.UsageError for a name that no station bears."""
-    stories = all_stories(log, state.position) if state.bench.labware else {}
+    stories = labware_histories(log, state.position) if state.bench.labware else {}
     found = [(name, station) for name, station in stations_of(state) if not names or _named(name, names)]
     for wanted in names:
         if not any(_named(name, (wanted,)) for name, _ in found):
@@ -100,7 +100,7 @@ def _named(station: StationName, names: tuple[str, ...]) -> bool:
     return any(name in known for name in names)
 
 
-def _place(state: LabState, name: StationName, station: Station, stories: dict[str, Story]) -> Place:
+def _place(state: LabState, name: StationName, station: Station, stories: dict[str, LabwareHistory]) -> Place:
     here = [state.bench.labware[item] for item in station.labware]
     held = station.level if station.spec.kind == "waste" else len(here) + len(station.stock)
     return Place(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import home_option, user_option, who
 from labos.cli._out import show_json
 from labos.cli._query import json_option
 
 
 @click.command("load")
-@click.argument("station", shell_complete=offering("station"))
+@click.argument("station", shell_complete=completes("station"))
 @click.option("--type", "labware", required=True, metavar="TYPE", help="The labware's type.")
 @click.option("--count", type=click.IntRange(min=1), default=1, show_default=True, help="How many pieces.")
 @click.option("--lot", default="", help="Their lot; each piece keeps it as its variable `lot`.")
@@ -21,9 +21,9 @@ from labos.cli._query import json_option
 def load(
     station: str, labware: str, count: int, lot: str, as_json: bool, user: str | None, home: str | None
 ) -> None:
-    """Say that you put labware on a stack, or on the lowest free shelves of a hotel.
+    """Report that you put labware on a stack, or on the lowest free shelves of a hotel.
 
-    On a stack it comes to lie on top, without names until it is taken. What the station does not
+    On a stack it lies on top, and gets its id when it is taken. What the station does not
     accept, or has no room for, is refused.
 
     \b
@@ -44,8 +44,8 @@ def load(
 
 
 @click.command("unload")
-@click.argument("station", shell_complete=offering("station"))
-@click.argument("labware", shell_complete=offering("labware"), required=False)
+@click.argument("station", shell_complete=completes("station"))
+@click.argument("labware", shell_complete=completes("labware"), required=False)
 @click.option("--count", type=click.IntRange(min=1), help="So many pieces from the top.")
 @click.option("--all", "everything", is_flag=True, help="Everything that stands there.")
 @json_option
@@ -60,7 +60,7 @@ def unload(
     user: str | None,
     home: str | None,
 ) -> None:
-    """Say that you took labware away from STATION: it has left the bench.
+    """Report that you took labware away from STATION: it has left the bench.
 
     Name one piece, or say how many from the top, or --all. What a run or an experiment still owns
     is refused. A waste is emptied the same way.
@@ -85,7 +85,7 @@ def unload(
 
 
 @click.command("replenish")
-@click.argument("module", shell_complete=offering("module"))
+@click.argument("module", shell_complete=completes("module"))
 @click.argument("resource")
 @click.option("--amount", metavar="AMOUNT", help="How much: 96, or 20mL [default: until full].")
 @click.option("--lot", required=True, help="The lot of the new pack.")
@@ -105,7 +105,7 @@ def replenish(
     user: str | None,
     home: str | None,
 ) -> None:
-    """Say that you put more of RESOURCE into MODULE: runs that wait for it go on.
+    """Report that you put more of RESOURCE into MODULE: runs that wait for it continue.
 
     What is used up is charged to the oldest lot first. One that is past its date is not used, unless
     the workcell says `expired: warn`: take it out, and put another in with --instead. `labos

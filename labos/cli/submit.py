@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import home_option, json_option, user_option, wait_option, who
 from labos.cli._payload import payload_option
 
 
 @click.command("submit")
-@click.argument("workflow", shell_complete=offering("workflow"))
+@click.argument("workflow", shell_complete=completes("workflow"))
 @payload_option
 @user_option
 @click.option("--workcell", default="", metavar="NAME", help="If the lab has several.")
 @click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
 @click.option(
     "--experiment",
-    shell_complete=offering("experiment"),
+    shell_complete=completes("experiment"),
     default="",
     metavar="ID",
     help="The experiment it belongs to.",

@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import click
+import msgspec
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._options import home_option, json_option, user_option, who, why_option
 
 
 @click.command("teach")
-@click.argument("module", shell_complete=offering("module"))
-@click.argument("station", shell_complete=offering("station"))
+@click.argument("module", shell_complete=completes("module"))
+@click.argument("station", shell_complete=completes("station"))
 @click.option(
     "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver wants."
 )
@@ -33,7 +34,7 @@ def teach(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Say where the arm MODULE finds STATION from now on. Each pose is a version in the log; the
+    """Set the pose at which the arm MODULE reaches STATION. Each pose is a version in the log; the
     arm's node is started again with it. The first move there is slow if the driver's action has an
     argument `slow`. A labware type may have a pose of its own, which goes before the station's.
 
@@ -56,12 +57,12 @@ def teach(
 
 
 @click.command("locations")
-@click.argument("module", shell_complete=offering("module"))
+@click.argument("module", shell_complete=completes("module"))
 @json_option
 @home_option
 def locations(module: str, as_json: bool, home: str | None) -> None:
-    """Where the arm MODULE finds its stations. Version 0 is the workcell file's; the versions before
-    the last one are in the log: `labos log --type location.taught`.
+    """The poses at which the arm MODULE reaches its stations. Version 0 is the workcell file's; the
+    versions before the last one are in the log: `labos log --type location.taught`.
 
     \b
     labos locations pf400
@@ -89,13 +90,14 @@ def locations(module: str, as_json: bool, home: str | None) -> None:
 def _locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
     """As the running lab says, else as its log last knew. Raises NotFound."""
     from labos.cli._lab import need_lab
+    from labos.cli._remote import lab_of
     from labos.settings import Settings, find_kernel
 
     settings = Settings.of(home)
-    if find_kernel(settings.home) is not None:
+    if lab_of(home) or find_kernel(settings.home) is not None:
         with need_lab(home) as client:
             return client.locations(module)
-    from labos.cli._living import last_state, module_of
+    from labos.cli._liveness import last_state, module_of
     from labos.http.teaching import locations as poses_of
 
-    return poses_of(module_of(last_state(settings), module))
+    return dict(msgspec.to_builtins(poses_of(module_of(last_state(settings), module))))

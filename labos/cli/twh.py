@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._living import lab_now, say_if_dead
+from labos.cli._complete import completes
+from labos.cli._liveness import lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, reading
+from labos.cli._query import Where, json_option, log_options, open_log
 from labos.cli._why import as_plain, show_why, why_as_json
 from labos.errors import NotFound
 from labos.services.losses import account
@@ -18,26 +18,22 @@ RUNS_SHOWN = 20
 
 
 @click.command("twh", short_help="Time without human intervention: current and longest.")
-@click.option("--run", shell_complete=offering("run"), default="", metavar="R", help="Of this run only.")
+@click.option("--run", shell_complete=completes("run"), default="", metavar="R", help="Of this run only.")
 @click.option(
     "--experiment",
-    shell_complete=offering("experiment"),
+    shell_complete=completes("experiment"),
     default="",
     metavar="E",
     help="Of this experiment only.",
 )
 @click.option(
-    "--workcell", shell_complete=offering("workcell"), default="", metavar="W", help="Of this workcell only."
+    "--workcell", shell_complete=completes("workcell"), default="", metavar="W", help="Of this workcell only."
 )
-@click.option(
-    "--losses",
-    is_flag=True,
-    help="What lost time was lost to, and when a person is needed next.",
-)
+@click.option("--losses", is_flag=True, help="The causes of lost time, and when a person is needed next.")
 @json_option
 @log_options
 def command(where: Where, run: str, experiment: str, workcell: str, losses: bool, as_json: bool) -> None:
-    """How long the lab, its workcells, experiments and runs have worked without a person.
+    """Time without human intervention (TWH) of the lab, its workcells, experiments and runs.
 
     \b
     labos twh                     the lab and everything in it
@@ -45,10 +41,10 @@ def command(where: Where, run: str, experiment: str, workcell: str, losses: bool
     labos twh --losses            every lost minute with its cause
 
     The clock of a run goes from its first step to its end, while it is not paused and does not
-    wait for a person; a person's answer or a hand on the workcell ends a stretch. The exact
+    wait for a person; a person's answer, or reaching into the workcell, ends a stretch. The exact
     definition is in docs/time-without-human-intervention.md.
     """
-    with reading(where) as store:
+    with open_log(where) as store:
         say_if_dead(where.url, store.head(), last_known=False)
         now = lab_now(where.url, store.head())
         found = account(store.read(), now) if losses else None

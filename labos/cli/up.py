@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._complete import offering
-from labos.cli._options import database_option, home_option
+from labos.cli._complete import completes
+from labos.cli._options import SPEED_HELP, database_option, home_option, pki_option
 
 if TYPE_CHECKING:
     from labos.bootstrap import LabThread
     from labos.settings import Settings
 
 
-OPEN = (
-    "labos: other computers reach this lab, and there are no passwords yet: whoever reaches it can move "
-    "its instruments."
+NO_USERS = (
+    "labos: this lab has no users: whoever is on this computer commands it, under the name of their login. "
+    "The first user is added with `labos user add NAME`."
 )
 
 
 @click.command("up")
-@click.argument("workcells", shell_complete=offering("workcell file"), nargs=-1, metavar="[WORKCELL]...")
+@click.argument("workcells", shell_complete=completes("workcell file"), nargs=-1, metavar="[WORKCELL]...")
 @click.option(
     "--simulate/--real",
     default=None,
-    help="A simulated bench or the real one. A new lab has to be told; a known one goes on as it is.",
+    help="A simulated bench or the real one. Required for a new lab; an existing one keeps its setting.",
 )
-@click.option("--speed", type=click.FloatRange(min=0.01), help="Simulated time, times real time.")
+@click.option("--speed", type=click.FloatRange(min=0.01), help=SPEED_HELP)
 @home_option
 @database_option
 @click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
@@ -37,11 +38,57 @@ OPEN = (
 @click.option(
     "--open-to-network",
     is_flag=True,
-    help="Allow a --host that other computers reach: whoever reaches it can command the lab.",
+    help="Allow a bus that asks for no certificates on a --host that other computers reach: whoever reaches "
+    "it can speak for a node.",
+)
+@click.option(
+    "--tls-cert",
+    type=click.Path(dir_okay=False),
+    help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
+)
+@click.option("--tls-key", type=click.Path(dir_okay=False), help="Its key, a PEM file.")
+@click.option(
+    "--behind-proxy",
+    is_flag=True,
+    help="Another program speaks TLS for the lab, and says for whom (X-Forwarded-For): nobody else may reach "
+    "its port.",
+)
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    metavar="HOST",
+    help="A name under which browsers reach the lab, such as lab.example.org; may be given several times.",
+)
+@click.option(
+    "--first-user", default="", metavar="ID", help="Add this user as the admin, if the lab has no users."
+)
+@click.option(
+    "--first-password",
+    type=click.Path(dir_okay=False),
+    help="A file with the password of --first-user; used only if that user has none.",
 )
 @click.option(
     "--bus", multiple=True, metavar="ENDPOINT", help="A bus that runs by itself (`labos bus`), tcp/HOST:7447."
 )
+@click.option(
+    "--secure/--no-secure",
+    default=None,
+    help="TLS and certificates on the bus, which are made if there are none (default: as at the last start).",
+)
+@click.option(
+    "--cert",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="The kernel's own certificate, where the lab's authority is elsewhere.",
+)
+@click.option(
+    "--address",
+    multiple=True,
+    metavar="HOST",
+    help="A further name or address by which other computers reach the secure bus.",
+)
+@pki_option
 @click.option(
     "--standby", is_flag=True, help="Follow the lab's log, and take over when its kernel dies or freezes."
 )
@@ -50,8 +97,8 @@ OPEN = (
 @click.option(
     "--declare/--no-declare",
     default=None,
-    help="Everything stands as the file's `stock:` says, or nobody has said yet what stands where "
-    "(if not given: as the file says on a simulated bench, not said on a real one).",
+    help="What stands on the bench at first: as `stock:` of the file says, or unknown until it is declared "
+    "(if not given: as the file says on a simulated bench, unknown on a real one).",
 )
 @click.option(
     "--on-database-loss",
@@ -71,7 +118,7 @@ OPEN = (
     default="",
     help="A module that fails so often in so many lab seconds is taken out of service (5/600).",
 )
-@click.option("--seed", type=int, default=0, help="For the jitter of simulated instruments.")
+@click.option("--seed", type=int, default=0, help="The seed of the simulated instruments' random durations.")
 @click.option(
     "--wire", is_flag=True, help="Simulated instruments are reached over their wires, by their real drivers."
 )
@@ -80,7 +127,12 @@ OPEN = (
     is_flag=True,
     help="Write every byte on the devices' wires to HOME/traces, a file for each module.",
 )
-@click.option("--quiet", is_flag=True, help="Do not tell what happens.")
+@click.option(
+    "--node-metrics",
+    is_flag=True,
+    help="Nodes show metrics of their own, on free ports: Prometheus finds them at /metrics/targets.",
+)
+@click.option("--quiet", is_flag=True, help="Print no events.")
 def command(
     workcells: tuple[str, ...],
     simulate: bool | None,
@@ -91,7 +143,17 @@ def command(
     bus_port: int | None,
     host: str,
     open_to_network: bool,
+    tls_cert: str | None,
+    tls_key: str | None,
+    behind_proxy: bool,
+    names: tuple[str, ...],
+    first_user: str,
+    first_password: str | None,
     bus: tuple[str, ...],
+    secure: bool | None,
+    cert: Path | None,
+    address: tuple[str, ...],
+    pki: Path | None,
     standby: bool,
     no_nodes: bool,
     detach_nodes: bool,
@@ -102,19 +164,22 @@ def command(
     seed: int,
     wire: bool,
     trace: bool,
+    node_metrics: bool,
     quiet: bool,
 ) -> None:
     """Run a lab until Ctrl-C, with a node for each module. WORKCELL is a file or a packaged one.
 
-    Ctrl-C lets the instruments finish what they are doing, for 30 s at the most, then closes;
-    Ctrl-C again hurries them. A simulated instrument that has not finished by then dies in its
-    action, of a real one only the node does: either way the next start has to find out how the
-    action ended, and asks a person if nobody can tell. Which actions these are is said at the end.
-    Started again in the same home, the lab goes on where it was; then no WORKCELL is needed.
+    Ctrl-C waits up to 30 s for actions in progress, then closes; Ctrl-C again stops waiting. A simulated
+    instrument that has not finished by then is interrupted; of a real one only the node ends. Either
+    way the next start has to find out how the action ended, and asks a person if neither node nor
+    sensor knows. The actions concerned are listed at the end.
+    Started again in the same home, the lab continues where it was; then no WORKCELL is needed.
 
     \b
     labos up rpl --simulate --speed 60
     labos up workcell.yaml --real --home /var/lib/labos
+    labos up rpl --simulate --secure            (docs/secure-bus.md)
+    labos up rpl --real --host lab7 --tls-cert lab7.pem --tls-key lab7.key     (docs/security.md)
     labos up --standby --bus tcp/127.0.0.1:7447 --detach-nodes     (PostgreSQL; docs/standby.md)
     """
     from labos.bootstrap import LabThread
@@ -133,13 +198,24 @@ def command(
         bus_port=bus_port,
         host=host,
         open_to_network=open_to_network,
+        tls_certificate=tls_cert or "",
+        tls_key=tls_key or "",
+        behind_proxy=behind_proxy,
+        names=names,
+        first_user=first_user,
+        first_password=first_password or "",
         seed=seed,
         wire=wire,
         trace_wires=trace,
+        node_metrics=node_metrics,
         on_database_loss=on_database_loss,
         database_silence=database_silence,
         bus=bus,
         quarantine=quarantine,
+        secure=True if cert is not None else secure,
+        certificate=cert.absolute() if cert is not None else None,
+        addresses=address,
+        authority=pki,
     )
     if standby:
         _check_standby(settings, workcells, no_nodes)
@@ -194,14 +270,13 @@ def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: boo
 def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
     """Say where the lab is, then what happens, until somebody ends it or it fails."""
     from labos.cli._lab import CLOSING
-    from labos.http.server import is_own_address
 
     runtime = lab.runtime
     kind = "simulated" if runtime.simulated else "real"
     click.echo(f"The lab {runtime.kernel.lab} runs ({kind}, speed {runtime.kernel.state.lab.pace:g}).")
     click.echo(f"  home  {settings.home}\n  http  {lab.url}\n  bus   {runtime.bus_endpoint}")
-    if not is_own_address(settings.host):
-        click.echo(OPEN, err=True)
+    if runtime.kernel.state.users.is_open:
+        click.echo(NO_USERS, err=True)
     click.echo("Ctrl-C closes it.")
     if not quiet:
         threading.Thread(target=_narrate, args=(lab,), name="narrator", daemon=True).start()
@@ -218,7 +293,7 @@ def _narrate(lab: LabThread) -> None:
     from labos.errors import LabosError
 
     try:
-        with LabClient(lab.url, patience_s=10.0) as client:
+        with LabClient(home=lab.settings.home, patience_s=10.0) as client:
             after = lab.runtime.nodes_from or client.health()["position"]
             Narrator(client, after).follow(lab.failed)
     except LabosError:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, json_option, log_options
@@ -50,7 +50,7 @@ class Verdict(msgspec.Struct):
 
 
 @click.command("validate", short_help="What is wrong with a workflow, before anything moves.")
-@click.argument("workflow", shell_complete=offering("workflow"))
+@click.argument("workflow", shell_complete=completes("workflow"))
 @click.option(
     "--workcell",
     default="",
@@ -104,8 +104,8 @@ def _alone(name: str, *, as_json: bool) -> None:
     from labos.bootstrap import descriptions, shape_of
     from labos.spec.dialects import kind_of
     from labos.spec.importing import import_spec
+    from labos.spec.layout_check import check_layout
     from labos.spec.source import read
-    from labos.spec.standing import standing
 
     needs = click.UsageError("A workflow is checked against a workcell: add --workcell.")
     if not Path(name).is_file() and name in list_specs("workflows"):
@@ -121,7 +121,7 @@ def _alone(name: str, *, as_json: bool) -> None:
         found = import_spec(source, known)
         findings = list(found.findings)
         if kind == "workcell":
-            findings += standing(source, compile_workcell(source, known), shape_of)
+            findings += check_layout(source, compile_workcell(source, known), shape_of)
         told = f"{found.name}: " + ", ".join(f"{count} {what}" for what, count in found.counts.items())
     except SpecErrors as errors:
         findings = list(errors.findings)
@@ -143,17 +143,17 @@ def examine(
 ) -> tuple[Verdict, Compiled | None]:
     """Compile, dry-run and try out. Raises NotFound for a file that is not there."""
     from labos.bootstrap import descriptions, shape_of
+    from labos.spec.layout_check import check_layout
     from labos.spec.source import read
-    from labos.spec.standing import standing
-    from labos.spec.uses import uses_in
+    from labos.spec.uses import read_uses
 
     flow_path, cell_path = spec_path("workflows", workflow), spec_path("workcells", workcell)
     known = descriptions()
     findings: list[Finding] = []
     try:
         source = read(cell_path, last_wins=True)
-        cell = compile_workcell(source, known, uses=uses_in([read(flow_path, last_wins=True)]))
-        findings += [*cell.findings, *standing(source, cell, shape_of)]
+        cell = compile_workcell(source, known, uses=read_uses([read(flow_path, last_wins=True)]))
+        findings += [*cell.findings, *check_layout(source, cell, shape_of)]
         compiled = compile_workflow(
             flow_path,
             payload,
@@ -187,15 +187,16 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
     from labos.client import LabClient
     from labos.settings import find_kernel
 
-    kernel = find_kernel(where.home)
-    if kernel is None:
+    kernel = None if where.lab else find_kernel(where.home)
+    if kernel is None and not where.lab:
         raise NoAnswer(f"No lab runs in {where.home}.", remedy="Start it: labos up WORKCELL")
+    url = where.lab or (kernel.url if kernel is not None else "")
     used = list(dict.fromkeys(step.module for step in compiled.plan.steps))
     try:
-        with LabClient(kernel.url, patience_s=ONLINE_PATIENCE_S) as client:
+        with LabClient(url, patience_s=ONLINE_PATIENCE_S) as client:
             heard = {found["name"]: found for found in client.ask_nodes(used)}
     except (LabosError, KeyError, TypeError) as error:
-        raise NoAnswer(f"The lab at {kernel.url} gives no answer ({error}).", remedy="Try again.") from None
+        raise NoAnswer(f"The lab at {url} gives no answer ({error}).", remedy="Try again.") from None
     for name in used:
         found = heard.get(name, {"answer": "absent"})
         answer, why = found["answer"], found.get("why", "")

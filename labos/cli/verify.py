@@ -12,7 +12,8 @@ import click
 import msgspec
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, reading
+from labos.cli._query import Where, json_option, log_options, open_database
+from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import key_option
 from labos.core.seals import broken_seal, sealed
 from labos.core.state import state_hash
@@ -20,6 +21,7 @@ from labos.errors import LabosError, LogDamaged
 from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
 from labos.services.journals import surplus
 from labos.services.times import iso_time
+from labos.services.trust.compare import CheckpointComparison, is_signed
 from labos.services.verification import (
     Part,
     check_benches,
@@ -31,6 +33,7 @@ from labos.services.verification import (
 )
 from labos.settings import Settings
 from labos.store import (
+    Damage,
     Progress,
     SqlEventStore,
     create_file,
@@ -51,9 +54,9 @@ CAVEAT = (
 @click.option(
     "--checkpoint",
     "file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Compare with this checkpoint; if there is no such file, write it.",
+    type=click.Path(path_type=Path),
+    metavar="FILE|FOLDER",
+    help="Compare with this checkpoint, or with a folder of signed ones; if there is no such file, write it.",
 )
 @click.option(
     "--export", is_flag=True, help="Write the checkpoint anew once the log agrees with the old one."
@@ -73,6 +76,32 @@ CAVEAT = (
     is_flag=True,
     help="With --backup: the segments before the first one that is there are kept elsewhere.",
 )
+@click.option(
+    "--bundle",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Check a bundle of `labos bundle` instead, offline: neither the database nor the lab is needed.",
+)
+@click.option(
+    "--public-key",
+    "public_keys",
+    multiple=True,
+    metavar="KEY|FILE",
+    help="Whose signatures count (the keys of the lab's folder). May be repeated.",
+)
+@click.option(
+    "--witness-key",
+    "witness_keys",
+    multiple=True,
+    metavar="KEY|FILE",
+    help="With --bundle: this witness must have cosigned.",
+)
+@click.option(
+    "--tsa",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="With --bundle: check the time stamp against the certificates in this PEM file.",
+)
 @key_option
 @json_option
 @log_options
@@ -83,12 +112,16 @@ def command(
     journals: bool,
     folder: Path | None,
     detached: bool,
+    bundle: Path | None,
+    public_keys: tuple[str, ...],
+    witness_keys: tuple[str, ...],
+    tsa: Path | None,
     key_file: Path | None,
     as_json: bool,
 ) -> None:
-    """Check every record of the log against the chain of hashes, and what there is beside it: the snapshot
+    """Check every record of the log against the chain of hashes, and the data beside the log: the snapshot
     (its seal, and whether the log folds to it), how far the log once reached, each blob that the log names,
-    and the records of simulated benches. Says of each what was looked at. Exit code 1 if anything is wrong.
+    and the records of simulated benches. Reports what was checked of each. Exit code 1 if anything is wrong.
 
     \b
     labos verify                               all of that
@@ -96,9 +129,11 @@ def command(
                                                later: also that nothing up to there has changed
     labos verify --checkpoint F --export       compare, then note the new end
     labos verify --checkpoint F --key K        seal it, or check its seal
-    labos verify --journals                    also the nodes' journals, and what they know more
+    labos verify --journals                    also the nodes' journals, and what they know beyond the log
     labos verify --backup /safe/lab            a backup, without any database
     labos verify --backup /safe/lab --detached   its later segments, without those before
+    labos verify --checkpoint /safe/checkpoints   signed ones, of labos checkpoint
+    labos verify --bundle R7.zip --public-key lab.pub   a run, offline
 
     Keep checkpoints where whoever can write to the database cannot: a chain alone does not show
     that its tail was cut off.
@@ -107,18 +142,28 @@ def command(
         raise click.UsageError("--export needs --checkpoint FILE.")
     if detached and folder is None:
         raise click.UsageError("--detached needs --backup FOLDER.")
+    if bundle is not None:
+        verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa), as_json)
+        return
     key = key_of(key_file) if key_file else b""
+    signed = file if file is not None and is_signed(file) else None
+    if signed is not None and export:
+        raise click.UsageError(f"{signed} is signed: labos checkpoint makes the next one, not --export.")
     if folder is not None:
         (_verify_detached if detached else _verify_backup)(folder, key, as_json)
         return
     # First the journals: a request is in the log before its node hears of it.
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
-    with reading(where) as store:
-        seen = read_checkpoint(file) if file is not None and file.exists() else None
+    with open_database(where) as store:
+        seen = read_checkpoint(file) if file is not None and not signed and file.exists() else None
         end = sealed(checkpoint_of(store), key)
         with _progress(as_json) as progress:
             damage = first_damage(store, progress)
         against = contradiction(store, seen) if seen is not None else ""
+        compared = None
+        if signed is not None and not damage:
+            compared = compare_signed(store, signed, where.home, public_keys)
+            against = compared.fault
         parts = [] if damage else _other_parts(where, store)
         if about_journals is not None:
             parts.append(about_journals)
@@ -132,7 +177,7 @@ def command(
             fault = f"The nodes know more than the log: {more[0].journal} knows {more[0].knows}."
         others = [said for part in parts for said in part.faults]
         whole = not fault and not others
-        written = file is not None and whole and (seen is None or export)
+        written = file is not None and not signed and whole and (seen is None or export)
         if file is not None and written:
             _write(file, end)
     if as_json:
@@ -140,11 +185,9 @@ def command(
             {
                 "whole": whole,
                 "fault": fault or next(iter(others), ""),
-                "position": damage.position
-                if damage
-                else next((at for p in parts for at in p.positions), None),
+                "position": _first_position(damage, compared, parts),
                 "head": end,
-                "compared_with": seen,
+                "compared_with": seen or compared,
                 "parts": [
                     Part("log", damage.position if damage else end.position, _of_log(fault, end)),
                     *parts,
@@ -154,7 +197,12 @@ def command(
             }
         )
     else:
-        _tell(fault, end, seen, file, written)
+        _tell(fault, end, seen, file, written=written, signed=signed is not None)
+        if compared is not None and not fault:
+            number = (
+                "the signed checkpoint" if compared.number == 1 else f"{compared.number} signed checkpoints"
+            )
+            click.echo(f"It agrees with {number}, up to position {compared.agrees_to}.")
         for part in parts:
             for line in part.faults or (part.told,):
                 click.echo(line)
@@ -166,6 +214,17 @@ def command(
             click.echo("The nodes' journals were not looked at (--journals).")
     if not whole:
         click.get_current_context().exit(1)
+
+
+def _first_position(
+    damage: Damage | None, compared: CheckpointComparison | None, parts: list[Part]
+) -> int | None:
+    """The first position of the log that something is wrong with."""
+    if damage is not None:
+        return damage.position
+    if compared is not None and compared.fault:
+        return compared.position
+    return next((at for part in parts for at in part.positions), None)
 
 
 def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
@@ -191,7 +250,9 @@ def _of_log(fault: str, end: Checkpoint) -> str:
     return fault or f"{end.position} records, each follows from the one before."
 
 
-def _tell(fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | None, written: bool) -> None:
+def _tell(
+    fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | None, *, written: bool, signed: bool
+) -> None:
     if fault:
         click.echo(f"The log is damaged. {fault}" if fault.startswith("Position") else fault)
         click.echo("Keep this log as it is, and restore one from a backup.")
@@ -202,7 +263,7 @@ def _tell(fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | Non
         click.echo(f"It agrees with the checkpoint of {seen.time} at position {seen.position}.")
     if written:
         click.echo(f"The checkpoint was written to {file}.")
-    elif seen is None and not fault:
+    elif seen is None and not fault and not signed:
         click.echo(CAVEAT)
 
 

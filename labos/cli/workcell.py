@@ -8,7 +8,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._complete import offering
+from labos.cli._complete import completes
 from labos.cli._group import Suggesting
 from labos.cli._options import home_option, json_option, user_option, who
 from labos.spec import Finding
@@ -22,7 +22,7 @@ def command() -> None:
 
 
 @command.command("apply")
-@click.argument("file", shell_complete=offering("workcell file"))
+@click.argument("file", shell_complete=completes("workcell file"))
 @click.option("--dry-run", is_flag=True, help="Only show what would change, and what is in the way.")
 @click.option("--yes", is_flag=True, help="Do not ask first.")
 @json_option
@@ -68,7 +68,7 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
 def _changes(found: dict[str, Any]) -> list[str]:
     return [
         f"{sign} {what.removesuffix('s')} {name}{_details(found, what, kind, name)}"
-        for what in ("modules", "stations", "poses", "labware")
+        for what in ("modules", "stations", "poses", "labware", "transfers")
         for kind, sign in SIGNS.items()
         for name in found[what][kind]
     ]

@@ -11,14 +11,18 @@
 Nothing of the kernel is imported here: an application runs wherever the lab can be reached.
 """
 
+from labos.client._answers import LabUnreachable
 from labos.client._experiment import Experiment, RunFailed
 from labos.client._files import step_text, workflow_text
-from labos.client._lab import LabClient, LabUnreachable
+from labos.client._lab import LabClient
+from labos.client._log import LabFiles, LabLog
 from labos.client._results import RunResult, StepResult
 
 __all__ = [
     "Experiment",
     "LabClient",
+    "LabFiles",
+    "LabLog",
     "LabUnreachable",
     "RunFailed",
     "RunResult",

@@ -11,7 +11,8 @@ from typing import Any
 
 import msgspec
 
-from labos.client._lab import LabClient, LabUnreachable
+from labos.client._answers import LabUnreachable
+from labos.client._lab import LabClient
 from labos.client._results import RunResult
 from labos.errors import CommitInDoubt, LabosError
 
@@ -85,21 +86,23 @@ class Experiment:
         """Log something of the application's own: loop_started, loop_ended, condition_checked,
         decision, local_compute, compute, flow or publication. A lab that broke off while it was told, or
         whose database did, is asked whether it has heard, and told again if it has not."""
-        what = _told(kind, name, facts)
+        what = _comparable(kind, name, facts)
         while True:
             try:
                 self.lab.note(self.id, kind, name, facts, self.user)
                 break
             except (LabUnreachable, CommitInDoubt):
-                if self._heard(what) > self._notes[what]:
+                if self._count_notes(what) > self._notes[what]:
                     break
         self._notes[what] += 1
 
-    def _heard(self, what: bytes) -> int:
+    def _count_notes(self, what: bytes) -> int:
         """How often the log has this note of this experiment. Raises LabUnreachable."""
         found = self.lab.events(type="experiment.noted", stream=self.id)
         payloads = [event["payload"] for event in found]
-        return sum(_told(note["kind"], note["name"], note.get("facts", {})) == what for note in payloads)
+        return sum(
+            _comparable(note["kind"], note["name"], note.get("facts", {})) == what for note in payloads
+        )
 
     def _beat(self) -> None:
         while not self._over.wait(HEARTBEAT_S):
@@ -114,7 +117,7 @@ def _on_one_line(why: str) -> str:
     return "".join(char if char.isprintable() else " " for char in why)[:LONGEST_WHY]
 
 
-def _told(kind: str, name: str, facts: Mapping[str, Any]) -> bytes:
+def _comparable(kind: str, name: str, facts: Mapping[str, Any]) -> bytes:
     """A note as it can be compared with one that was read back."""
     return msgspec.json.encode((kind, name, facts), order="sorted")
 

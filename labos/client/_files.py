@@ -47,6 +47,33 @@ def workflow_text(
     return {"text": text, "name": str(path), "files": _encoded(_files_beside(path, text, payload or {}))}
 
 
+def campaign_text(campaign: str | Path) -> dict[str, Any]:
+    """A campaign file with the workflow and the table that it names: both stand beside it, or the workflow is
+    a packaged one. Raises BadInput, NotFound, SpecError."""
+    from labos.spec.campaign import beside, table_of_campaign, workflow_of_campaign
+
+    path = Path(campaign)
+    if not path.is_file():
+        raise NotFound(f"There is no campaign file {str(campaign)!r}.", remedy="Check its path.")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"The campaign {str(campaign)!r} cannot be read: {error}.") from None
+    name = workflow_of_campaign(text)
+    written = beside(path, name)
+    told = {
+        "text": text,
+        "name": str(path),
+        "workflow": workflow_text(written if written.is_file() else name),
+        "files": {},
+    }
+    table = table_of_campaign(text)
+    if table:
+        with contextlib.suppress(OSError):  # the lab says that it is missing, and where it is named
+            told["files"] = _encoded([(table, beside(path, table).read_bytes())])
+    return told
+
+
 def step_text(module: str, action: str, args: Mapping[str, Any]) -> dict[str, Any]:
     """The workflow ``do <module>.<action>`` of one step, with the files of the present folder that
     its arguments name."""
@@ -77,7 +104,7 @@ def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator
         return  # the lab says what is wrong with it, and where
     folder = path.resolve().parent
     texts = {*texts_in(data), *texts_in(payload)}
-    unread, seen = list(_used(data)), set[str]()
+    unread, seen = list(_find_used_files(data)), set[str]()
     while unread and len(seen) < MOST_USED:
         name = unread.pop()
         if name in seen:
@@ -87,7 +114,7 @@ def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator
             with contextlib.suppress(LabosError):
                 inner = parse(content, last_wins=True).data
                 texts.update(texts_in(inner))
-                unread += _used(inner)
+                unread += _find_used_files(inner)
     yield from _files_in(folder, texts)
 
 
@@ -105,7 +132,7 @@ def _files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
             continue
 
 
-def _used(data: Mapping[str, Any]) -> Iterator[str]:
+def _find_used_files(data: Mapping[str, Any]) -> Iterator[str]:
     """The files whose steps a workflow uses."""
     steps = data.get("steps")
     for step in steps if isinstance(steps, list) else ():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 import time
-from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,12 +12,18 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from labos import errors
+from labos.client._accounts import AccountCalls
+from labos.client._answers import LabUnreachable, answer_of, cannot_write, problem_in
+from labos.client._bench import BenchCalls
+from labos.client._campaigns import CampaignCalls
 from labos.client._files import step_text, workflow_text
+from labos.client._people import PeopleCalls
 from labos.client._results import RunResult
 from labos.client._tables import rows_of
+from labos.client._token import find_token, place_of, trusted_by
 from labos.clock import Uuid7Ids
 from labos.core.canonical import digest
-from labos.errors import BadInput, LabosError, LogDamaged
+from labos.errors import BadInput, LogDamaged
 from labos.settings import Settings, find_kernel
 
 if TYPE_CHECKING:
@@ -27,46 +32,55 @@ if TYPE_CHECKING:
 
 _SHA256 = re.compile("[0-9a-f]{64}")
 
+API = "/api/v1"
+
 LONG_POLL_S = 20.0
-
-STOP_S = 5.0
-"""How long a lab may take to answer that it has stopped its modules."""
-
-
-class LabUnreachable(LabosError):
-    """No lab answers."""
 
 
 NEVER_S = 3.0
 """How long to wait for a lab in a folder in which none has ever run."""
 
 
-class _Told(msgspec.Struct):
-    """An error as a lab tells of it."""
-
-    code: str = ""
-    error: str = ""
-    remedy: str = ""
-
-
-class LabClient:
+class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
     Requests are repeated while the lab is silent, for ``patience_s`` in all, as when its kernel is
     restarted; submissions carry an idempotency key, so that nothing is done twice.
     Every call raises LabosError as the lab did, LabUnreachable when nobody answers.
+
+    In a lab with users it shows a ``token``: the one given, else that of LABOS_TOKEN or of the file that
+    LABOS_TOKEN_FILE names, else what `labos login` has kept. A service account may act on ``behalf`` of a
+    person.
     """
 
-    def __init__(self, url: str = "", *, home: str | Path | None = None, patience_s: float = 30.0) -> None:
-        import httpx
-
+    def __init__(
+        self,
+        url: str = "",
+        *,
+        home: str | Path | None = None,
+        patience_s: float = 30.0,
+        token: str = "",
+        behalf: str = "",
+    ) -> None:
         self._home = None if url else Settings.of(home).home
         self._url = url.rstrip("/")
         self._patience_s = patience_s
-        self._http = httpx.Client(timeout=httpx.Timeout(LONG_POLL_S + 40.0, connect=5.0))
+        self._token, self._behalf = token, behalf
+        self._http = self._open_http()
         self._ids = Uuid7Ids()
         self.warnings: list[str] = []
         """What the lab remarked on the last submission, one sentence each, with its place."""
+
+    def _open_http(self) -> httpx.Client:
+        import httpx
+
+        timeout = httpx.Timeout(LONG_POLL_S + 40.0, connect=5.0)
+        return httpx.Client(timeout=timeout, verify=trusted_by(self._home) or True)
+
+    @property
+    def token_place(self) -> str:
+        """How this lab is called in the file of tokens: its folder, or its address."""
+        return place_of(self._url, self._home)
 
     def close(self) -> None:
         self._http.close()
@@ -88,7 +102,7 @@ class LabClient:
 
     def ask_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, str]]:
         """What the nodes of these modules, or of all, answer at this moment: ``name``, ``answer`` (IDLE,
-        BUSY, ERROR, silent, frozen, locked, refused, out, absent) and ``why``."""
+        BUSY, ERROR, silent, frozen, refused, out, absent) and ``why``."""
         found: list[dict[str, str]] = self._get("/nodes", module=list(modules))["modules"]
         return found
 
@@ -123,7 +137,7 @@ class LabClient:
         if response.status_code == 416:
             raise BadInput(f"The file {name} has no bytes {first} to {'its end' if last is None else last}.")
         if response.status_code >= 400:
-            _answer(response.status_code, response.content)
+            answer_of(response.status_code, response.content)
         if not part and digest(response.content) != name:
             raise LogDamaged(f"The lab sent another content for the file {name}.", position=0)
         return bytes(response.content)
@@ -163,6 +177,13 @@ class LabClient:
             if page["position"] <= after and not follow:
                 return
             after = max(page["position"], after)
+
+    def page_of_events(self, asked: Mapping[str, Any]) -> bytes:
+        """A page of events as the lab sends it, with the position from which to go on."""
+        response = self._request("GET", "/events", repeat=True, params=dict(asked))
+        if response.status_code >= 400:
+            answer_of(response.status_code, response.content)
+        return bytes(response.content)
 
     # -- runs --------------------------------------------------------------------------------
 
@@ -245,187 +266,9 @@ class LabClient:
             f"/control/{verb}", {"target": target, "by": by, "why": why, "stay": stay}, repeat=True
         )
 
-    # -- people ------------------------------------------------------------------------------
-
-    def resolve(self, intervention: str, choice: str, by: str, note: str = "", result: Any = None) -> None:
-        """Answer an intervention. ``result`` is what a step that was done has measured, if later
-        steps read it."""
-        answer = {"choice": choice, "by": by, "note": note, "result": result}
-        self._post(f"/interventions/{intervention}", answer)
-
     def reset(self, module: str, by: str = "somebody") -> RunResult:
         """Bring a module out of its error, and wait for it."""
         return self.wait(self.do(module, "reset", user=by))
-
-    def emergency_stop(self, target: str, by: str = "somebody") -> dict[str, Any]:
-        """Stop a module, a workcell or everything (``*``) at once, without the log. ``stopped``
-        are the modules that say so, ``silent`` the others. This is no safety function."""
-        return self._post("/estop", {"target": target, "by": by}, repeat=True, timeout_s=STOP_S)
-
-    def take_out(self, module: str, why: str, by: str, until_ns: int = 0) -> None:
-        """Take a module out of service, until it is put back or until a time (UTC ns)."""
-        self._post(f"/nodes/{module}/out-of-service", {"why": why, "by": by, "until": until_ns})
-
-    def put_back(self, module: str, by: str = "somebody") -> None:
-        self._post(f"/nodes/{module}/in-service", {"by": by}, repeat=True)
-
-    def trace(self, module: str, by: str = "somebody", *, on: bool = True) -> str:
-        """Let a module's node write down every byte on its device's wires, or no more; the file is on the
-        computer of the node."""
-        return str(self._post(f"/nodes/{module}/trace", {"by": by, "on": on}, repeat=True)["file"])
-
-    def place(self, station: str, labware: str, by: str) -> str:
-        """Say that labware of a type was put on an empty station; returns its id."""
-        body = {"station": station, "labware": labware, "by": by}
-        return str(self._post("/stations/place", body)["labware"])
-
-    def load(self, station: str, labware: str, by: str, *, count: int = 1, lot: str = "") -> list[str]:
-        """Say that labware of a type was put on a stack, or into free slots; returns the names it
-        got: on a stack it has none until it is taken."""
-        body = {"station": station, "labware": labware, "by": by, "count": count, "lot": lot}
-        return [str(name) for name in self._post("/stations/load", body)["labware"]]
-
-    def unload(self, station: str, by: str, *, labware: str = "", count: int | None = None) -> dict[str, Any]:
-        """Say that labware was taken away: one piece by its name, the topmost ``count``, or all.
-        ``labware`` of the answer are the names of those that had one, ``nameless`` counts the rest."""
-        body = {"station": station, "by": by, "labware": labware, "count": count}
-        return self._post("/stations/unload", body)
-
-    def replenish(
-        self,
-        module: str,
-        resource: str,
-        by: str,
-        *,
-        amount: float = 0.0,
-        unit: str = "",
-        lot: str = "",
-        expires: str = "",
-        instead: bool = False,
-    ) -> float:
-        """Say that more of a resource was put in, as much as there was room for if no ``amount`` is
-        named; returns how much. ``unit`` is the resource's own if it is not said; ``expires`` is a
-        date, as 2027-05-31; ``instead`` of what was left."""
-        pack = {"amount": amount, "unit": unit, "lot": lot, "expires": expires, "instead": instead}
-        body = {"resource": resource, "by": by, **pack}
-        return float(self._post(f"/nodes/{module}/replenish", body)["amount"])
-
-    def declare(
-        self, stations: Mapping[str, Sequence[str]], by: str, *, workcell: str = "", empty: bool = False
-    ) -> dict[str, list[str]]:
-        """Say what stands at stations, bottom to top; with ``empty``, that those nobody has spoken of
-        stand empty. All of it or nothing; returns what was declared."""
-        told = {name: list(types) for name, types in stations.items()}
-        body = {"stations": told, "by": by, "workcell": workcell, "empty": empty}
-        found: dict[str, list[str]] = self._post("/stations/declare", body)["declared"]
-        return found
-
-    def apply_workcell(
-        self,
-        text: str,
-        file: str,
-        by: str,
-        *,
-        dry_run: bool = False,
-        labware: Mapping[str, bytes] | None = None,
-        files: Mapping[str, bytes] | None = None,
-    ) -> dict[str, Any]:
-        """Change a workcell to what the text of its file says; with ``dry_run``, only say what that
-        would change and what is in the way. ``labware`` holds the labware files that it names, ``files``
-        the others, as tables of drivers: the lab reads nothing else."""
-        body = {"text": text, "name": file, "by": by, "dry_run": dry_run}
-        for key, contents in (("labware", labware), ("files", files)):
-            body[key] = {name: b64encode(content).decode() for name, content in (contents or {}).items()}
-        return self._post("/workcells", body, repeat=True)
-
-    def teach(
-        self,
-        module: str,
-        station: str,
-        pose: Sequence[float],
-        by: str,
-        why: str = "",
-        *,
-        labware_type: str = "",
-    ) -> int:
-        """Say where a manipulator finds a station, with a ``labware_type`` only when it carries that;
-        returns the version of the pose."""
-        body = {"station": station, "pose": list(pose), "by": by, "why": why, "labware_type": labware_type}
-        return int(self._post(f"/modules/{module}/locations", body, repeat=True)["version"])
-
-    def locations(self, module: str) -> dict[str, Any]:
-        """The poses of a module by station, with their versions; 0 is the workcell file's. ``types`` are
-        those of labware types, where they differ."""
-        found: dict[str, Any] = self._get(f"/modules/{module}/locations")["locations"]
-        return found
-
-    def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
-        """Ask to reach into a workcell: nothing starts there any more. Returns the runs that park its
-        arms; ``state()["lab"]["access"]`` says when it is granted, and of which modules nobody knows
-        whether they are at rest (``perhaps_moving``)."""
-        body = {"by": by, "why": why, "park": park}
-        found: list[str] = self._post(f"/workcells/{workcell}/access", body, repeat=True)["parking"]
-        return found
-
-    def leave(self, workcell: str, by: str, changed: Sequence[tuple[str, str]] = (), note: str = "") -> None:
-        """Say that everybody is out, and what stands at which station now: ``empty``, labware by its
-        id, or a type of labware."""
-        told = [{"station": station, "what": what} for station, what in changed]
-        self._post(f"/workcells/{workcell}/access/end", {"by": by, "note": note, "changed": told})
-
-    def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
-        """Say which barcode labware bears."""
-        body = {"barcode": barcode, "by": by, "replace": replace}
-        self._post(f"/labware/{labware}/barcode", body, repeat=True)
-
-    def observe(self, station: str, what: str, by: str) -> dict[str, Any]:
-        """Say what stands at a station: ``empty``, a number, labware, a labware type; returns what
-        follows: ``found``, ``gone``, ``uncertain``, ``answered``, ``asked``."""
-        return self._post("/stations/observe", {"station": station, "what": what, "by": by})
-
-    def round(self) -> dict[str, Any]:
-        """What is known of a log that has lost its end (``evidence``, ``discovered``), and every station
-        with what is ``recorded`` there, whether it was ``said`` on the round and whether it
-        ``must_be_said``; without such a log, there are none. ``not_known`` are doors, lids and the like of
-        modules."""
-        return self._get("/round")
-
-    def say(
-        self, by: str, stations: Mapping[str, Sequence[str]] | None = None, as_recorded: Sequence[str] = ()
-    ) -> dict[str, Any]:
-        """Say on the round what stands at stations, bottom to top, and which are as recorded. Returns what
-        was ``said``, what was ``refused`` and why, and what is ``left`` to say."""
-        told = {name: list(contents) for name, contents in (stations or {}).items()}
-        body = {"by": by, "stations": told, "as_recorded": list(as_recorded)}
-        return self._post("/round", body, repeat=True)
-
-    def give(self, labware: str, to: str, by: str, *, force: bool = False, note: str = "") -> None:
-        """Hand labware over to ``user:NAME``, ``experiment:E3`` or ``shared``."""
-        body = {"to": to, "by": by, "force": force, "note": note}
-        self._post(f"/labware/{labware}/owner", body, repeat=True)
-
-    def load_samples(
-        self,
-        sheet: str | Path,
-        by: str,
-        *,
-        labware: str = "",
-        station: str = "",
-        replace: bool = False,
-    ) -> dict[str, int]:
-        """Say which samples are in the wells of plates, by a CSV file; ``labware`` or ``station``
-        names the plate where the sheet does not. Returns how many samples each plate has."""
-        path = Path(sheet)
-        body = {
-            "text": _text_of(path),
-            "name": str(path),
-            "by": by,
-            "labware": labware,
-            "station": station,
-            "replace": replace,
-        }
-        found: dict[str, int] = self._post("/samples", body, repeat=True)["plates"]
-        return found
 
     # -- experiments -------------------------------------------------------------------------
 
@@ -456,8 +299,8 @@ class LabClient:
         body = {"kind": kind, "name": name, "facts": dict(facts)}
         self._post(f"/experiments/{experiment}/notes", body, user=user)
 
-    def heartbeat(self, experiment: str) -> None:
-        self._post(f"/experiments/{experiment}/heartbeat", {}, repeat=True)
+    def heartbeat(self, experiment: str, user: str = "") -> None:
+        self._post(f"/experiments/{experiment}/heartbeat", {}, user=user, repeat=True)
 
     def end_experiment(self, experiment: str, why: str = "ended", user: str = "") -> None:
         self._post(f"/experiments/{experiment}/end", {"why": why}, user=user, repeat=True)
@@ -494,7 +337,7 @@ class LabClient:
     def _ask(self, method: str, path: str, *, repeat: bool, **options: Any) -> dict[str, Any]:
         """As ``_request``, what the lab said. Raises the error that it told of."""
         response = self._request(method, path, repeat=repeat, **options)
-        return _answer(response.status_code, response.content)
+        return answer_of(response.status_code, response.content)
 
     def _request(self, method: str, path: str, *, repeat: bool, **options: Any) -> httpx.Response:
         """Ask until somebody answers. What may not be done twice is repeated only if it
@@ -506,7 +349,9 @@ class LabClient:
         while True:
             asked = time.monotonic()
             try:
-                response = self._http.request(method, self._base() + path, **options)
+                base = self._base()
+                headers = {**options.pop("headers", {}), **self._shown(base)}
+                response = self._http.request(method, base + API + path, headers=headers, **options)
             except (httpx.ConnectError, httpx.ConnectTimeout) as error:
                 why: Exception = error
             except httpx.TransportError as error:
@@ -524,9 +369,9 @@ class LabClient:
             else:
                 if response.status_code != 503 or time.monotonic() > deadline:
                     return response
-                if not repeat and _told(response.content).code == "commit_in_doubt":
+                if not repeat and problem_in(response.content).code == "commit_in_doubt":
                     return response
-                why = _cannot_write(response.content)
+                why = cannot_write(response.content)
             if time.monotonic() + pause > deadline:
                 if isinstance(why, LabUnreachable):
                     raise why
@@ -535,6 +380,12 @@ class LabClient:
                 ) from why
             time.sleep(pause)
             pause = min(pause * 2, 1.0)
+
+    def _shown(self, base: str) -> dict[str, str]:
+        """The headers that say who asks. Raises BadInput for a file of tokens that others can read."""
+        token = self._token or find_token(base, self._home)
+        shown = {"authorization": f"Bearer {token}"} if token else {}
+        return shown | ({"labos-on-behalf-of": self._behalf} if self._behalf else {})
 
     def _patience(self) -> float:
         """How long to ask a lab that does not answer: not for long where there never was one."""
@@ -551,62 +402,10 @@ class LabClient:
         return self._url
 
 
-def _text_of(path: Path) -> str:
-    """A file that a person wrote. Raises BadInput."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise BadInput(f"The file {path} cannot be read: {error.strerror or error}.") from None
-    except UnicodeDecodeError:
-        raise BadInput(f"The file {path} is not text.", remedy="Save it as CSV in UTF-8.") from None
-
-
-def _answer(status: int, content: bytes) -> dict[str, Any]:
-    """What the lab said. Raises the error it told of."""
-    try:
-        data = msgspec.json.decode(content)
-    except msgspec.MsgspecError:
-        data = None
-    if not isinstance(data, dict):
-        raise LabUnreachable(
-            f"What answers is no lab (status {status}).", remedy="Check the address of the lab."
-        )
-    if status < 400:
-        return data
-    kind = _errors().get(str(data.get("code")), LabosError)
-    message, remedy = str(data.get("error")), str(data.get("remedy", ""))
-    raise kind(message, remedy=remedy)
-
-
-def _cannot_write(content: bytes) -> LabUnreachable:
-    """What is told of a lab that is there and cannot write, with the lab's own reason and remedy."""
-    told = _told(content)
-    reason = f": {told.error}" if told.error else "."
-    return LabUnreachable(f"The lab cannot write its log at the moment{reason}", remedy=told.remedy)
-
-
-def _told(content: bytes) -> _Told:
-    """The error that the lab told of; its fields are empty if it told of none."""
-    try:
-        return msgspec.json.decode(content, type=_Told)
-    except msgspec.MsgspecError:
-        return _Told()
-
-
 def _remark(finding: Mapping[str, Any]) -> str:
     fields = ("message", "file", "line", "column", "field", "remedy")
     message, *place = (finding[name] for name in fields)
     return str(errors.SpecError(message, **dict(zip(fields[1:], place, strict=True))))
-
-
-def _errors() -> dict[str, type[LabosError]]:
-    """Error classes by their code; those with fields of their own come back as their parents."""
-    found: dict[str, type[LabosError]] = {"spec_errors": BadInput, "spec_error": BadInput}
-    for name, kind in vars(errors).items():
-        if isinstance(kind, type) and issubclass(kind, LabosError) and kind.__init__ is LabosError.__init__:
-            code = "".join(f"_{c.lower()}" if c.isupper() and at else c.lower() for at, c in enumerate(name))
-            found[code] = kind
-    return found
 
 
 def _shown(file: str | Mapping[str, Any]) -> str:

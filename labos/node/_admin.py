@@ -41,7 +41,7 @@ _command = msgspec.json.Decoder(_Command)
 
 class Admin:
     """The commands of ``admin``. ``admission`` fences, ``synced`` waits for the journal, ``fail`` puts
-    the node into an error, ``changed`` tells its state, ``rewind`` rewinds the journal, ``shut_down``
+    the node into an error, ``rewind`` rewinds the journal, ``shut_down``
     asks the node to end, ``carrying`` names the action that carries labware just now, ``trace`` begins or
     ends the transcript of the device's wires and names its file. ``stops`` counts stops, so that an action
     that was only accepted before one does not begin after it."""
@@ -55,20 +55,18 @@ class Admin:
         admission: Admission,
         synced: Callable[[], Awaitable[None]],
         fail: Callable[[str], Awaitable[None]],
-        changed: Callable[[], Awaitable[None]],
         rewind: Callable[[int], None],
         shut_down: Callable[[], None],
         carrying: Callable[[], str],
         trace: Callable[[bool], str] | None = None,
     ) -> None:
-        self.locked = False
         self.stops = 0
         self.stopped_at = 0
         self.stopped_by = ""
         self.variables: dict[str, Any] = {}
         self._module, self._node, self._clock = module, node, clock
         self._admission, self._synced, self._fail = admission, synced, fail
-        self._changed, self._rewind_journal, self._end = changed, rewind, shut_down
+        self._rewind_journal, self._end = rewind, shut_down
         self._carrying, self._switch_trace = carrying, trace
 
     async def on_request(self, payload: bytes) -> bytes:
@@ -89,8 +87,6 @@ class Admin:
             "estop": self._emergency_stop,
             "observe": self._observe,
             "shutdown": self._shut_down,
-            "lock": self._lock,
-            "unlock": self._unlock,
             "settled": self._settled,
             "rewind": self._rewind,
             "trace": self._trace,
@@ -158,14 +154,6 @@ class Admin:
     async def _rewind(self, args: dict[str, Any]) -> None:
         self._rewind_journal(self._admission.check_position(args.get("position")))
         await self._synced()
-
-    async def _lock(self, args: dict[str, Any]) -> None:
-        self.locked = True
-        await self._changed()
-
-    async def _unlock(self, args: dict[str, Any]) -> None:
-        self.locked = False
-        await self._changed()
 
 
 def _stop_in(payload: bytes) -> AdminRequest | None:

@@ -81,7 +81,7 @@ class Memory(msgspec.Struct):
 
     def is_spent(self, position: int) -> bool:
         """Whether an acknowledgement of ``position`` lets the node forget something."""
-        return any(self._left(known, position) is not known for known in self.actions.values())
+        return any(self._remainder(known, position) is not known for known in self.actions.values())
 
     # -- the fold ----------------------------------------------------------------------------
 
@@ -156,14 +156,14 @@ class Memory(msgspec.Struct):
 
     def _forget(self, position: int) -> None:
         for action, known in list(self.actions.items()):
-            left = self._left(known, position)
+            left = self._remainder(known, position)
             if left is None:
                 del self.actions[action]
             else:
                 self.actions[action] = left
 
     @staticmethod
-    def _left(known: Known, position: int) -> Known | None:
+    def _remainder(known: Known, position: int) -> Known | None:
         """What is still to be remembered of an action; itself if that is all."""
         attempts = {n: a for n, a in known.attempts.items() if not _is_spent(a, position)}
         if not attempts and known.void_position <= position:

@@ -34,10 +34,10 @@ async def claim(
         # Somebody may have taken it in the same moment, before either could know.
         await asyncio.sleep(settle_s)
         if others.have_it_before():
-            raise _taken(module)
+            raise _name_taken(module)
     except TimeoutError:
         _let_go(held)
-        raise _taken(module) from None
+        raise _name_taken(module) from None
     except BaseException:
         _let_go(held)
         raise
@@ -96,7 +96,7 @@ def _let_go(handles: list[Handle]) -> None:
         handle.close()
 
 
-def _taken(module: str) -> NameTaken:
+def _name_taken(module: str) -> NameTaken:
     return NameTaken(
         f"Another node already answers as {module!r}.",
         remedy="Stop it first, or give this one another name in the workcell.",

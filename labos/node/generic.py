@@ -25,6 +25,7 @@ from labos.core.effects import (
     Sets,
     Take,
     Unlid,
+    carried,
     is_reported,
     resolve,
 )
@@ -44,13 +45,13 @@ VERBS = {("sealed", True): "seal", ("sealed", False): "peel"}
 """What the simulated bench calls it when a variable of labware is set; else by the action's name."""
 
 
-def with_files(told: Any) -> Any:
+def attach_files(told: Any) -> Any:
     """A result as a description tells it, with its files: there they are ``{file: name, text: content}``."""
     if isinstance(told, dict) and told.keys() == {"file", "text"}:
         return Attachment(str(told["file"]), str(told["text"]).encode())
     if isinstance(told, dict):
-        return {name: with_files(value) for name, value in told.items()}
-    return [with_files(value) for value in told] if isinstance(told, list) else told
+        return {name: attach_files(value) for name, value in told.items()}
+    return [attach_files(value) for value in told] if isinstance(told, list) else told
 
 
 class GenericDevice:
@@ -75,7 +76,7 @@ class GenericDevice:
     async def carry_out(self, spec: ActionSpec, args: dict[str, Any]) -> Any:
         """Do what an action's effects say, in its time. Raises DeviceError, Crash."""
         if not spec.exclusive:
-            await asyncio.sleep(self._scattered(spec.duration_s) / self._setup.pace)
+            await asyncio.sleep(self._random_duration_s(spec.duration_s) / self._setup.pace)
             return self._work(spec, self._resolved(spec, args))
         if self._is_stopped:
             raise DeviceError(f"{self.name} is stopped.", effects="none", remedy="Reset it.")
@@ -83,7 +84,7 @@ class GenericDevice:
             raise DeviceError(f"{self.name} is busy.", effects="none", remedy="Wait until it is idle.")
         effects = self._resolved(spec, args)
         self._check(effects)
-        motions = [effect for effect in effects if isinstance(effect, Move | Take)]
+        motions = carried(effects)
         share_s = spec.duration_s / max(len(motions), 1)
         self.world.enter(self.name, self.name)
         for motion in motions:
@@ -134,22 +135,21 @@ class GenericDevice:
 
     async def _move(self, effect: Move | Take, took_s: float) -> None:
         source, target = self._ends(effect)
-        grips = (effect.source_grip, effect.target_grip) if isinstance(effect, Move) else ("", "")
         if source != f"hand:{self.name}":
             self.world.enter(self.name, source)
             await self._take_time(0.4 * took_s)
-            self.world.grip(self.name, self._lid_at(source, effect, Unlid), grips[0])
+            self.world.grip(self.name, self._lid_at(source, effect, Unlid), effect.source_grip)
         await self._take_time(0.3 * took_s)
         if target != f"hand:{self.name}":
             self.world.enter(self.name, target)
-            self._put_down(self._lid_at(target, effect, Relid), grips[1])
+            self._put_down(self._lid_at(target, effect, Relid), effect.target_grip)
             await self._take_time(0.3 * took_s)
 
     def _ends(self, effect: Move | Take) -> tuple[str, str]:
         """Where a motion begins and ends; its own hand is a place too."""
         hand = {f"{self.name}.{s.name}" for s in self._description.stations if s.kind == "gripper"}
-        source = effect.stack if isinstance(effect, Take) else effect.source
-        return tuple(f"hand:{self.name}" if place in hand else place for place in (source, effect.target))  # type: ignore[return-value]
+        ends = (effect.source, effect.target)
+        return tuple(f"hand:{self.name}" if place in hand else place for place in ends)  # type: ignore[return-value]
 
     def _lid_at(self, place: str, effect: Move | Take, kind: type[Move]) -> str:
         """The lid of the plate at a place, where it is the lid that is carried from or to it."""
@@ -164,7 +164,7 @@ class GenericDevice:
 
     def _work(self, spec: ActionSpec, effects: Iterable[AnyEffect]) -> Any:
         """What is done without carrying anything."""
-        at, result = "", with_files(spec.returns)
+        at, result = "", attach_files(spec.returns)
         changed: dict[str, Any] = {}
         for effect in effects:
             match effect:
@@ -198,7 +198,9 @@ class GenericDevice:
 
     async def _take_time(self, nominal_s: float) -> None:
         """Lab seconds pass. Raises DeviceError if the device is stopped meanwhile."""
-        self._at_work = asyncio.ensure_future(asyncio.sleep(self._scattered(nominal_s) / self._setup.pace))
+        self._at_work = asyncio.ensure_future(
+            asyncio.sleep(self._random_duration_s(nominal_s) / self._setup.pace)
+        )
         try:
             await asyncio.wait({self._at_work})
         finally:
@@ -207,7 +209,7 @@ class GenericDevice:
         if self._is_stopped:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
 
-    def _scattered(self, nominal_s: float) -> float:
+    def _random_duration_s(self, nominal_s: float) -> float:
         """How long it takes this time."""
         return nominal_s * self._random.uniform(1 - SCATTER, 1 + SCATTER)
 

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
+from labos.lockfile import FileLock
 from labos.node.journal import JournalError
 from labos.node.worker import Worker
-from labos.private import FILE, create_file, make_folder, sync_folder
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
+from labos.private import FILE, make_folder, replace_file
 
 
 class FileJournalFile:
@@ -24,7 +19,12 @@ class FileJournalFile:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         make_folder(self.path.parent)
-        self._lock = _lock(self.path.with_name(self.path.name + ".lock"))
+        self._lock = FileLock(self.path.with_name(self.path.name + ".lock"))
+        if not self._lock.acquire(f"process {os.getpid()}"):
+            raise JournalError(
+                f"The journal {self.path} is in use by another process.",
+                remedy="Each module needs a journal of its own; or is this node running already?",
+            )
         self._in_thread = Worker("journal")
         self._fd = -1
         self._end = 0
@@ -42,7 +42,7 @@ class FileJournalFile:
     async def close(self) -> None:
         await self._in_thread(self._release)
         self._in_thread.close()
-        os.close(self._lock)
+        self._lock.release()
 
     # -- in the thread -----------------------------------------------------------------------
 
@@ -67,15 +67,8 @@ class FileJournalFile:
         self._end += len(data)
 
     def _replace(self, data: bytes) -> None:
-        fresh = self.path.with_name(self.path.name + ".new")
-        with create_file(fresh) as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        # Windows does not replace a file that is open.
-        self._release()
-        os.replace(fresh, self.path)
-        sync_folder(self.path.parent)
+        self._release()  # Windows does not replace a file that is open
+        replace_file(self.path, data)
         self._open()
 
     def _open(self) -> None:
@@ -88,20 +81,3 @@ class FileJournalFile:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-
-
-def _lock(path: Path) -> int:
-    """Take the lock that says that this process, and no other, writes the journal."""
-    fd = os.open(path, os.O_RDWR | os.O_CREAT, FILE)
-    try:
-        if sys.platform == "win32":
-            msvcrt.locking(fd, msvcrt.LK_NBLCK, 1)
-        else:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(fd)
-        raise JournalError(
-            f"The journal {path.with_suffix('')} is in use by another process.",
-            remedy="Each module needs a journal of its own; or is this node running already?",
-        ) from error
-    return fd

@@ -93,7 +93,7 @@ class Setup(msgspec.Struct):
         """A station of this module, by its full local name: ``module.station``."""
         return f"{self.name}.{station}"
 
-    def told(self, key: str, example: str = "…") -> Any:
+    def setting(self, key: str, example: str = "…") -> Any:
         """What the workcell file says of this module under a key that the driver cannot do without.
         Raises DeviceError: nothing was asked of the device."""
         if (value := self.config.get(key)) in (None, ""):
@@ -114,10 +114,13 @@ def action(
     aliases: tuple[str, ...] = (),
     recovers: bool = False,
     by_person: bool = False,
+    dangerous: str = "",
 ) -> Callable[[F], F]:
     """Offer a method as an action; ``effects`` may hold ``{argument}`` place-holders. One that
     ``recovers`` may start while the module is in error, and its success ends the error. What is
-    done ``by_person`` stands in the inbox, and ends when a person says so."""
+    done ``by_person`` stands in the inbox, and ends when a person says so. ``dangerous`` names what may hurt
+    or cannot be undone (``laser``, ``hot``, ``irreversible`` …): a workcell may ask for a second person
+    then."""
 
     def mark(method: F) -> F:
         method.__labos_action__ = {  # type: ignore[attr-defined]
@@ -129,6 +132,7 @@ def action(
             "aliases": aliases,
             "recovers": recovers,
             "by_person": by_person,
+            "dangerous": dangerous,
         }
         return method
 

@@ -43,7 +43,7 @@ class Message(msgspec.Struct, frozen=True, tag_field="op"):
 class Start(Message, frozen=True, tag="start"):
     """Carry out an action. ``position`` is that of its request in the log; ``files`` maps file
     arguments to blob digests. ``effects`` are what it is to do to labware, which the node only notes: should
-    the log lose its end, they tell where labware may be."""
+    the log lose its end, they report where labware may be."""
 
     lab: str
     epoch: int
@@ -107,7 +107,7 @@ class ActionReply(msgspec.Struct, frozen=True):
 
     ``attempt`` is the attempt that the status speaks of: an earlier one than the one asked
     about, if that one ran; 0 if none. ``transient`` marks a refusal that may not be repeated
-    later (busy, locked, in error), unlike one of a wrong argument.
+    later (busy, in error), unlike one of a wrong argument.
     """
 
     status: Literal[
@@ -143,9 +143,8 @@ class ResultPublished(msgspec.Struct, frozen=True):
 class StateReport(msgspec.Struct, frozen=True):
     """The ``state`` operation's answer, and the heartbeat. ``running``, ``finished`` and
     ``interrupted`` name actions that the lab has not acknowledged, so that a lost result is
-    noticed. A ``locked`` node takes no actions until it is unlocked. ``stopped_at`` (UTC ns, 0:
-    it was not) and ``stopped_by`` tell of an emergency stop until the module is reset, so that it
-    is recorded even if the log could not be written at the time."""
+    noticed. ``stopped_at`` (UTC ns, 0: it was not) and ``stopped_by`` report an emergency stop until the
+    module is reset, so that it is recorded even if the log could not be written at the time."""
 
     status: NodeStatus
     journal: str
@@ -155,7 +154,6 @@ class StateReport(msgspec.Struct, frozen=True):
     variables: dict[str, Any] = {}
     error: str = ""
     interrupted: list[str] = []
-    locked: bool = False
     stopped_at: int = 0
     stopped_by: str = ""
 
@@ -202,10 +200,12 @@ def skew_with(protocol: int, other: str, version: str) -> str:
 class AboutReport(msgspec.Struct, frozen=True):
     """The ``about`` operation's answer: the driver's description, which device, what is open. ``protocol``
     is the version of this protocol that the node speaks, ``labos`` its LabOS, ``unit`` the serial number of
-    the device that it is pinned to, ``firmware`` the version that the device tells; all may be empty.
+    the device that it is pinned to, ``firmware`` the version that the device tells, ``metrics`` the address
+    (``host:port``) at which Prometheus asks the node; all may be empty.
     ``digest`` is that of the description. ``epoch`` is that of the kernel that the node obeys;
     ``acknowledged`` is the position up to which a kernel of epoch ``acknowledged_by`` told it that the
-    log holds the end of everything, so that a log that was put back from an older copy is noticed."""
+    log holds the end of everything, so that a log that was put back from an older copy is noticed.
+    ``now_ns`` is the time by the clock of the node's host (UTC ns; 0: not told)."""
 
     module: str
     journal: str
@@ -221,6 +221,8 @@ class AboutReport(msgspec.Struct, frozen=True):
     labos: str = ""
     unit: str = ""
     firmware: str = ""
+    metrics: str = ""
+    now_ns: int = 0
 
 
 class AdminRequest(msgspec.Struct, frozen=True):
@@ -341,6 +343,14 @@ class Keys:
     def setup(self) -> str:
         """Where the kernel answers SetupRequests."""
         return f"{self.root}/@setup"
+
+    def setup_of(self, module: str) -> str:
+        """The same for one module: on a secure bus its node may ask here only."""
+        return f"{self.root}/@setup/{module}"
+
+    @property
+    def all_setups(self) -> str:
+        return self.setup_of("*/*")
 
     @property
     def files(self) -> str:

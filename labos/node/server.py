@@ -17,7 +17,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.canonical import canonical, digest
-from labos.core.effects import Move, Take
+from labos.core.effects import carried
 from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown, Unreadable
 from labos.node import arguments
@@ -65,7 +65,9 @@ class NodeServer:
     ``run_blocking`` runs plain ``def`` actions, by default in one thread of their own. ``files``
     reaches the lab's files; without it an action is given their names only.
     ``settle_s`` is how long to look for another node of this name, ``grace_s`` how long to wait
-    for one that is seen to go away. ``stopping`` is set when somebody asked for a shutdown.
+    for one that is seen to go away. ``stopping`` is set when somebody asked for a shutdown. ``metrics`` is
+    the address that ``about`` tells; ``on_end`` is told of each action that ends, with None where nobody
+    knows how.
     """
 
     def __init__(
@@ -85,6 +87,8 @@ class NodeServer:
         run_blocking: RunBlocking | None = None,
         files: Files | None = None,
         trace: Callable[[bool], str] | None = None,
+        metrics: str = "",
+        on_end: Callable[[str, Outcome | None], None] | None = None,
     ) -> None:
         self.node = node
         self.journal = journal
@@ -97,6 +101,7 @@ class NodeServer:
         self._heartbeat_s = heartbeat_s
         self._settle_s = settle_s
         self._grace_s = grace_s
+        self._metrics, self._on_end = metrics, on_end or (lambda action, outcome: None)
         self._simulated = node.setup.world is not None if simulated is None else simulated
         self._files = files
         self._worker = Worker("driver")
@@ -118,10 +123,9 @@ class NodeServer:
             admission=self._admission,
             synced=self._synced_if_possible,
             fail=self._condition.fail,
-            changed=self._publish_state,
             rewind=self.journal.rewind,
             shut_down=self.stopping.set,
-            carrying=self._carrying,
+            carrying=self._carrying_action,
             trace=trace,
         )
         self._handles: list[Handle] = []
@@ -201,6 +205,10 @@ class NodeServer:
     def _stops(self) -> int:
         return self._admin.stops
 
+    def is_at_work(self) -> bool:
+        """Whether an action is being carried out."""
+        return bool(self._running)
+
     @property
     def status(self) -> NodeStatus:
         return self._condition.status
@@ -219,7 +227,6 @@ class NodeServer:
             interrupted=by_status["interrupted"],
             variables=self._admin.variables,
             error=self._condition.error,
-            locked=self._admin.locked,
             stopped_at=self._admin.stopped_at,
             stopped_by=self._admin.stopped_by,
         )
@@ -241,6 +248,8 @@ class NodeServer:
             labos=VERSION,
             unit=pinned_unit(self.node.setup),
             firmware=cut(self.node.setup.firmware, NAME_LIMIT),
+            metrics=self._metrics,
+            now_ns=self._clock.now_ns(),
         )
 
     async def _watch(self) -> None:
@@ -318,7 +327,7 @@ class NodeServer:
             return self._reply(
                 "refused", f"The request is for journal {cut(start.journal, 80)}; this is {journal.id}."
             )
-        if told := self._remembered(start.action, start.attempt, start.position):
+        if told := self._reply_from_journal(start.action, start.attempt, start.position):
             if told.attempt != start.attempt and told.status not in ("void", "forgotten"):
                 # This attempt must not run later either, when the earlier one is forgotten.
                 journal.void(start.action, start.attempt, start.position)
@@ -363,36 +372,34 @@ class NodeServer:
         finally:
             self._unanswered.discard(start.action)
         if attempt.status != "running":
-            return self._told(attempt)
+            return self._reply_about(attempt)
         self._spawn(self._publish_state())
         return self._reply("accepted", attempt=start.attempt)
 
     def _why_not_now(self, spec: ActionSpec) -> str:
         if self._closed or self._retired:
             return f"{self.module} is shutting down."
-        if why := self._condition.why_not(spec, self._doing()):
-            return why
-        return f"{self.module} is locked." if self._admin.locked else ""
+        return self._condition.why_not(spec, self._current_action())
 
-    def _doing(self) -> str:
+    def _current_action(self) -> str:
         running = next((a for a in self.journal.open_attempts() if a.action == self._condition.doing), None)
         return f"{running.name} ({running.action})" if running else self._condition.doing
 
-    def _carrying(self) -> str:
+    def _carrying_action(self) -> str:
         """The action that carries labware just now; empty if none does."""
         for attempt in self.journal.open_attempts():
             spec = self._description.action(attempt.name)
             effects = spec.effects if spec is not None and not spec.by_person else ()
-            if attempt.action in self._running and any(isinstance(e, Move | Take) for e in effects):
+            if attempt.action in self._running and carried(effects):
                 return attempt.name
         return ""
 
-    def _remembered(self, action: str, attempt: int, position: int) -> ActionReply | None:
+    def _reply_from_journal(self, action: str, attempt: int, position: int) -> ActionReply | None:
         """What the journal says of an attempt, if it says anything. An earlier attempt that was
         accepted is the action's truth."""
         known = self.journal.known(action, attempt) or self.journal.earlier(action, attempt)
         if known is not None:
-            return self._told(known)
+            return self._reply_about(known)
         if self.journal.is_void(action, attempt):
             return self._reply("void", attempt=attempt)
         if self.journal.is_forgotten(position):
@@ -400,12 +407,12 @@ class NodeServer:
         return None
 
     async def _on_ask(self, ask: Ask) -> ActionReply:
-        told = self._remembered(ask.action, ask.attempt, ask.position)
+        told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
         if ask.void and (told is None or (told.attempt and told.attempt != ask.attempt)):
             self.journal.void(ask.action, ask.attempt, ask.position)
         await self.journal.synced()
         # While that was written, the action may have ended, or its acceptance may have failed.
-        told = self._remembered(ask.action, ask.attempt, ask.position)
+        told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
         return told or self._reply("unheard")
 
     async def _carry_out(
@@ -457,6 +464,7 @@ class NodeServer:
         before the device stands still."""
         _log.warning("outcome_unknown", module=self.module, action=attempt.action, why=why)
         self.journal.give_up(attempt, cut(why))
+        self._on_end(attempt.name, None)
         del self._running[attempt.action]
         if self._condition.doing in ("", attempt.action):
             await self._condition.settle()
@@ -467,6 +475,7 @@ class NodeServer:
     async def _conclude(self, attempt: Attempt, spec: ActionSpec, outcome: Outcome, stops: int) -> None:
         outcome = msgspec.structs.replace(outcome, ended_ns=self._clock.now_ns())
         self.journal.end(attempt.action, attempt.attempt, outcome)
+        self._on_end(spec.name, outcome)
         del self._running[attempt.action]
         self._condition.release(attempt.action)
         # One that was stopped meanwhile stays in error: only a later recovery ends that.
@@ -510,7 +519,7 @@ class NodeServer:
         handle_keeper.set(keep)
         current_action.set(attempt.action)
 
-    def _told(self, attempt: Attempt) -> ActionReply:
+    def _reply_about(self, attempt: Attempt) -> ActionReply:
         why = attempt.why or (INTERRUPTED if attempt.status == "interrupted" else "")
         return self._reply(attempt.status, why, outcome=attempt.outcome, attempt=attempt.attempt)
 

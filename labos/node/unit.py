@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labos.errors import NotConnected, WrongDevice
-from labos.private import create_file, sync_folder
+from labos.private import replace_file
 
 if TYPE_CHECKING:
     from labos.node.node import Setup
@@ -71,14 +70,8 @@ def known_unit(file: Path) -> str:
 
 def keep_unit(file: Path, serial: str) -> None:
     """Remember a unit durably. Raises NotConnected."""
-    beside = file.with_name(f"{file.name}.new")
     try:
-        with create_file(beside) as writing:
-            writing.write(json.dumps({"serial": serial}).encode())
-            writing.flush()
-            os.fsync(writing.fileno())
-        os.replace(beside, file)
-        sync_folder(file.parent)
+        replace_file(file, json.dumps({"serial": serial}).encode())
     except OSError as error:
         raise NotConnected(f"The serial number {serial} cannot be kept in {file} ({error}).") from error
 

@@ -13,7 +13,7 @@ from labos.core.ids import ActionId, ModuleName
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError
 from labos.node.protocol import GREATEST, AboutReport, StateReport, Unacknowledged
-from labos.runtime.hearing import Allowance
+from labos.runtime.incoming import RateLimiter
 from labos.runtime.kernel import Kernel
 from labos.runtime.tasks import Tasks
 
@@ -30,7 +30,7 @@ class Discovery:
     def __init__(self, kernel: Kernel, ask_about: Callable[[ModuleName], Awaitable[AboutReport]]) -> None:
         self._kernel, self._ask_about = kernel, ask_about
         self._tasks = Tasks()
-        self._looks = Allowance(kernel.clock, 1.0, 5)
+        self._looks = RateLimiter(kernel.clock, 1.0, 5)
         self._looked_for: dict[ModuleName, frozenset[ActionId]] = {}
         self._in_log: dict[ModuleName, set[ActionId]] = {}
 

@@ -21,6 +21,7 @@ from labos.core.actions import (
     ActionReconciled,
     ActionRejected,
     ActionRequested,
+    ActionStatus,
     ActionSucceeded,
     time_told,
     why_not_believed,
@@ -32,11 +33,13 @@ from labos.core.decide.actions import (
     RefuseAction,
     ResendAction,
 )
-from labos.core.effects import Move, Needs, Take
+from labos.core.effects import Carrying, Needs
 from labos.core.ids import ActionId, ModuleName
-from labos.core.interventions import PLANNED_WORK, InterventionRequested
+from labos.core.interventions import InterventionRequested
+from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
 from labos.core.texts import LONGEST_NAME, cut
+from labos.core.topics import PlannedWork
 from labos.errors import BusError, LabosError, StoreError, Unreadable
 from labos.node.protocol import (
     Acknowledge,
@@ -50,7 +53,7 @@ from labos.node.protocol import (
 )
 from labos.ports import Bus, Handle
 from labos.runtime.doubts import Doubts
-from labos.runtime.hearing import Allowance, module_in, read_reply, read_result
+from labos.runtime.incoming import RateLimiter, module_in, read_reply, read_result
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.runtime.tasks import Tasks
@@ -100,7 +103,7 @@ class Dispatcher:
         self._telling: dict[ModuleName, dict[ActionId, asyncio.Task[None]]] = {}
         self._late: set[ActionId] = set()
         self._fenced: set[ModuleName] = set()
-        self._prompted = Allowance(kernel.clock, 0.1, 50)
+        self._prompted = RateLimiter(kernel.clock, 0.1, 50)
         self.sent = 0
         self.asked = 0
 
@@ -131,7 +134,7 @@ class Dispatcher:
                     self._by_person.discard(event.action)
                     self.tell_settled(event.module, event.action, done=isinstance(event, ActionSucceeded))
                 self._acknowledge_soon(event.module)
-            elif isinstance(event, InterventionRequested) and event.kind == PLANNED_WORK:
+            elif isinstance(event, InterventionRequested) and event.kind == PlannedWork.KIND:
                 self._by_person.add(event.subject)
 
     def reopened(self) -> None:
@@ -142,7 +145,7 @@ class Dispatcher:
         self._asking.clear()
         self._open_at.clear()
         asked = self._kernel.state.interventions.open.values()
-        self._by_person = {question.subject for question in asked if question.kind == PLANNED_WORK}
+        self._by_person = {question.subject for question in asked if question.kind == PlannedWork.KIND}
         for action in self._kernel.state.actions.open.values():
             self._open_at.setdefault(action.module, {})[action.id] = action.position
         for action in self._kernel.state.actions.open.values():
@@ -161,7 +164,7 @@ class Dispatcher:
             name=event.name,
             args=event.args,
             files=event.files,
-            effects=tuple(e for e in event.effects if isinstance(e, Move | Take | Needs)),
+            effects=tuple(e for e in event.effects if isinstance(e, Carrying | Needs)),
         )
         self.sent += 1
         if telling := self._telling.get(event.module):  # it has to know first that a person's work has ended
@@ -206,7 +209,7 @@ class Dispatcher:
                 action = self._open(name)
                 if action is None or action.looks:
                     return
-                if self._state().modules.by_name[action.module].status == "GONE":
+                if self._state().modules.by_name[action.module].status == ModuleStatus.GONE:
                     return  # asked again when the node is back
                 question = Ask(
                     self._kernel.lab, self._kernel.epoch, name, action.attempt, action.position, void=True
@@ -280,10 +283,10 @@ class Dispatcher:
         elif reply.status in ("accepted", "running"):
             kernel.submit(AcceptAction(name, attempt, kernel.clock.now_ns()), by)
         elif reply.status == "finished" and reply.outcome is not None:
-            self._finish(action, reply.attempt or attempt, reply.outcome)
+            self._finish(action, reply.attempt or attempt, reply.journal, reply.outcome)
         elif reply.status == "refused" and started:
             kernel.submit(RefuseAction(name, attempt, reply.why, final=not reply.transient), by)
-        elif reply.status == "void" and action.status == "unknown":
+        elif reply.status == "void" and action.status == ActionStatus.UNKNOWN:
             kernel.submit(RefuseAction(name, attempt, "it was never begun there", final=False), by)
         elif reply.status == "void":
             kernel.submit(ResendAction(name, attempt, journal), by)
@@ -295,10 +298,10 @@ class Dispatcher:
             # Also a node that refuses to say: it may be at it all the same.
             kernel.submit(DoubtAction(name, f"its node says {reply.status}: {reply.why}"), by)
 
-    def _finish(self, action: Action, attempt: int, outcome: Outcome) -> None:
+    def _finish(self, action: Action, attempt: int, journal: str, outcome: Outcome) -> None:
         ended_ns = time_told(action, outcome.ended_ns, self._kernel.clock.now_ns())
         said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error, ended_ns, outcome.collided)
-        self._kernel.submit(FinishAction(action.id, attempt, *said), str(action.module))
+        self._kernel.submit(FinishAction(action.id, attempt, *said, journal), str(action.module))
 
     # -- publications ------------------------------------------------------------------------
 
@@ -327,7 +330,7 @@ class Dispatcher:
         if not why and named != result.action:
             why = f"it came under the key of action {named}"
         if told and not why:
-            self._finish(action, result.attempt, result.outcome)
+            self._finish(action, result.attempt, result.journal, result.outcome)
             return
         of_earlier = module == action.module and 0 < result.attempt < action.attempt
         if why and not of_earlier:  # which may have been long on its way

@@ -8,7 +8,7 @@ from labos.core.decide.doubts import DoubtNode, OutrankNode
 from labos.core.ids import ModuleName
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import LabosError, StoreError
-from labos.runtime.hearing import Allowance
+from labos.runtime.incoming import RateLimiter
 from labos.runtime.kernel import Kernel
 
 ASK_AGAIN_S = 3600.0
@@ -25,9 +25,9 @@ class Doubts:
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
-        self._questions = Allowance(kernel.clock, ASK_AGAIN_S)
-        self._outranked = Allowance(kernel.clock, ASK_AGAIN_S)
-        self._lines = Allowance(kernel.clock, LOG_AGAIN_S)
+        self._questions = RateLimiter(kernel.clock, ASK_AGAIN_S)
+        self._outranked = RateLimiter(kernel.clock, ASK_AGAIN_S)
+        self._lines = RateLimiter(kernel.clock, LOG_AGAIN_S)
         self._left_out = 0
 
     def note(self, what: str, module: str, why: str) -> None:

@@ -21,28 +21,28 @@ import msgspec
 PACKET = 65536
 
 
-class Start(msgspec.Struct, tag="start"):
+class StartChild(msgspec.Struct, tag="start"):
     """Become the program with these words; with the packet come the descriptors of its standard input and of
     its log."""
 
     words: tuple[str, ...]
 
 
-class Started(msgspec.Struct, tag="started"):
-    """A child of that process id runs, for the oldest ``Start`` not answered. ``pid`` 0: ``why`` not."""
+class ChildStarted(msgspec.Struct, tag="started"):
+    """A child of that process id runs, for the oldest ``StartChild`` not answered. ``pid`` 0: ``why`` not."""
 
     pid: int
     why: str = ""
 
 
-class Ended(msgspec.Struct, tag="ended"):
+class ChildEnded(msgspec.Struct, tag="ended"):
     """A child ended, with the code that ``subprocess`` would give: negative for a signal."""
 
     pid: int
     code: int
 
 
-Answer = Started | Ended
+Answer = ChildStarted | ChildEnded
 
 
 def serve(link: socket.socket) -> tuple[str, ...] | None:
@@ -63,11 +63,11 @@ def serve(link: socket.socket) -> tuple[str, ...] | None:
             packet, fds, _, _ = socket.recv_fds(link, PACKET, 2)
             if not packet:
                 return None
-            words = msgspec.json.decode(packet, type=Start).words
+            words = msgspec.json.decode(packet, type=StartChild).words
             try:
                 pid = os.fork()
             except OSError as error:
-                _tell(link, Started(0, str(error)))
+                _tell(link, ChildStarted(0, str(error)))
             else:
                 if pid == 0:
                     signal.set_wakeup_fd(-1)
@@ -77,7 +77,7 @@ def serve(link: socket.socket) -> tuple[str, ...] | None:
                     link.close()
                     _become(words, *fds)
                     return words
-                _tell(link, Started(pid))
+                _tell(link, ChildStarted(pid))
             for fd in fds:
                 os.close(fd)
 
@@ -90,7 +90,7 @@ def _tell_of_the_dead(link: socket.socket) -> None:
             return
         if pid == 0:
             return
-        _tell(link, Ended(pid, os.waitstatus_to_exitcode(status)))
+        _tell(link, ChildEnded(pid, os.waitstatus_to_exitcode(status)))
 
 
 def _tell(link: socket.socket, answer: Answer) -> None:

@@ -6,7 +6,7 @@ to nodes and publications wait until the store says that they are on disk.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import msgspec
 
@@ -14,7 +14,6 @@ from labos.clock import Clock, Ids
 from labos.core.canonical import digest
 from labos.core.envelope import Envelope, Record, seal
 from labos.core.fold import evolve
-from labos.core.ids import RunId
 from labos.core.registry import Event, decode, encode
 from labos.core.state import LabState, fold_fingerprint, from_picture, picture
 from labos.errors import LogDamaged
@@ -39,47 +38,45 @@ class Ledger:
         self.state, self.head = state, head
         self._clock, self._ids = clock, ids
 
-    def write(self, events: Sequence[Event], actor: str, causation: str = "") -> list[Entry]:
-        """Fold events and seal them behind one another. The first is caused by ``causation``,
-        the others by the first. The caller passes the records on to the writer."""
-        entries: list[Entry] = []
+    def write(self, decided: Event, actor: str, causation: str = "") -> Entry:
+        """Fold an event and seal it behind the last one. The caller passes the record on to the writer."""
         state = self.state
-        for decided in events:
-            payload = encode(decided)
-            # What is folded now must be what will be folded again: the event as it is stored.
-            event = decode(decided.TYPE, decided.SCHEMA, payload)
-            stream = event.stream()
-            position = self.head.position + 1
-            recorded_at = max(self._clock.now_ns(), state.recorded_at)
-            envelope = Envelope(
-                lab=self.head.lab,
-                position=position,
-                id=self._ids.new(),
-                stream=stream,
-                version=state.versions.get(stream, 0) + 1,
-                type=event.TYPE,
-                schema=event.SCHEMA,
-                recorded_at=recorded_at,
-                actor=actor,
-                correlation=correlation(state, event),
-                causation=entries[0].record.head.id if entries else causation,
-                digest=digest(payload),
-            )
-            record = seal(self.head.hash, envelope, payload)
-            evolve(state, event, position, recorded_at)
-            self.head = Head(self.head.lab, position, record.hash, self.head.epoch, recorded_at)
-            entries.append(Entry(record, event))
-        return entries
+        payload = encode(decided)
+        # What is folded now must be what will be folded again: the event as it is stored.
+        event = decode(decided.TYPE, decided.SCHEMA, payload)
+        stream = event.stream()
+        position = self.head.position + 1
+        recorded_at = max(self._clock.now_ns(), state.recorded_at)
+        envelope = Envelope(
+            lab=self.head.lab,
+            position=position,
+            id=self._ids.new(),
+            stream=stream,
+            version=state.versions.get(stream, 0) + 1,
+            type=event.TYPE,
+            schema=event.SCHEMA,
+            recorded_at=recorded_at,
+            actor=actor,
+            correlation=correlation(state, event),
+            causation=causation,
+            digest=digest(payload),
+        )
+        record = seal(self.head.hash, envelope, payload)
+        evolve(state, event, position, recorded_at)
+        self.head = Head(self.head.lab, position, record.hash, self.head.epoch, recorded_at)
+        return Entry(record, event)
 
 
 def correlation(state: LabState, event: Event) -> str:
-    """The experiment of the run an event belongs to, else the run, else the experiment."""
+    """The experiment or campaign of the run an event belongs to, else the run, else the experiment or
+    campaign."""
     name = getattr(event, "run", "")
+    belongs = (getattr(event, "experiment", ""), getattr(event, "campaign", ""))
     if name:
         run = state.runs.get(name)
-        experiment = run.experiment if run is not None else getattr(event, "experiment", "")
-        return experiment or name
-    return str(getattr(event, "experiment", ""))
+        experiment, campaign = (run.experiment, run.campaign) if run is not None else belongs
+        return experiment or campaign or name
+    return str(belongs[0] or belongs[1])
 
 
 def load(
@@ -133,8 +130,3 @@ def fold(state: LabState, records: Iterable[Record]) -> None:
 def snapshot(state: LabState, head: Head) -> tuple[int, bytes, str, bytes]:
     """The arguments of ``EventStore.save_snapshot`` for a state at the end of the log."""
     return head.position, head.hash, fold_fingerprint(), picture(state)
-
-
-def run_of(event: Event) -> RunId:
-    """The run an event belongs to, empty if none."""
-    return RunId(str(getattr(event, "run", "")))

@@ -19,17 +19,14 @@ import structlog
 
 from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
-from labos.core.effects import Move, Take, hand_of, places
+from labos.core.effects import carried, hand_of, places
 from labos.core.ids import ActionId, InterventionId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import Intervention, InterventionRequested
 from labos.core.modules import NodeJoined, NodeStateChanged
 from labos.core.state import LabState
 from labos.errors import BusError, LabosError, StoreError
-from labos.ports import Bus
-from labos.runtime.eyes import Eyes, meant, named_by
-from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.tasks import Tasks
+from labos.runtime.observing import ObservingListener, reported_contents, station_named_by
 
 KINDS = ("unknown_action", "lost_labware")
 """Questions about motions that nobody saw end."""
@@ -37,43 +34,27 @@ KINDS = ("unknown_action", "lost_labware")
 _log = structlog.get_logger(__name__)
 
 
-class Reconciler:
-    """Looks for one kernel. ``answer_s`` is how long a node may take to say what it sees."""
-
-    def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0) -> None:
-        self._kernel, self._eyes = kernel, Eyes(kernel, bus, answer_s)
-        self._looking: dict[InterventionId, asyncio.Task[None]] = {}
-        self._tasks = Tasks()
-        self.seen = 0
-
-    def start(self) -> None:
-        """Look from now on, and at once for what is open already."""
-        self._kernel.listeners.append(self)
-        self.reopened()
-
-    def close(self) -> None:
-        if self in self._kernel.listeners:
-            self._kernel.listeners.remove(self)
-        self._tasks.cancel()
+class Reconciler(ObservingListener[InterventionId]):
+    """Finds out for one kernel how motions ended that nobody saw end."""
 
     def committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             match entry.event:
                 case InterventionRequested(kind=kind, intervention=name) if kind in KINDS:
-                    self._look_soon(name)
+                    self._observe_soon(name)
                 case NodeJoined(module=module) | NodeStateChanged(module=module):
-                    self._look_again(module)
+                    self._observe_again(module)
                 case _:
                     pass
 
     def reopened(self) -> None:
         for question in self._kernel.state.interventions.open.values():
             if question.kind in KINDS:
-                self._look_soon(question.id)
+                self._observe_soon(question.id)
 
     # -- the ladder --------------------------------------------------------------------------
 
-    def _look_again(self, module: ModuleName) -> None:
+    def _observe_again(self, module: ModuleName) -> None:
         """A module is back, or at rest: it, or what it sees, may answer now."""
         try:
             questions = list(self._kernel.state.interventions.open.values())
@@ -81,39 +62,34 @@ class Reconciler:
             return  # looked for when the log is open again
         for question in questions:
             if question.kind in KINDS and workcell_of(ModuleName(question.module)) == workcell_of(module):
-                self._look_soon(question.id)
+                self._observe_soon(question.id)
 
-    def _look_soon(self, name: InterventionId) -> None:
-        running = self._looking.get(name)
-        if running is None or running.done():
-            self._looking[name] = self._tasks.spawn(self._look(name))
-
-    async def _look(self, name: InterventionId) -> None:
+    async def _observe(self, name: InterventionId) -> None:
         try:
             question = self._open(name)
             if question is None:
                 return
             module = ModuleName(question.module)
-            wanted = self._wanted(question)
+            wanted = self._possible_places(question)
             if not wanted or not await self._ask(module, wanted, name):
                 return
-            for other in self._seers(wanted, module):
+            for other in self._observers(wanted, module):
                 question = self._open(name)
                 if question is None or self._in_hand(question):
                     return
-                await self._ask(other, self._wanted(question), name)
+                await self._ask(other, self._possible_places(question), name)
         except LabosError as error:
             _log.info("look_given_up", intervention=name, why=str(error))
         finally:
-            if self._looking.get(name) is asyncio.current_task():
-                del self._looking[name]
+            if self._observing.get(name) is asyncio.current_task():
+                del self._observing[name]
 
     async def _ask(self, module: ModuleName, wanted: set[StationName], about: InterventionId) -> bool:
         """Ask a module what it sees, and tell the kernel; whether it answered."""
-        if self._eyes.why_not(module):
+        if self._observer.why_not(module):
             return False  # asked again when it is at rest
         try:
-            sights = await self._eyes.look(module)
+            sights = await self._observer.observe(module)
         except BusError as error:
             _log.info("nothing_seen", module=module, why=str(error))
             return False
@@ -128,7 +104,7 @@ class Reconciler:
         """Whether every place where some labware may be is seen empty at once: told one by one, the
         last place would count as found."""
         question = self._open(about)
-        wanted = self._wanted(question) if question is not None else set()
+        wanted = self._possible_places(question) if question is not None else set()
         known = self._kernel.state.bench.labware.values()
         doubtful = [item.maybe for item in known if item.maybe and wanted.issuperset(item.maybe)]
         return any(all(sights.get(place) in (0, False) for place in maybe) for maybe in doubtful)
@@ -141,37 +117,41 @@ class Reconciler:
         if isinstance(answer, Rejection):
             _log.info("sight_not_taken", module=module, station=station, why=answer.message)
         else:
-            self.seen += 1
+            self.observed += 1
 
     # -- what to look for --------------------------------------------------------------------
 
     def _open(self, name: InterventionId) -> Intervention | None:
         return self._kernel.state.interventions.open.get(name)
 
-    def _wanted(self, question: Intervention) -> set[StationName]:
+    def _possible_places(self, question: Intervention) -> set[StationName]:
         """Where the labware of a question may be now."""
         state = self._kernel.state
         action = state.actions.open.get(ActionId(question.subject))
         effects = action.effects if action is not None else question.motions
-        motions = [effect for effect in effects if isinstance(effect, Move | Take)]
-        wanted = places(effect for effect in motions if isinstance(effect, Take))
+        motions = carried(effects)
+        wanted = places(effect for effect in motions if effect.stock)
         for effect in motions:
             labware = state.bench.labware.get(effect.labware)
             wanted |= set(labware.maybe) if labware is not None else set()
-        takes = any(isinstance(effect, Take) for effect in motions)
+        takes = any(effect.stock for effect in motions)
         return wanted | ({hand_of(question.module)} if takes else set())
 
     def _in_hand(self, question: Intervention) -> bool:
         hand = self._kernel.state.bench.stations.get(hand_of(question.module))
         return hand is not None and bool(hand.labware)
 
-    def _seers(self, wanted: set[StationName], first: ModuleName) -> list[ModuleName]:
+    def _observers(self, wanted: set[StationName], first: ModuleName) -> list[ModuleName]:
         """The other modules that see one of these places: their own, or said so by ``observes``."""
         found = []
         for name, module in self._kernel.state.modules.by_name.items():
             told = module.spec.config.get("config", module.spec.config)
             sees = told.get("observes", ()) if isinstance(told, Mapping) else ()
-            mine = {named_by(name, str(place)) for place in sees} if isinstance(sees, list | tuple) else set()
+            mine = (
+                {station_named_by(name, str(place)) for place in sees}
+                if isinstance(sees, list | tuple)
+                else set()
+            )
             mine.update(self._kernel.state.bench.by_module.get(name, ()))
             if name != first and mine & wanted:
                 found.append(name)
@@ -181,5 +161,5 @@ class Reconciler:
 def sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
     """What a node says of a station: whether something is there, how much, or its barcode; null if
     it cannot tell."""
-    said = meant(state, what) if station in state.bench.stations else None
+    said = reported_contents(state, what) if station in state.bench.stations else None
     return ObserveStation(station, by, *said) if said is not None else None

@@ -16,11 +16,13 @@ from collections.abc import Callable, Sequence
 import msgspec
 import structlog
 
+from labos.core.actions import ActionStatus
 from labos.core.decide import Rejection
 from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, RecordStop, ReportState
 from labos.core.decide.shorter import Found
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.lab import WorkcellApplied
+from labos.core.modules import ModuleStatus
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError, NoAnswer, StoreError, Unreadable
 from labos.node.journal import knows_more
@@ -28,10 +30,10 @@ from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport, sk
 from labos.ports import Bus, Handle
 from labos.runtime.discovery import Discovery
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.hearing import Allowance, module_in, read_about, read_state
+from labos.runtime.incoming import RateLimiter, module_in, read_about, read_state
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.living import Living
+from labos.runtime.liveness import Liveness
 from labos.runtime.tasks import Tasks
 
 GREET_S = 0.1
@@ -66,17 +68,19 @@ class Registry:
         self._silence_s, self._answer_s, self._barred_s = silence_s, answer_s, barred_s
         self.lab = kernel.lab
         self._keys = Keys(kernel.lab)
-        self._living = Living()
+        self._living = Liveness()
         self._handles: list[Handle] = []
         self._tasks = Tasks()
         self._greeting: dict[ModuleName, bool] = {}
         self._discovery = Discovery(kernel, self._ask_about)
-        self._changes = Allowance(kernel.clock, 0.2, 50)
+        self._changes = RateLimiter(kernel.clock, 0.2, 50)
         self._doubled: dict[ModuleName, float] = {}
         self._barred: dict[ModuleName, float] = {}
         self._starts: list[tuple[int, int]] = []
         self._left = asyncio.Event()
         self.rejected: dict[ModuleName, str] = {}
+        self.metrics: dict[ModuleName, str] = {}
+        """Where the nodes that joined last show their metrics, as ``host:port``."""
 
     async def start(self) -> None:
         """Watch from now on. Nodes that the log believes in but that do not live are lost."""
@@ -215,7 +219,7 @@ class Registry:
     def _is_second(self, module: ModuleName, about: AboutReport) -> bool:
         """Whether the module's own node lives besides the one that answered."""
         known = self._kernel.state.modules.by_name.get(module)
-        if known is None or known.status == "GONE" or known.instance == about.instance:
+        if known is None or known.status == ModuleStatus.GONE or known.instance == about.instance:
             return False
         return known.instance in self._living.of(module)
 
@@ -250,7 +254,7 @@ class Registry:
         status = "IDLE" if report.status == "BUSY" and busy_for_us else report.status
         if self._is_second(module, about):
             self.rejected[module] = TWO_NODES
-        elif known is not None and known.status != "GONE" and known.instance != about.instance:
+        elif known is not None and known.status != ModuleStatus.GONE and known.instance != about.instance:
             self._lose(module, known.instance, "another process took its place")
         answer = self._kernel.submit(
             JoinNode(
@@ -271,6 +275,9 @@ class Registry:
             self.rejected[module] = answer.message
             self._dispatcher.doubts.note("node_not_admitted", module, f"{answer.message} {answer.remedy}")
             return
+        self.metrics.pop(module, None)
+        if about.metrics:
+            self.metrics[module] = cut(about.metrics, LONGEST_NAME)
         if len(self._living.of(module)) < 2:
             self.rejected.pop(module, None)
         if strange:  # a node that had joined before
@@ -341,7 +348,7 @@ class Registry:
             known = self._kernel.state.modules.by_name.get(module)
         except StoreError:
             return  # its node says it again when the log is open
-        if known is not None and known.status != "GONE":
+        if known is not None and known.status != ModuleStatus.GONE:
             self._lose(module, known.instance, why)
             self._greet_soon(module)
 
@@ -356,7 +363,7 @@ class Registry:
             if not self._hear(module, report.instance):
                 return
             known = self._kernel.state.modules.by_name.get(module)
-            if known is None or known.status == "GONE":
+            if known is None or known.status == ModuleStatus.GONE:
                 self._greet_soon(module)
             elif (known.instance, known.journal) == (report.instance, report.journal):
                 self._heed(module, report)
@@ -386,10 +393,12 @@ class Registry:
             self._kernel.submit(ReportState(module, status, report.error), str(module))
         for action in mine:
             ended = action.id in report.finished or action.id in report.interrupted
-            lost = action.status == "accepted" and action.id not in report.running
-            if action.status == "unknown":  # a node that knows no more than that is not asked again
+            lost = action.status == ActionStatus.ACCEPTED and action.id not in report.running
+            if (
+                action.status == ActionStatus.UNKNOWN
+            ):  # a node that knows no more than that is not asked again
                 ended, lost = action.id in report.finished and not action.looks, False
-            if action.status != "reported" and (ended or lost):
+            if action.status != ActionStatus.REPORTED and (ended or lost):
                 self._dispatcher.find_out(action.id)
         self._discovery.heed(module, report)
 
@@ -409,7 +418,7 @@ class Registry:
         now = self._kernel.clock.monotonic()
         modules = self._kernel.state.modules.by_name
         for name, module in modules.items():
-            if module.status != "GONE":
+            if module.status != ModuleStatus.GONE:
                 self._living.expect(name, module.instance, now)
         for name, instance, silent_s in self._living.silent(now, self._silence_s):
             self._living.forget(name, instance)
@@ -423,7 +432,7 @@ class Registry:
         """Two nodes that both go on living under one name are more than one that takes the other's place."""
         known = self._kernel.state.modules.by_name[module]
         living = self._living.of(module)
-        if known.status == "GONE" or known.instance not in living or len(living) < 2:
+        if known.status == ModuleStatus.GONE or known.instance not in living or len(living) < 2:
             if self._doubled.pop(module, None) is not None:
                 self.rejected.pop(module, None)
             return

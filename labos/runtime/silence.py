@@ -9,7 +9,7 @@ LOOK_S = 1.0
 """How often it looks, at the least; ten times within a shorter limit."""
 
 
-class Silence:
+class SilenceTimer:
     """Calls ``on_silence`` when ``sign()`` has stayed the same for ``limit_s``, and again as long as it
     does; None means that nothing was asked, and then nobody looks.
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import msgspec
 import structlog
 
-from labos.runtime.fork_server import PACKET, Answer, Ended, Start
+from labos.runtime.fork_server import PACKET, Answer, ChildEnded, StartChild
 
 PYTHON = (sys.executable, "-m", "labos")
 """How a command begins that the fork server can become."""
@@ -173,7 +173,7 @@ class ForkServer:
         try:
             with log.open("ab") as file:
                 # A packet goes whole or not at all; the queue holds more of them than a lab has nodes.
-                socket.send_fds(link, [msgspec.json.encode(Start(words))], [read, file.fileno()])
+                socket.send_fds(link, [msgspec.json.encode(StartChild(words))], [read, file.fileno()])
         except BaseException:
             _close(write)
             raise
@@ -196,7 +196,7 @@ class ForkServer:
             self._on_answer(msgspec.json.decode(packet, type=Answer))
 
     def _on_answer(self, answer: Answer) -> None:
-        if isinstance(answer, Ended):
+        if isinstance(answer, ChildEnded):
             child = self._children.pop(answer.pid, None)
             if child is not None:
                 child.code = answer.code

@@ -12,7 +12,7 @@ from typing import Any
 
 import structlog
 
-from labos.core.actions import Action, ActionReported
+from labos.core.actions import Action, ActionReported, ActionStatus
 from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.verification import Seen, VerifyAction, disturbed
@@ -20,54 +20,36 @@ from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.texts import cut
 from labos.errors import BusError, LabosError
 from labos.ports import Bus
-from labos.runtime.eyes import Eyes, meant
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.tasks import Tasks
+from labos.runtime.observing import ObservingListener, reported_contents
 
 PAUSE_S = 0.5
 
 _log = structlog.get_logger(__name__)
 
 
-class Verifier:
-    """Looks for one kernel. ``answer_s`` is how long a node may take to say what it sees, ``patience_s``
-    how long an observer is asked that does not."""
+class Verifier(ObservingListener[ActionId]):
+    """Observes for one kernel whether reported actions did what they should. ``patience_s`` is how long an
+    observer is asked that does not answer."""
 
     def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0, patience_s: float = 30.0) -> None:
-        self._kernel, self._eyes, self._patience_s = kernel, Eyes(kernel, bus, answer_s), patience_s
-        self._looking: dict[ActionId, asyncio.Task[None]] = {}
-        self._tasks = Tasks()
-        self.looked = 0
-
-    def start(self) -> None:
-        """Look from now on, and at once for what is reported already."""
-        self._kernel.listeners.append(self)
-        self.reopened()
-
-    def close(self) -> None:
-        if self in self._kernel.listeners:
-            self._kernel.listeners.remove(self)
-        self._tasks.cancel()
+        super().__init__(kernel, bus, answer_s=answer_s)
+        self._patience_s = patience_s
 
     def committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             if isinstance(entry.event, ActionReported):
-                self._look_soon(entry.event.action)
+                self._observe_soon(entry.event.action)
 
     def reopened(self) -> None:
         for action in self._kernel.state.actions.open.values():
-            if action.status == "reported":
-                self._look_soon(action.id)
+            if action.status == ActionStatus.REPORTED:
+                self._observe_soon(action.id)
 
     # -- one action --------------------------------------------------------------------------
 
-    def _look_soon(self, name: ActionId) -> None:
-        running = self._looking.get(name)
-        if running is None or running.done():
-            self._looking[name] = self._tasks.spawn(self._look(name))
-
-    async def _look(self, name: ActionId) -> None:
+    async def _observe(self, name: ActionId) -> None:
         """Look until what was seen held still meanwhile, and was all there was to see."""
         clock = self._kernel.clock
         give_up = clock.monotonic() + self._patience_s
@@ -78,22 +60,22 @@ class Verifier:
                     await asyncio.sleep(PAUSE_S)
                     continue
                 before = self._scene(action)
-                seen, unseen = await self._sights(action)
+                observed, unseen = await self._observations(action)
                 if self._reported(name) is None:
                     return
                 if unseen and self._at_work(action):
                     give_up = clock.monotonic() + self._patience_s
                 if self._scene(action) == before and (not unseen or clock.monotonic() >= give_up):
-                    self._tell(action, seen, unseen)
+                    self._tell(action, observed, unseen)
                     return
                 await asyncio.sleep(PAUSE_S)
         except LabosError as error:
             _log.info("look_given_up", action=name, why=str(error))  # looked again when it is open again
         finally:
-            if self._looking.get(name) is asyncio.current_task():
-                del self._looking[name]
+            if self._observing.get(name) is asyncio.current_task():
+                del self._observing[name]
 
-    async def _sights(self, action: Action) -> tuple[tuple[Seen, ...], str]:
+    async def _observations(self, action: Action) -> tuple[tuple[Seen, ...], str]:
         """What the observers see where an action should have had its effect; and why not all was seen."""
         state = self._kernel.state
         by_observer: dict[ModuleName, list[StationName]] = {}
@@ -101,28 +83,28 @@ class Verifier:
             station = state.bench.stations.get(place)
             if station is not None and station.spec.watched:
                 by_observer.setdefault(station.spec.observer, []).append(place)
-        seen: list[Seen] = []
+        observed: list[Seen] = []
         unseen: list[str] = [] if by_observer else ["nobody looks there any more"]
         for observer, places in by_observer.items():
-            why = self._eyes.why_not(observer)
+            why = self._observer.why_not(observer)
             sights: dict[StationName, Any] = {}
             try:
-                sights = {} if why else await self._eyes.look(observer)
+                sights = {} if why else await self._observer.observe(observer)
             except BusError as error:
                 why = str(error).rstrip(".")
             for place in places:
-                said = meant(self._kernel.state, sights.get(place))
+                said = reported_contents(self._kernel.state, sights.get(place))
                 if said is not None:
-                    seen.append(Seen(place, local(observer), *said))
+                    observed.append(Seen(place, local(observer), *said))
                 else:
                     what = why or "it does not say"
                     unseen.append(f"{local(observer)} does not see what stands at {local(place)}: {what}")
-        return tuple(seen), cut("; ".join(unseen))
+        return tuple(observed), cut("; ".join(unseen))
 
-    def _tell(self, action: Action, seen: tuple[Seen, ...], unseen: str) -> None:
-        self.looked += 1
-        self._submit(VerifyAction(action.id, seen, unseen), action)
-        for sight in seen:
+    def _tell(self, action: Action, observed: tuple[Seen, ...], unseen: str) -> None:
+        self.observed += 1
+        self._submit(VerifyAction(action.id, observed, unseen), action)
+        for sight in observed:
             station = self._kernel.state.bench.stations.get(sight.station)
             if station is None:
                 continue  # the workcell was changed meanwhile
@@ -142,7 +124,7 @@ class Verifier:
 
     def _reported(self, name: ActionId) -> Action | None:
         action = self._kernel.state.actions.open.get(name)
-        return action if action is not None and action.status == "reported" else None
+        return action if action is not None and action.status == ActionStatus.REPORTED else None
 
     def _at_work(self, action: Action) -> bool:
         """Whether an observer does something else: its device may not be able to look meanwhile."""

@@ -12,15 +12,16 @@ import asyncio
 import math
 import queue
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
 import msgspec
 
 from labos.core.envelope import Record
-from labos.errors import StoreError, StoreUnavailable
+from labos.errors import CommitInDoubt, StoreError, StoreUnavailable
 from labos.ports import EventStore, Head
-from labos.runtime.silence import Silence
+from labos.runtime.silence import SilenceTimer
 
 T = TypeVar("T")
 
@@ -121,7 +122,7 @@ class ThreadWriter:
     waits hears so at once, and what the thread hangs in is broken off.
 
     ``turn`` counts how often it began and gave up: what belongs to an earlier turn is neither written
-    nor told.
+    nor told. ``on_commit`` is told how long each commit took, in seconds.
     """
 
     def __init__(
@@ -139,7 +140,8 @@ class ThreadWriter:
         self._calls: set[asyncio.Future[Any]] = set()
         self._on_durable: Callable[[int], None] = lambda _: None
         self._on_failure: Callable[[StoreError], None] = lambda _: None
-        self._silence = Silence(silence_s, self._sign, self._give_up)
+        self.on_commit: Callable[[float], None] = lambda _: None
+        self._silence = SilenceTimer(silence_s, self._sign, self._give_up)
         self._thread = threading.Thread(target=self._work, name="labos-writer", daemon=True)
         self._thread.start()
 
@@ -203,7 +205,8 @@ class ThreadWriter:
             self._trusted = False
             self._on_failure(error)
 
-    def _durable(self, position: int, turn: int) -> None:
+    def _durable(self, position: int, turn: int, took_s: float) -> None:
+        self.on_commit(took_s)
         if turn == self._turn:
             self._on_durable(position)
 
@@ -240,6 +243,7 @@ class ThreadWriter:
     def _commit(self, records: list[Record], turn: int) -> None:
         if self._head is None or turn != self._turn:
             return  # dropped: an earlier commit failed, or was given up
+        began = time.monotonic()
         try:
             self._head = self._store.append(self._head, records)
         except StoreError as error:
@@ -250,7 +254,7 @@ class ThreadWriter:
             why = StoreUnavailable(f"The store failed unexpectedly: {error!r}.")
             self._tell(self._failed, why, turn)
         else:
-            self._tell(self._durable, self._head.position, turn)
+            self._tell(self._durable, self._head.position, turn, time.monotonic() - began)
 
     def _serve(self, function: Callable[[EventStore], Any], future: asyncio.Future[Any] | None) -> None:
         if future is not None and future.done():
@@ -279,3 +283,9 @@ def _answer(future: asyncio.Future[Any], result: Any) -> None:
 def _fail(future: asyncio.Future[Any], error: BaseException) -> None:
     if not future.done():
         future.set_exception(error)
+
+
+def in_doubt(error: StoreUnavailable) -> CommitInDoubt:
+    """What whoever waits for a commit is told when the store failed in the midst of it."""
+    remedy = f"{error.remedy} Look with `labos log` before you ask for the same again.".strip()
+    return CommitInDoubt(error.message, remedy=remedy)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.ids import ModuleName, StationName, local
+from labos.core.modules import ModuleStatus
 from labos.core.runs import RunState
 from labos.core.state import LabState, state_hash
 from labos.http.stock import put_there
@@ -196,7 +197,9 @@ class SimulatedLab(People):
             put_there(self.world, load, ())
             await self._insist(load, partial(_stands_at, load.station))
         alive = [m.name for m in self.stand.workcell.modules if local(m.name) not in self.dead]
-        await self._until(lambda state: all(state.modules.by_name[name].status == "IDLE" for name in alive))
+        await self._until(
+            lambda state: all(state.modules.by_name[name].status == ModuleStatus.IDLE for name in alive)
+        )
 
     # -- judging -----------------------------------------------------------------------------
 
@@ -213,9 +216,11 @@ class SimulatedLab(People):
             for run in [*state.runs.active.values(), *list(state.runs.queued.values())[:3]]:
                 for step, wait in kernel.scheduler.waits(state, run, kernel.clock.now_ns()):
                     waits.append(f"{run.id}#{step} {wait.code} {wait.names}")
-        modules = {local(n): m.status for n, m in state.modules.by_name.items() if m.status != "IDLE"}
+        modules = {
+            local(n): m.status for n, m in state.modules.by_name.items() if m.status != ModuleStatus.IDLE
+        }
         actions = [(a.name, local(a.module), a.status, a.attempt) for a in state.actions.open.values()]
-        active = [(run.id, run.steps) for run in state.runs.active.values()]
+        active = [(run.id, run.statuses) for run in state.runs.active.values()]
         return (
             f"active {active}, queued {len(state.runs.queued)}, "
             f"open {actions}, modules {modules}, "

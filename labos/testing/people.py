@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from labos.core import reasons
 from labos.core.decide import Command
 from labos.core.decide.access import EndAccess, RequestAccess
 from labos.core.decide.experiments import EndExperiment
@@ -17,10 +18,12 @@ from labos.core.decide.nodes import TakeOut
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.ids import SHARED, ExperimentId, ModuleName, StationName, local
-from labos.core.interventions import PLANNED_WORK, Intervention
+from labos.core.interventions import Intervention
 from labos.core.model import Plan, PlanStep
+from labos.core.modules import ModuleStatus
 from labos.core.runs import PENDING
 from labos.core.state import LabState
+from labos.core.topics import PlannedWork, UnknownAction
 from labos.errors import Fenced, LabosError
 from labos.runtime.kernel import Kernel
 from labos.runtime.stop import stop_modules
@@ -125,8 +128,8 @@ class People(Processes):
         if job.experiment is not None:
             request = f"{job.name}/experiment"
             start = msgspec.structs.replace(job.experiment, request=request)
-            await self._insist(start, lambda state: request in state.campaigns.requests)
-            experiment = self.folded().campaigns.requests[request]
+            await self._insist(start, lambda state: request in state.experiments.requests)
+            experiment = self.folded().experiments.requests[request]
         for number, run in enumerate(job.runs):
             request = f"{job.name}/{number}"
             changes: dict[str, Any] = {"request": request}
@@ -138,7 +141,7 @@ class People(Processes):
             await self._until(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
         if experiment:
             await self._insist(EndExperiment(experiment), lambda state: _closed(state, experiment))
-            await self._until(lambda state: experiment not in state.campaigns.experiments)
+            await self._until(lambda state: experiment not in state.experiments.open)
         self.done_jobs.add(job.name)
 
     async def _refill(self, kernel: Kernel) -> None:
@@ -148,26 +151,27 @@ class People(Processes):
         self._seen = kernel.durable
         state, now = kernel.state, kernel.clock.now_ns()
         runs = [*state.runs.active.values(), *state.runs.queued.values()]
-        waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
-        for module, resource in {wait.names: True for wait in waits if wait.code == "used_up"}:
+        whys = [wait.reason for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
+        for why in dict.fromkeys(why for why in whys if isinstance(why, reasons.UsedUp)):
+            module, resource = why.module, why.resource
             self._reach_in(kernel)
             level = state.resources.levels[f"{module}:{resource}"]
             amount = level.capacity - level.level
             self.world.supply(local(module), resource, amount)
             fresh = Replenish(ModuleName(module), resource, amount, f"lot{self.kernels}")
             await self._tell(kernel, fresh)
-        for stack in {wait.names[0]: True for wait in waits if wait.code == "stack_empty"}:
+        for stack in {why.place: True for why in whys if isinstance(why, reasons.StackEmpty)}:
             await self._reload(kernel, StationName(stack))
 
     async def _tidy(self, kernel: Kernel) -> None:
         """Somebody takes away what stands in the way of runs and belongs to no run any more."""
         state, now = kernel.state, kernel.clock.now_ns()
         runs = [*state.runs.active.values(), *list(state.runs.queued.values())[:1]]
-        waits = [wait for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
-        places = {StationName(wait.names[0]): True for wait in waits if wait.code == "occupied"}
-        for module in [ModuleName(wait.names[0]) for wait in waits if wait.code == "held"]:
+        whys = [wait.reason for run in runs for _, wait in kernel.scheduler.waits(state, run, now)]
+        places = {StationName(why.place): True for why in whys if isinstance(why, reasons.Occupied)}
+        for module in [ModuleName(why.module) for why in whys if isinstance(why, reasons.Held)]:
             places |= dict.fromkeys(state.bench.by_module.get(module, ()), True)
-        if not state.runs.active and any(wait.code == "no_way_out" for wait in waits):
+        if not state.runs.active and any(isinstance(why, reasons.NoWayOut) for why in whys):
             known = state.bench.stations
             places = {n: True for n, s in known.items() if s.labware and not s.spec.is_storage}
         self._cleared |= {place for place in places if _is_left(state, place)}
@@ -206,17 +210,18 @@ class People(Processes):
             try:
                 await self._ask(kernel, kernel.written())
                 questions = list(kernel.state.interventions.open.values())
-                modules = [m for m in kernel.state.modules.by_name.values() if m.status == "ERROR"]
+                modules = [m for m in kernel.state.modules.by_name.values() if m.status == ModuleStatus.ERROR]
                 if self.refills:
                     await self._refill(kernel)
                 if self.tidies:
                     await self._tidy(kernel)
                 for question in questions:
-                    if question.kind == PLANNED_WORK and self.rng.random() < LATE:
+                    if isinstance(question.topic, PlannedWork) and self.rng.random() < LATE:
                         continue  # there is something else to do first
                     if self.is_moving(question.module):
                         continue  # nobody reaches into that
-                    if question.kind == "unknown_action" and not await self._rests(kernel, question.module):
+                    unknown = isinstance(question.topic, UnknownAction)
+                    if unknown and not await self._rests(kernel, question.module):
                         continue  # it may go on when its node is back
                     if not await self._may_touch(kernel):
                         break  # what fell first is asked about first
@@ -235,9 +240,9 @@ class People(Processes):
         switched off."""
         module = kernel.state.modules.by_name[ModuleName(name)]
         lost = local(name) in self.dead and local(name) not in self.mended
-        if module.status == "GONE" and lost and not module.out_of_service:
+        if module.status == ModuleStatus.GONE and lost and not module.out_of_service:
             await self._tell(kernel, TakeOut(module.spec.name, "switched off"))
-        return module.status != "GONE" or bool(module.out_of_service)
+        return module.status != ModuleStatus.GONE or bool(module.out_of_service)
 
     async def _may_touch(self, kernel: Kernel) -> bool:
         """Ask for access, if this person does, and wait a while until it is granted; it stays asked for."""
@@ -327,7 +332,7 @@ class People(Processes):
             if run is None:
                 return True
             # A kernel that another one has ended may have given this name to a shorter run.
-            return meddle.step < len(run.steps) and run.steps[meddle.step] != PENDING
+            return meddle.step < len(run.steps) and run.steps[meddle.step].status != PENDING
 
         await self._until(begun, look_s=1.0)  # a picture takes five
         for after_s, deed in meddle.deeds(name):
@@ -348,7 +353,7 @@ class People(Processes):
 
 
 def _closed(state: LabState, experiment: ExperimentId) -> bool:
-    found = state.campaigns.experiments.get(experiment)
+    found = state.experiments.open.get(experiment)
     return found is None or found.status == "closing"
 
 

@@ -6,8 +6,9 @@ from labos.core.actions import Action
 from labos.core.effects import Claims, Move, Relid, Take, Unlid
 from labos.core.holding import claimed_by_other, used_meanwhile
 from labos.core.ids import ActionId, RunId, local
-from labos.core.interventions import PLANNED_WORK, Intervention
+from labos.core.interventions import Intervention
 from labos.core.state import LabState
+from labos.core.topics import FailedStep, LateStep, LeftLabware, LostLabware, PlannedWork, UnknownAction
 from labos.node.world import FLOOR, World, lid_of
 from labos.services.truth import bench_name
 
@@ -17,7 +18,7 @@ UNDONE_BY = (("pick_pipette", "place_pipette"), ("create_sample", "dispose_tip")
 
 def look(world: World, state: LabState, question: Intervention) -> str:
     """Look at the bench, put right what is in the way, and choose an answer."""
-    if question.kind == "unknown_action":
+    if isinstance(question.topic, UnknownAction):
         action = state.actions.open[ActionId(question.subject)]
         for effect in action.effects:
             if isinstance(effect, Move):
@@ -25,9 +26,9 @@ def look(world: World, state: LabState, question: Intervention) -> str:
             if isinstance(effect, Take):
                 return _look_for_take(world, state, local(action.module), effect)
         return _look_at_device(world, state, action)
-    if question.kind == "lost_labware":
+    if isinstance(question.topic, LostLabware):
         return _look_for_lost(world, state, question)
-    if question.kind == "failed_run":
+    if isinstance(question.topic, LeftLabware):
         for name in question.labware:
             labware = state.bench.labware.get(name)
             if labware is not None and labware.station:
@@ -35,11 +36,11 @@ def look(world: World, state: LabState, question: Intervention) -> str:
                 for plate in world.at(bench_name(station.spec))[-1:]:
                     world.carry(plate, "")
         return "removed"
-    if question.kind == PLANNED_WORK:
+    if isinstance(question.topic, PlannedWork):
         return _do_work(world, state, question)
-    if question.kind == "late_step":
+    if isinstance(question.topic, LateStep):
         return question.choices[int(question.run[1:]) % len(question.choices)].name
-    if question.kind == "failed_step":
+    if isinstance(question.topic, FailedStep):
         return question.choices[(int(question.id[1:]) + int(question.run[1:])) % len(question.choices)].name
     return question.choices[0].name
 

@@ -26,7 +26,8 @@ from labos.node.server import NodeServer
 from labos.node.world import World
 from labos.planning.scheduler import Scheduler
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import fold
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
@@ -228,10 +229,14 @@ class Processes:
         reconciler = Reconciler(kernel, bus)
         reconciler.start()
         Verifier(kernel, bus).start()
+        self._serve(kernel)
         self._serving.append(kernel)
         self.kernel = self._latest()
         await kernel.failed
         process.kill()
+
+    def _serve(self, kernel: Kernel) -> None:
+        """What else a kernel's process does: nothing, but in labs that say so."""
 
     def _bury(self, name: str) -> None:
         self.dead.add(name)

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import Move, Sets, Take
+from labos.core.effects import Sets, carried
 from labos.core.model import ActionSpec, Arg, Description
 from labos.node.torture import Case, Torture
 from labos.torture.bench import named
@@ -104,7 +104,7 @@ def _beyond(arg: Arg, limit: float, side: int) -> float:
 
 
 def moves_labware(spec: ActionSpec) -> bool:
-    return any(isinstance(effect, Move | Take) for effect in spec.effects)
+    return bool(carried(spec.effects))
 
 
 def works_a_gate(spec: ActionSpec) -> bool:

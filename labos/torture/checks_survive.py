@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from labos.node.protocol import Outcome
 from labos.torture.bench import told
 from labos.torture.checks_speak import needs_a_wire
+from labos.torture.observation import observe_bench
 from labos.torture.session import END_S, REST_S, TRIES, Done, Failed, LeftOut, Session, case_key
-from labos.torture.sight import look
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,11 +38,11 @@ IDLE_TOO_SOON = "ready for new work while its device still moves"
 
 
 async def state_is_true(on: Session) -> None:
-    """Levels that it tells are those on the bench; what it sees without having moved is so."""
+    """Levels that it reports are those on the bench; what it observes without having moved is so."""
     case = on.motion()
     done = await on.begin(case)
     await on.end(done)
-    await look(on, done)
+    await observe_bench(on, done)
     on.sights.clear()
     report = await on.kernel.resources()
     if report.error:
@@ -59,7 +59,7 @@ async def state_is_true(on: Session) -> None:
 
 
 async def device_error(on: Session) -> None:
-    """An error of the device is told as one, with what is known of its effects; a reset ends it."""
+    """An error of the device is reported as one, with what is known of its effects; a reset ends it."""
     if not on.torture.faults:
         raise LeftOut("TORTURE names no fault of the device")
     case = on.motion()
@@ -109,7 +109,7 @@ async def stop(on: Session) -> None:
 
 
 async def estop(on: Session) -> None:
-    """An emergency stop in mid-motion is told until a reset, and nothing begins before."""
+    """An emergency stop in mid-motion is reported until a reset, and nothing begins before."""
     await _stopped(on, "estop")
 
 
@@ -117,7 +117,7 @@ async def _stopped(on: Session, command: str) -> None:
     case = on.motion()
     expected = on.reference[case_key(case)]
     done, reply, outcome = await _stopped_midway(on, case, command)
-    await look(on, done)
+    await observe_bench(on, done)
     if not reply.done and not reply.why:
         raise Failed(f"{command} fails without a word")
     if outcome.succeeded and on.deeds(done) != expected:
@@ -263,7 +263,7 @@ async def _one_spoiled(on: Session, mode: Mode, order: bytes, stray: bytes = b""
     relay.restore()
     await on.at_rest()
     await on.judge(done, outcome)
-    await look(on, done)
+    await observe_bench(on, done)
     await on.recover()
 
 
@@ -303,7 +303,7 @@ async def _settle(on: Session, done: Done, outcome: Outcome) -> None:
     relay.plug()
     await on.at_rest()
     await on.judge(done, outcome)
-    await look(on, done)
+    await observe_bench(on, done)
     await on.recover()
     await on.works_again(done.case)
 
@@ -418,7 +418,7 @@ async def _reconciled(on: Session, done: Done, outcome: Outcome | None) -> None:
         on.sights.append((done.case.action, True))  # by the device's own record of it
         return
     before = len(on.sights)
-    await look(on, done)
+    await observe_bench(on, done)
     if len(on.sights) == before:
         on.sights.append((done.case.action, False))
 

@@ -489,7 +489,7 @@ class Session:
         with contextlib.suppress(NoAnswer):
             if self._process is not None and self._process.poll() is None:
                 state = await self.kernel.state()
-                if state.status == "IDLE" and not state.locked and not fresh:
+                if state.status == "IDLE" and not fresh:
                     return
                 with contextlib.suppress(Failed):
                     await self.recover()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from labos.adapter._channels import missing_package
-from labos.adapter._http import Lost
+from labos.adapter._http import NoResponse
 from labos.adapter.sila.features import Basic, Command, Element, Feature, ListOf, Property, read_feature
 from labos.adapter.sila.messages import Messages
 from labos.errors import DeviceError
@@ -117,7 +117,7 @@ class Client:
             data = self.encoded(asking, {"FeatureIdentifier": name})
             try:
                 told = await self.call(asking, data, limit_s=READ_S)
-            except (Lost, SilaError) as error:
+            except (NoResponse, SilaError) as error:
                 raise DeviceError(f"{name} is not described ({error}).", effects="none") from error
             feature = read_feature(told["FeatureDefinition"])
             known = feature.originator, feature.category, feature.name
@@ -146,7 +146,7 @@ class Client:
                 data = await self._call(path, b"", READ_S)
             elements = (Element(told.name, told.type),)
             return self._messages.decode(told.package, f"{told.method}_Responses", elements, data)[told.name]
-        except (Lost, SilaError, StopAsyncIteration, ValueError) as error:
+        except (NoResponse, SilaError, StopAsyncIteration, ValueError) as error:
             raise DeviceError(
                 f"{self.address} does not tell {told.feature}.{told.name} ({error or 'it ended'}).",
                 effects="none",
@@ -170,9 +170,9 @@ class Client:
         try:
             execution = str(self._messages.framework("CommandConfirmation", told).commandExecutionUUID.value)
         except ValueError as error:
-            raise Lost(str(error)) from error
+            raise NoResponse(str(error)) from error
         if not execution:
-            raise Lost("the server gave no UUID")
+            raise NoResponse("the server gave no UUID")
         return execution
 
     async def infos(self, command: Command, execution: str, *, limit_s: float) -> AsyncGenerator[int, None]:
@@ -241,8 +241,8 @@ class Client:
         if code in NOT_CARRIED_OUT:
             return DeviceError(f"{self.address} refuses the call: {words or code}.", effects="none")
         if code == "DEADLINE_EXCEEDED" and limit_s is not None:
-            return Lost(f"{called}: no answer within {limit_s:g} s")
-        return Lost(f"{called}: {code}: {words}" if words else f"{called}: {code}")
+            return NoResponse(f"{called}: no answer within {limit_s:g} s")
+        return NoResponse(f"{called}: {code}: {words}" if words else f"{called}: {code}")
 
     def _sila_error(self, words: str) -> SilaError | None:
         """SiLA's own error, which a server puts into gRPC's message."""

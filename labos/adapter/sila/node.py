@@ -15,11 +15,11 @@ from typing import Any, ClassVar
 
 from labos.adapter._channels import SETTLED, Reading, fits
 from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
-from labos.adapter._http import Lost
+from labos.adapter._http import NoResponse
 from labos.adapter.sila.client import Client, SilaError, certificate_in
 from labos.adapter.sila.describe import actions_of, alike, find_command, find_property
 from labos.adapter.sila.features import Command
-from labos.adapter.sila.results import as_lines, kept, with_files
+from labos.adapter.sila.results import as_lines, result_with_files, with_files
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup
@@ -136,6 +136,8 @@ class SilaNode(ForeignNode):
     async def _learn(self) -> None:
         if not self._learned:
             await self.client.learn()
+            with contextlib.suppress(DeviceError):
+                self.note_version(await self.client.about("ServerVersion"))
             self._learned = True
 
     def _absent_words(self) -> str:
@@ -214,7 +216,7 @@ class SilaNode(ForeignNode):
                 return
             execution = await self.client.initiate(command, data, limit_s=START_S)
             await self._end(command, execution)
-        except (Lost, OutcomeUnknown) as lost:
+        except (NoResponse, OutcomeUnknown) as lost:
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
         except SilaError as error:
             raise self._failure(name, error) from error
@@ -231,11 +233,11 @@ class SilaNode(ForeignNode):
         await self.note_handle(SENT)
         try:
             if not command.observable:
-                return kept(await self._answer(spec, command, data))
+                return result_with_files(await self._answer(spec, command, data))
             execution = await self.client.initiate(command, data, limit_s=START_S)
         except SilaError as error:
             raise self._failure(command.full_name, error) from error
-        except Lost as lost:
+        except NoResponse as lost:
             await self._until_at_rest()
             why = NO_UUID if command.observable else NO_RECORD
             raise OutcomeUnknown(f"its answer was lost ({lost}); {why}") from lost
@@ -292,11 +294,11 @@ class SilaNode(ForeignNode):
     async def _outcome(self, spec: ActionSpec, command: Command, execution: str) -> Any:
         """The result of an execution, and what it told on its way, if that is to be kept."""
         if spec.name not in self.mapping.intermediate or not command.intermediate:
-            return kept(await self._end(command, execution))
+            return result_with_files(await self._end(command, execution))
         told: list[dict[str, Any]] = []
         listening = asyncio.ensure_future(self._listen(command, execution, told))
         try:
-            result = kept(await self._end(command, execution))
+            result = result_with_files(await self._end(command, execution))
             # What it told last may still be on its way.
             await asyncio.wait({listening}, timeout=self.poll_s)
         finally:
@@ -315,7 +317,7 @@ class SilaNode(ForeignNode):
                 return
             except SilaError:
                 return
-            except (Lost, ValueError):
+            except (NoResponse, ValueError):
                 await asyncio.sleep(self.poll_s)
 
     async def _end(self, command: Command, execution: str) -> dict[str, Any]:
@@ -339,7 +341,7 @@ class SilaNode(ForeignNode):
                     silence.go_on(error)
                 else:
                     silence.end()
-            except (Lost, ValueError) as lost:
+            except (NoResponse, ValueError) as lost:
                 silence.go_on(lost)
             except DeviceError as refused:
                 if refused.effects != "none":

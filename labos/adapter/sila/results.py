@@ -8,7 +8,7 @@ from typing import Any
 from labos.node.files import Attachment
 
 
-def kept(responses: dict[str, Any]) -> Any:
+def result_with_files(responses: dict[str, Any]) -> Any:
     """A result: values by the names of the responses, with what stands for those that are files."""
     files = {name: Attachment(name, value) for name, value in responses.items() if isinstance(value, bytes)}
     plain = {name: value for name, value in responses.items() if name not in files}

@@ -25,7 +25,7 @@ class CLASS(Node):
     def _port(self) -> str:
         """That of the instrument; in a simulated lab (`labos up --simulate`) that of a simulated one."""
         if self.setup.world is None:
-            return str(self.setup.told("port", "/dev/serial/by-id/…"))
+            return str(self.setup.setting("port", "/dev/serial/by-id/…"))
         if self.simulated is None:
             self.simulated = Device(self.setup)
             self.simulated.start()

@@ -9,7 +9,7 @@ from labos.torture.bench import as_seen
 from labos.torture.session import Done, Failed, Session, case_key
 
 
-async def look(on: Session, done: Done) -> None:
+async def observe_bench(on: Session, done: Done) -> None:
     """Note whether ``observe`` settles what became of an attempt. Raises Failed if it says what is not
     so."""
     reply = await on.kernel.admin("observe")

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import click
+import msgspec
 
-from labos.cli._query import Where, now_ns, reading
+from labos.cli._query import Where, now_ns, open_log
+from labos.cli._remote import lab_of
 from labos.core.ids import local
 from labos.core.modules import Module
 from labos.core.state import LabState
@@ -20,13 +22,18 @@ from labos.store import lease_holder
 
 def lab_now(url: str, head: Head) -> int:
     """The present (UTC ns) where a kernel lives; else the last event, for nothing went on since."""
-    return max(now_ns(), head.recorded_at) if lease_holder(url) else head.recorded_at
+    return max(now_ns(), head.recorded_at) if has_kernel(url) else head.recorded_at
+
+
+def has_kernel(url: str) -> bool:
+    """Whether a kernel runs the lab of a database; one that answers over HTTP does."""
+    return url.startswith(("http://", "https://")) or bool(lease_holder(url))
 
 
 def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
     """Say on stderr, where no kernel runs the lab, how old what is shown is. ``last_known``: it is the
     state, not the story."""
-    if head.position and not lease_holder(url):
+    if head.position and not has_kernel(url):
         when = show_time(head.recorded_at)
         ends = "; last known:" if last_known else "."
         click.echo(f"labos: No kernel runs this lab. Its last event was at {when}{ends}", err=True)
@@ -36,22 +43,22 @@ def open_questions(home: str | None) -> list[dict[str, Any]]:
     """The questions that the running lab asks; where none runs, those that its log last knew. Raises NotFound
     where there is no log either."""
     settings = Settings.of(home)
-    if find_kernel(settings.home) is not None:
-        from labos.client import LabClient
+    if lab_of(home) or find_kernel(settings.home) is not None:
+        from labos.cli._lab import need_lab
 
-        with LabClient(home=settings.home) as client:
+        with need_lab(home) as client:
             return list(client.state(waits=False)["interventions"])
     from labos.http.views import question_view
 
     state = last_state(settings)
-    return [question_view(state, asked) for asked in state.interventions.open.values()]
+    return [msgspec.to_builtins(question_view(state, asked)) for asked in state.interventions.open.values()]
 
 
 def last_state(settings: Settings) -> LabState:
     """The state that the log of a lab without a kernel ends with, said to be that. Raises NotFound where
     there is no log."""
     try:
-        with reading(Where(settings.home, settings.database)) as store:
+        with open_log(Where(settings.home, settings.database)) as store:
             say_if_dead(settings.database, store.head())
             return state_at(store)
     except StoreUnavailable as error:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
 from labos.core.ids import LabwareId, ModuleName, StationName, workcell_of
+from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
 from labos.core.texts import cut
 from labos.errors import NoAnswer
@@ -15,6 +18,10 @@ from labos.node.limits import REPLY_LIMIT, read
 from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.ports import Bus
 from labos.runtime.kernel import Kernel
+from labos.runtime.ledger import Entry
+from labos.runtime.tasks import Tasks
+
+Name = TypeVar("Name", bound=str)
 
 _encode = msgspec.json.Encoder().encode
 _reply = msgspec.json.Decoder(AdminReply)
@@ -23,7 +30,7 @@ MOST_SEEN = 10_000
 """No station holds more."""
 
 
-class Eyes:
+class Observer:
     """Asks modules for one kernel. ``answer_s`` is how long a node may take to say what it sees."""
 
     def __init__(self, kernel: Kernel, bus: Bus, answer_s: float) -> None:
@@ -34,16 +41,51 @@ class Eyes:
         known = self._kernel.state.modules.by_name.get(module)
         if known is None:
             return "it does not exist"
-        return "" if known.status in ("IDLE", "ERROR") else f"it is {known.status}"
+        return "" if known.status in (ModuleStatus.IDLE, ModuleStatus.ERROR) else f"it is {known.status}"
 
-    async def look(self, module: ModuleName) -> dict[StationName, Any]:
+    async def observe(self, module: ModuleName) -> dict[StationName, Any]:
         """What a module sees, by station. Raises BusError if it does not say, StoreError."""
-        seen = (await observed(self._kernel, self._bus, module, self._answer_s)).get("labware")
+        seen = (await observe_module(self._kernel, self._bus, module, self._answer_s)).get("labware")
         told = seen if isinstance(seen, Mapping) else {}
-        return {named_by(module, str(place)): what for place, what in told.items()}
+        return {station_named_by(module, str(place)): what for place, what in told.items()}
 
 
-async def observed(kernel: Kernel, bus: Bus, module: ModuleName, answer_s: float) -> Mapping[str, Any]:
+class ObservingListener(ABC, Generic[Name]):
+    """A kernel's listener that observes about what it hears of: one task for each name. ``answer_s`` is how
+    long a node may take to say what it observes; ``observed`` counts."""
+
+    def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0) -> None:
+        self._kernel, self._observer = kernel, Observer(kernel, bus, answer_s)
+        self._observing: dict[Name, asyncio.Task[None]] = {}
+        self._tasks = Tasks()
+        self.observed = 0
+
+    def start(self) -> None:
+        """Observe from now on, and at once for what is open already."""
+        self._kernel.listeners.append(self)
+        self.reopened()
+
+    def close(self) -> None:
+        if self in self._kernel.listeners:
+            self._kernel.listeners.remove(self)
+        self._tasks.cancel()
+
+    @abstractmethod
+    def committed(self, entries: Sequence[Entry]) -> None: ...
+
+    @abstractmethod
+    def reopened(self) -> None: ...
+
+    @abstractmethod
+    async def _observe(self, name: Name) -> None: ...
+
+    def _observe_soon(self, name: Name) -> None:
+        running = self._observing.get(name)
+        if running is None or running.done():
+            self._observing[name] = self._tasks.spawn(self._observe(name))
+
+
+async def observe_module(kernel: Kernel, bus: Bus, module: ModuleName, answer_s: float) -> Mapping[str, Any]:
     """What a module's device sees: variables by name, ``labware`` by station. Raises BusError if its node
     does not say, StoreError."""
     request = AdminRequest(kernel.lab, kernel.epoch, "observe", {})
@@ -55,13 +97,13 @@ async def observed(kernel: Kernel, bus: Bus, module: ModuleName, answer_s: float
     return reply.result if isinstance(reply.result, Mapping) else {}
 
 
-def named_by(module: ModuleName, place: str) -> StationName:
+def station_named_by(module: ModuleName, place: str) -> StationName:
     """A place as a node names it: its own ``nest``, or ``sealer.default`` of another."""
     bare = place.rpartition("/")[2]
     return StationName(f"{workcell_of(module)}/{bare}" if "." in bare else f"{module}.{bare}")
 
 
-def meant(state: LabState, what: Any) -> tuple[int | None, LabwareId] | None:
+def reported_contents(state: LabState, what: Any) -> tuple[int | None, LabwareId] | None:
     """What a node says of a station: whether something is there, how much, or its barcode; as a count
     (null: at least one) and the labware that bears it. None if it cannot tell."""
     if isinstance(what, bool):

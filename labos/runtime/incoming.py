@@ -55,7 +55,7 @@ def read_about(payload: bytes, whose: str) -> AboutReport:
     """What a node says of itself. Raises Unreadable."""
     report = read(payload, _about, whose=whose, limit=LARGEST_ANSWER)
     _check_names(whose, report.journal, report.instance, report.digest)
-    _check_numbers(whose, report.epoch, report.acknowledged, report.acknowledged_by)
+    _check_numbers(whose, report.epoch, report.acknowledged, report.acknowledged_by, report.now_ns)
     return report
 
 
@@ -94,7 +94,7 @@ def _check_numbers(whose: str, *numbers: int) -> None:
             raise Unreadable(f"{whose} told a number that cannot be: {cut(str(number), 30)}.")
 
 
-class Allowance:
+class RateLimiter:
     """Lets something happen ``burst`` times for each module of the lab, and again once every ``every_s``:
     what comes in a flood must not go on as one."""
 

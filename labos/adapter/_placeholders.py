@@ -11,12 +11,12 @@ from labos.errors import DeviceError
 _PLACE = re.compile(r"\{(\w+)\}")
 
 
-def filled(written: Any, values: dict[str, Any], table: str) -> Any:
+def fill(written: Any, values: dict[str, Any], table: str) -> Any:
     """What is written in ``table``, with its place-holders filled in. Raises DeviceError (``none``)."""
     if isinstance(written, dict):
-        return {key: filled(value, values, table) for key, value in written.items()}
+        return {key: fill(value, values, table) for key, value in written.items()}
     if isinstance(written, list):
-        return [filled(value, values, table) for value in written]
+        return [fill(value, values, table) for value in written]
     if not isinstance(written, str):
         return written
     for name in _PLACE.findall(written):

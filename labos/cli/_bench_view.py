@@ -22,7 +22,7 @@ PAUSE_S = 0.1
 HAND, LID = "hand:", lid_of("")
 
 
-class Sight(msgspec.Struct, frozen=True):
+class BenchView(msgspec.Struct, frozen=True):
     """The simulated bench of a workcell. ``places`` maps places to what is there, bottom to top; ``fallen``
     lies on the floor; ``differs`` says in words where the log at ``position`` says otherwise; ``asked`` are
     the questions that wait for a person."""
@@ -39,7 +39,7 @@ class Sight(msgspec.Struct, frozen=True):
         return not self.differs
 
 
-def look_at(store: SqlEventStore, path: Path) -> Sight:
+def read_bench(store: SqlEventStore, path: Path) -> BenchView:
     """Look at a bench that has a file. Bench and log are not read at the same moment: they differ only if
     they still do when nothing has moved, and nothing was written, for a moment."""
     world = World(str(path))
@@ -59,7 +59,7 @@ def look_at(store: SqlEventStore, path: Path) -> Sight:
         world.close()
 
 
-def _compare(world: World, workcell: str, state: LabState, records: list[Record]) -> Sight:
+def _compare(world: World, workcell: str, state: LabState, records: list[Record]) -> BenchView:
     plates = plates_by_labware(world, records)
     known = {plate: labware for labware, plate in plates.items()}
 
@@ -72,7 +72,7 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
     # What a device has just finished is not told yet.
     expected += [f"{local(action.module)} did {action.name} " for action in state.actions.open.values()]
     differs = differences(world, state, records, workcell)
-    return Sight(
+    return BenchView(
         workcell=workcell,
         position=state.position,
         places={place: tuple(map(called, plates)) for place, plates in there.items() if place != FLOOR},
@@ -94,7 +94,7 @@ def _possible(state: LabState, plates: dict[str, str], there: dict[str, list[str
     ]
 
 
-def show(sight: Sight) -> None:
+def show(sight: BenchView) -> None:
     """The bench as a table, and whether the log says the same."""
     rows = [(_place(place), _counted(plates)) for place, plates in sight.places.items()]
     rows += [("on the floor", _counted(sight.fallen))] if sight.fallen else []

@@ -11,7 +11,7 @@ MOST_INSTANCES = 16
 """Nodes of one module that are remembered: of honest ones there are two at the most, for a moment."""
 
 
-class Living:
+class Liveness:
     """The instances of each module, and when (monotonic s) each was heard last."""
 
     def __init__(self) -> None:

@@ -1,0 +1,179 @@
+"""Labware as rows, where it stood and stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
+from labos.audit._bench_tables import LOT_USES, MOVES
+from labos.audit._rows import Row, Rows
+from labos.core import labware as b
+from labos.core.envelope import Envelope
+
+
+def on_placed(rows: Rows, event: b.LabwarePlaced, head: Envelope, at: float) -> None:
+    row = rows.put(
+        LABWARE,
+        {
+            "labware": event.labware,
+            "type": event.type,
+            "station": "",
+            "lies_on": "",
+            "lid": "",
+            "maybe": None,
+            "owner": event.owner,
+            "barcode": "",
+            "lot": event.lot,
+            "variables": {"lot": event.lot} if event.lot else {},
+            "samples": {},
+            "placed_at_s": at,
+            "gone_at_s": None,
+            "gone": "",
+            "placed_position": head.position,
+            "gone_position": None,
+        },
+    )
+    _settle(rows, row, event.station, event.on)
+    _note(rows, event, head, at, "placed", event.stack, event.station, event.on)
+    if event.lot:
+        about = (
+            event.lot,
+            "labware",
+            event.stack.rpartition(".")[0],
+            event.type,
+            event.labware,
+            event.run,
+            event.action,
+        )
+        rows.add(LOT_USES, head.position, 0, at, *about)
+
+
+def on_moved(rows: Rows, event: b.LabwareMoved, head: Envelope, at: float) -> None:
+    row = rows.change(LABWARE, event.labware)
+    if row is not None:
+        _settle(rows, row, event.target, event.on)
+    _note(rows, event, head, at, "moved", event.source, event.target, event.on)
+
+
+def on_observed(rows: Rows, event: b.LabwareObserved, head: Envelope, at: float) -> None:
+    row = rows.change(LABWARE, event.labware)
+    source = on = ""
+    if row is not None:
+        source = row["station"]
+        under = rows.get(LABWARE, row["lies_on"]) if row["lies_on"] else None
+        on = row["lies_on"] if under is not None and under["station"] == event.station else ""
+        _settle(rows, row, event.station, on)
+    _note(rows, event, head, at, "observed", source, event.station, on, why=f"seen by {event.by}")
+
+
+def on_uncertain(rows: Rows, event: b.LabwareUncertain, head: Envelope, at: float) -> None:
+    row = rows.change(LABWARE, event.labware)
+    source = row["station"] if row is not None else ""
+    if row is not None:
+        row["station"], row["maybe"] = "", list(event.places)
+        if event.on:
+            _lay_on(rows, row, event.on)
+    _note(rows, event, head, at, "uncertain", source, "", event.on, event.places, event.why)
+
+
+def on_removed(rows: Rows, event: b.LabwareRemoved, head: Envelope, at: float) -> None:
+    """A plate leaves with the lid on it; one that may be elsewhere stays in doubt."""
+    row = rows.change(LABWARE, event.labware)
+    source = row["station"] if row is not None else ""
+    if row is not None:
+        lid = rows.change(LABWARE, row["lid"]) if row["lid"] else None
+        if lid is not None and lid["maybe"] is not None:
+            _part(rows, lid)
+        elif lid is not None:
+            _leave(rows, lid, event.why, head, at)
+        _leave(rows, row, event.why, head, at)
+    _note(rows, event, head, at, "removed", source or event.where, "", why=event.why)
+
+
+def on_changed(rows: Rows, event: b.LabwareChanged, head: Envelope, at: float) -> None:
+    row = rows.change(LABWARE, event.labware)
+    if row is not None:
+        row["variables"] = {**row["variables"], event.variable: event.value}
+
+
+def on_handed_over(rows: Rows, event: b.LabwareHandedOver, head: Envelope, at: float) -> None:
+    row = rows.change(LABWARE, event.labware)
+    if row is not None:
+        row["owner"] = event.owner
+        lid = rows.change(LABWARE, row["lid"]) if row["lid"] else None
+        if lid is not None:
+            lid["owner"] = event.owner
+
+
+def on_barcode_read(rows: Rows, event: b.BarcodeRead, head: Envelope, at: float) -> None:
+    row = rows.change(LABWARE, event.labware)
+    if row is not None:
+        row["barcode"] = event.barcode
+
+
+def on_loaded(rows: Rows, event: b.StationLoaded, head: Envelope, at: float) -> None:
+    if event.lot:
+        module = event.station.rpartition(".")[0]
+        rows.add(LOT_USES, head.position, 0, at, event.lot, "loaded", module, event.type, "", "", "")
+
+
+def _settle(rows: Rows, row: Row, station: str, on: str) -> None:
+    _part(rows, row)
+    row["maybe"] = None
+    if on:
+        row["station"] = ""
+        _lay_on(rows, row, on)
+    else:
+        row["station"] = station
+
+
+def _lay_on(rows: Rows, lid: Row, plate: str) -> None:
+    _part(rows, lid)
+    lid["lies_on"] = plate
+    under = rows.change(LABWARE, plate)
+    if under is not None:
+        under["lid"] = lid["labware"]
+
+
+def _part(rows: Rows, lid: Row) -> None:
+    under = rows.change(LABWARE, lid["lies_on"]) if lid["lies_on"] else None
+    if under is not None:
+        under["lid"] = ""
+    lid["lies_on"] = ""
+
+
+def _leave(rows: Rows, row: Row, why: str, head: Envelope, at: float) -> None:
+    _part(rows, row)
+    row["station"], row["maybe"] = "", None
+    row["gone_at_s"], row["gone"], row["gone_position"] = at, why, head.position
+
+
+def _note(
+    rows: Rows,
+    event: b.LabwareEvent,
+    head: Envelope,
+    at: float,
+    kind: str,
+    source: str,
+    target: str,
+    on: str = "",
+    places: Sequence[str] | None = None,
+    why: str = "",
+) -> None:
+    by = (event.run, getattr(event, "action", ""), head.actor, why)
+    maybe = None if places is None else list(places)
+    rows.add(MOVES, head.position, at, event.labware, kind, source, "" if on else target, on, maybe, *by)
+
+
+HANDLERS: dict[Any, Any] = {
+    b.LabwarePlaced: on_placed,
+    b.LabwareMoved: on_moved,
+    b.LabwareObserved: on_observed,
+    b.LabwareUncertain: on_uncertain,
+    b.LabwareRemoved: on_removed,
+    b.LabwareChanged: on_changed,
+    b.LabwareHandedOver: on_handed_over,
+    b.BarcodeRead: on_barcode_read,
+    b.StationLoaded: on_loaded,
+}

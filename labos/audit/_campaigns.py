@@ -1,0 +1,130 @@
+"""Campaigns as rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.audit._rows import Row, Rows, seconds
+from labos.audit._work_tables import CAMPAIGNS, RUNS
+from labos.core import campaigns as c
+from labos.core import runs as r
+from labos.core.envelope import Envelope
+
+
+def on_submitted(rows: Rows, event: c.CampaignSubmitted, head: Envelope, at: float) -> None:
+    row = rows.put(
+        CAMPAIGNS,
+        {
+            "campaign": event.campaign,
+            "name": event.name,
+            "user_id": event.user,
+            "workflow": event.workflow,
+            "workcell": event.workcell,
+            "rows": event.rows,
+            "status": "open",
+            "submitted_at_s": at,
+            "ended_at_s": None,
+            "runs": 0,
+            "completed": 0,
+            "failed": 0,
+            "cancelled": 0,
+            "refused": 0,
+            "why": "",
+            "by_run": "",
+            "row_table": event.table,
+            "definition": event.definition,
+            "submitted_position": head.position,
+            "ended_position": None,
+        },
+    )
+    _agree(row, event.terms)
+
+
+def on_amended(rows: Rows, event: c.CampaignAmended, head: Envelope, at: float) -> None:
+    row = rows.change(CAMPAIGNS, event.campaign)
+    if row is not None:
+        _agree(row, event.terms)
+
+
+def _agree(row: Row, terms: c.Terms) -> None:
+    """The campaign goes on under these terms."""
+    row["priority"], row["tags"] = terms.priority, list(terms.tags)
+    row["deadline_s"] = seconds(terms.deadline) if terms.deadline else None
+
+
+def on_paused(rows: Rows, event: c.CampaignPaused, head: Envelope, at: float) -> None:
+    _into(rows, event.campaign, "paused", event.why)
+
+
+def on_resumed(rows: Rows, event: c.CampaignResumed, head: Envelope, at: float) -> None:
+    _into(rows, event.campaign, "open", "")
+
+
+def on_stopped(rows: Rows, event: c.CampaignStopped, head: Envelope, at: float) -> None:
+    row = _into(rows, event.campaign, "stopped", event.why)
+    if row is not None:
+        row["by_run"] = event.by_run
+
+
+def on_cancelled(rows: Rows, event: c.CampaignCancelled, head: Envelope, at: float) -> None:
+    _into(rows, event.campaign, "cancelled", event.why)
+
+
+def _into(rows: Rows, campaign: str, status: str, why: str) -> Row | None:
+    row = rows.change(CAMPAIGNS, campaign)
+    if row is not None:
+        row["status"], row["why"] = status, why
+    return row
+
+
+def on_completed(rows: Rows, event: c.CampaignCompleted, head: Envelope, at: float) -> None:
+    row = rows.change(CAMPAIGNS, event.campaign)
+    if row is None:
+        return
+    row["ended_at_s"], row["ended_position"] = at, head.position
+    if row["status"] not in ("stopped", "cancelled"):
+        row["status"], row["why"] = "completed", event.why
+
+
+def on_row_refused(rows: Rows, event: c.CampaignRowRefused, head: Envelope, at: float) -> None:
+    row = rows.change(CAMPAIGNS, event.campaign)
+    if row is not None:
+        row["refused"] += 1
+
+
+def on_run_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -> None:
+    row = rows.change(CAMPAIGNS, event.campaign) if event.campaign else None
+    if row is not None:
+        row["runs"] += 1
+
+
+def on_run_ended(
+    rows: Rows, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
+) -> None:
+    run = rows.get(RUNS, event.run)
+    row = rows.change(CAMPAIGNS, run["campaign"]) if run is not None and run["campaign"] else None
+    if row is None:
+        return
+    match event:
+        case r.RunCompleted():
+            row["completed"] += 1
+        case r.RunFailed():
+            row["failed"] += 1
+        case r.RunCancelled():
+            row["cancelled"] += 1
+
+
+HANDLERS: dict[Any, Any] = {
+    c.CampaignSubmitted: on_submitted,
+    c.CampaignPaused: on_paused,
+    c.CampaignResumed: on_resumed,
+    c.CampaignAmended: on_amended,
+    c.CampaignRowRefused: on_row_refused,
+    c.CampaignStopped: on_stopped,
+    c.CampaignCancelled: on_cancelled,
+    c.CampaignCompleted: on_completed,
+    r.RunSubmitted: on_run_submitted,
+    r.RunCompleted: on_run_ended,
+    r.RunFailed: on_run_ended,
+    r.RunCancelled: on_run_ended,
+}

@@ -1,0 +1,159 @@
+"""On what a thing hangs: who, what, when, with which spec, driver version, arguments and lots.
+
+Each function yields the links from a thing to its causes among the first ``upto`` events, and how far the
+cause itself is to be looked at: what became of a plate after it was read did not change what was read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import msgspec
+
+from labos.audit.graph import Entity, EntityKind, Link, well_of
+from labos.audit.liquids import source_well
+from labos.audit.query import Asker
+
+Found = Iterator[tuple[Link, int]]
+Rule = Callable[[Asker, Entity, int], Found]
+
+
+def of_run(asker: Asker, entity: Entity, upto: int) -> Found:
+    for user, experiment, plan, position in asker.fetch(
+        "SELECT user_id, experiment, plan, submitted_position FROM runs WHERE run = ?", entity.name
+    ):
+        yield Link(entity, "asked for by", Entity("user", user), position), position
+        yield Link(entity, "follows", Entity("workflow", plan), position), position
+        if experiment:
+            yield Link(entity, "part of", Entity("experiment", experiment), position), position
+
+
+def of_experiment(asker: Asker, entity: Entity, upto: int) -> Found:
+    for user, position in asker.fetch(
+        "SELECT user_id, started_position FROM experiments WHERE experiment = ?", entity.name
+    ):
+        yield Link(entity, "started by", Entity("user", user), position), position
+
+
+def of_action(asker: Asker, entity: Entity, upto: int) -> Found:
+    for run, module, driver, version, labware, position, ended in asker.fetch(
+        "SELECT run, module, driver, driver_version, labware, requested_position, ended_position "
+        "FROM actions WHERE action = ?",
+        entity.name,
+    ):
+        if run:
+            yield Link(entity, "step of", Entity("run", run), position), position
+        else:
+            actor = asker.fetch("SELECT actor FROM events WHERE position = ?", position)[0][0]
+            yield Link(entity, "asked for by", Entity("user", actor), position), position
+        if driver:
+            name = f"{module} {driver} {version}"
+            yield Link(entity, "carried out by", Entity("driver", name), position), position
+        for name in msgspec.json.decode(labware or "[]", type=list[str]):
+            if asker.fetch(
+                "SELECT 1 FROM labware WHERE labware = ? AND placed_position <= ?", name, position
+            ):
+                yield Link(entity, "worked on", Entity("labware", name), position), position - 1
+        for digest, at in asker.fetch(
+            "SELECT digest, position FROM files WHERE action = ? AND kind = 'given'", entity.name
+        ):
+            yield Link(entity, "was given", Entity("file", digest), at), position - 1
+        for lot, at in asker.fetch(
+            "SELECT DISTINCT lot, position FROM lot_uses "
+            "WHERE action = ? AND kind <> 'labware' AND position <= ?",
+            entity.name,
+            ended or upto,
+        ):
+            yield Link(entity, "used", Entity("lot", lot), at), at
+
+
+def of_result(asker: Asker, entity: Entity, upto: int) -> Found:
+    ended = asker.fetch("SELECT ended_position, plate FROM actions WHERE action = ?", entity.name)
+    for position, plate in ended:
+        position = position or upto
+        yield Link(entity, "measured by", Entity("action", entity.name), position), position
+        wells = asker.fetch(
+            "SELECT DISTINCT labware, well FROM results WHERE action = ? AND labware <> ''", entity.name
+        )
+        for labware, well in wells:
+            yield Link(entity, "is of", Entity("well", f"{labware}/{well}"), position), position - 1
+        if plate and not wells:
+            yield Link(entity, "is of", Entity("labware", plate), position), position - 1
+
+
+def of_labware(asker: Asker, entity: Entity, upto: int) -> Found:
+    for lot, position in asker.fetch(
+        "SELECT lot, placed_position FROM labware WHERE labware = ? AND lot <> ''", entity.name
+    ):
+        yield Link(entity, "is of", Entity("lot", lot), position), position
+    for action, position in asker.fetch(
+        "SELECT e.action, t.position FROM labware_touches t JOIN events e ON e.position = t.position "
+        "WHERE t.labware = ? AND t.position <= ? AND e.type = 'action.requested' ORDER BY t.position",
+        entity.name,
+        upto,
+    ):
+        yield Link(entity, "was in the hands of", Entity("action", action), position), position
+
+
+def of_well(asker: Asker, entity: Entity, upto: int) -> Found:
+    labware, well = well_of(entity.name)
+    for kind, liquid, lots, action, position in asker.fetch(
+        "SELECT kind, liquid, lots, action, position FROM transfers WHERE labware = ? AND well = ? "
+        "AND position <= ? AND kind <> 'out' ORDER BY position, number",
+        labware,
+        well,
+        upto,
+    ):
+        if kind == "sheet":
+            yield Link(entity, "holds", Entity("sample", liquid), position), position
+            continue
+        if action:
+            yield Link(entity, "was filled by", Entity("action", action), position), position
+        source = source_well(labware, liquid)
+        if source:
+            yield Link(entity, "was filled from", Entity("well", source), position), position - 1
+        for lot in msgspec.json.decode(lots or "[]", type=list[str]):
+            yield Link(entity, "holds", Entity("lot", lot), position), position
+
+
+def of_sample(asker: Asker, entity: Entity, upto: int) -> Found:
+    for user, sheet, position in asker.fetch(
+        "SELECT DISTINCT actor, sheet, position FROM samples WHERE sample = ? AND position <= ?",
+        entity.name,
+        upto,
+    ):
+        yield Link(entity, "registered by", Entity("user", user), position), position
+        yield Link(entity, "named in", Entity("file", sheet), position), position
+
+
+def of_file(asker: Asker, entity: Entity, upto: int) -> Found:
+    for action, position in asker.fetch(
+        "SELECT action, position FROM files WHERE digest = ? AND kind = 'returned' AND position <= ?",
+        entity.name,
+        upto,
+    ):
+        yield Link(entity, "was returned by", Entity("action", action), position), position
+
+
+def of_lot(asker: Asker, entity: Entity, upto: int) -> Found:
+    for user, position in asker.fetch(
+        "SELECT e.actor, u.position FROM lot_uses u JOIN events e ON e.position = u.position "
+        "WHERE u.lot = ? AND u.position <= ? AND u.kind IN ('counted', 'replenished', 'loaded') "
+        "AND u.action = ''",
+        entity.name,
+        upto,
+    ):
+        yield Link(entity, "was put in by", Entity("user", user), position), position
+
+
+CAUSES: dict[EntityKind, Rule] = {
+    "run": of_run,
+    "experiment": of_experiment,
+    "action": of_action,
+    "result": of_result,
+    "labware": of_labware,
+    "well": of_well,
+    "sample": of_sample,
+    "file": of_file,
+    "lot": of_lot,
+}

@@ -1,0 +1,66 @@
+"""What tables are made of: columns, and those that many tables have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import msgspec
+
+Kind = Literal["text", "integer", "number", "flag", "json", "time"]
+
+
+class Column(msgspec.Struct, frozen=True):
+    """``time`` is kept as seconds since 1970 in a column ``…_s``; its view has both that and a moment that
+    people can read. ``flag`` is 0 or 1."""
+
+    name: str
+    kind: Kind
+    about: str
+
+    @property
+    def stored(self) -> str:
+        return f"{self.name}_s" if self.kind == "time" else self.name
+
+
+class Table(msgspec.Struct, frozen=True):
+    """``view`` is what people read it as (empty: nobody does). Rows of a table that only ``grows`` are never
+    changed. ``indexes`` are lists of stored columns."""
+
+    name: str
+    about: str
+    key: tuple[str, ...]
+    columns: tuple[Column, ...]
+    view: str = ""
+    grows: bool = False
+    indexes: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def stored(self) -> tuple[str, ...]:
+        """The names of its columns in the database."""
+        return tuple(column.stored for column in self.columns)
+
+
+def _of(kind: Kind) -> Callable[[str, str], Column]:
+    return lambda name, about: Column(name, kind, about)
+
+
+text, whole, number = _of("text"), _of("integer"), _of("number")
+flag, json, time = _of("flag"), _of("json"), _of("time")
+
+POSITION = whole("position", "Where in the log it stands.")
+AT = time("at", "When it was recorded.")
+RUN = text("run", "The run in whose course it happened; empty if none.")
+ACTION = text("action", "The action that did it; empty if none.")
+LABWARE = text("labware", "The labware's id.")
+MODULE = text("module", "The module, as `workcell/module`.")
+
+
+def view_columns(table: Table) -> tuple[Column, ...]:
+    """The columns of its view: a time is there twice, for people and as a number."""
+    found: list[Column] = []
+    for column in table.columns:
+        found.append(column)
+        if column.kind == "time":
+            found.append(Column(column.stored, "number", f"`{column.name}` in seconds since 1970 (UTC)."))
+    return tuple(found)

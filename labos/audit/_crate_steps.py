@@ -1,0 +1,205 @@
+"""The actions of a run in its crate: driver, labware, lots, arguments, files, results."""
+
+from __future__ import annotations
+
+import mimetypes
+from typing import Any
+
+import msgspec
+
+from labos.audit._crate_parts import Crate, link, local_id, safe_name, with_offset
+from labos.audit.query import Asker
+from labos.core.canonical import canonical
+
+STATUS = {
+    "completed": "Completed",
+    "succeeded": "Completed",
+    "failed": "Failed",
+    "cancelled": "Failed",
+    "unknown": "Failed",
+}
+"""How schema.org calls the end of a run or an action; what has not ended is active."""
+
+_ACTION = (
+    "SELECT step, key, module, name, driver, driver_version, about, simulated, args, labware, status, "
+    "error, result, requested_at, ended_at FROM actions WHERE action = ?"
+)
+
+
+class Doer(msgspec.Struct, frozen=True):
+    """Whose actions they are: the run, the digest of its plan, and the ids of its user and its workflow."""
+
+    run: str
+    plan: str
+    user: str
+    workflow: str
+
+
+class Told(msgspec.Struct, frozen=True):
+    """Ids: of an action, of the control action of its step, of what it used and of the files that it made."""
+
+    id: str
+    control: str
+    used: list[str]
+    made: list[str]
+
+
+class _Action(msgspec.Struct, frozen=True):
+    step: int | None
+    key: str
+    module: str
+    name: str
+    driver: str
+    driver_version: str
+    about: str
+    simulated: Any
+    args: Any
+    labware: Any
+    status: str
+    error: str
+    result: Any
+    requested_at: str
+    ended_at: str | None
+
+
+def json_of(value: Any) -> Any:
+    """A column of a view that is JSON, which comes as text; an empty object for none."""
+    return msgspec.json.decode(value) if value else {}
+
+
+def add_action(crate: Crate, asker: Asker, doer: Doer, action: str) -> Told:
+    """An action of a module, with all that hangs on it."""
+    found = _Action(*asker.fetch(_ACTION, action)[0])
+    id_ = local_id("action", action)
+    tool = _add_driver(crate, found)
+    used = [
+        *_add_labware(crate, asker, json_of(found.labware) or []),
+        *_add_lots(crate, asker, action),
+        *_add_files(crate, asker, action, "given"),
+    ]
+    made = _add_files(crate, asker, action, "returned")
+    result = json_of(found.result) if found.result is not None else None
+    if result:
+        path = f"runs/{doer.run}/results/{found.step}-{safe_name(found.key)}.json"
+        words = f"Result of step {found.step} ({found.key}) of {doer.run}"
+        made.append(crate.put(path, canonical(result), name=words, encodingFormat="application/json"))
+    arguments = [
+        crate.add("PropertyValue", local_id("argument", f"{action} {name}"), name=name, value=_value(value))
+        for name, value in json_of(found.args).items()
+    ]
+    status = STATUS.get(found.status, "Active")
+    module = found.module.rpartition("/")[2]
+    crate.add(
+        "CreateAction",
+        id_,
+        name=f"{doer.run} #{found.step}: {found.key or found.name}",
+        description=f"{module} carries out {found.name}; it is {found.status}.",
+        instrument=link(tool),
+        agent=link(doer.user),
+        startTime=with_offset(found.requested_at),
+        endTime=with_offset(found.ended_at),
+        actionStatus=f"http://schema.org/{status}ActionStatus",
+        error=(found.error or found.status) if status == "Failed" else None,
+        object=link(*arguments, *used),
+        result=link(*made),
+    )
+    return Told(id_, _add_step(crate, doer, found, id_, tool), used, made)
+
+
+def _add_step(crate: Crate, doer: Doer, found: _Action, action: str, tool: str) -> str:
+    """The step of the workflow, what carried it out, and that this action did; returns the id of the last."""
+    step = crate.add(
+        "HowToStep",
+        f"{doer.workflow}#{doer.plan[:12]}-{found.step}",
+        name=found.key or found.name,
+        position=str(0 if found.step is None else found.step + 1),
+    )
+    crate.extend(step, "workExample", tool)
+    crate.extend(doer.workflow, "step", step)
+    crate.extend(doer.workflow, "hasPart", tool)
+    return crate.add(
+        "ControlAction",
+        action.replace("#action-", "#control-", 1),
+        name=f"Step {found.step} of {doer.run}",
+        instrument=link(step),
+        object=link(action),
+    )
+
+
+def _add_driver(crate: Crate, found: _Action) -> str:
+    """The driver as the tool, and the module that it drives, as it described itself then."""
+    local = found.module.rpartition("/")[2]
+    words = f"The module {local} of the lab."
+    if found.about:
+        words += f" The SHA-256 of its node's description (actions, arguments, units) was {found.about}."
+    module = crate.add(
+        "IndividualProduct",
+        local_id("module", f"{found.module} {found.about[:12]}".strip()),
+        name=found.module,
+        description=words,
+    )
+    name, version = found.driver or "unknown", found.driver_version
+    simulated = ", simulated" if found.simulated else ""
+    driver = crate.add(
+        "SoftwareApplication",
+        local_id("driver", f"{found.module} {name} {version}{simulated}"),
+        name=f"Driver {name} of {local}{simulated}",
+        softwareVersion=version,
+    )
+    crate.extend(driver, "about", module)
+    return driver
+
+
+def _add_labware(crate: Crate, asker: Asker, names: list[str]) -> list[str]:
+    ids = []
+    for name in names:
+        rows = asker.fetch("SELECT type, barcode, lot FROM labware WHERE labware = ?", name)
+        kind, barcode, lot = rows[0] if rows else ("", "", "")
+        ids.append(
+            crate.add(
+                "IndividualProduct",
+                local_id("labware", name),
+                name=f"{kind} {name}".strip(),
+                category=kind,
+                identifier=[name, barcode] if barcode else name,
+                isRelatedTo=link(_add_lot(crate, lot, "")) if lot else None,
+            )
+        )
+    return ids
+
+
+def _add_lots(crate: Crate, asker: Asker, action: str) -> list[str]:
+    rows = asker.fetch(
+        "SELECT DISTINCT lot, resource FROM lot_uses WHERE action = ? AND kind <> 'labware' ORDER BY lot",
+        action,
+    )
+    return [_add_lot(crate, lot, resource) for lot, resource in rows]
+
+
+def _add_lot(crate: Crate, lot: str, resource: str) -> str:
+    return crate.add(
+        "Product", local_id("lot", lot), name=f"Lot {lot}", productID=lot, category=resource or None
+    )
+
+
+def _add_files(crate: Crate, asker: Asker, action: str, kind: str) -> list[str]:
+    """Files that an action was given, or returned."""
+    rows = asker.fetch(
+        "SELECT digest, file, bytes FROM files WHERE action = ? AND kind = ? ORDER BY position, number",
+        action,
+        kind,
+    )
+    return [
+        crate.put_blob(
+            f"files/{safe_name(file)}",
+            digest,
+            size,
+            name=file,
+            encodingFormat=mimetypes.guess_type(file)[0] or "application/octet-stream",
+        )
+        for digest, file, size in rows
+    ]
+
+
+def _value(value: Any) -> str | int | float | bool:
+    return value if isinstance(value, str | int | float | bool) else canonical(value).decode()

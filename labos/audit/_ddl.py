@@ -1,0 +1,111 @@
+"""The statements that make tables and views, for SQLite and PostgreSQL."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from labos.audit.tables import TABLES, VIEWS, Table
+
+Dialect = Literal["sqlite", "postgresql"]
+
+TABLE_SCHEMA = "labos_audit"
+"""Where PostgreSQL keeps the tables, which nobody but the projector needs."""
+
+VIEW_SCHEMA = "labos"
+"""Where PostgreSQL keeps the views, which people may be allowed to read."""
+
+STATE = "projection"
+"""One row: the version of the tables, and up to where the log is in them. Its view bears the same name."""
+
+_TYPES: dict[Dialect, dict[str, str]] = {
+    "sqlite": {
+        "text": "TEXT",
+        "integer": "INTEGER",
+        "number": "REAL",
+        "flag": "INTEGER",
+        "json": "TEXT",
+        "time": "REAL",
+    },
+    "postgresql": {
+        "text": "text",
+        "integer": "bigint",
+        "number": "double precision",
+        "flag": "boolean",
+        "json": "json",
+        "time": "double precision",
+    },
+}
+
+_MOMENTS: dict[Dialect, str] = {
+    "sqlite": "strftime('%Y-%m-%dT%H:%M:%fZ', {0}, 'unixepoch')",
+    "postgresql": "to_timestamp({0})",
+}
+
+
+def table_name(name: str, dialect: Dialect) -> str:
+    """Where a table is. SQLite knows no schemas: there the names of tables begin with ``labos_``."""
+    return f'{TABLE_SCHEMA}."{name}"' if dialect == "postgresql" else f'"labos_{name}"'
+
+
+def view_name(name: str, dialect: Dialect) -> str:
+    return f'{VIEW_SCHEMA}."{name}"' if dialect == "postgresql" else f'"{name}"'
+
+
+def make_all(dialect: Dialect) -> Iterator[str]:
+    """Statements that make everything in an empty database; those for the state come first."""
+    if dialect == "postgresql":
+        yield f"CREATE SCHEMA IF NOT EXISTS {TABLE_SCHEMA}"
+        yield f"CREATE SCHEMA IF NOT EXISTS {VIEW_SCHEMA}"
+    whole, number = _TYPES[dialect]["integer"], _TYPES[dialect]["number"]
+    yield (
+        f"CREATE TABLE {table_name(STATE, dialect)} (id {whole} PRIMARY KEY CHECK (id = 1), "
+        f"version {whole} NOT NULL, lab TEXT NOT NULL, position {whole} NOT NULL, "
+        f"hash TEXT NOT NULL, at_s {number})"
+    )
+    for table in TABLES:
+        yield _table(table, dialect)
+        for columns in table.indexes:
+            name = f"labos_{table.name}_{'_'.join(columns)}"
+            listed = ", ".join(f'"{column}"' for column in columns)
+            yield f'CREATE INDEX "{name}" ON {table_name(table.name, dialect)} ({listed})'
+    for table in VIEWS:
+        yield _view(table, dialect)
+    at = _MOMENTS[dialect].format("at_s")
+    yield (
+        f"CREATE VIEW {view_name(STATE, dialect)} AS SELECT lab, position, {at} AS at, at_s, version "
+        f"FROM {table_name(STATE, dialect)}"
+    )
+
+
+def drop_all(dialect: Dialect) -> Iterator[str]:
+    """Statements that take everything of ours away; what is not there is passed over."""
+    if dialect == "postgresql":
+        yield f"DROP SCHEMA IF EXISTS {TABLE_SCHEMA} CASCADE"
+        return
+    for name in (STATE, *(table.view for table in VIEWS)):
+        yield f"DROP VIEW IF EXISTS {view_name(name, dialect)}"
+    for name in (STATE, *(table.name for table in TABLES)):
+        yield f"DROP TABLE IF EXISTS {table_name(name, dialect)}"
+
+
+def _table(table: Table, dialect: Dialect) -> str:
+    columns = [f'"{column.stored}" {_TYPES[dialect][column.kind]}' for column in table.columns]
+    key = ", ".join(f'"{name}"' for name in table.key)
+    # Rows of a table with a key of several parts stand in the order of the key: no index beside it.
+    compact = " WITHOUT ROWID" if dialect == "sqlite" and len(table.key) > 1 else ""
+    made = f"CREATE TABLE {table_name(table.name, dialect)} ({', '.join(columns)}, PRIMARY KEY ({key}))"
+    return f"{made}{compact}"
+
+
+def _view(table: Table, dialect: Dialect) -> str:
+    shown = []
+    for column in table.columns:
+        if column.kind == "time":
+            moment = _MOMENTS[dialect].format(f'"{column.stored}"')
+            shown.append(f'{moment} AS "{column.name}"')
+        shown.append(f'"{column.stored}"')
+    return (
+        f"CREATE VIEW {view_name(table.view, dialect)} AS SELECT {', '.join(shown)} "
+        f"FROM {table_name(table.name, dialect)}"
+    )

@@ -1,0 +1,153 @@
+"""What hangs on a thing: the same links, followed the other way.
+
+Each function yields the links from effects to a thing among the events from ``since`` to ``upto``, and from
+where on the effect itself counts. A recall must not miss anything: what an action has used up concerns all
+labware that it worked on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import msgspec
+
+from labos.audit.graph import Entity, EntityKind, Link, well_of
+from labos.audit.query import Asker
+
+Found = Iterator[tuple[Link, int]]
+Rule = Callable[[Asker, Entity, int, int], Found]
+
+
+_POURED = "SELECT 1 FROM lot_uses WHERE action = ? AND lot = ? AND kind = 'liquid'"
+"""Whether an action put a lot into wells: then it is known into which."""
+
+
+def of_lot(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+    for kind, labware, action, position in asker.fetch(
+        "SELECT kind, labware, action, position FROM lot_uses WHERE lot = ? AND position BETWEEN ? AND ? "
+        "ORDER BY position, number",
+        *(entity.name, since, upto),
+    ):
+        if kind == "labware":
+            yield Link(Entity("labware", labware), "is of", entity, position), position
+        elif kind == "liquid":
+            for (well,) in asker.fetch(
+                "SELECT DISTINCT well FROM transfers WHERE position = ? AND kind = 'in'", position
+            ):
+                yield Link(Entity("well", f"{labware}/{well}"), "holds", entity, position), position
+        elif kind == "consumed" and action and not asker.fetch(_POURED, action, entity.name):
+            yield Link(Entity("action", action), "used", entity, position), position
+
+
+def of_well(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+    labware, well = well_of(entity.name)
+    for action, position in asker.fetch(
+        "SELECT DISTINCT action, position FROM results WHERE labware = ? AND well = ? "
+        "AND position BETWEEN ? AND ?",
+        *(labware, well, since, upto),
+    ):
+        yield Link(Entity("result", action), "is of", entity, position), position
+    for action, position in asker.fetch(
+        # Results without wells, such as a picture, are of all of the plate.
+        "SELECT a.action, a.ended_position FROM labware_touches t JOIN events e ON e.position = t.position "
+        "JOIN actions a ON a.action = e.action WHERE t.labware = ? AND t.position BETWEEN ? AND ? "
+        "AND e.type IN ('action.succeeded', 'action.reconciled') AND a.plate = t.labware "
+        "AND a.result IS NOT NULL "
+        "AND NOT EXISTS (SELECT 1 FROM results r WHERE r.action = a.action) ORDER BY a.ended_position",
+        *(labware, since, upto),
+    ):
+        yield Link(Entity("result", action), "is of", entity, position), position
+    for into, target, position in asker.fetch(
+        "SELECT labware, well, position FROM transfers WHERE kind = 'in' AND position BETWEEN ? AND ? "
+        "AND ((labware = ? AND liquid = ?) OR liquid = ?) ORDER BY position, number",
+        *(since, upto, labware, well, entity.name),
+    ):
+        yield Link(Entity("well", f"{into}/{target}"), "was filled from", entity, position), position
+
+
+def of_labware(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+    for action, position in asker.fetch(
+        "SELECT e.action, t.position FROM labware_touches t JOIN events e ON e.position = t.position "
+        "WHERE t.labware = ? AND t.position BETWEEN ? AND ? AND e.type = 'action.requested' "
+        "ORDER BY t.position",
+        *(entity.name, since, upto),
+    ):
+        yield Link(Entity("action", action), "worked on", entity, position), position
+
+
+def of_action(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+    for labware, returned, requested, ended in asker.fetch(
+        "SELECT labware, result IS NOT NULL, requested_position, ended_position "
+        "FROM actions WHERE action = ?",
+        entity.name,
+    ):
+        for name in msgspec.json.decode(labware or "[]", type=list[str]):
+            yield Link(Entity("labware", name), "was in the hands of", entity, requested), requested
+        if returned and ended is not None and ended <= upto:
+            yield Link(Entity("result", entity.name), "measured by", entity, ended), ended
+    for digest, position in asker.fetch(
+        "SELECT digest, position FROM files WHERE action = ? AND kind = 'returned' AND position <= ?",
+        *(entity.name, upto),
+    ):
+        yield Link(Entity("file", digest), "was returned by", entity, position), position
+    for labware, well, position in asker.fetch(
+        "SELECT DISTINCT labware, well, position FROM transfers WHERE action = ? AND kind = 'in' "
+        "AND position <= ? ORDER BY position, well",
+        *(entity.name, upto),
+    ):
+        yield Link(Entity("well", f"{labware}/{well}"), "was filled by", entity, position), position
+
+
+def _named(kind: EntityKind, relation: str, table: str, position: str, column: str) -> Rule:
+    """The rows of a table that name the thing in a column, each a thing of its own kind."""
+    query = (
+        f"SELECT {kind}, {position} FROM {table} WHERE {column} = ? AND {position} <= ? ORDER BY {position}"
+    )
+
+    def links(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+        for name, at in asker.fetch(query, entity.name, upto):
+            yield Link(Entity(kind, name), relation, entity, at), at
+
+    return links
+
+
+def of_driver(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+    module, driver, version = entity.name.split(" ", 2)
+    for action, position in asker.fetch(
+        "SELECT action, requested_position FROM actions WHERE module = ? AND driver = ? "
+        "AND driver_version = ? AND requested_position <= ? ORDER BY requested_position",
+        *(module, driver, version, upto),
+    ):
+        yield Link(Entity("action", action), "carried out by", entity, position), position
+
+
+def of_sample(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+    for labware, well, position in asker.fetch(
+        "SELECT labware, well, position FROM samples WHERE sample = ? AND position <= ? "
+        "ORDER BY position, well",
+        *(entity.name, upto),
+    ):
+        yield Link(Entity("well", f"{labware}/{well}"), "holds", entity, position), position
+
+
+def of_file(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+    for action, position in asker.fetch(
+        "SELECT action, position FROM files WHERE digest = ? AND kind = 'given' AND position BETWEEN ? AND ?",
+        *(entity.name, since, upto),
+    ):
+        yield Link(Entity("action", action), "was given", entity, position), position
+
+
+EFFECTS: dict[EntityKind, Rule] = {
+    "lot": of_lot,
+    "well": of_well,
+    "labware": of_labware,
+    "action": of_action,
+    "run": _named("action", "step of", "actions", "requested_position", "run"),
+    "experiment": _named("run", "part of", "runs", "submitted_position", "experiment"),
+    "user": _named("run", "asked for by", "runs", "submitted_position", "user_id"),
+    "workflow": _named("run", "follows", "runs", "submitted_position", "plan"),
+    "driver": of_driver,
+    "sample": of_sample,
+    "file": of_file,
+}

@@ -1,0 +1,112 @@
+"""What is told of a entity wherever it is named: who, when, with which arguments and versions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.audit.graph import Entity, well_of
+from labos.audit.query import Asker
+
+_ACTION = (
+    "SELECT run, step, key, module, name, args, driver, driver_version, about, simulated, requested_at, "
+    "ended_at, status, effects, error, result, requested_position, ended_position "
+    "FROM actions WHERE action = ?"
+)
+_ACTION_NAMES = (
+    *("run", "step", "key", "module", "name", "args", "driver", "driver_version", "about", "simulated"),
+    *("requested_at", "ended_at", "status", "effects", "error", "result"),
+    *("requested_position", "ended_position"),
+)
+_RUN_NAMES = (
+    *("workflow", "workcell", "user_id", "experiment", "status", "plan", "pins", "payload"),
+    *("submitted_at", "ended_at", "submitted_position", "ended_position"),
+)
+_RUN = f"SELECT {', '.join(_RUN_NAMES)} FROM runs WHERE run = ?"
+_LABWARE_NAMES = ("type", "lot", "barcode", "placed_at", "placed_position")
+_LABWARE = f"SELECT {', '.join(_LABWARE_NAMES)} FROM labware WHERE labware = ?"
+_EXPERIMENT_NAMES = (
+    "name",
+    "user_id",
+    "status",
+    "started_at",
+    "ended_at",
+    "started_position",
+    "ended_position",
+)
+_EXPERIMENT = f"SELECT {', '.join(_EXPERIMENT_NAMES)} FROM experiments WHERE experiment = ?"
+_FILE_NAMES = ("file", "bytes", "kind")
+_FILE = (
+    f"SELECT {', '.join(_FILE_NAMES)} FROM files WHERE digest = ? AND position <= ? ORDER BY position LIMIT 1"
+)
+
+_JSON = ("args", "result", "pins", "payload")
+_OF_THE_END = ("ended_at", "ended_position", "effects", "error", "result")
+"""What is not known before the end."""
+
+
+def facts_of(asker: Asker, entity: Entity, upto: int) -> dict[str, Any]:
+    """What was known of a entity at a position; what is empty is left out."""
+    match entity.kind:
+        case "action" | "result":
+            facts = _facts_from(_ACTION_NAMES, asker.fetch(_ACTION, entity.name))
+        case "run":
+            facts = _facts_from(_RUN_NAMES, asker.fetch(_RUN, entity.name))
+        case "labware":
+            facts = _facts_from(_LABWARE_NAMES, asker.fetch(_LABWARE, entity.name))
+        case "experiment":
+            facts = _facts_from(_EXPERIMENT_NAMES, asker.fetch(_EXPERIMENT, entity.name))
+        case "file":
+            facts = _facts_from(_FILE_NAMES, asker.fetch(_FILE, entity.name, upto))
+        case "driver":
+            facts = dict(zip(("module", "driver", "driver_version"), entity.name.split(" ", 2), strict=True))
+        case "well":
+            plate, well = well_of(entity.name)
+            facts = {"labware": plate, "well": well}
+        case _:
+            facts = {}
+    return _as_of(facts, upto)
+
+
+def label(entity: Entity, facts: dict[str, Any]) -> str:
+    """A entity in a few words."""
+    match entity.kind:
+        case "action" | "result":
+            where = f"{facts.get('run', '')} #{facts.get('step')}" if facts.get("run") else entity.name
+            key = f" {facts['key']!r}" if facts.get("key") else ""
+            act = f"{str(facts.get('module', '')).rpartition('/')[2]}.{facts.get('name', '')}"
+            return f"result of {where}{key}" if entity.kind == "result" else f"{act} ({where}{key})"
+        case "run" if facts.get("workflow"):
+            return f"run {entity.name} ({facts['workflow']})"
+        case "labware" if facts.get("type"):
+            return f"{facts['type']} {entity.name}"
+        case "file":
+            return f"file {facts.get('file', '')} {entity.name[:12]}…".replace("  ", " ")
+        case "workflow":
+            return f"workflow {entity.name[:12]}…"
+        case "well":
+            return f"well {entity.name}"
+        case "driver":
+            module, driver, version = entity.name.split(" ", 2)
+            return f"driver {driver} {version} ({module.rpartition('/')[2]})"
+    return str(entity)
+
+
+def _facts_from(names: tuple[str, ...], rows: list[Any]) -> dict[str, Any]:
+    if not rows:
+        return {}
+    facts = dict(zip(names, rows[0], strict=True))
+    for name in _JSON:
+        if isinstance(facts.get(name), str):
+            facts[name] = msgspec.json.decode(facts[name])
+    return {name: value for name, value in facts.items() if value not in (None, "", {}, [])}
+
+
+def _as_of(facts: dict[str, Any], upto: int) -> dict[str, Any]:
+    """Without what the log did not know yet."""
+    ended = facts.get("ended_position")
+    if ended is None or ended <= upto:
+        return facts
+    left = {name: value for name, value in facts.items() if name not in _OF_THE_END}
+    return {**left, "status": "not ended"}

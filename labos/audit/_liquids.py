@@ -1,0 +1,111 @@
+"""Liquids, samples and consumables as rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
+from labos.audit._bench_tables import LOT_USES, RESOURCE_CHANGES, RESOURCES, SAMPLES, TRANSFERS
+from labos.audit._rows import Rows
+from labos.core import labware as b
+from labos.core import resources as s
+from labos.core.envelope import Envelope
+from labos.core.ids import ModuleName
+from labos.errors import LogDamaged, NotFound
+from labos.ports import BlobStore
+
+SHEETS = (b.SamplesRegistered,)
+
+
+def on_poured(rows: Rows, event: b.LiquidTransferred, head: Envelope, at: float) -> None:
+    lots = list(event.lots)
+    by = (event.module, event.run, event.action)
+    for number, (well, volume) in enumerate(zip(event.wells, event.volumes_ul, strict=False)):
+        what = ("in", event.labware, well, volume, event.liquid, lots, event.certain)
+        rows.add(TRANSFERS, head.position, number, at, *what, *by)
+    for number, lot in enumerate(dict.fromkeys(event.lots)):
+        about = (lot, "liquid", event.module, event.liquid, event.labware, event.run, event.action)
+        rows.add(LOT_USES, head.position, number, at, *about)
+
+
+def on_drawn(rows: Rows, event: b.LiquidDrawn, head: Envelope, at: float) -> None:
+    by = (event.module, event.run, event.action)
+    for number, (well, volume) in enumerate(zip(event.wells, event.volumes_ul, strict=False)):
+        what: tuple[Any, ...] = ("out", event.labware, well, volume, "", [], event.certain)
+        rows.add(TRANSFERS, head.position, number, at, *what, *by)
+
+
+def on_samples_registered(rows: Rows, event: Any, head: Envelope, at: float, blobs: BlobStore | None) -> None:
+    """A sheet of samples. One too long for the log is a blob; if that is lost, so are its rows."""
+    row = rows.change(LABWARE, event.labware)
+    samples = event.wells or _unpack(blobs, event.blob)
+    if row is not None:
+        row["samples"] = {item.well: item.sample for item in samples}
+    for number, item in enumerate({item.well: item for item in samples}.values()):
+        about = (event.labware, item.well, item.sample, item.volume_ul, event.sheet, head.actor)
+        rows.add(SAMPLES, head.position, at, *about)
+        what: tuple[Any, ...] = ("sheet", event.labware, item.well, item.volume_ul, item.sample, [], True)
+        rows.add(TRANSFERS, head.position, number, at, *what, "", event.run, "")
+
+
+def _unpack(blobs: BlobStore | None, blob: str) -> tuple[b.Sample, ...]:
+    if blobs is None or not blob:
+        return ()
+    try:
+        return msgspec.json.decode(blobs.get(blob), type=tuple[b.Sample, ...])
+    except (NotFound, LogDamaged, OSError, msgspec.MsgspecError, UnicodeDecodeError):
+        return ()
+
+
+def on_counted(rows: Rows, event: s.LevelSet, head: Envelope, at: float) -> None:
+    _change(rows, event, head, at, s.level_set, ("counted", event.level, event.lot, ""))
+
+
+def on_replenished(rows: Rows, event: s.ResourceReplenished, head: Envelope, at: float) -> None:
+    _change(rows, event, head, at, s.replenished, ("replenished", event.amount, event.lot, event.expires))
+
+
+def on_consumed(rows: Rows, event: s.ResourceConsumed, head: Envelope, at: float) -> None:
+    _change(rows, event, head, at, s.consumed, ("consumed", event.amount, event.lot, ""))
+
+
+def _change(
+    rows: Rows, event: Any, head: Envelope, at: float, fold: Any, what: tuple[str, float, str, str]
+) -> None:
+    """The level is folded as the lab itself does it."""
+    row = rows.change(RESOURCES, event.module, event.resource)
+    held = s.Resources()
+    key = f"{event.module}:{event.resource}"
+    if row is not None and row["level"] is not None:
+        lots = msgspec.convert(row["lots"], list[s.Lot])
+        held.levels[key] = s.Level(row["level"], row["capacity"], lots)
+    if key in held.levels or isinstance(event, s.LevelSet):
+        fold(held, event, 0)
+    level = held.of(ModuleName(event.module), event.resource)
+    if row is None:
+        row = rows.put(
+            RESOURCES,
+            {"module": event.module, "resource": event.resource, "level": None, "capacity": None, "lots": []},
+        )
+    if level is not None:
+        row["level"], row["capacity"] = level.level, level.capacity
+        row["lots"] = msgspec.to_builtins(level.lots)
+    row["changed_at_s"] = at
+    kind, amount, lot, expires = what
+    run, action = getattr(event, "run", ""), getattr(event, "action", "")
+    about = (event.module, event.resource, kind, amount, row["level"], lot, expires, run, action, head.actor)
+    rows.add(RESOURCE_CHANGES, head.position, at, *about)
+    if lot:
+        used = (lot, kind, event.module, event.resource, "", run, action)
+        rows.add(LOT_USES, head.position, 0, at, *used)
+
+
+HANDLERS: dict[Any, Any] = {
+    b.LiquidTransferred: on_poured,
+    b.LiquidDrawn: on_drawn,
+    s.LevelSet: on_counted,
+    s.ResourceReplenished: on_replenished,
+    s.ResourceConsumed: on_consumed,
+}

@@ -1,0 +1,110 @@
+"""Users, their experiments, and what the lab asked them, as rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.audit._rows import Row, Rows, seconds
+from labos.audit._work_tables import EXPERIMENTS, INTERVENTIONS, USERS
+from labos.core import experiments as x
+from labos.core import interventions as i
+from labos.core import runs as r
+from labos.core.envelope import Envelope
+
+
+def note_actor(rows: Rows, head: Envelope, at: float) -> None:
+    """Somebody caused an event; modules and LabOS itself are nobody."""
+    if head.actor != "labos" and "/" not in head.actor:
+        _person(rows, head.actor, at)["events"] += 1
+
+
+def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -> None:
+    _person(rows, event.user, at)["runs"] += 1
+
+
+def _person(rows: Rows, user: str, at: float) -> Row:
+    person = rows.change(USERS, user)
+    if person is None:
+        counts = {"runs": 0, "experiments": 0, "answers": 0, "events": 0}
+        person = rows.put(USERS, {"user_id": user, "first_at_s": at, **counts})
+    person["last_at_s"] = at
+    return person
+
+
+def on_asked(rows: Rows, event: i.InterventionRequested, head: Envelope, at: float) -> None:
+    rows.put(
+        INTERVENTIONS,
+        {
+            "intervention": event.intervention,
+            "kind": event.kind,
+            "subject": event.subject,
+            "text": event.text,
+            "run": event.run,
+            "module": event.module,
+            "labware": list(event.labware),
+            "choices": [choice.name for choice in event.choices],
+            "asked_at_s": at,
+            "due_at_s": seconds(event.due_at) if event.due_at else None,
+            "resolved_at_s": None,
+            "choice": "",
+            "resolved_by": "",
+            "note": "",
+            "asked_position": head.position,
+            "resolved_position": None,
+        },
+    )
+
+
+def on_resolved(rows: Rows, event: i.InterventionResolved, head: Envelope, at: float) -> None:
+    row = rows.change(INTERVENTIONS, event.intervention)
+    if row is not None:
+        row["choice"], row["resolved_by"], row["note"] = event.choice, event.by, event.note
+        row["resolved_at_s"], row["resolved_position"] = at, head.position
+    if event.by == head.actor and event.by != "labos" and "/" not in event.by:
+        _person(rows, event.by, at)["answers"] += 1
+
+
+def on_started(rows: Rows, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
+    rows.put(
+        EXPERIMENTS,
+        {
+            "experiment": event.experiment,
+            "name": event.name,
+            "user_id": event.user,
+            "priority": event.priority,
+            "status": "open",
+            "why": "",
+            "runs": 0,
+            "started_at_s": at,
+            "ended_at_s": None,
+            "started_position": head.position,
+            "ended_position": None,
+        },
+    )
+    _person(rows, event.user, at)["experiments"] += 1
+
+
+def on_cancelled(
+    rows: Rows, event: x.ExperimentCancelled | x.ExperimentClosing, head: Envelope, at: float
+) -> None:
+    row = rows.change(EXPERIMENTS, event.experiment)
+    if row is not None:
+        row["status"] = "closing" if isinstance(event, x.ExperimentClosing) else "cancelled"
+        row["why"] = row["why"] or event.why
+
+
+def on_ended(rows: Rows, event: x.ExperimentEnded, head: Envelope, at: float) -> None:
+    row = rows.change(EXPERIMENTS, event.experiment)
+    if row is not None:
+        row["status"], row["ended_at_s"], row["ended_position"] = "ended", at, head.position
+
+
+HANDLERS: dict[Any, Any] = {
+    r.RunSubmitted: on_submitted,
+    i.InterventionRequested: on_asked,
+    i.InterventionResolved: on_resolved,
+    x.ExperimentStarted: on_started,
+    x.ExperimentCancelled: on_cancelled,
+    x.ExperimentClosing: on_cancelled,
+    x.ExperimentEnded: on_ended,
+}

@@ -1,0 +1,87 @@
+"""Rows in memory, between the events that change them and the database that keeps them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from labos.audit.tables import TABLES, Table
+
+Key = tuple[Any, ...]
+Row = dict[str, Any]
+"""By column. What is JSON in the database is the value itself here."""
+
+Load = Callable[[Table, Key], "Row | None"]
+
+MOST_KEPT = 200_000
+"""So many rows are remembered between batches; then all are forgotten, and loaded when they are needed."""
+
+
+def seconds(ns: int) -> float:
+    """A moment in seconds since 1970, to the millisecond: every database writes that out the same."""
+    return ns // 1_000_000 / 1000
+
+
+class Rows:
+    """What a batch of events does to rows: those that are new or changed are written at its end."""
+
+    def __init__(self, load: Load) -> None:
+        self._load = load
+        self._known: dict[str, dict[Key, Row]] = {table.name: {} for table in TABLES}
+        self._changed: dict[str, dict[Key, Row]] = {table.name: {} for table in TABLES}
+        self._added: dict[str, list[Key]] = {table.name: [] for table in TABLES}
+        self.may_have_nul = False
+        """Whether some text of the batch may have a NUL character."""
+
+    def add(self, table: Table, *values: Any) -> None:
+        """A row, in the order of its columns, of a table that only grows."""
+        self._added[table.name].append(values)
+
+    def put(self, table: Table, row: Row) -> Row:
+        """A row that is new, or takes the place of another one."""
+        key = tuple(row[name] for name in table.key)
+        self._known[table.name][key] = self._changed[table.name][key] = row
+        return row
+
+    def get(self, table: Table, *key: Any) -> Row | None:
+        """A row to look at; None if there is none."""
+        known = self._known[table.name]
+        row = known.get(key)
+        if row is None:
+            row = self._load(table, key)
+            if row is not None:
+                known[key] = row
+        return row
+
+    def change(self, table: Table, *key: Any) -> Row | None:
+        """A row to be changed; None if there is none."""
+        row = self.get(table, *key)
+        if row is not None:
+            self._changed[table.name][key] = row
+        return row
+
+    def added(self) -> Iterator[tuple[Table, list[Key]]]:
+        for table in TABLES:
+            if self._added[table.name]:
+                yield table, self._added[table.name]
+
+    def changed(self) -> Iterator[tuple[Table, list[Row]]]:
+        for table in TABLES:
+            if self._changed[table.name]:
+                yield table, list(self._changed[table.name].values())
+
+    def written(self) -> None:
+        """All of it is in the database now."""
+        self.may_have_nul = False
+        for name in self._known:
+            self._changed[name].clear()
+            self._added[name].clear()
+        if sum(map(len, self._known.values())) > MOST_KEPT:
+            self.forget()
+
+    def forget(self) -> None:
+        """Somebody else may have changed the database, or nothing of it was written."""
+        for name in self._known:
+            self._known[name].clear()
+            self._changed[name].clear()
+            self._added[name].clear()

@@ -1,0 +1,119 @@
+"""The tables in a SQLite file of their own."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, ClassVar
+
+from sqlalchemy.engine import URL
+
+from labos.audit._ddl import STATE, Dialect, table_name
+from labos.audit._encode import decoded
+from labos.audit._rows import Key, Row
+from labos.audit.database import AuditDatabase, Mark
+from labos.audit.tables import TABLES, VERSION, Table
+from labos.private import make_database_file
+from labos.store import sqlite_path
+
+BUSY_TIMEOUT_S = 30.0
+"""How long to wait for another projector."""
+
+CACHE_KB = 64_000
+
+PAGES_LOGGED = 20_000
+"""So many pages the write-ahead log takes before it is moved into the file: the same pages are written again
+and again in between."""
+
+_STATE = table_name(STATE, "sqlite")
+
+
+def _insert(table: Table) -> str:
+    marks = ", ".join("?" * len(table.stored))
+    return f"INSERT OR REPLACE INTO {table_name(table.name, 'sqlite')} VALUES ({marks})"
+
+
+def _select(table: Table) -> str:
+    columns = ", ".join(f'"{name}"' for name in table.stored)
+    where = " AND ".join(f'"{name}" = ?' for name in table.key)
+    return f"SELECT {columns} FROM {table_name(table.name, 'sqlite')} WHERE {where}"
+
+
+_INSERT = {table.name: _insert(table) for table in TABLES}
+_SELECT = {table.name: _select(table) for table in TABLES}
+
+
+class SqliteAudit(AuditDatabase):
+    """See ``AuditDatabase``."""
+
+    dialect: ClassVar[Dialect] = "sqlite"
+
+    def __init__(self, url: URL) -> None:
+        super().__init__(url)
+        self.path = sqlite_path(url)
+        self._open()
+
+    def _open(self) -> None:
+        with self._door:
+            make_database_file(self.path)
+            self._connection = sqlite3.connect(
+                self.path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+            )
+            try:
+                self._connection.execute("PRAGMA journal_mode = WAL")
+                # What a power cut takes away is projected again: position and rows go together.
+                self._connection.execute("PRAGMA synchronous = NORMAL")
+                self._connection.execute(f"PRAGMA cache_size = -{CACHE_KB}")
+                self._connection.execute(f"PRAGMA wal_autocheckpoint = {PAGES_LOGGED}")
+            except sqlite3.DatabaseError:
+                self._connection.close()
+                raise
+
+    def load(self, table: Table, key: Key) -> Row | None:
+        with self._door:
+            found = self._connection.execute(_SELECT[table.name], key).fetchone()
+        return None if found is None else decoded(table, found)
+
+    def close(self) -> None:
+        self._connection.close()
+
+    # -- inside ------------------------------------------------------------------------------
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        with self._door:
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def _execute(self, statement: str) -> object:
+        return self._connection.execute(statement)
+
+    def _version(self) -> int:
+        known = self._connection.execute(
+            "SELECT 1 FROM sqlite_master WHERE name = ?", (_STATE.strip('"'),)
+        ).fetchone()
+        found = self._connection.execute(f"SELECT version FROM {_STATE}").fetchone() if known else None
+        return 0 if found is None else int(found[0])
+
+    def _mark(self) -> Mark:
+        row = self._connection.execute(f"SELECT lab, position, hash, at_s FROM {_STATE}").fetchone()
+        return Mark(*row)
+
+    def _note(self, mark: Mark) -> None:
+        self._connection.execute(
+            f"INSERT OR REPLACE INTO {_STATE} VALUES (1, ?, ?, ?, ?, ?)",
+            (VERSION, mark.lab, mark.position, mark.hash, mark.at_s),
+        )
+
+    def _insert(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
+        self._connection.executemany(_INSERT[table.name], rows)
+
+    def _replace(self, table: Table, rows: list[Sequence[Any]]) -> None:
+        self._insert(table, rows)

@@ -1,0 +1,393 @@
+"""Runs, steps and actions as rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
+from labos.audit._rows import Row, Rows, seconds
+from labos.audit._touches import labware_of
+from labos.audit._work_tables import ACTIONS, EXPERIMENTS, FILES, NODES, PLANS, PRESENT, RESULTS, RUNS, STEPS
+from labos.core import actions as a
+from labos.core import modules as m
+from labos.core import plans as p
+from labos.core import runs as r
+from labos.core import steps as st
+from labos.core.envelope import Envelope
+from labos.core.model import MAIN
+from labos.services.files import files_in
+from labos.services.results import labware_of_action, tables
+
+# -- plans and runs ----------------------------------------------------------------------------
+
+
+def on_plan_recorded(rows: Rows, event: p.PlanRecorded, head: Envelope, at: float) -> None:
+    rows.put(
+        PLANS,
+        {"plan": event.plan, "workflow": event.workflow, "workcell": event.workcell, "steps": []},
+    )
+
+
+def on_plan_steps_recorded(rows: Rows, event: p.PlanStepsRecorded, head: Envelope, at: float) -> None:
+    plan = rows.change(PLANS, event.plan)
+    if plan is not None:
+        steps = [[s.key, s.module, s.action, s.part, list(s.after)] for s in event.steps]
+        plan["steps"] = [*plan["steps"][: event.first], *steps]
+
+
+def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -> None:
+    plan = rows.get(PLANS, event.plan)
+    steps = plan["steps"] if plan is not None else []
+    rows.put(
+        RUNS,
+        {
+            "run": event.run,
+            "workflow": event.workflow,
+            "workcell": plan["workcell"] if plan is not None else "",
+            "user_id": event.user,
+            "experiment": event.experiment,
+            "campaign": event.campaign,
+            "row": event.row if event.campaign else None,
+            "priority": event.priority,
+            "status": "queued",
+            "submitted_at_s": at,
+            "started_at_s": None,
+            "ended_at_s": None,
+            "steps": len(steps),
+            "steps_done": 0,
+            "why": "",
+            "failure": "",
+            "closing": event.closing,
+            "plan": event.plan,
+            "pins": event.pins,
+            "payload": event.payload,
+            "submitted_position": head.position,
+            "started_position": None,
+            "ended_position": None,
+        },
+    )
+    for number, (key, module, name, part, after) in enumerate(steps):
+        rows.put(
+            STEPS,
+            {
+                "run": event.run,
+                "step": number,
+                "key": key,
+                "module": module,
+                "name": name,
+                "state": "pending" if part == MAIN else "asleep",
+                "part": part,
+                "after": after,
+                "attempts": 0,
+                "requested_at_s": None,
+                "ended_at_s": None,
+                "error": "",
+                "breached": False,
+            },
+        )
+    experiment = rows.change(EXPERIMENTS, event.experiment) if event.experiment else None
+    if experiment is not None:
+        experiment["runs"] += 1
+
+
+def on_started(rows: Rows, event: r.RunStarted, head: Envelope, at: float) -> None:
+    run = rows.change(RUNS, event.run)
+    if run is not None:
+        run["status"], run["started_at_s"], run["started_position"] = "active", at, head.position
+
+
+def on_paused(rows: Rows, event: r.RunPaused, head: Envelope, at: float) -> None:
+    run = rows.change(RUNS, event.run)
+    if run is not None:
+        run["status"], run["why"] = "paused", event.why
+
+
+def on_resumed(rows: Rows, event: r.RunResumed, head: Envelope, at: float) -> None:
+    run = rows.change(RUNS, event.run)
+    if run is not None:
+        run["status"], run["why"] = "active" if run["started_at_s"] is not None else "queued", ""
+
+
+def on_cancelling(rows: Rows, event: r.RunCancelling, head: Envelope, at: float) -> None:
+    run = rows.change(RUNS, event.run)
+    if run is not None:
+        run["status"], run["why"] = "cancelling", run["why"] or event.why or event.reason
+
+
+def on_leaving(rows: Rows, event: r.RunLeaving, head: Envelope, at: float) -> None:
+    run = rows.change(RUNS, event.run)
+    if run is None:
+        return
+    run["status"] = "leaving"
+    for number in range(run["steps"]):
+        step = rows.get(STEPS, event.run, number)
+        if step is not None and number in event.steps:
+            _into(rows, event.run, number, "pending")
+        elif step is not None and step["state"] == "pending":
+            _into(rows, event.run, number, "skipped")
+
+
+def on_run_ended(
+    rows: Rows, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
+) -> None:
+    run = rows.change(RUNS, event.run)
+    if run is None:
+        return
+    run["ended_at_s"], run["ended_position"] = at, head.position
+    match event:
+        case r.RunCompleted():
+            run["status"] = "completed"
+        case r.RunFailed():
+            run["status"], run["why"], run["failure"] = "failed", event.why, event.kind
+        case r.RunCancelled():
+            run["status"], run["why"] = "cancelled", run["why"] or event.why
+
+
+# -- steps -------------------------------------------------------------------------------------
+
+
+def on_breached(rows: Rows, event: st.WindowBreached, head: Envelope, at: float) -> None:
+    step = rows.change(STEPS, event.run, event.step)
+    if step is not None:
+        step["breached"] = True
+
+
+def on_retried(rows: Rows, event: st.StepRetried, head: Envelope, at: float) -> None:
+    _into(rows, event.run, event.step, "pending")
+
+
+def on_skipped(rows: Rows, event: st.StepSkipped, head: Envelope, at: float) -> None:
+    _into(rows, event.run, event.step, "skipped", event.why)
+
+
+def on_unexpected(rows: Rows, event: st.StepUnexpected, head: Envelope, at: float) -> None:
+    _into(rows, event.run, event.step, "failed", event.why)
+
+
+def on_recovering(rows: Rows, event: st.StepRecovering, head: Envelope, at: float) -> None:
+    _into(rows, event.run, event.step, "failed", event.why)
+    run = rows.get(RUNS, event.run)
+    for number in range(run["steps"]) if run is not None else ():
+        step = rows.get(STEPS, event.run, number)
+        if step is not None and step["part"] == event.step and step["state"] == "asleep":
+            _into(rows, event.run, number, "pending")
+
+
+def _into(rows: Rows, run: str, number: int, state: str, error: str | None = None) -> Row | None:
+    """A step is in another state now; its run counts how many are done."""
+    step = rows.change(STEPS, run, number) if run else None
+    if step is None:
+        return None
+    if "done" in (state, step["state"]) and state != step["state"]:
+        whole = rows.change(RUNS, run)
+        if whole is not None:
+            whole["steps_done"] += 1 if state == "done" else -1
+    step["state"] = state
+    if error is not None:
+        step["error"] = error
+    return step
+
+
+# -- actions -----------------------------------------------------------------------------------
+
+
+def on_requested(rows: Rows, event: a.ActionRequested, head: Envelope, at: float) -> None:
+    step = _into(rows, event.run, event.step, "in flight", "")
+    if step is not None:
+        step["attempts"] = max(step["attempts"], event.attempt)
+        step["requested_at_s"], step["ended_at_s"] = at, None
+    action = rows.change(ACTIONS, event.action) if event.attempt > 1 else None
+    if action is not None:
+        action["attempts"], action["status"] = event.attempt, "requested"
+        return
+    present = rows.get(PRESENT, event.module)
+    node = rows.get(NODES, present["position"]) if present is not None else None
+    rows.put(
+        ACTIONS,
+        {
+            "action": event.action,
+            "run": event.run,
+            "step": event.step,
+            "key": step["key"] if step is not None else "",
+            "module": event.module,
+            "driver": node["driver"] if node is not None else "",
+            "driver_version": node["driver_version"] if node is not None else "",
+            "about": node["about"] if node is not None else "",
+            "simulated": node["simulated"] if node is not None else False,
+            "name": event.name,
+            "args": event.args,
+            "labware": labware_of(event.effects),
+            "files": event.files,
+            "status": "requested",
+            "effects": "",
+            "error": "",
+            "result": None,
+            "settled_by": "",
+            "attempts": event.attempt,
+            "requested_at_s": at,
+            "accepted_at_s": None,
+            "ended_at_s": None,
+            "device_ended_at_s": None,
+            "requested_position": head.position,
+            "ended_position": None,
+            "plate": labware_of_action(event),
+        },
+    )
+    for number, (name, digest) in enumerate(event.files.items()):
+        rows.add(FILES, head.position, number, at, "given", digest, name, None, event.run, event.action)
+
+
+def on_accepted(rows: Rows, event: a.ActionAccepted, head: Envelope, at: float) -> None:
+    action = rows.change(ACTIONS, event.action)
+    if action is not None:
+        action["status"], action["accepted_at_s"] = "accepted", at
+
+
+def on_reported(rows: Rows, event: a.ActionReported, head: Envelope, at: float) -> None:
+    action = rows.change(ACTIONS, event.action)
+    if action is not None:
+        action["status"] = "reported"
+
+
+def on_unknown(rows: Rows, event: a.ActionUnknown, head: Envelope, at: float) -> None:
+    _into(rows, event.run, event.step, "unknown", event.why)
+    action = rows.change(ACTIONS, event.action)
+    if action is not None:
+        action["status"], action["effects"], action["error"] = "unknown", "unknown", event.why
+
+
+def on_succeeded(rows: Rows, event: a.ActionSucceeded, head: Envelope, at: float) -> None:
+    _end(rows, event, head, at, "succeeded", "done", "all")
+    _add_results(rows, event, head, seconds(event.ended_ns) if event.ended_ns else at)
+
+
+def on_failed(rows: Rows, event: a.ActionFailed, head: Envelope, at: float) -> None:
+    _end(rows, event, head, at, "failed", "failed", event.effects, event.error)
+
+
+def on_rejected(rows: Rows, event: a.ActionRejected, head: Envelope, at: float) -> None:
+    _end(rows, event, head, at, "rejected", "failed" if event.final else "pending", "none", event.why)
+
+
+def on_reconciled(rows: Rows, event: a.ActionReconciled, head: Envelope, at: float) -> None:
+    state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
+    error = "" if state == "done" else f"settled by {event.by}"
+    action = _end(rows, event, head, at, "reconciled", state, event.effects, error)
+    if action is not None:
+        action["settled_by"] = event.by
+    _add_results(rows, event, head, at)
+
+
+def _end(
+    rows: Rows,
+    event: a.ActionEvent,
+    head: Envelope,
+    at: float,
+    status: str,
+    state: str,
+    effects: str,
+    error: str = "",
+) -> Row | None:
+    step = _into(rows, event.run, event.step, state, error)
+    if step is not None:
+        step["ended_at_s"] = at
+    action = rows.change(ACTIONS, event.action)
+    if action is not None:
+        action["status"], action["effects"], action["error"] = status, effects, error
+        action["ended_at_s"], action["ended_position"] = at, head.position
+        ended_ns = getattr(event, "ended_ns", 0)
+        action["device_ended_at_s"] = seconds(ended_ns) if ended_ns else None
+    return action
+
+
+def _add_results(
+    rows: Rows, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, ended: float
+) -> None:
+    """What the device returned: files, and values by well."""
+    action = rows.change(ACTIONS, event.action)
+    if action is None or event.result is None:
+        return
+    action["result"] = event.result
+    for number, (name, digest, size) in enumerate(files_in(event.result)):
+        file = ("returned", digest, name, size, event.run, event.action)
+        rows.add(FILES, head.position, number, ended, *file)
+    plate = action["plate"]
+    labware = rows.get(LABWARE, plate) if plate else None
+    samples = labware["samples"] if labware is not None else {}
+    number = 0
+    for table in tables(event.result):
+        for well, value in table.values.items():
+            about = (event.run, event.step, action["key"], event.action, event.module, plate, well)
+            said = (samples.get(well, ""), table.quantity, *_value(value), table.unit)
+            rows.add(RESULTS, head.position, number, ended, *about, *said)
+            number += 1
+
+
+def _value(value: Any) -> tuple[float | None, str]:
+    """A measured value as a number, if it is one, and as text."""
+    if isinstance(value, bool):
+        return None, "true" if value else "false"
+    return (None, value) if isinstance(value, str) else (float(value), str(value))
+
+
+# -- nodes -------------------------------------------------------------------------------------
+
+
+def on_joined(rows: Rows, event: m.NodeJoined, head: Envelope, at: float) -> None:
+    _leave(rows, event.module, at)
+    rows.put(PRESENT, {"module": event.module, "position": head.position})
+    rows.put(
+        NODES,
+        {
+            "position": head.position,
+            "module": event.module,
+            "driver": event.driver,
+            "driver_version": event.version,
+            "about": event.about,
+            "journal": event.journal,
+            "simulated": event.simulated,
+            "joined_at_s": at,
+            "left_at_s": None,
+        },
+    )
+
+
+def on_left(rows: Rows, event: m.NodeLeft, head: Envelope, at: float) -> None:
+    _leave(rows, event.module, at)
+
+
+def _leave(rows: Rows, module: str, at: float) -> None:
+    present = rows.get(PRESENT, module)
+    node = rows.change(NODES, present["position"]) if present is not None else None
+    if node is not None and node["left_at_s"] is None:
+        node["left_at_s"] = at
+
+
+HANDLERS: dict[Any, Any] = {
+    p.PlanRecorded: on_plan_recorded,
+    p.PlanStepsRecorded: on_plan_steps_recorded,
+    r.RunSubmitted: on_submitted,
+    r.RunStarted: on_started,
+    r.RunPaused: on_paused,
+    r.RunResumed: on_resumed,
+    r.RunCancelling: on_cancelling,
+    r.RunLeaving: on_leaving,
+    r.RunCompleted: on_run_ended,
+    r.RunFailed: on_run_ended,
+    r.RunCancelled: on_run_ended,
+    st.WindowBreached: on_breached,
+    st.StepRetried: on_retried,
+    st.StepSkipped: on_skipped,
+    st.StepUnexpected: on_unexpected,
+    st.StepRecovering: on_recovering,
+    a.ActionRequested: on_requested,
+    a.ActionAccepted: on_accepted,
+    a.ActionReported: on_reported,
+    a.ActionUnknown: on_unknown,
+    a.ActionSucceeded: on_succeeded,
+    a.ActionFailed: on_failed,
+    a.ActionRejected: on_rejected,
+    a.ActionReconciled: on_reconciled,
+    m.NodeJoined: on_joined,
+    m.NodeLeft: on_left,
+}

@@ -1,0 +1,45 @@
+"""Events of the log in the envelope of CloudEvents 1.0, for programs that know it: JSON, structured mode.
+
+Attributes are those of the specification (https://github.com/cloudevents/spec, version 1.0.2); its extensions
+have names of small letters and digits. ``position`` is text, as whole numbers of CloudEvents end at 2³¹ − 1.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+from urllib.parse import quote
+
+import msgspec
+
+from labos.audit.formats import NAMESPACE
+from labos.core.envelope import Record
+from labos.services.times import iso_time
+
+PREFIX = "labos."
+"""Before every type, so that it is not taken for one of another program."""
+
+
+def cloudevent(record: Record) -> bytes:
+    """A record as one line of JSON. ``data`` is the payload as it is stored, in the schema of its time
+    (``eventschema``); ``hash`` is the record's place in the chain."""
+    head = record.head
+    told: dict[str, Any] = {
+        "specversion": "1.0",
+        "id": head.id,
+        "source": f"{NAMESPACE}{quote(head.lab, safe='')}",
+        "type": PREFIX + head.type,
+        "time": iso_time(head.recorded_at),
+        "datacontenttype": "application/json",
+        "position": str(head.position),
+        "hash": record.hash.hex(),
+        "eventschema": head.schema,
+    }
+    # An attribute is left out rather than empty.
+    others = {
+        "subject": head.stream,
+        "actor": head.actor,
+        "correlationid": head.correlation,
+        "causationid": head.causation,
+    }
+    told.update({name: value for name, value in others.items() if value})
+    return msgspec.json.encode({**told, "data": msgspec.Raw(record.payload)})

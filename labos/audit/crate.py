@@ -1,0 +1,288 @@
+"""A run, or the runs of an experiment, as an RO-Crate: what was done by whom, with which drivers, on what.
+
+A crate conforms to Process Run Crate 0.5 (https://w3id.org/ro/wfrun/process/0.5): each action of a module is
+a ``CreateAction``, its instrument the driver with its version, its agent the user who asked for the run. If
+all runs follow one workflow and each has carried out something, it conforms to Workflow Run Crate and
+Provenance Run Crate 0.5 as well: the workflow is the main entity, a run is an action of its own, and each
+step of it is told by a ``ControlAction``. Steps that were not carried out stand in the plan only.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Any
+
+import msgspec
+
+from labos.audit._crate_parts import METADATA, VERSION, Crate, link, local_id, safe_name, with_offset
+from labos.audit._crate_steps import STATUS, Doer, add_action, json_of
+from labos.audit.query import Asker
+from labos.core.canonical import canonical
+from labos.core.lab import KernelStarted
+from labos.core.plans import PlanRecorded, PlanStepsRecorded
+from labos.errors import NotFound
+from labos.ports import LogQuery
+from labos.services.log import Log
+from labos.services.times import iso_time
+
+WFRUN = "https://w3id.org/ro/wfrun"
+PROCESS = (f"{WFRUN}/process/0.5", "Process Run Crate", "0.5")
+OF_ONE_WORKFLOW = (
+    (f"{WFRUN}/workflow/0.5", "Workflow Run Crate", "0.5"),
+    (f"{WFRUN}/provenance/0.5", "Provenance Run Crate", "0.5"),
+    ("https://w3id.org/workflowhub/workflow-ro-crate/1.0", "Workflow RO-Crate", "1.0"),
+)
+
+NO_LICENSE = "No licence was given. Ask the lab before you use its data."
+
+_RUNS = (
+    "SELECT run, workflow, workcell, user_id, experiment, status, why, plan, pins, payload, submitted_at, "
+    "started_at, ended_at, submitted_position, ended_position FROM runs WHERE {} ORDER BY submitted_position"
+)
+_TABLES = {
+    "results.csv": (
+        "What was measured, well by well",
+        (
+            "run",
+            "step",
+            "key",
+            "module",
+            "labware",
+            "well",
+            "sample",
+            "quantity",
+            "value",
+            "text",
+            "unit",
+            "at",
+        ),
+        "SELECT {} FROM results WHERE run = ? ORDER BY position, number",
+    ),
+    "transfers.csv": (
+        "What was transferred into and out of wells",
+        (
+            "run",
+            "at",
+            "kind",
+            "labware",
+            "well",
+            "volume_ul",
+            "liquid",
+            "lots",
+            "certain",
+            "module",
+            "action",
+        ),
+        "SELECT {} FROM transfers WHERE run = ? ORDER BY position, number",
+    ),
+}
+
+
+class Run(msgspec.Struct, frozen=True):
+    """A row of the view ``runs``."""
+
+    run: str
+    workflow: str
+    workcell: str
+    user: str
+    experiment: str
+    status: str
+    why: str
+    plan: str
+    pins: Any
+    payload: Any
+    submitted_at: str
+    started_at: str | None
+    ended_at: str | None
+    submitted_position: int
+    ended_position: int | None
+
+
+def runs_of(asker: Asker, name: str) -> list[Run]:
+    """The run of that name, or the runs of the experiment. Raises NotFound."""
+    rows = asker.fetch(_RUNS.format("run = ?"), name) or asker.fetch(_RUNS.format("experiment = ?"), name)
+    if not rows:
+        raise NotFound(
+            f"There is no run {name!r} in this log, and no experiment of that name that has a run.",
+            remedy="List them: labos runs --all, labos experiments --all",
+        )
+    return [Run(*row) for row in rows]
+
+
+def make_crate(asker: Asker, log: Log, name: str, now_ns: int, license_: str = "") -> Crate:
+    """The crate of a run or an experiment, as far as it has come. ``license_`` is the URL of a licence.
+    Raises NotFound, LogDamaged."""
+    runs = runs_of(asker, name)
+    crate = Crate()
+    about = {"@id": "./"}
+    crate.add("CreativeWork", METADATA, about=about, conformsTo=link(VERSION))
+    told = ", ".join(dict.fromkeys(run.workflow for run in runs))
+    kind = "Run" if runs[0].run == name else "Experiment"
+    crate.add(
+        "Dataset",
+        "./",
+        name=f"{kind} {name}: {told}",
+        description=f"{kind} {name} of the lab {log.head().lab}, carried out by LabOS: its workflow, every "
+        f"step with its module, driver and times, labware, lots, results and files.",
+        datePublished=iso_time(now_ns),
+        license=link(_add_license(crate, license_)),
+    )
+    workflows = {run.run: _add_workflow(crate, log, run) for run in runs}
+    done = [_add_run(crate, asker, log, run, workflows[run.run]) for run in runs]
+    main = set(workflows.values())
+    profiles = [PROCESS]
+    if len(main) == 1 and all(done):
+        profiles += OF_ONE_WORKFLOW
+        crate.tell("./", mainEntity=link(*main))
+        crate.tell(METADATA, conformsTo=link(VERSION, OF_ONE_WORKFLOW[-1][0]))
+    crate.tell("./", author=link(*(local_id("user", run.user) for run in runs)))
+    for table, (words, columns, query) in _TABLES.items():
+        _add_table(crate, asker, runs, table, words, columns, query)
+    for id_, title, version in profiles:
+        crate.add("CreativeWork", id_, name=title, version=version)
+    crate.tell("./", conformsTo=link(*(id_ for id_, _, _ in profiles)))
+    return crate
+
+
+def _add_license(crate: Crate, url: str) -> str:
+    if url:
+        return crate.add("CreativeWork", url, name=url, description="The licence of this crate.")
+    return crate.add("CreativeWork", "#no-licence", name="No licence", description=NO_LICENSE)
+
+
+def _add_workflow(crate: Crate, log: Log, run: Run) -> str:
+    """The workflow's file as it was submitted, and its plan (the workflow with its payload filled in); the
+    plan alone for a run whose workflow came as no file. Returns the id of what the run followed."""
+    kinds = ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"]
+    source = json_of(run.pins).get("workflow")
+    plan = _plan_of(log, run.plan)
+    path = f"plans/{run.plan[:12]}.json"
+    words = f"Plan of {run.workflow}: the workflow with its payload filled in"
+    if not source:
+        language = crate.add("ComputerLanguage", "#labos-plan", name="LabOS plan (JSON)")
+        return crate.put(
+            path,
+            plan,
+            kind=kinds,
+            name=words,
+            encodingFormat="application/json",
+            programmingLanguage=link(language),
+            version=run.plan[:12],
+        )
+    crate.put(path, plan, name=words, encodingFormat="application/json")
+    language = crate.add("ComputerLanguage", "#labos-workflow", name="LabOS workflow (YAML)")
+    return crate.put_blob(
+        f"workflows/{safe_name(run.workflow)}.yaml",
+        source,
+        None,
+        kind=kinds,
+        name=run.workflow,
+        encodingFormat="application/yaml",
+        programmingLanguage=link(language),
+        version=source[:12],
+    )
+
+
+def _plan_of(log: Log, digest: str) -> bytes:
+    """The plan as JSON, put together from what the log has of it. Raises NotFound."""
+    plan: dict[str, Any] = {}
+    by: str | None = None
+    query = LogQuery(types=(PlanRecorded.TYPE, PlanStepsRecorded.TYPE), mentions=digest)
+    for record in log.select(query):
+        told = msgspec.json.decode(record.payload)
+        if told["plan"] != digest or by not in (None, told["by"]):
+            continue  # the same plan is recorded again if it was needed again
+        if record.head.type == PlanRecorded.TYPE:
+            by = told["by"]
+            plan = {name: told[name] for name in ("workflow", "workcell", "feeds", "files", "holds")}
+            plan["steps"] = []
+        else:
+            plan["steps"] += told["steps"]
+    if not plan:
+        raise NotFound(f"There is no plan {digest} in this log.", remedy="Check it: labos verify")
+    return canonical(plan)
+
+
+def _add_run(crate: Crate, asker: Asker, log: Log, run: Run, workflow: str) -> bool:
+    """The run and each of its actions; returns whether something was carried out."""
+    user = crate.add("Person", local_id("user", run.user), name=run.user, identifier=run.user)
+    id_ = local_id("run", run.run)
+    payload = crate.put(
+        f"runs/{run.run}/payload.json",
+        canonical(json_of(run.payload)),
+        name=f"Payload of {run.run}",
+        encodingFormat="application/json",
+    )
+    doer = Doer(run.run, run.plan, user, workflow)
+    actions = [
+        add_action(crate, asker, doer, row[0])
+        for row in asker.fetch(
+            "SELECT action FROM actions WHERE run = ? ORDER BY requested_position", run.run
+        )
+    ]
+    status = STATUS.get(run.status, "Active")
+    crate.add(
+        "CreateAction",
+        id_,
+        name=f"Run {run.run}: {run.workflow}",
+        description=f"The workflow {run.workflow} on the workcell {run.workcell}; it is {run.status}.",
+        instrument=link(workflow),
+        agent=link(user),
+        startTime=with_offset(run.started_at or run.submitted_at),
+        endTime=with_offset(run.ended_at),
+        actionStatus=f"http://schema.org/{status}ActionStatus",
+        error=(run.why or run.status) if status == "Failed" else None,
+        object=link(payload, f"plans/{run.plan[:12]}.json", *(each for a in actions for each in a.used)),
+        result=link(*(each for a in actions for each in a.made)),
+    )
+    controls = [a.control for a in actions]
+    if controls:
+        crate.add(
+            "OrganizeAction",
+            local_id("execution", run.run),
+            name=f"LabOS carries out {run.run}",
+            instrument=link(*_add_kernels(crate, log, run)),
+            agent=link(user),
+            startTime=with_offset(run.started_at),
+            endTime=with_offset(run.ended_at),
+            object=link(*controls),
+            result=link(id_),
+        )
+    crate.extend("./", "mentions", id_, *(a.id for a in actions))
+    return bool(controls)
+
+
+def _add_kernels(crate: Crate, log: Log, run: Run) -> list[str]:
+    """LabOS in each of its versions whose kernels carried the run out."""
+    kind = (KernelStarted.TYPE,)
+    before = log.select(LogQuery(types=kind, upto=run.submitted_position, last=1))
+    later = log.select(LogQuery(types=kind, after=run.submitted_position, upto=run.ended_position))
+    versions = [msgspec.json.decode(record.payload)["version"] for record in (*before, *later)]
+    return [
+        crate.add("SoftwareApplication", local_id("labos", version), name="LabOS", softwareVersion=version)
+        for version in dict.fromkeys(versions)
+    ]
+
+
+def _add_table(
+    crate: Crate,
+    asker: Asker,
+    runs: list[Run],
+    path: str,
+    words: str,
+    columns: tuple[str, ...],
+    query: str,
+) -> None:
+    """Rows of a view as CSV, if there are any."""
+    rows = [row for run in runs for row in asker.fetch(query.format(", ".join(columns)), run.run)]
+    if not rows:
+        return
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    out.writerow(columns)
+    # A flag is 0 or 1 in SQLite.
+    out.writerows([int(value) if isinstance(value, bool) else value for value in row] for row in rows)
+    id_ = crate.put(path, text.getvalue().encode(), name=words, encodingFormat="text/csv")
+    if len(runs) == 1:
+        crate.extend(local_id("run", runs[0].run), "result", id_)

@@ -1,0 +1,141 @@
+"""What is in a well and where that came from, after any number of transfers."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import msgspec
+
+from labos.audit.graph import Entity, Part
+from labos.audit.query import Asker
+
+_WELL = re.compile(r"(?:([^/\s]+)/)?([A-Z]{1,2}[1-9][0-9]?)")
+_STEPS = (
+    "SELECT position, number, kind, volume_ul, liquid, lots, certain FROM transfers "
+    "WHERE labware = ? AND well = ? AND position <= ? ORDER BY position, number"
+)
+_TRACE_UL = 1e-9
+"""Less is nothing."""
+
+Origin = tuple[Entity, str]
+"""Where liquid came from, and what it is called."""
+
+
+class Mixture(msgspec.Struct):
+    """Volumes (µL) by origin. ``unmeasured`` are origins of which nobody said how much there is;
+    ``doubtful`` those of which it is not known whether they came in. ``drawn`` is what it held before it was
+    emptied: an action says what it drew in any order with what it put elsewhere."""
+
+    volumes: dict[Origin, float] = {}
+    unmeasured: set[Origin] = set()
+    doubtful: set[Origin] = set()
+    drawn: dict[Origin, float] = {}
+
+    @property
+    def total_ul(self) -> float:
+        return sum(self.volumes.values())
+
+    def add(self, origin: Origin, volume: float | None, *, certain: bool) -> None:
+        if volume is None:
+            self.unmeasured.add(origin)
+        else:
+            self.volumes[origin] = self.volumes.get(origin, 0.0) + volume
+        if not certain:
+            self.doubtful.add(origin)
+
+    def draw(self, volume: float) -> None:
+        """Of everything in proportion."""
+        total = self.total_ul
+        if total > 0:
+            left = max(0.0, 1.0 - volume / total)
+            self.drawn = dict(self.volumes)
+            self.volumes = {origin: part * left for origin, part in self.volumes.items()}
+
+    def parts(self) -> list[Part]:
+        """The largest part first. Shares are told only where all volumes are known."""
+        total = self.total_ul
+        exact = total > 0 and not self.unmeasured
+        found = []
+        for origin in {**self.volumes, **dict.fromkeys(self.unmeasured)}:
+            volume = self.volumes.get(origin, 0.0)
+            if volume > _TRACE_UL or origin in self.unmeasured:
+                told = None if origin in self.unmeasured else round(volume, 6)
+                share = round(volume / total, 6) if exact else None
+                found.append(Part(*origin, told, share, origin not in self.doubtful))
+        return sorted(found, key=lambda part: (-(part.volume_ul or 0.0), part.origin.name, part.what))
+
+
+def source_well(labware: str, liquid: str) -> str:
+    """The well that a liquid names: ``A1`` of the same labware, or ``P3/A1``; empty if it names none."""
+    found = _WELL.fullmatch(liquid)
+    return f"{found[1] or labware}/{found[2]}" if found else ""
+
+
+def contents(asker: Asker, labware: str, well: str, upto: int) -> list[Part]:
+    """What a well holds after the event at a position. A sheet of samples says anew what is there; what is
+    taken out of a well has the shares that the well has at that moment."""
+    steps = _steps_before(asker, f"{labware}/{well}", upto)
+    wells: dict[str, Mixture] = {name: Mixture() for name in steps}
+    for _, _, name, step in sorted(
+        (at, n, name, step) for name, told in steps.items() for at, n, *step in told
+    ):
+        _take(wells, name, *step)
+    return wells[f"{labware}/{well}"].parts()
+
+
+def _steps_before(asker: Asker, wanted: str, upto: int) -> dict[str, list[Any]]:
+    """All that happened to a well, and to those that it was ever filled from."""
+    found: dict[str, list[Any]] = {}
+    waiting = [wanted]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        labware, _, well = name.rpartition("/")
+        found[name] = asker.fetch(_STEPS, labware, well, upto)
+        waiting += [source for step in found[name] if (source := _source(labware, *step[2:5]))]
+    return found
+
+
+def _source(labware: str, kind: str, volume: float | None, liquid: str) -> str:
+    return source_well(labware, liquid) if kind == "in" else ""
+
+
+def _take(
+    wells: dict[str, Mixture],
+    name: str,
+    kind: str,
+    volume: float | None,
+    liquid: str,
+    lots: str | None,
+    certain: bool,
+) -> None:
+    held = wells[name]
+    source = _source(name.rpartition("/")[0], kind, volume, liquid)
+    if kind == "sheet":
+        wells[name] = Mixture()
+        wells[name].add((Entity("sample", liquid), liquid), volume, certain=True)
+    elif kind == "out":
+        if certain:
+            held.draw(volume or 0.0)
+    elif source:
+        _pour(wells[source], held, source, volume or 0.0, certain=certain)
+    else:
+        # How much came of each of several lots is not recorded: equal parts.
+        named = msgspec.json.decode(lots or "[]", type=list[str]) or ["not known"]
+        for lot in named:
+            part = None if volume is None else volume / len(named)
+            held.add((Entity("lot", lot), liquid), part, certain=certain)
+
+
+def _pour(origin: Mixture, held: Mixture, source: str, volume: float, *, certain: bool) -> None:
+    """From a well into another one."""
+    parts = dict(origin.volumes if origin.total_ul > 0 else origin.drawn)
+    total = sum(parts.values())
+    for part, amount in parts.items():
+        held.add(part, volume * amount / total, certain=certain and part not in origin.doubtful)
+    for part in list(origin.unmeasured):
+        held.add(part, None, certain=certain)
+    if not parts and not origin.unmeasured:
+        held.add((Entity("well", source), "not known"), volume, certain=certain)

@@ -1,0 +1,67 @@
+"""From events to rows: a plain function of the log, with nothing remembered but the rows themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from labos.audit import _bench, _campaigns, _liquids, _people, _work
+from labos.audit._bench_tables import TOUCHES
+from labos.audit._rows import Rows, seconds
+from labos.audit._touches import touched_by
+from labos.audit._work_tables import EVENTS
+from labos.core import fold
+from labos.core.envelope import Record
+from labos.core.registry import TYPES, Event
+from labos.ports import BlobStore
+from labos.services.log import event_of
+
+Handler = Callable[..., None]
+
+assert fold  # it registers the events
+
+_NAMED = ("run", "step", "module", "action", "labware")
+_UNNAMED = ("", None, "", "", "")
+_KNOWN: dict[type[Event], list[tuple[int, str]]] = {
+    kind: [(at, name) for at, name in enumerate(_NAMED) if name in kind.__struct_fields__]
+    for kind in TYPES.values()
+}
+"""Which of these columns of ``events`` each type of event names."""
+
+_HANDLERS: dict[type[Event], tuple[Handler, ...]] = {
+    kind: tuple(
+        slice_.HANDLERS[kind]
+        for slice_ in (_work, _bench, _liquids, _people, _campaigns)
+        if kind in slice_.HANDLERS
+    )
+    for kind in TYPES.values()
+}
+
+
+class Projection:
+    """Takes events of a log in their order; ``blobs`` hold long sheets of samples."""
+
+    def __init__(self, rows: Rows, blobs: BlobStore | None = None) -> None:
+        self.rows, self.blobs = rows, blobs
+
+    def take(self, record: Record) -> None:
+        """Take in one record. Raises LogTooNew, LogDamaged."""
+        event, head, rows = event_of(record), record.head, self.rows
+        kind = type(event)
+        at = seconds(head.recorded_at)
+        if b"\\u0000" in record.payload:
+            rows.may_have_nul = True
+        about = (head.position, at, head.type, head.actor, head.stream, head.correlation)
+        named: list[Any] = list(_UNNAMED)
+        for place, name in _KNOWN[kind]:
+            named[place] = getattr(event, name)
+        if type(named[4]) is tuple:  # of several pieces of labware none is named
+            named[4] = ""
+        rows.add(EVENTS, *about, *named, head.id)
+        for handler in _HANDLERS[kind]:
+            handler(rows, event, head, at)
+        if kind in _liquids.SHEETS:
+            _liquids.on_samples_registered(rows, event, head, at, self.blobs)
+        _people.note_actor(rows, head, at)
+        for name in touched_by(rows, event):
+            rows.add(TOUCHES, name, head.position)

@@ -1,0 +1,122 @@
+"""Where something comes from, and what came of it, as of any past position of the log."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal
+
+import msgspec
+
+from labos.audit._causes import CAUSES
+from labos.audit._effects import EFFECTS
+from labos.audit._facts import facts_of
+from labos.audit.graph import Entity, EntityKind, Graph, Link, well_of
+from labos.audit.liquids import contents
+from labos.audit.query import Asker
+from labos.errors import NotFound
+
+Direction = Literal["up", "down"]
+
+MOST_LINKS = 2000
+"""An answer ends here, and says so; more is asked for with ``most``."""
+
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+_STEP = re.compile(r"([^#\s]+)\s*#(\d+)")
+_PREFIXES = {
+    "action": "SELECT 1 FROM actions WHERE action = ? AND requested_position <= ?",
+    "experiment": "SELECT 1 FROM experiments WHERE experiment = ? AND started_position <= ?",
+    "run": "SELECT 1 FROM runs WHERE run = ? AND submitted_position <= ?",
+    "labware": "SELECT 1 FROM labware WHERE labware = ? AND placed_position <= ?",
+    "result": "SELECT 1 FROM actions WHERE action = ? AND result IS NOT NULL AND ended_position <= ?",
+    "sample": "SELECT 1 FROM samples WHERE sample = ? AND position <= ?",
+    "lot": "SELECT 1 FROM lot_uses WHERE lot = ? AND position <= ?",
+    "file": "SELECT 1 FROM files WHERE digest = ? AND position <= ?",
+    "workflow": "SELECT 1 FROM runs WHERE plan = ? AND submitted_position <= ?",
+    "user": "SELECT 1 FROM events WHERE actor = ? AND position <= ?",
+}
+"""Kinds of entities in the order in which a bare name is looked up, and how."""
+
+_BARE: tuple[EntityKind, ...] = (
+    *("run", "labware", "experiment", "sample", "lot", "file", "workflow", "action", "user"),
+)
+
+
+def subject_of(asker: Asker, text: str, upto: int) -> Entity:
+    """What a person means: ``P7``, ``P7/B7``, ``R1``, ``R1#3`` (the result of its step 3), the digest of a
+    file, a sample, a lot. ``lot:``, ``sample:`` and so on in front say the kind. Raises NotFound."""
+    kind, _, name = text.partition(":")
+    if name and kind == "driver" and name.count(" ") == 2:
+        return Entity("driver", name)
+    if name and kind in _PREFIXES and asker.fetch(_PREFIXES[kind], name, upto):
+        return Entity(kind, name)  # type: ignore[arg-type]
+    step = _STEP.fullmatch(text)
+    if step is not None:
+        found = asker.fetch(
+            "SELECT action, result IS NOT NULL AND ended_position <= ? FROM actions WHERE run = ? "
+            "AND step = ? AND requested_position <= ? ORDER BY requested_position DESC LIMIT 1",
+            *(upto, step[1], int(step[2]), upto),
+        )
+        if found:
+            return Entity("result" if found[0][1] else "action", found[0][0])
+    plate, well = well_of(text)
+    if plate and asker.fetch(_PREFIXES["labware"], plate, upto):
+        return Entity("well", f"{plate}/{well.upper()}")
+    for bare in _BARE:
+        if asker.fetch(_PREFIXES[bare], text, upto):
+            return Entity(bare, text)
+    raise NotFound(
+        f"Nothing in this log is called {text!r}.",
+        remedy="Name labware (P7), a well (P7/B7), a run (R1), the result of a step (R1#3), a sample, a "
+        "file's digest or a lot; lot:NAME and sample:NAME say which is meant.",
+    )
+
+
+def trace(asker: Asker, subject: Entity, upto: int, direction: Direction, most: int = MOST_LINKS) -> Graph:
+    """What a entity hangs on (up), or what hangs on it (down), with the contents of a well. Only what was so
+    when it mattered counts: what was done to a plate after it was read is no cause of the reading."""
+    graph = Graph(subject, upto)
+    seen = {subject: 0 if direction == "down" else upto}
+    links: dict[Link, bool] = {}
+    waiting = [(subject, seen[subject])]
+    while waiting and graph.whole:
+        entity, bound = waiting.pop(0)
+        for link, limit in _next(asker, entity, bound, upto, direction):
+            other = link.cause if direction == "up" else link.effect
+            if link.position <= upto and link not in links:
+                links[link] = True
+                if len(links) >= most:
+                    graph.whole = False
+                    break
+            known = seen.get(other)
+            further = known is None or (limit > known if direction == "up" else limit < known)
+            if further and link.position <= upto:
+                seen[other] = limit
+                waiting.append((other, limit))
+    graph.links = sorted(links, key=lambda link: (link.position, str(link.effect), str(link.cause)))
+    if subject.kind == "well":
+        graph.contents = contents(asker, *well_of(subject.name), upto)
+    entities = {entity: True for link in graph.links for entity in (link.effect, link.cause)}
+    graph.entities = {str(entity): facts_of(asker, entity, upto) for entity in entities}
+    graph.facts = graph.entities.get(str(subject)) or facts_of(asker, subject, upto)
+    return graph
+
+
+def _next(asker: Asker, entity: Entity, bound: int, upto: int, direction: Direction) -> Any:
+    if direction == "up":
+        causes = CAUSES.get(entity.kind)
+        return causes(asker, entity, bound) if causes is not None else ()
+    effects = EFFECTS.get(entity.kind)
+    return effects(asker, entity, bound, upto) if effects is not None else ()
+
+
+def plain(graph: Graph) -> dict[str, Any]:
+    """The graph for programs."""
+    return {
+        "subject": msgspec.to_builtins(graph.subject),
+        "position": graph.position,
+        "facts": graph.facts,
+        "contents": msgspec.to_builtins(graph.contents),
+        "links": msgspec.to_builtins(graph.links),
+        "entities": graph.entities,
+        "whole": graph.whole,
+    }

@@ -1,0 +1,206 @@
+"""Questions in SQL to the views: answered, and nothing is changed, whatever is asked."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from typing import Any, Protocol
+
+import msgspec
+
+from labos.audit._ddl import VIEW_SCHEMA
+from labos.audit.database import audit_url
+from labos.errors import BadInput, StoreUnavailable
+from labos.store import Door, display_name, sqlite_path
+
+TIME_LIMIT_S = 30.0
+FETCHED = 1000
+"""Rows that are fetched at once."""
+
+_STEPS = 10_000
+"""SQLite looks at the clock after so many of its steps."""
+
+_SEE = "What there is to ask: labos sql --views"
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """Rows come as they are found; times are text in ISO 8601, UTC."""
+
+    columns: tuple[str, ...]
+    rows: Iterator[Sequence[Any]]
+
+
+class Asker(Protocol):
+    """A connection that only reads. ``values`` stand for ``?`` in the query, one after the other."""
+
+    def fetch(self, query: str, *values: Any) -> list[Any]:
+        """All rows of a question of our own, as tuples, without a limit of time."""
+
+    def ask(self, query: str, values: Sequence[Any] = ()) -> Answer:
+        """One statement. Raises BadInput for what is no question, or takes longer than its limit."""
+
+
+@contextmanager
+def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[Asker]:
+    """Ask the views beside a log; each question may take ``limit_s`` seconds. Raises StoreUnavailable if
+    there are none."""
+    parsed = audit_url(url)
+    if parsed.get_backend_name() == "sqlite":
+        path = sqlite_path(parsed)
+        if not path.exists():
+            raise StoreUnavailable(
+                f"There is no {display_name(parsed)}.", remedy="Make it: labos audit project"
+            )
+        with Door(parsed):
+            lite = _open_sqlite(path.as_uri())
+        try:
+            yield _SqliteAsker(lite, limit_s)
+        finally:
+            lite.close()
+        return
+    from labos.audit._postgres import connect
+
+    with Door(parsed):
+        server = connect(parsed)
+        server.execute("SET default_transaction_read_only = on")
+        server.execute(f"SET search_path = {VIEW_SCHEMA}, pg_catalog".encode())
+        server.execute("SET TIME ZONE 'UTC'")
+    try:
+        yield _PostgresAsker(server, limit_s)
+    finally:
+        server.close()
+
+
+# -- SQLite ------------------------------------------------------------------------------------
+
+_READS = {
+    sqlite3.SQLITE_SELECT,
+    sqlite3.SQLITE_READ,
+    sqlite3.SQLITE_FUNCTION,
+    sqlite3.SQLITE_RECURSIVE,
+}
+
+
+def _open_sqlite(uri: str) -> sqlite3.Connection:
+    """A database in memory, to which the file is attached by the name of PostgreSQL's schema of the views."""
+    connection = sqlite3.connect(":memory:", isolation_level=None, uri=True)
+    try:
+        connection.execute(f"ATTACH ? AS {VIEW_SCHEMA}", (f"{uri}?mode=ro",))
+        connection.execute(f"SELECT 1 FROM {VIEW_SCHEMA}.sqlite_master").fetchone()
+        connection.execute("PRAGMA query_only = ON")
+        connection.set_authorizer(_allow)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _allow(action: int, first: str | None, second: str | None, *others: str | None) -> int:
+    """Only reading: no PRAGMA, no ATTACH, no transaction, nothing that writes."""
+    if action == sqlite3.SQLITE_FUNCTION and second in ("load_extension", "readfile", "writefile", "edit"):
+        return sqlite3.SQLITE_DENY
+    return sqlite3.SQLITE_OK if action in _READS else sqlite3.SQLITE_DENY
+
+
+class _SqliteAsker:
+    def __init__(self, connection: sqlite3.Connection, limit_s: float) -> None:
+        self._connection, self._limit_s = connection, limit_s
+
+    def fetch(self, query: str, *values: Any) -> list[Any]:
+        self._connection.set_progress_handler(None, 0)
+        return self._connection.execute(query, values).fetchall()
+
+    def ask(self, query: str, values: Sequence[Any] = ()) -> Answer:
+        end = time.monotonic() + self._limit_s
+        self._connection.set_progress_handler(lambda: int(time.monotonic() > end), _STEPS)
+        try:
+            cursor = self._connection.execute(query, values)
+        except (sqlite3.Error, sqlite3.Warning) as error:
+            raise _refusal(str(error), self._limit_s) from None
+        if cursor.description is None:
+            raise BadInput("That asks nothing.", remedy="Ask with SELECT.")
+        return Answer(tuple(column[0] for column in cursor.description), self._rows(cursor))
+
+    def _rows(self, cursor: sqlite3.Cursor) -> Iterator[Sequence[Any]]:
+        try:
+            yield from cursor
+        except sqlite3.Error as error:
+            raise _refusal(str(error), self._limit_s) from None
+
+
+# -- PostgreSQL --------------------------------------------------------------------------------
+
+
+class _PostgresAsker:
+    """The query is declared as a cursor in a transaction that only reads: both take nothing but a question,
+    and the protocol of prepared statements takes no more than one."""
+
+    def __init__(self, connection: Any, limit_s: float) -> None:
+        self._connection, self._limit_s = connection, limit_s
+
+    def fetch(self, query: str, *values: Any) -> list[Any]:
+        found = self._connection.execute(_for_postgres(query), values)
+        return [tuple(_plain(value) for value in row) for row in found.fetchall()]
+
+    def ask(self, query: str, values: Sequence[Any] = ()) -> Answer:
+        rows = self._rows(query, values)
+        columns = next(rows)
+        return Answer(tuple(columns), rows)
+
+    def _rows(self, query: str, values: Sequence[Any]) -> Iterator[Sequence[Any]]:
+        import psycopg
+
+        end = time.monotonic() + self._limit_s
+        connection = self._connection
+        if values:
+            query = _for_postgres(query)
+        connection.execute("BEGIN READ ONLY")
+        try:
+            self._limit(end)
+            declared = f"DECLARE labos_answer NO SCROLL CURSOR FOR {query}"
+            connection.execute(declared, values or None, prepare=True)
+            first = True
+            while True:
+                self._limit(end)
+                found = connection.execute(f"FETCH {FETCHED} FROM labos_answer")
+                if first:
+                    yield [column.name for column in found.description]
+                    first = False
+                rows = found.fetchall()
+                yield from ([_plain(value) for value in row] for row in rows)
+                if len(rows) < FETCHED:
+                    return
+        except psycopg.Error as error:
+            raise _refusal(str(error).partition("\n")[0], self._limit_s) from None
+        finally:
+            if not connection.closed:
+                connection.execute("ROLLBACK")
+
+    def _limit(self, end: float) -> None:
+        left_ms = max(1, round((end - time.monotonic()) * 1000))
+        self._connection.execute(f"SET LOCAL statement_timeout = {left_ms}")
+
+
+def _for_postgres(query: str) -> str:
+    return query.replace("%", "%%").replace("?", "%s")
+
+
+def _plain(value: Any) -> Any:
+    """A moment as SQLite's views write it."""
+    if isinstance(value, datetime):
+        return f"{value.astimezone(UTC).replace(tzinfo=None).isoformat(timespec='milliseconds')}Z"
+    return value
+
+
+def _refusal(words: str, limit_s: float) -> BadInput:
+    if "interrupted" in words or "statement timeout" in words:
+        return BadInput(
+            f"The question took longer than {limit_s:g} s.",
+            remedy="Ask for less, or allow more: labos sql --timeout SECONDS",
+        )
+    if "not authorized" in words or "read-only" in words or "readonly" in words:
+        return BadInput("Only questions are allowed here: nothing can be changed.", remedy="Ask with SELECT.")
+    return BadInput(f"The database refuses that: {words}.", remedy=_SEE)

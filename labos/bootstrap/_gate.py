@@ -1,0 +1,143 @@
+"""Who is let in: the accounts of a lab, the key in its folder, and where it may be reached."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from labos.bootstrap._metrics import LabMetrics
+from labos.clock import Clock
+from labos.core.decide.users import AddUser
+from labos.core.users import UserDisabled
+from labos.errors import BadInput
+from labos.http.door import WAY_BACK
+from labos.http.identity import Gate
+from labos.http.server import Listening, is_own_address
+from labos.private import create_file
+from labos.runtime.kernel import Kernel
+from labos.runtime.ledger import Entry
+from labos.services.accounts import HOME, Accounts, make_secret
+from labos.services.accounts.oidc import Provider
+from labos.services.accounts.provider_file import load_provider
+from labos.settings import OIDC, Settings
+from labos.store import open_accounts
+
+
+def listening(settings: Settings, port: int) -> Listening:
+    """Where HTTP listens."""
+    return Listening(
+        settings.host,
+        port,
+        settings.names,
+        settings.tls_certificate,
+        settings.tls_key,
+        settings.behind_proxy,
+    )
+
+
+def expect_tls(settings: Settings) -> None:
+    """Raises BadInput for an address that other computers reach if passwords and tokens would cross the
+    network in clear, or if nobody said that the bus may be reached."""
+    if is_own_address(settings.host):
+        return
+    if not settings.tls_certificate and not settings.behind_proxy:
+        raise BadInput(
+            f"Other computers reach {settings.host}, and passwords would cross the network in clear.",
+            remedy="Leave --host out, or give --tls-cert and --tls-key, or say --behind-proxy if another "
+            "program speaks TLS for the lab.",
+        )
+    if not settings.bus and not settings.is_secure and not settings.open_to_network:
+        raise BadInput(
+            f"The bus would listen on {settings.host}, and asks nobody for a certificate: whoever reaches it "
+            "can speak for a node.",
+            remedy="Make it a secure one (--secure), leave --host out, or add --open-to-network if only what "
+            "you trust is in that network.",
+        )
+
+
+async def add_first_user(settings: Settings, kernel: Kernel) -> None:
+    """The first user of a lab that has none, if one is named. Raises Refused for an id that will not do."""
+    if settings.first_user and kernel.state.users.is_open:
+        await kernel.execute(AddUser(settings.first_user), settings.first_user)
+
+
+async def give_first_password(settings: Settings, accounts: Accounts) -> None:
+    """The password of the first user, unless there is one. Raises BadInput."""
+    user, file = settings.first_user, settings.first_password
+    if not file or not user or await accounts.has_password(user):
+        return
+    await accounts.set_password(user, _password_in(file, user))
+
+
+def _password_in(file: str, user: str) -> str:
+    try:
+        return Path(file).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(
+            f"The password of {user} cannot be read from {file}: {error}.",
+            remedy="Name a file with it alone.",
+        ) from None
+
+
+def expect_users(settings: Settings, kernel: Kernel) -> None:
+    """Raises BadInput for a lab that other computers reach, and in which everybody may do everything."""
+    is_own = is_own_address(settings.host)
+    if kernel.state.users.is_open and (not is_own or settings.behind_proxy):
+        where = "the lab through a proxy" if is_own else settings.host
+        raise BadInput(
+            f"Other computers reach {where}, and this lab has no users: whoever reaches it could command it.",
+            remedy=f"Add the first user before, on this computer: labos user add NAME --home {settings.home} "
+            "(or say --first-user NAME).",
+        )
+
+
+@contextmanager
+def opened_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iterator[Gate]:
+    """The gate of a running lab; its key is in the lab's folder as long as the block lasts."""
+    with ExitStack() as stack:
+        store = open_accounts(settings.database)
+        stack.callback(store.close)
+        accounts = Accounts(store, kernel.clock, lambda user: kernel.state.users.get(user) is not None)
+        key = make_secret(HOME)
+        with create_file(settings.home_key) as file:
+            file.write(f"{key}\n".encode())
+        stack.callback(_remove, settings)
+        gate = Gate(
+            accounts,
+            lambda: kernel.state.users,
+            key,
+            secure=listening(settings, 0).is_secure,
+            provider=_provider(settings, kernel.clock),
+        )
+        kernel.listeners.append(_Disabled(accounts))
+        metrics.watch_gate(gate)
+        yield gate
+
+
+def _provider(settings: Settings, clock: Clock) -> Provider | None:
+    """The identity provider that the file in the lab's folder names. Raises SpecErrors, BadInput."""
+    if not os.environ.get(OIDC) and not settings.providers.is_file():
+        return None
+    return Provider(load_provider(settings.providers), clock, WAY_BACK)
+
+
+def _remove(settings: Settings) -> None:
+    with suppress(OSError):
+        settings.home_key.unlink()
+
+
+class _Disabled:
+    """A user who was disabled follows no more."""
+
+    def __init__(self, accounts: Accounts) -> None:
+        self._accounts = accounts
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        for entry in entries:
+            if isinstance(entry.event, UserDisabled):
+                self._accounts.end_of_user(entry.event.user)
+
+    def reopened(self) -> None:
+        pass

@@ -1,0 +1,117 @@
+"""The metrics of a running lab: what they are read from, and who may find them."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from labos.bootstrap._unattended import UnattendedMeter
+from labos.core.ids import local, workcell_of
+from labos.errors import StoreError
+from labos.telemetry.kernel import KernelMetrics
+from labos.telemetry.process_metrics import Readings
+
+if TYPE_CHECKING:
+    from labos.bootstrap._lab import LabRuntime
+    from labos.http.identity import Gate
+    from labos.runtime.writer import ThreadWriter
+
+
+class LabMetrics:
+    """Counts from the moment it is made. Nothing is decided in its turn: it listens, and looks when it is
+    asked."""
+
+    def __init__(self, lab: LabRuntime, writer: ThreadWriter) -> None:
+        self._lab, kernel = lab, lab.kernel
+        self._started_at = kernel.clock.now_ns() / 1e9
+        self._files = _files_of(lab.settings.database)
+        self.all = KernelMetrics(lambda: kernel.state)
+        self.all.of_events.begin_with(kernel.state)
+        self.unattended = UnattendedMeter(lab.store, kernel.clock, lambda: kernel.durable)
+        kernel.on_turn = self.all.of_events.turn_s.observe
+        writer.on_commit = self.all.of_events.commit_s.observe
+        kernel.listeners += [self.all.of_events, self.unattended]
+
+    def start(self) -> None:
+        """Begin to measure the past."""
+        self.unattended.start()
+
+    def watch_gate(self, gate: Gate) -> None:
+        """Count who is let in."""
+        signing = self.all.signing
+        gate.accounts.on_try.append(lambda outcome: signing.tries.add((outcome,)))
+        gate.on_refusal.append(lambda reason: signing.refused.add((reason,)))
+
+    async def close(self) -> None:
+        await self.unattended.close()
+
+    def text(self) -> str:
+        """All metrics now, in Prometheus' text format."""
+        kernel, found = self._lab.kernel, self.all
+        began, now = kernel.clock.monotonic(), kernel.clock.now_ns()
+        try:
+            found.of_state.update(kernel.state, kernel.scheduler, now)
+            found.of_process.update(self._read())
+        except StoreError:  # the log is being read again
+            found.of_state.clear()
+            found.of_process.lose()
+        found.of_events.update(now)
+        meter = self.unattended.meter
+        if meter is None:
+            found.of_unattended_time.clear()
+        else:
+            found.of_unattended_time.update(*meter.totals(now), meter.causes)
+        told = found.text()
+        found.took_s.set(kernel.clock.monotonic() - began)
+        return told
+
+    def targets(self, host: str) -> list[dict[str, Any]]:
+        """Where the metrics of the lab's processes are; ``host`` is how the asker reaches the kernel."""
+        lab = self._lab
+        state = lab.kernel.state
+        name = state.lab.name
+        kernel = {"targets": [host or f"{lab.settings.host}:{lab.http.port}"]}
+        found: list[dict[str, Any]] = [{**kernel, "labels": {"lab": name, "process": "kernel"}}]
+        for module, address in lab.registry.metrics.items():
+            if module not in state.modules.by_name:
+                continue
+            labels = {"workcell": workcell_of(module), "module": local(module)}
+            found.append({"targets": [address], "labels": {"lab": name, "process": "node", **labels}})
+        return found
+
+    def _read(self) -> Readings:
+        lab, kernel = self._lab, self._lab.kernel
+        state, check, bus = kernel.state, lab.log_check, lab.bus.traffic
+        disk = shutil.disk_usage(lab.settings.home)
+        return Readings(
+            lab=state.lab.id,
+            name=state.lab.name,
+            simulated=lab.simulated,
+            pace=state.lab.pace,
+            epoch=state.lab.epoch,
+            started_at=self._started_at,
+            suspended=bool(kernel.suspended),
+            decided=state.position,
+            durable=kernel.durable,
+            checked=check.checked if check is not None else 0,
+            damaged=bool(check.damage) if check is not None else False,
+            store_bytes=self._files() if self._files is not None else None,
+            disk_free=disk.free,
+            disk_size=disk.total,
+            queries=bus.queries,
+            unanswered=bus.unanswered,
+            published=bus.published,
+            dropped=bus.dropped,
+            left_out=lab.announcer.left_out,
+        )
+
+
+def _files_of(database: str) -> Callable[[], int] | None:
+    """How large a SQLite database and its log of changes are, in bytes; None for another database."""
+    if not database.startswith("sqlite"):
+        return None
+    file = Path(database.partition(":///")[2])
+    files = [file, file.with_name(f"{file.name}-wal")]
+    return lambda: sum(path.stat().st_size for path in files if path.exists())

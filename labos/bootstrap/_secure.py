@@ -1,0 +1,202 @@
+"""A bus with certificates: whose they are, and what follows when they change while the lab runs."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import structlog
+
+from labos.bus import SCHEME, Onlooker, Security, Unheard, ZenohBus
+from labos.clock import SystemClock
+from labos.core.ids import ModuleName
+from labos.errors import BadInput, LabosError, NotFound
+from labos.pki import MEMBERS, Authority, Credentials, Identity, Members, read_members
+from labos.settings import Settings, last_kernel
+
+POLL_S = 1.0
+"""How often it is looked whether a certificate was issued, renewed or revoked."""
+
+RENEW_S = 3600.0
+LOOK_S = 5.0
+"""How often it is looked for certificates that are due, and for nodes that cannot be heard."""
+
+State = tuple[object, ...]
+"""What a session was opened with; another one means that it has to be opened anew."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Guard:
+    """The certificates of who runs a bus, or joins one as a kernel. ``modules`` tells whose nodes run here:
+    their certificates are renewed with its own."""
+
+    def __init__(
+        self,
+        who: Identity,
+        settings: Settings,
+        *,
+        runs_bus: bool,
+        own: Path | None = None,
+        modules: Callable[[], Iterable[str]] = lambda: (),
+        tell: Callable[[Unheard], None] = lambda _: None,
+    ) -> None:
+        self.who, self._settings, self._own = who, settings, own
+        self._runs_bus, self._modules, self._tell = runs_bus, modules, tell
+        self.authority = Authority(settings.pki)
+        self._used: State = ()
+        self._told: set[str] = set()
+        self._task: asyncio.Task[None] | None = None
+        self._onlooker: Onlooker | None = None
+
+    # -- before the bus is open --------------------------------------------------------------
+
+    def prepare(self, modules: Iterable[str] = ()) -> Security:
+        """Its certificate, and those of the nodes that run here; an authority is made if there is none.
+        Blocks. Raises NotFound, Refused, BadInput."""
+        if self._own is None:
+            self._find_authority()
+            self._renew(modules)
+        self._used = self._state()  # what changes from here on is heeded
+        credentials = self.credentials
+        credentials.check(SystemClock().now_ns())
+        self._check_identity(credentials)
+        return self.security()
+
+    @property
+    def credentials(self) -> Credentials:
+        return Credentials(self._own) if self._own is not None else self.authority.credentials(self.who)
+
+    def security(self) -> Security:
+        """Raises NotFound, BadInput."""
+        return Security(self.credentials, self.members().admitted if self._runs_bus else ())
+
+    def members(self) -> Members:
+        """Who may speak on the bus that it runs. Raises NotFound, BadInput."""
+        if self._own is not None and (self._own / MEMBERS).is_file():
+            return read_members(self._own / MEMBERS)
+        return self.authority.members()
+
+    def of_node(self, module: str) -> Path:
+        """Where the certificate of a node is that runs here."""
+        return self.authority.credentials(Identity("node", module, self.who.lab)).folder
+
+    def issue_for(self, modules: Iterable[str]) -> None:
+        """Certificates for nodes that run here and have none. Blocks. Raises Refused, BadInput."""
+        if self.authority.issues:
+            self.authority.issue_all(Identity("node", module, self.who.lab) for module in modules)
+
+    def _find_authority(self) -> None:
+        """One is made for a lab that never had one and runs its bus itself. Raises NotFound."""
+        if self.authority.exists:
+            return
+        if not self._runs_bus:
+            raise NotFound(
+                f"There is no certificate for the {self.who.shown}, and no authority in "
+                f"{self.authority.folder}.",
+                remedy="Issue it where the lab's authority is (labos pki issue), copy its folder here, "
+                "and name it with --cert; or name the authority's folder with --pki.",
+            )
+        last = last_kernel(self._settings.home)
+        if last is not None and last.bus.startswith(SCHEME):
+            raise NotFound(
+                f"This lab's bus was a secure one, and its authority {self.authority.folder} is gone.",
+                remedy="Put it back from a copy, or name it with --pki. Another one (labos pki init) knows "
+                "none of the certificates that nodes have.",
+            )
+        self.authority.init(f"LabOS authority of {socket.gethostname()}"[:64])
+
+    def _renew(self, modules: Iterable[str]) -> None:
+        """Its own certificate, and those of the nodes that run here. Raises Refused, NotFound, BadInput."""
+        self.authority.ensure(self.who, addresses=reached_at(self._settings))
+        self.issue_for(modules)
+
+    def _check_identity(self, credentials: Credentials) -> None:
+        said = credentials.identity()
+        if said is not None and said != self.who:
+            raise BadInput(
+                f"The certificate in {credentials.folder} is that of the {said.shown}"
+                f"{f' of lab {said.lab}' if said.lab else ''}, not of the {self.who.shown}"
+                f"{f' of lab {self.who.lab}' if self.who.lab else ''}.",
+                remedy="Issue one: labos pki issue.",
+            )
+
+    # -- while the bus runs ------------------------------------------------------------------
+
+    async def watch(self, bus: ZenohBus) -> None:
+        """Heed what changes from now on."""
+        if self._runs_bus:
+            self._onlooker = Onlooker(bus)
+            await self._onlooker.start()
+        self._task = asyncio.get_running_loop().create_task(self._watch(bus))
+
+    async def close(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+        if self._onlooker is not None:
+            self._onlooker.close()
+
+    async def _watch(self, bus: ZenohBus) -> None:
+        now = asyncio.get_running_loop().time
+        renewed = looked = now()
+        while True:
+            await asyncio.sleep(POLL_S)
+            try:
+                if self._own is None and now() - renewed >= RENEW_S:
+                    renewed = now()
+                    await asyncio.to_thread(self._renew, list(self._modules()))
+                found = self._state()
+                if found != self._used:
+                    security = self.security()
+                    security.credentials.check(SystemClock().now_ns())
+                    _log.warning("bus_reopened", why="certificates have changed")
+                    await bus.reopen(security)
+                    self._used = found
+                if self._onlooker is not None and now() - looked >= LOOK_S:
+                    looked = now()
+                    self._note(self._onlooker.look(self.members().admitted))
+            except LabosError as error:
+                _log.warning("certificates_not_heeded", why=str(error))
+                await asyncio.sleep(LOOK_S)
+            except Exception:  # the next revocation must be heeded all the same
+                _log.exception("certificates_not_heeded")
+                await asyncio.sleep(LOOK_S)
+
+    def _note(self, unheard: Unheard) -> None:
+        for entry in unheard.silent:
+            if entry.common_name not in self._told:
+                _log.warning("node_connected_but_not_heard", node=entry.identity.name, cn=entry.common_name)
+        for name in unheard.unknown:
+            if name not in self._told:
+                _log.warning("certificate_not_admitted", cn=name)
+        self._told = {entry.common_name for entry in unheard.silent} | set(unheard.unknown)
+        self._tell(unheard)
+
+    def _state(self) -> State:
+        """What a session is opened with: its certificate, and who may do what."""
+        try:
+            members = self.members().admitted if self._runs_bus else ()
+        except LabosError:
+            members = ()
+        return (self.credentials.stamp(), {(entry.common_name, entry.identity) for entry in members})
+
+
+def reached_at(settings: Settings) -> list[str]:
+    """The addresses under which the bus of this computer is connected to."""
+    here = {"127.0.0.1", "localhost", socket.gethostname(), *settings.addresses}
+    if settings.host not in ("0.0.0.0", "::", ""):
+        here.add(settings.host)
+    return sorted(here)
+
+
+def unheard_by_name(unheard: Unheard, lab: str) -> dict[ModuleName, str]:
+    """What the operator is told of the modules of a lab whose nodes are connected and not heard."""
+    return {
+        ModuleName(entry.identity.name): "its node is connected to the bus with the certificate "
+        f"{entry.common_name}, and has not shown itself there: does it run as this module? What does its log "
+        "say?"
+        for entry in unheard.silent
+        if entry.identity.lab == lab
+    }

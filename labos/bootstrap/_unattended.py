@@ -1,0 +1,108 @@
+"""Measures the time without human intervention of a running lab: first the past, then what happens."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import structlog
+
+from labos.clock import Clock
+from labos.errors import LabosError
+from labos.runtime.ledger import Entry
+from labos.services.log import Log, event_of
+from labos.services.twh import HEARD, Meter
+
+PAGE = 500
+"""Events of the past that are read at once."""
+
+SHARE = 0.2
+"""The part of the time that reading the past takes, at the most: the kernel works meanwhile."""
+
+RECENT = 20_000
+"""Events that are kept meanwhile, so that what was read meets what happens."""
+
+KEEP = 1000
+"""Runs and experiments that have ended and are remembered, for what people say of them later."""
+
+_log = structlog.get_logger(__name__)
+
+
+class UnattendedMeter:
+    """A kernel's listener. ``meter`` is None until the log was read from its beginning."""
+
+    def __init__(self, log: Log, clock: Clock, durable: Callable[[], int]) -> None:
+        self._log, self._clock, self._durable = log, clock, durable
+        self.meter: Meter | None = None
+        self._recent: deque[Entry] = deque(maxlen=RECENT)
+        self._task: asyncio.Task[None] | None = None
+        self._page: asyncio.Future[int] | None = None
+
+    def start(self) -> None:
+        """Read the past in the background."""
+        self._break_off()
+        self.meter = None
+        self._recent.clear()
+        self._task = asyncio.get_running_loop().create_task(self._catch_up())
+
+    async def close(self) -> None:
+        """End it, wherever it is; the page that is being read is read to its end."""
+        self._break_off()
+        if self._page is not None:
+            await asyncio.wait({self._page})
+
+    def _break_off(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        if self.meter is None:
+            self._recent.extend(entries)
+        else:
+            for entry in entries:
+                _add(self.meter, entry)
+
+    def reopened(self) -> None:
+        """Something may have been written of which nobody was told: read everything again."""
+        self.start()
+
+    async def _catch_up(self) -> None:
+        meter, after = Meter(KEEP), 0
+        try:
+            while not self._meets(after):
+                began = self._clock.monotonic()
+                loop = asyncio.get_running_loop()
+                self._page = loop.run_in_executor(None, self._read_page, meter, after)
+                after = await asyncio.shield(self._page)
+                await asyncio.sleep((self._clock.monotonic() - began) * (1 / SHARE - 1))
+        except LabosError as error:  # the kernel reads the log again too, and says so
+            _log.warning("past_not_measured", after=after, why=str(error))
+            return
+        for entry in self._recent:
+            if entry.position > after:
+                _add(meter, entry)
+        self._recent.clear()
+        self.meter = meter
+
+    def _meets(self, after: int) -> bool:
+        """Whether nothing is missing between what was read and what was heard."""
+        first = self._recent[0].position if self._recent else self._durable() + 1
+        return after + 1 >= first
+
+    def _read_page(self, meter: Meter, after: int) -> int:
+        for record in self._log.read(after, after + PAGE):
+            after = record.head.position
+            if record.head.type in HEARD:
+                meter.add(event_of(record), record.head)
+            else:
+                meter.pass_time(record.head.recorded_at)
+        return after
+
+
+def _add(meter: Meter, entry: Entry) -> None:
+    head = entry.record.head
+    if head.type in HEARD:
+        meter.add(entry.event, head)
+    else:
+        meter.pass_time(head.recorded_at)

@@ -1,0 +1,60 @@
+"""The tables beside the log, as commands need them: brought up to date before anything is asked."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+
+import click
+
+from labos.audit.database import AuditDatabase, open_audit
+from labos.audit.projector import Projector
+from labos.audit.query import TIME_LIMIT_S, Asker, open_asker
+from labos.cli._query import Where, open_database
+from labos.settings import Settings
+from labos.store import SqlEventStore, open_blobs
+
+SHOWN_FROM = 20_000
+"""So many events take long enough to say how far they are."""
+
+
+@contextmanager
+def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase, Projector]]:
+    """The log, its tables, and what carries it over."""
+    with open_database(where) as store:
+        database = open_audit(where.url)
+        try:
+            blobs = open_blobs(Settings.of(where.home, where.url).blobs)
+            yield store, database, Projector(store, database, blobs)
+        finally:
+            database.close()
+
+
+@contextmanager
+def open_log_and_views(where: Where, limit_s: float = TIME_LIMIT_S) -> Iterator[tuple[SqlEventStore, Asker]]:
+    """The log and the views on it, which know all that is in it now. Raises BadInput, StoreUnavailable."""
+    with open_projector(where) as (store, _, projector):
+        projector.catch_up(tell_progress)
+        with open_asker(where.url, limit_s) as asker:
+            yield store, asker
+
+
+@contextmanager
+def open_views(where: Where, limit_s: float) -> Iterator[Asker]:
+    """The same, for who needs the views only."""
+    with open_log_and_views(where, limit_s) as (_, asker):
+        yield asker
+
+
+def open_views_as_is(where: Where, limit_s: float) -> AbstractContextManager[Asker]:
+    """The views, with what they know already."""
+    return open_asker(where.url, limit_s)
+
+
+def tell_progress(position: int, head: int) -> None:
+    """One line that changes, for people at a terminal."""
+    if head < SHOWN_FROM or not sys.stderr.isatty():
+        return
+    end = "\n" if position >= head else ""
+    click.echo(f"\rReading the log: {position:,} of {head:,} events{end}", nl=False, err=True)

@@ -1,0 +1,63 @@
+"""What the commands about users, groups and roles share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+from labos.core.lab import WHOLE_LAB
+from labos.core.users import ROLES, group_subject, user_subject
+
+if TYPE_CHECKING:
+    from labos.client import LabClient
+
+workcell_option = click.option(
+    "--workcell", metavar="NAME", help="Only in this workcell; the whole lab if not given."
+)
+role_choice = click.Choice(ROLES)
+
+
+@contextmanager
+def lab_or_its_folder(home: str | None) -> Iterator[LabClient]:
+    """The running lab; one that does not run is opened for as long as the block lasts, without nodes, so that
+    its first user can be added before it is reached from elsewhere. Raises NotFound for a lab that never
+    ran."""
+    from labos.cli._lab import need_lab
+    from labos.cli._remote import lab_of
+    from labos.settings import Settings, find_kernel, keep_private, last_kernel
+
+    settings = Settings.of(home)
+    if lab_of(home) or find_kernel(settings.home) is not None or last_kernel(settings.home) is None:
+        with need_lab(home) as client:
+            yield client
+        return
+    from labos.bootstrap import LabThread
+    from labos.client import LabClient
+
+    keep_private()
+    with LabThread(settings, nodes="none"), LabClient(home=settings.home) as client:
+        yield client
+
+
+def lab_at(home: str | None) -> LabClient:
+    """The running lab. Raises NotFound if none runs."""
+    from labos.cli._lab import need_lab
+
+    return need_lab(home)
+
+
+def scope_of(workcell: str | None) -> str:
+    return workcell or WHOLE_LAB
+
+
+def subject_of(said: str) -> str:
+    """``group:NAME`` is a group; a name alone is a user's."""
+    return said if said.startswith((user_subject(""), group_subject(""))) else user_subject(said)
+
+
+def in_words(roles: Mapping[str, str]) -> str:
+    """``operator in rpl, submitter``: a role without a workcell is one of the whole lab."""
+    return ", ".join(role if scope == WHOLE_LAB else f"{role} in {scope}" for scope, role in roles.items())

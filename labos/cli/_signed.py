@@ -1,0 +1,52 @@
+"""What ``labos verify`` does with signed checkpoints and bundles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from labos.cli._out import show_json
+from labos.errors import BadInput
+from labos.services.log import Log
+from labos.services.trust.compare import CheckpointComparison, compare, read_tree_heads
+from labos.services.trust.keys import Keys, TrustedKeys, given_keys
+from labos.services.trust.proof import Trust, prove_bundle
+
+
+def trust_of(
+    home: Path, public_keys: Sequence[str], witnesses: Sequence[str] = (), tsa: Path | None = None
+) -> Trust:
+    """The keys that were given, else the lab's own. Raises BadInput if there are none."""
+    keys = given_keys(public_keys) or Keys(home).public()
+    if not keys:
+        raise BadInput(
+            "No public key was given to check signatures with.",
+            remedy="Say --public-key FILE: the lab tells it with labos key show.",
+        )
+    return Trust(tuple(keys), tuple(given_keys(witnesses)), tsa)
+
+
+def compare_signed(log: Log, path: Path, home: Path, public_keys: Sequence[str]) -> CheckpointComparison:
+    """How the log stands to the signed checkpoints in a file or folder. Raises BadInput, LogDamaged."""
+    trust = trust_of(home, public_keys)
+    trusted = TrustedKeys(trust.keys, Keys(home).rotations())
+    return compare(log, read_tree_heads(path, trusted))
+
+
+def verify_bundle(file: Path, trust: Trust, as_json: bool) -> None:
+    """Check a bundle and say what was found; exit code 1 if anything is wrong."""
+    found = prove_bundle(file, trust)
+    if as_json:
+        show_json({"whole": not found.faults, "fault": next(iter(found.faults), ""), "bundle": found})
+    else:
+        for part in found.parts:
+            for line in part.faults or (part.told,):
+                click.echo(line)
+        if found.faults:
+            click.echo(f"The bundle does not prove the run {found.run}.")
+        else:
+            click.echo(f"The bundle proves the run {found.run} of the lab {found.lab}.")
+    if found.faults:
+        click.get_current_context().exit(1)

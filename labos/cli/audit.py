@@ -1,0 +1,123 @@
+"""``labos audit``: the tables beside the log that SQL is asked of."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import click
+
+from labos.cli._audit import open_projector, tell_progress
+from labos.cli._group import Suggesting
+from labos.cli._out import show_json
+from labos.cli._query import Where, json_option, log_options
+from labos.errors import BadInput
+from labos.services.times import iso_time, show_time
+
+CALM = 10
+"""How much the follower stands back behind other processes (``nice``)."""
+
+
+@click.group("audit", cls=Suggesting, short_help="The tables beside the log that SQL is asked of.")
+def command() -> None:
+    """Tables beside the log, for questions in SQL (`labos sql`) and dashboards.
+
+    They stand in a file of their own beside a log in SQLite (labos-audit.db beside labos.db), in
+    schemas of their own on PostgreSQL. They hold nothing that is not in the log, and are built again
+    from it whenever they are missing, older than this LabOS, or of another log.
+    """
+
+
+@command.command("project")
+@click.option("--follow", is_flag=True, help="Go on with what is added, until Ctrl-C.")
+@click.option(
+    "--every",
+    type=click.FloatRange(min=0.1),
+    default=1.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How often to check for new events.",
+)
+@json_option
+@log_options
+def project(where: Where, follow: bool, every: float, as_json: bool) -> None:
+    """Bring the tables up to date with the log. `labos sql` and `labos provenance` do that by themselves;
+    for dashboards, run it with --follow.
+
+    It may be killed at any moment, and more than one may run: no event is left out or entered twice. It
+    never writes to the log, and the kernel does not wait for it.
+
+    \b
+    labos audit project              once
+    labos audit project --follow     for a dashboard
+    """
+    if follow and hasattr(os, "nice"):
+        os.nice(CALM)
+    with open_projector(where) as (_, database, projector):
+        position = projector.catch_up(tell_progress)
+        _tell(position, database.name, as_json)
+        ended = threading.Event()
+        while follow:
+            try:
+                ended.wait(every)
+                projector.catch_up()
+            except KeyboardInterrupt:
+                return
+
+
+@command.command("rebuild")
+@json_option
+@log_options
+def rebuild(where: Where, as_json: bool) -> None:
+    """Delete the tables and build them again from the log."""
+    with open_projector(where) as (_, database, projector):
+        database.reset()
+        _tell(projector.catch_up(tell_progress), database.name, as_json)
+
+
+@command.command("status")
+@json_option
+@log_options
+def status(where: Where, as_json: bool) -> None:
+    """How far the tables are behind the log."""
+    with open_projector(where) as (store, database, _):
+        mark, head = database.prepare(), store.head()
+    behind = head.position - mark.position
+    at = round((mark.at_s or 0) * 1e9)
+    if as_json:
+        facts = {"database": database.name, "position": mark.position, "behind": behind}
+        show_json({**facts, "log": head.position, "recorded": iso_time(at) if at else ""})
+        return
+    until = f", which was recorded at {show_time(at)}" if at else ""
+    click.echo(f"The {database.name} is at event {mark.position}{until}: {behind} behind the log.")
+
+
+@command.command("reader")
+@click.argument("role")
+@log_options
+def reader(where: Where, role: str) -> None:
+    """Let ROLE of a PostgreSQL database read the views, and nothing else: for a dashboard.
+
+    \b
+    CREATE ROLE grafana LOGIN PASSWORD '…';
+    labos audit reader grafana
+    """
+    with open_projector(where) as (_, database, projector):
+        if database.dialect != "postgresql":
+            raise BadInput(
+                "SQLite has no roles: whoever may read the file may read all of it.",
+                remedy="Let the dashboard's user read the file.",
+            )
+        projector.catch_up(tell_progress)
+        from labos.audit._postgres import PostgresAudit
+
+        assert isinstance(database, PostgresAudit)
+        database.allow_reading(role)
+    click.echo(f"{role} may read the views (schema labos) and nothing else of LabOS.")
+
+
+def _tell(position: int, name: str, as_json: bool) -> None:
+    if as_json:
+        show_json({"database": name, "position": position})
+    else:
+        click.echo(f"The {name} is at event {position}.")

@@ -1,0 +1,72 @@
+"""``labos bundle``: one run as a file that proves itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from labos.cli._complete import completes
+from labos.cli._out import tell
+from labos.cli._query import Where, json_option, log_options, open_database
+from labos.errors import NotFound, SystemFailed
+from labos.services.trust.bundle import About, Attachments, make_bundle, note_beside
+from labos.services.trust.keys import Keys
+from labos.services.trust.notes import parse_note
+from labos.services.trust.places import newest_in
+from labos.services.trust.publish import FOLDER
+from labos.settings import Settings
+from labos.store import create_file, open_blobs
+
+
+@click.command("bundle", short_help="One run as a file that proves itself, to somebody outside.")
+@click.argument("run", shell_complete=completes("run"))
+@click.option(
+    "-o",
+    "--output",
+    "file",
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Where the bundle goes.",
+)
+@click.option(
+    "--checkpoint",
+    "checkpoint",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="The checkpoint that it rests on (the newest in checkpoints/ of the lab's folder).",
+)
+@json_option
+@log_options
+def command(where: Where, run: str, file: Path, checkpoint: Path | None, as_json: bool) -> None:
+    """Write a run's events, plan and files into FILE, with the proof that they are in the log whose
+    checkpoint was signed. Whoever has the lab's public key checks it without network and without the lab:
+
+    \b
+    labos checkpoint
+    labos bundle R7 -o R7.zip
+    labos verify --bundle R7.zip --public-key lab.pub
+    """
+    data, about = make_bundle_of(where, run, checkpoint)
+    try:
+        with create_file(file) as written:
+            written.write(data)
+    except OSError as error:
+        raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
+    told = (
+        f"{file} holds {about.events} events and {about.blobs} files of {run}, proven by the checkpoint of "
+    )
+    tell(f"{told}size {about.size}.", about, as_json=as_json)
+
+
+def make_bundle_of(where: Where, run: str, checkpoint: Path | None = None) -> tuple[bytes, About]:
+    """The bundle of a run, on a checkpoint or the newest one of the lab. Raises NotFound, Refused,
+    LogDamaged."""
+    path = checkpoint or newest_in(where.home / FOLDER)
+    if path is None:
+        raise NotFound("This lab has no signed checkpoint yet.", remedy="Make one: labos checkpoint")
+    note, stamp = note_beside(path)
+    beside = Attachments(parse_note(note), stamp, Keys(where.home).rotations())
+    with open_database(where) as store:
+        return make_bundle(store, open_blobs(Settings.of(where.home, where.url).blobs), run, beside)

@@ -1,0 +1,40 @@
+"""``labos diff``: what is different between two moments."""
+
+from __future__ import annotations
+
+import click
+
+from labos.audit.difference import differences
+from labos.cli._audit import open_log_and_views
+from labos.cli._out import show_json, show_table
+from labos.cli._query import AT_HELP, Where, as_moment, json_option, log_options
+from labos.errors import BadInput
+from labos.services.history import position_at
+from labos.services.times import Moment
+
+
+@click.command("diff")
+@click.option("--since", "first", metavar="TIME|POSITION", callback=as_moment, required=True, help=AT_HELP)
+@click.option(
+    "--until", "last", metavar="TIME|POSITION", callback=as_moment, help="A later moment; now if not given."
+)
+@json_option
+@log_options
+def command(where: Where, first: Moment, last: Moment, as_json: bool) -> None:
+    """The differences in the lab between two moments: where labware is, runs, levels of resources,
+    questions to people, and drivers' versions.
+
+    \b
+    labos diff --since -2h
+    labos diff --since 2026-05-04T10:30 --until 2026-05-04T18:00
+    """
+    with open_log_and_views(where) as (store, asker):
+        begin, end = position_at(store, first), position_at(store, last)
+        if begin > end:
+            raise BadInput("--since is later than --until.", remedy="Exchange the two.")
+        changes = differences(asker, begin, end)
+    if as_json:
+        show_json({"since": begin, "until": end, "changes": changes})
+        return
+    click.echo(f"From event {begin} to event {end}:")
+    show_table(("about", "what", "before", "after"), [(c.about, c.what, c.before, c.after) for c in changes])

@@ -1,0 +1,217 @@
+"""``labos doctor``: is everything that a lab stands on as it should be?"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import click
+
+from labos.cli._exit import FAILED
+from labos.cli._out import show_json
+from labos.cli._query import Where, json_option, log_options, now_ns
+from labos.errors import LabosError
+from labos.pki import Authority
+from labos.services.doctor import (
+    Finding,
+    check_certificates,
+    check_nodes,
+    check_permissions,
+    check_space,
+    check_sync,
+)
+from labos.services.times import show_time
+from labos.services.trust.places import newest_in
+from labos.services.trust.publish import FOLDER
+from labos.settings import KernelInfo, Settings, find_kernel, is_free, last_kernel, last_ports
+from labos.store import database_file, database_status, lease_holder, shown_url
+from labos.version import VERSION
+
+MARKS = {"ok": "ok     ", "warning": "WARNING", "fault": "FAULT  "}
+
+PRIVATE = ("labos.db", "labos.key", "labos.head", "keys", "blobs", "journals", "contacts.yaml", "nodes.yaml")
+
+LONG_AGO_S = 7 * 86_400.0
+
+
+@click.command("doctor", short_help="Is everything that a lab stands on as it should be?")
+@json_option
+@log_options
+def command(where: Where, as_json: bool) -> None:
+    """Check database, disk, permissions, ports, kernel, bus, clocks, nodes and checkpoints, and report
+    for each what to do if it is not as it should be. Moves nothing and changes nothing; works with and
+    without a running kernel. Exit code 1 if anything is a fault.
+
+    \b
+    labos doctor
+    labos doctor --json
+    labos doctor --home /var/lib/labos/lab
+    """
+    found = list(_examine(where))
+    if as_json:
+        show_json({"well": not _faults(found), "findings": found})
+    else:
+        for finding in found:
+            click.echo(f"{MARKS[finding.state]} {finding.told}")
+            if finding.remedy:
+                click.echo(f"{' ' * 8}{finding.remedy}")
+        warnings = sum(finding.state == "warning" for finding in found)
+        click.echo(f"{len(found)} things were looked at: {_faults(found)} faults, {warnings} warnings.")
+    if _faults(found):
+        raise SystemExit(FAILED)
+
+
+def _faults(found: list[Finding]) -> int:
+    return sum(finding.state == "fault" for finding in found)
+
+
+def _examine(where: Where) -> Iterator[Finding]:
+    kernel = find_kernel(where.home)
+    yield _database(where)
+    if not where.home.is_dir():
+        told = f"There is no folder {where.home}."
+        yield Finding("home", "fault", told, "Name the lab's folder (--home), or start a lab: labos up")
+        return
+    file = database_file(where.url)
+    disk = file.parent if file is not None and file.parent.is_dir() else where.home
+    yield from _examine_safely("disk space", lambda: check_space(disk))
+    yield from _examine_safely("disk sync", lambda: check_sync(disk))
+    authority = Authority(Settings.of(where.home).pki)
+    private = [where.home, *(where.home / name for name in PRIVATE), *authority.private_files()]
+    yield from _examine_safely("permissions", lambda: check_permissions(private))
+    yield from _certificates(authority)
+    yield from _ports(where.home, kernel)
+    if kernel is None:
+        yield _no_kernel(where)
+    else:
+        yield from _kernel(kernel)
+    yield _checkpoint(where.home)
+
+
+def _examine_safely(name: str, look: Callable[[], Finding]) -> Iterator[Finding]:
+    """What cannot be looked at is a fault too."""
+    try:
+        yield look()
+    except OSError as error:
+        yield Finding(name, "fault", f"This cannot be looked at: {error}.", "Is it this user's lab?")
+
+
+def _database(where: Where) -> Finding:
+    try:
+        found = database_status(where.url)
+    except LabosError as error:
+        told = f"The database {shown_url(where.url)} cannot be used: {error.message}"
+        return Finding("database", "fault", told, error.remedy)
+    told = f"The {found.name} is at revision {found.revision or 'none'}; this LabOS needs {found.expected}."
+    match found.state:
+        case "current":
+            return Finding("database", "ok", told)
+        case "missing" | "empty":
+            told = f"There is no log in {shown_url(where.url)} yet."
+            return Finding("database", "warning", told, "labos up makes one. Or is another --home meant?")
+        case "older":
+            return Finding("database", "fault", told, "Take a backup, then: labos db upgrade")
+    return Finding("database", "fault", told, "Install the newer LabOS that wrote it.")
+
+
+def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[Finding]:
+    ports = last_ports(home)
+    if kernel is None:
+        for name, port in (("HTTP", ports.http), ("bus", ports.bus)):
+            if port and not is_free(port):
+                told = f"Another program listens on {port}, the lab's port for {name}."
+                remedy = f"End it, or say another one: labos up --{name.lower()}-port PORT"
+                yield Finding("ports", "fault", told, remedy)
+        return
+    endpoint = urlsplit(kernel.bus.replace("/", "://", 1))
+    try:
+        socket.create_connection((endpoint.hostname or "", endpoint.port or 0), timeout=2.0).close()
+        yield _bus(kernel.bus, endpoint.hostname or "")
+    except (OSError, ValueError) as error:
+        told = f"The bus does not answer at {kernel.bus}: {error}."
+        yield Finding(
+            "bus", "fault", told, "Start it (labos bus), and look at the firewall between the hosts."
+        )
+
+
+def _bus(where: str, host: str) -> Finding:
+    from labos.http.server import is_own_address
+
+    told = f"The bus answers at {where}."
+    if where.startswith("tls/") or is_own_address(host):
+        return Finding("bus", "ok", told)
+    told = f"{told} Other computers reach it, and nobody there has to say who he is."
+    return Finding("bus", "warning", told, "labos up --secure; see docs/secure-bus.md.")
+
+
+def _certificates(authority: Authority) -> Iterator[Finding]:
+    if not authority.exists:
+        return
+    try:
+        yield from check_certificates(authority, now_ns())
+    except LabosError as error:
+        yield Finding("certificates", "fault", f"They cannot be looked at: {error.message}", error.remedy)
+
+
+def _no_kernel(where: Where) -> Finding:
+    try:
+        owner = lease_holder(where.url)
+    except LabosError:
+        owner = ""
+    if owner:
+        told = f"A kernel holds this log ({owner}), and does not answer here."
+        return Finding("kernel", "warning", told, "It runs elsewhere, or is frozen: look there.")
+    last = last_kernel(where.home)
+    if last is not None and last.pid:
+        told = (
+            f"The last kernel of this lab (pid {last.pid}) ended without a word: it was killed, or crashed."
+        )
+        return Finding("kernel", "warning", told, "Look into the journal of its service; then: labos up")
+    return Finding("kernel", "ok", "No kernel runs this lab; the last one ended in order.")
+
+
+def _kernel(kernel: KernelInfo) -> Iterator[Finding]:
+    from labos.client import LabClient
+
+    try:
+        with LabClient(kernel.url, patience_s=5.0) as client:
+            health = client.health()
+            heard = client.check_nodes()
+    except LabosError as error:
+        yield Finding("kernel", "fault", f"The kernel at {kernel.url} says: {error.message}", error.remedy)
+        return
+    yield _health(kernel, health)
+    for driver, why in health.get("broken_drivers", {}).items():
+        told = f"The driver {driver} cannot be loaded: {why}"
+        yield Finding("drivers", "warning", told, "Install what it needs, if a module uses it.")
+    yield from check_nodes(heard, VERSION)
+
+
+def _health(kernel: KernelInfo, health: dict[str, Any]) -> Finding:
+    check = health.get("log_check") or {}
+    if check.get("damage"):
+        told = f"The log is damaged. {check['damage']}"
+        return Finding("log", "fault", told, "Keep it as it is, look with labos verify, restore a backup.")
+    if health.get("status") != "ok" or health.get("suspended"):
+        told = (
+            f"The kernel at {kernel.url} does not write: {health.get('suspended') or health.get('status')}."
+        )
+        return Finding("kernel", "fault", told, "Is its database there? It goes on when it is back.")
+    return Finding("kernel", "ok", f"The kernel at {kernel.url} runs; the log is at {health['position']}.")
+
+
+def _checkpoint(home: Path) -> Finding:
+    newest = newest_in(home / FOLDER)
+    if newest is None:
+        told = "No checkpoint of the log was signed yet: to others nothing is proven."
+        return Finding(
+            "checkpoints", "warning", told, "labos key create, then labos checkpoint --follow --to PLACE"
+        )
+    made_ns = int(newest.stat().st_mtime * 1e9)
+    told = f"The newest checkpoint is {newest.name}, of {show_time(made_ns)}."
+    if now_ns() - made_ns > LONG_AGO_S * 1e9:
+        return Finding("checkpoints", "warning", told, "Does labos checkpoint --follow still run?")
+    return Finding("checkpoints", "ok", told)

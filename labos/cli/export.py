@@ -1,0 +1,170 @@
+"""``labos export``: what the log tells, in the formats of others."""
+
+from __future__ import annotations
+
+import time
+import zipfile
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import click
+
+from labos.audit.cloudevents import cloudevent
+from labos.audit.crate import make_crate, runs_of
+from labos.cli._audit import open_log_and_views
+from labos.cli._complete import completes
+from labos.cli._group import Suggesting
+from labos.cli._out import tell
+from labos.cli._query import Where, as_moment, contents, json_option, log_options, now_ns, open_log
+from labos.cli.bundle import make_bundle_of
+from labos.errors import BadInput, SystemFailed
+from labos.ports import LogQuery
+from labos.private import create_file, make_folder
+from labos.services.filters import check_types
+from labos.services.history import position_at
+from labos.services.log import Log
+from labos.services.times import Moment
+
+POLL_S = 0.25
+
+
+@click.group("export", cls=Suggesting, short_help="The lab's records in the formats of others.")
+def command() -> None:
+    """Write what the log tells in formats that other programs know.
+
+    \b
+    labos export crate R7 --to R7.zip    one run with its files, as an RO-Crate
+    labos export events                  the events, as CloudEvents
+
+    W3C PROV is written by `labos provenance --prov`, CSV and Parquet by `labos sql`.
+    """
+
+
+@command.command("crate")
+@click.argument("name", metavar="RUN|EXPERIMENT", shell_complete=completes("run"))
+@click.option(
+    "--to",
+    "target",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FOLDER|FILE.zip",
+    help="Where the crate goes: a new or empty folder, or a zip file.",
+)
+@click.option(
+    "--license", "license_", default="", metavar="URL", help="The licence under which you give it on."
+)
+@click.option("--bundle", is_flag=True, help="Put the signed bundle of each run into it (`labos bundle`).")
+@json_option
+@log_options
+def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, as_json: bool) -> None:
+    """Write a run, or the runs of an experiment, as an RO-Crate 1.1: workflow, payload, each step with its
+    driver, times and user, labware, lots, results, and every file with its SHA-256.
+
+    It conforms to Process Run Crate 0.5, and to Provenance Run Crate 0.5 if all runs follow one workflow.
+    Users are named by their ids, as in the log. With --bundle, whoever gets it can check the events
+    with the lab's public key.
+
+    \b
+    labos export crate R7 --to R7.zip
+    labos checkpoint
+    labos export crate R7 --to R7 --bundle --license https://spdx.org/licenses/CC-BY-4.0
+    """
+    _check(target)
+    with open_log_and_views(where) as (store, asker):
+        made = make_crate(asker, store, name, now_ns(), license_)
+        runs = [run.run for run in runs_of(asker, name)]
+    for run in runs if bundle else ():
+        data, _ = make_bundle_of(where, run)
+        words = f"The events of {run} with their proof: labos verify --bundle {run}.zip"
+        made.put(f"bundles/{run}.zip", data, name=words, encodingFormat="application/zip")
+    with contents(where) as blobs:
+        files = _write(target, made.contents(blobs))
+    facts = {"crate": str(target), "runs": runs, "files": files}
+    count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
+    tell(f"{target} holds {count} in {files} files.", facts, as_json=as_json)
+
+
+def _check(target: Path) -> None:
+    """Raises BadInput for a place where something is already."""
+    taken = any(target.iterdir()) if target.is_dir() else target.exists()
+    if taken:
+        raise BadInput(f"{target} is there already.", remedy="Name a new folder or file after --to.")
+
+
+def _write(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
+    """Write a zip file, or else a folder; returns how many files it has. Raises SystemFailed."""
+    number = 0
+    try:
+        if target.suffix.lower() == ".zip":
+            return _write_zip(target, files)
+        for path, data in files:
+            make_folder((target / path).parent)
+            with create_file(target / path) as out:
+                out.write(data)
+            number += 1
+    except OSError as error:
+        raise SystemFailed(f"{target} cannot be written: {error}.", remedy="Name another place.") from None
+    return number
+
+
+def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
+    """The zip file is whole or absent. Raises OSError."""
+    number = 0
+    beside = target.with_name(f".{target.name}.part")
+    try:
+        with create_file(beside) as out, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path, data in files:
+                entry = zipfile.ZipInfo(path, (1980, 1, 1, 0, 0, 0))
+                entry.external_attr = 0o600 << 16
+                archive.writestr(entry, data, zipfile.ZIP_DEFLATED)
+                number += 1
+        beside.replace(target)
+    finally:
+        beside.unlink(missing_ok=True)
+    return number
+
+
+@command.command("events")
+@click.option(
+    "--since",
+    "moment",
+    metavar="POSITION|TIME",
+    callback=as_moment,
+    help="Only what came after: a position of the log (0: all), or a time.",
+)
+@click.option(
+    "--family", "families", multiple=True, metavar="F", help="Only this family or type: run, action.failed …"
+)
+@click.option("-f", "--follow", is_flag=True, help="Go on as events are added, until Ctrl-C.")
+@log_options
+def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool) -> None:
+    """Write events as CloudEvents 1.0, one JSON object a line.
+
+    `position` says how far you are: give the last one to --since, and nothing is left out and nothing
+    comes twice. `hash` is the event's place in the chain. Works with LABOS_URL, too.
+
+    \b
+    labos export events > events.jsonl
+    labos export events --family run --family intervention
+    labos export events --since 2041 --follow
+    """
+    check_types(families)
+    with open_log(where) as log, suppress(KeyboardInterrupt):
+        seen = _start(log, moment)
+        while True:
+            end = log.head().position
+            if end > seen:
+                for record in log.select(LogQuery(after=seen, upto=end, types=families)):
+                    click.echo(cloudevent(record))
+                seen = end
+            if not follow:
+                return
+            time.sleep(POLL_S)
+
+
+def _start(log: Log, moment: Moment) -> int:
+    """The position after which to begin. Raises BadInput for one that the log does not have."""
+    if moment == Moment() or moment.position == 0:
+        return 0
+    return position_at(log, moment)

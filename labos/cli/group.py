@@ -1,0 +1,112 @@
+"""``labos group``: users who share a part of the lab and its roles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from labos.cli._group import Suggesting
+from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._out import show_json, show_table
+from labos.cli._people import in_words, lab_at
+
+_name = click.argument("name", metavar="GROUP")
+_member = click.argument("member", metavar="USER")
+
+
+@click.group("group", cls=Suggesting, short_help="Groups: users who share a part of the lab.")
+def command() -> None:
+    """Users who share a part of the lab, and the roles that are granted to all of them.
+
+    Weights and quotas of groups stand in a file: labos shares --apply. Nobody is in two groups.
+
+    \b
+    labos group add chemistry
+    labos group member add chemistry ada
+    labos role grant group:chemistry submitter
+    labos group list
+    """
+
+
+@command.command("add")
+@_name
+@user_option
+@home_option
+@json_option
+def add(name: str, user: str | None, home: str | None, as_json: bool) -> None:
+    """Add a group, without members and of weight 1."""
+    with lab_at(home) as client:
+        client.add_group(name, who(user))
+        _tell(client.groups(), name, as_json)
+
+
+@command.command("remove")
+@_name
+@user_option
+@home_option
+@json_option
+def remove(name: str, user: str | None, home: str | None, as_json: bool) -> None:
+    """Remove a group and its roles. Its members are in no group then."""
+    with lab_at(home) as client:
+        client.remove_group(name, who(user))
+    if as_json:
+        show_json({"group": name, "removed": True})
+
+
+@command.command("list")
+@home_option
+@json_option
+def list_groups(home: str | None, as_json: bool) -> None:
+    """All groups, their weights, members and roles."""
+    with lab_at(home) as client:
+        found = client.groups()
+    if as_json:
+        show_json(found)
+        return
+    rows = [
+        (group["name"], f"{group['weight']:g}", ", ".join(group["members"]), in_words(group["roles"]))
+        for group in found
+    ]
+    show_table(("group", "weight", "members", "roles"), rows)
+
+
+@command.group("member", cls=Suggesting, short_help="Who is in a group.")
+def members() -> None:
+    """Who is in a group.
+
+    \b
+    labos group member add chemistry ada
+    labos group member remove chemistry ada
+    """
+
+
+@members.command("add")
+@_name
+@_member
+@user_option
+@home_option
+@json_option
+def add_member(name: str, member: str, user: str | None, home: str | None, as_json: bool) -> None:
+    """Add a user to a group: its share of the lab, and its roles."""
+    with lab_at(home) as client:
+        client.add_member(name, member, who(user))
+        _tell(client.groups(), name, as_json)
+
+
+@members.command("remove")
+@_name
+@_member
+@user_option
+@home_option
+@json_option
+def remove_member(name: str, member: str, user: str | None, home: str | None, as_json: bool) -> None:
+    """Take a user out of a group."""
+    with lab_at(home) as client:
+        client.remove_member(name, member, who(user))
+        _tell(client.groups(), name, as_json)
+
+
+def _tell(groups: list[dict[str, Any]], name: str, as_json: bool) -> None:
+    if as_json:
+        show_json(next(group for group in groups if group["name"] == name))

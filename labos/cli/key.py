@@ -1,0 +1,96 @@
+"""``labos key``: the keys that sign a lab's checkpoints."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._group import Suggesting
+from labos.cli._out import show_json, tell
+from labos.cli._query import Where, json_option, log_options, now_ns, open_database
+from labos.errors import LabosError, NotFound
+from labos.services.times import iso_time
+from labos.services.trust.keys import Keys
+from labos.services.trust.tree import read_tree
+
+witness_option = click.option(
+    "--witness", is_flag=True, help="The key that cosigns other labs' checkpoints, not the lab's own."
+)
+
+
+@click.group("key", cls=Suggesting, short_help="The keys that sign a lab's checkpoints.")
+def command() -> None:
+    """The key pair that signs this lab's checkpoints (Ed25519).
+
+    The private key stays in the lab's folder, in keys/, for its owner only. Give the public key to whoever is
+    to check what the lab says, and not by the same way as what is to be checked.
+
+    \b
+    labos key create    make the pair
+    labos key show      the public key, for others
+    labos key rotate    put a new pair in its place
+    """
+
+
+@command.command("create")
+@click.option(
+    "--name",
+    metavar="NAME",
+    help="What the key is called, such as chem.example.org/lab1 (labos/ and the id of the lab).",
+)
+@witness_option
+@json_option
+@log_options
+def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None:
+    """Make the key pair, once. Its name stands in each checkpoint: others know the lab by it."""
+    public = Keys(where.home).create(name or _own_name(where, witness), witness=witness)
+    tell(public.text, {"public_key": public.text, "name": public.name}, as_json=as_json)
+
+
+@command.command("show")
+@witness_option
+@json_option
+@log_options
+def show(where: Where, witness: bool, as_json: bool) -> None:
+    """The public key, for others. --json tells also those that it took the place of."""
+    keys = Keys(where.home)
+    if witness:
+        text = keys.signing(witness=True).public.text
+        tell(text, {"public_key": text}, as_json=as_json)
+        return
+    known = keys.public()
+    if not known:
+        raise NotFound("This lab has no key.", remedy="Make one: labos key create")
+    if as_json:
+        show_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]})
+    else:
+        click.echo(known[-1].text)
+
+
+@command.command("rotate")
+@json_option
+@log_options
+def rotate(where: Where, as_json: bool) -> None:
+    """Put a new key pair in the place of the present one. The old private key signs, as its last act, who its
+    successor is, and is destroyed. Who has the old public key can go on with it: bundles carry that note."""
+    size = read_tree(where.home).size
+    keys = Keys(where.home)
+    keys.rotate(size, iso_time(now_ns()))
+    public = keys.public()[-1]
+    if as_json:
+        show_json({"public_key": public.text, "size": size})
+        return
+    click.echo(public.text)
+    click.echo(
+        f"The key before it signs nothing behind position {size}. Give the new one to those who check."
+    )
+
+
+def _own_name(where: Where, witness: bool) -> str:
+    try:
+        with open_database(where) as store:
+            head = store.head()
+    except LabosError:
+        head = None
+    if head is None or not head.lab:
+        raise click.UsageError("There is no log yet that could give the key its name: say --name NAME.")
+    return f"labos/{head.lab}/witness" if witness else f"labos/{head.lab}"

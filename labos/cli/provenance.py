@@ -1,0 +1,119 @@
+"""``labos provenance``: where something comes from, and what came of it."""
+
+from __future__ import annotations
+
+import click
+
+from labos.audit._facts import label
+from labos.audit.formats import as_dot, as_prov
+from labos.audit.graph import Entity, Graph, Part
+from labos.audit.provenance import MOST_LINKS, plain, subject_of, trace
+from labos.cli._audit import open_log_and_views
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, at_option, json_option, log_options
+from labos.services.describe import short
+from labos.services.history import position_at
+from labos.services.times import Moment
+
+
+@click.command("provenance")
+@click.argument("subject")
+@click.option("--up", "direction", flag_value="up", default="up", help="What it depends on (the default).")
+@click.option("--down", "direction", flag_value="down", help="What depends on it: a recall list.")
+@click.option("--only", metavar="KIND", help="Only what is of this kind: result, run, lot, user …")
+@click.option(
+    "--most",
+    type=click.IntRange(min=1),
+    default=MOST_LINKS,
+    show_default=True,
+    help="So many links are followed.",
+)
+@json_option
+@click.option("--prov", "as_prov_json", is_flag=True, help="W3C PROV-JSON (extra `provenance`).")
+@click.option("--dot", "as_graphviz", is_flag=True, help="For Graphviz.")
+@at_option
+@log_options
+def command(
+    where: Where,
+    subject: str,
+    direction: str,
+    only: str | None,
+    most: int,
+    as_json: bool,
+    as_prov_json: bool,
+    as_graphviz: bool,
+    moment: Moment,
+) -> None:
+    """Who, what, when, with which workflow, driver, arguments and lots: of labware (P7), a well (P7/B7), a
+    run (R1), the result of a step (R1#3), a sample, a file (its digest), or a lot.
+
+    Of a well, also what is in it: every transfer since it was filled is followed back to lots and
+    samples. `lot:NAME`, `sample:NAME`, `user:NAME` and so on say which is meant.
+
+    \b
+    labos provenance R1#3                        what a result depends on
+    labos provenance P7/B7 --at -1h              what was in a well an hour ago
+    labos provenance lot:L42 --down --only result   which results depend on a lot
+    """
+    if sum((as_json, as_prov_json, as_graphviz)) > 1:
+        raise click.UsageError("Choose one of --json, --prov and --dot.")
+    with open_log_and_views(where) as (store, asker):
+        upto = position_at(store, moment)
+        entity = subject_of(asker, subject, upto)
+        graph = trace(asker, entity, upto, "down" if direction == "down" else "up", most)
+        lab = store.head().lab
+    if as_json:
+        show_json(plain(graph))
+    elif as_prov_json:
+        click.echo(as_prov(graph, lab))
+    elif as_graphviz:
+        click.echo(as_dot(graph))
+    elif only:
+        _list(graph, only, direction)
+    else:
+        _tell(graph)
+    if not graph.whole:
+        click.echo(f"There is more than {most} links: --most follows more.", err=True)
+
+
+def _tell(graph: Graph) -> None:
+    click.echo(f"{_label(graph, str(graph.subject))}, at event {graph.position}")
+    for name, value in graph.facts.items():
+        click.echo(f"  {name}: {value if isinstance(value, str) else short(value)}")
+    if graph.contents:
+        click.echo()
+        rows = [_part(part) for part in graph.contents]
+        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="What it holds")
+    click.echo()
+    rows = [
+        (str(link.position), _label(graph, str(link.effect)), link.relation, _label(graph, str(link.cause)))
+        for link in graph.links
+    ]
+    show_table(("event", "what", "", "of what"), rows, title="How it hangs together")
+
+
+def _list(graph: Graph, kind: str, direction: str) -> None:
+    """The entities of one kind, each once, with the event that says so."""
+    found: dict[str, int] = {}
+    for link in graph.links:
+        entity = link.cause if direction == "up" else link.effect
+        if entity.kind == kind:
+            found.setdefault(str(entity), link.position)
+    rows = []
+    for name, position in found.items():
+        facts = graph.entities.get(name, {})
+        when = str(facts.get("ended_at") or facts.get("submitted_at") or facts.get("placed_at") or "")
+        rows.append((str(position), _label(graph, name), str(facts.get("run", "")), when))
+    show_table(("event", "what", "run", "when"), rows)
+
+
+def _label(graph: Graph, name: str) -> str:
+    kind, _, rest = name.partition(" ")
+    facts = graph.facts if name == str(graph.subject) else graph.entities.get(name, {})
+    return label(Entity(kind, rest), facts)  # type: ignore[arg-type]
+
+
+def _part(part: Part) -> tuple[str, ...]:
+    volume = "" if part.volume_ul is None else f"{part.volume_ul:.6g} µL"
+    share = "" if part.share is None else f"{part.share:.2%}"
+    return (str(part.origin), part.what, volume, share, "yes" if part.certain else "no")

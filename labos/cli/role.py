@@ -1,0 +1,83 @@
+"""``labos role``: what users and groups may do."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._group import Suggesting
+from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._out import show_json, show_table
+from labos.cli._people import lab_at, role_choice, scope_of, subject_of, workcell_option
+from labos.core.lab import WHOLE_LAB
+from labos.core.users import group_subject, user_subject
+
+_subject = click.argument("subject", metavar="USER|group:GROUP")
+
+
+@click.group("role", cls=Suggesting, short_help="Roles: what users and groups may do.")
+def command() -> None:
+    """What users and groups may do, in the whole lab or in a workcell.
+
+    \b
+    viewer      looks on; so does a user without a role
+    submitter   submits, and touches own runs, experiments, campaigns and labware
+    operator    also answers questions, loads the bench, controls modules, and touches everybody's runs
+    admin       also changes workcells, shares, users and roles
+
+    \b
+    labos role grant bo operator --workcell rpl
+    labos role grant group:chemistry submitter
+    labos role revoke bo --workcell rpl
+    labos role list
+    """
+
+
+@command.command("grant")
+@_subject
+@click.argument("role", type=role_choice)
+@workcell_option
+@user_option
+@home_option
+@json_option
+def grant(
+    subject: str, role: str, workcell: str | None, user: str | None, home: str | None, as_json: bool
+) -> None:
+    """Give a user, or a group, a role. It takes the place of the role that they have there."""
+    with lab_at(home) as client:
+        client.grant_role(subject_of(subject), role, who(user), scope=scope_of(workcell))
+    if as_json:
+        show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": role})
+
+
+@command.command("revoke")
+@_subject
+@workcell_option
+@user_option
+@home_option
+@json_option
+def revoke(subject: str, workcell: str | None, user: str | None, home: str | None, as_json: bool) -> None:
+    """Take a role away that was granted, in a workcell or in the whole lab."""
+    with lab_at(home) as client:
+        client.revoke_role(subject_of(subject), who(user), scope=scope_of(workcell))
+    if as_json:
+        show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": ""})
+
+
+@command.command("list")
+@home_option
+@json_option
+def list_roles(home: str | None, as_json: bool) -> None:
+    """Every role that was granted, to whom, and where it counts."""
+    with lab_at(home) as client:
+        users, groups = client.users(), client.groups()
+    held = [(user_subject(user["id"]), user["roles"]) for user in users]
+    held += [(group_subject(group["name"]), group["roles"]) for group in groups]
+    grants = [(subject, scope, role) for subject, roles in held for scope, role in roles.items()]
+    if as_json:
+        show_json([{"subject": subject, "scope": scope, "role": role} for subject, scope, role in grants])
+        return
+    rows = [
+        (role, subject.removeprefix(user_subject("")), "the whole lab" if scope == WHOLE_LAB else scope)
+        for subject, scope, role in grants
+    ]
+    show_table(("role", "of", "in"), rows)

@@ -1,0 +1,74 @@
+"""``labos shares``: who is to have how much of the lab, and who has had it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from labos.cli._options import json_option, user_option, who
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, log_options, now_ns, open_log
+from labos.core.shares import Quota
+from labos.errors import BadInput
+from labos.services.log import fold_to
+from labos.services.shares import Account, ledger
+
+
+@click.command("shares", short_help="Who is to have how much of the lab, and who has had it.")
+@click.option("--apply", "file", metavar="FILE", help="Weights and quotas from now on, as this file says.")
+@user_option
+@json_option
+@log_options
+def command(where: Where, file: str | None, user: str | None, as_json: bool) -> None:
+    """The ledger of lab time: for each user the share by weight, and the share used.
+
+    Used time counts half after a day (half-life). Hours are of the last seven days.
+
+    \b
+    labos shares                        the ledger
+    labos shares --apply shares.yaml    weights and quotas from now on
+    """
+    if file is not None:
+        from labos.cli._lab import need_lab_of
+
+        with need_lab_of(where) as client:
+            client.apply_shares(_read(file), file, who(user))
+    with open_log(where) as store:
+        accounts = ledger(fold_to(store, store.head().position), now_ns())
+    if as_json:
+        show_json(accounts)
+        return
+    titles = ("user", "group", "weight", "is to have", "has had", "hours", "running", "waiting", "quota")
+    show_table(titles, [_row(account) for account in accounts])
+
+
+def _row(account: Account) -> tuple[str, ...]:
+    return (
+        account.user,
+        account.group,
+        f"{account.weight:g}",
+        f"{account.wanted:.1%}",
+        f"{account.had:.1%}",
+        f"{account.lab_hours:.1f}",
+        str(account.running),
+        str(account.queued),
+        _quota(account.quota),
+    )
+
+
+def _quota(quota: Quota) -> str:
+    parts = [
+        f"{quota.running} running" if quota.running else "",
+        f"{quota.queued} waiting" if quota.queued else "",
+        f"{quota.lab_hours:g} h a week" if quota.lab_hours else "",
+        *(f"{amount:g} {kind} a week" for kind, amount in quota.consumables.items()),
+    ]
+    return ", ".join(filter(None, parts))
+
+
+def _read(file: str) -> str:
+    try:
+        return Path(file).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"The file {file!r} cannot be read: {error}.", remedy="Check its path.") from None

@@ -1,0 +1,120 @@
+"""The log of a lab, read over HTTP: what questions need of a log that they cannot open themselves."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from labos.core.canonical import digest
+from labos.core.envelope import GENESIS, Envelope, Record
+from labos.core.ids import LabId
+from labos.ports import EventLine, Head, LogQuery
+
+if TYPE_CHECKING:
+    from labos.client._lab import LabClient
+
+MOST_LAST = 1000
+"""So many last events are asked for; of more, the log is read."""
+
+
+class _Page(msgspec.Struct, frozen=True):
+    events: list[EventLine]
+    position: int
+
+
+_OF_ENVELOPE = tuple(name for name in EventLine.__struct_fields__ if name in Envelope.__struct_fields__)
+_encode = msgspec.json.Encoder(order="sorted").encode  # as the log keeps it
+_page = msgspec.json.Decoder(_Page)
+
+
+class _Records(msgspec.Struct, frozen=True):
+    records: list[Record]
+    position: int
+
+
+class LabLog:
+    """Reads a page at a time."""
+
+    def __init__(self, client: LabClient) -> None:
+        self._client = client
+        self._lab = ""
+
+    def head(self) -> Head:
+        """The end of the log. Raises LabUnreachable."""
+        health = self._client.health()
+        last = next(self.select(LogQuery(last=1)), None)
+        recorded_at = last.head.recorded_at if last is not None else 0
+        return Head(
+            LabId(health["lab"]),
+            health["position"],
+            last.hash if last is not None else GENESIS,
+            health["epoch"],
+            recorded_at,
+        )
+
+    def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
+        """Records in order."""
+        return self.select(LogQuery(after=after, upto=upto))
+
+    def replay(self, after: int = 0, upto: int | None = None) -> Iterator[tuple[Any, ...]]:
+        """(position, type, schema, recorded_at, payload) of each record."""
+        for record in self.read(after, upto):
+            head = record.head
+            yield head.position, head.type, head.schema, head.recorded_at, record.payload
+
+    def load_snapshot(self, fingerprint: str) -> None:
+        """There is none: the log is folded from its beginning."""
+        return None
+
+    def select(self, query: LogQuery) -> Iterator[Record]:
+        """The records of a query, in order."""
+        if query.upto == 0:
+            return iter(())
+        asked = {
+            "type": list(query.types),
+            "stream": list(query.streams),
+            "correlation": query.correlation,
+            "actor": query.actor,
+            "mentions": query.mentions,
+            "upto": query.upto or 0,
+            "since": query.since_ns or 0,
+            "until": query.until_ns or 0,
+        }
+        if query.last is not None and query.last <= MOST_LAST:
+            return iter(self._ask({**asked, "after": query.after, "last": query.last}).records)
+        found = self._pages(asked, query.after)
+        return found if query.last is None else iter(deque(found, query.last))
+
+    def _pages(self, asked: dict[str, Any], after: int) -> Iterator[Record]:
+        while True:
+            page = self._ask({**asked, "after": after})
+            yield from page.records
+            if page.position <= after or (asked["upto"] and page.position >= asked["upto"]):
+                return
+            after = page.position
+
+    def _ask(self, asked: dict[str, Any]) -> _Records:
+        page = _page.decode(self._client.page_of_events(asked))
+        if page.events and not self._lab:
+            self._lab = str(self._client.health()["lab"])
+        return _Records([self._record(event) for event in page.events], page.position)
+
+    def _record(self, event: EventLine) -> Record:
+        payload = bytes(event.payload)
+        named = {name: getattr(event, name) for name in _OF_ENVELOPE}
+        head = Envelope(lab=self._lab, digest=digest(payload), **named)
+        return Record(head, _encode(head), payload, bytes.fromhex(event.hash))
+
+
+class LabFiles:
+    """The lab's files over HTTP, by their SHA-256."""
+
+    def __init__(self, client: LabClient) -> None:
+        self._client = client
+
+    def get(self, digest: str) -> bytes:
+        """Raises NotFound, LogDamaged, LabUnreachable."""
+        return self._client.file(digest)

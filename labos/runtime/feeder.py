@@ -1,0 +1,96 @@
+"""Turns the rows of campaigns into runs, a few at a time.
+
+It only proposes: whether a row is the next one, and whether there is room for it, is decided with the state
+at hand. So it keeps nothing, and may be killed at any moment.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Protocol
+
+import structlog
+
+from labos.core.campaigns import Campaign, CampaignEvent
+from labos.core.decide import Rejection
+from labos.core.decide.campaigns import RefuseRow, SubmitRow
+from labos.core.quotas import queue_is_full
+from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted
+from labos.core.shares import SharesApplied
+from labos.core.users import GroupEvent
+from labos.errors import StoreError
+from labos.runtime.kernel import Kernel
+from labos.runtime.ledger import Entry
+
+MAKES_ROOM = (
+    *(CampaignEvent, SharesApplied, GroupEvent),
+    *(RunStarted, RunCompleted, RunFailed, RunCancelled),
+)
+"""Events after which a campaign may take a further row."""
+
+RETRY_S = 5.0
+"""How long to wait after a row could not be looked at, as when the disk that holds the table is away."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Rows(Protocol):
+    """Knows what the rows of campaigns are."""
+
+    async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
+        """The command that makes a run of a row, or says why none can be made of it. Whatever it raises is
+        taken for something that passes."""
+
+
+class Feeder:
+    """Proposes rows as long as there is room. One a kernel."""
+
+    def __init__(self, kernel: Kernel, rows: Rows) -> None:
+        self._kernel, self._rows = kernel, rows
+        self._bell = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        self._kernel.listeners.append(self)
+        self._bell.set()
+        self._task = asyncio.get_running_loop().create_task(self._feed())
+
+    async def close(self) -> None:
+        self._kernel.listeners.remove(self)
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.wait({self._task})
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        if any(isinstance(entry.event, MAKES_ROOM) for entry in entries):
+            self._bell.set()
+
+    def reopened(self) -> None:
+        self._bell.set()
+
+    async def _feed(self) -> None:
+        while True:
+            await self._bell.wait()
+            self._bell.clear()
+            try:
+                while await self._propose_round():
+                    pass
+            except StoreError:
+                continue  # once the log is read again, this is rung again
+            except Exception as error:
+                _log.warning("row_not_looked_at", why=repr(error))
+                asyncio.get_running_loop().call_later(RETRY_S, self._bell.set)
+
+    async def _propose_round(self) -> bool:
+        """Propose one row of each campaign that takes one; whether any was taken."""
+        taken = False
+        for name in list(self._kernel.state.campaigns.open):
+            state = self._kernel.state
+            campaign = state.campaigns.open.get(name)
+            if campaign is None or not campaign.takes_rows or queue_is_full(state, campaign.user):
+                continue
+            command = await self._rows.propose(campaign, campaign.next_row)
+            answer = self._kernel.submit(command, "labos")
+            taken = taken or (not isinstance(answer, Rejection) and bool(answer))
+        return taken

@@ -1,0 +1,368 @@
+"""The log as its kernel holds it: decided ahead of the disk, read again when a write has failed, given back
+at the end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Protocol
+
+import msgspec
+import structlog
+
+from labos.clock import Clock, Ids
+from labos.core.actions import ActionRequested
+from labos.core.ids import ActionId, LabId
+from labos.core.lab import KernelStarted
+from labos.core.registry import decode
+from labos.core.state import LabState
+from labos.errors import Fenced, LabosError, StoreError, StoreUnavailable
+from labos.ports import EventStore, LogQuery
+from labos.runtime.follower import Follower
+from labos.runtime.ledger import Entry, Ledger, load, snapshot
+from labos.runtime.writer import PatientWriter, Writer, in_doubt
+
+LONGEST_PAUSE_S = 5.0
+"""Between two tries to get the store back."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Listener(Protocol):
+    """Hears of events once they are on disk, in order."""
+
+    def committed(self, entries: Sequence[Entry]) -> None: ...
+
+    def reopened(self) -> None:
+        """The log was read again: what was decided but not written is forgotten."""
+
+
+class KernelSettings(msgspec.Struct, frozen=True):
+    """``lease_s`` is how long a silent kernel keeps the lab; ``snapshot_every`` counts events;
+    ``reopen_s`` is how long the kernel tries to get its store back before it stops: 0 for not at all,
+    infinity for ever. A module that fails ``quarantine_after`` times (0: however often) within
+    ``quarantine_within_s`` lab seconds is taken out of service."""
+
+    name: str = "lab"
+    pace: float = 1.0
+    owner: str = "kernel"
+    lease_s: float = 6.0
+    snapshot_every: int = 50_000
+    reopen_s: float = 30.0
+    quarantine_after: int = 0
+    quarantine_within_s: float = 600.0
+    check_invariants: bool = True
+
+
+class KernelLog(ABC):
+    """Base of the kernel: everything but its turns."""
+
+    def __init__(self, writer: Writer, clock: Clock, ids: Ids, settings: KernelSettings) -> None:
+        self.settings = settings
+        self.clock, self.ids = clock, ids
+        self.listeners: list[Listener] = []
+        self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
+        self.durable = 0
+        self.faults: deque[str] = deque(maxlen=100)
+        """What it had to refuse of its own: proposals against the rules, batches against an invariant."""
+        self._refolding: asyncio.Task[None] | None = None
+        self._writer = PatientWriter(writer)
+        self._ledger: Ledger | None = None
+        self._unwritten: deque[Entry] = deque()
+        self._waiting: deque[tuple[int, asyncio.Future[None]]] = deque()
+        self._tasks: list[asyncio.Task[None]] = []
+        self._snapshot_at = 0
+        self._picture: tuple[int, bytes, str, bytes] | None = None
+        self._closing = False
+        self._lost_at: float | None = None
+        self._lost_why: LabosError | None = None
+        self._losses = 0
+        self._epoch_claimed: int | None = None
+        self._follower: Follower | None = None
+
+    @abstractmethod
+    def wake(self) -> None:
+        """The log was read again: look at everything that waits."""
+
+    @abstractmethod
+    def _forget(self) -> None:
+        """The log is read again: forget what was derived from the state before."""
+
+    @property
+    def state(self) -> LabState:
+        """The speculative state: everything decided so far. Read it, never change it."""
+        return self._open_ledger().state
+
+    @property
+    def lab(self) -> LabId:
+        return self._open_ledger().head.lab
+
+    @property
+    def epoch(self) -> int:
+        return self._open_ledger().head.epoch
+
+    async def written(self) -> None:
+        """Wait until everything decided so far is on disk. Raises StoreError if it is lost."""
+        ledger = self._open_ledger()
+        if self.durable >= ledger.head.position:
+            return
+        future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.append((ledger.head.position, future))
+        self._writer.flush()
+        await future
+
+    async def starts(self) -> list[tuple[int, int]]:
+        """The epochs of this log's kernels, and the positions where they began. Raises StoreError."""
+
+        def look(store: EventStore) -> list[tuple[int, int]]:
+            found = store.select(LogQuery(types=(KernelStarted.TYPE,)))
+            mine = [record for record in found if record.head.type == KernelStarted.TYPE]
+            events = [decode(record.head.type, record.head.schema, record.payload) for record in mine]
+            pairs = zip(events, mine, strict=True)
+            return [(e.epoch, r.head.position) for e, r in pairs if isinstance(e, KernelStarted)]
+
+        return await self._writer.call(look)
+
+    async def holds_request(self, action: ActionId, position: int) -> bool:
+        """Whether a request of this action stands at a position of the log. Raises StoreError."""
+        if not 0 < position <= self.durable:
+            return False
+
+        def look(store: EventStore) -> bool:
+            heads = [(r.head.type, r) for r in store.read(position - 1, position)]
+            requests = [r for kind, r in heads if kind == ActionRequested.TYPE]
+            events = [decode(r.head.type, r.head.schema, r.payload) for r in requests]
+            return any(isinstance(e, ActionRequested) and e.action == action for e in events)
+
+        return await self._writer.call(look)
+
+    async def check_lease(self) -> None:
+        """Ask the database whether this is still the lab's kernel; if it is not, the kernel stops. Raises
+        Fenced then, StoreError if the database does not say."""
+        epoch, lease = self.epoch, self.settings.lease_s
+        try:
+            await self._writer.call(lambda store: store.renew(epoch, lease))
+        except Fenced as error:
+            self._lose(error)
+            raise
+
+    async def close(self) -> None:
+        """Write what is decided, keep a snapshot, give the lease back. ``failed`` says so if what was
+        decided last could not be written."""
+        self._closing = True
+        if self._refolding is not None:
+            await asyncio.wait({self._refolding}, timeout=LONGEST_PAUSE_S)
+        for task in self._tasks:
+            task.cancel()
+        if self._epoch_claimed is not None and not self.failed.done():
+            try:
+                await self.written()
+            except StoreError as error:
+                self._stop(self._lost_why or error)
+            else:
+                await self._leave()
+        await self._writer.close()
+
+    async def _leave(self) -> None:
+        ledger = self._open_ledger()
+        picture = snapshot(ledger.state, ledger.head)
+        try:
+            await self._writer.call(lambda store: store.save_snapshot(*picture))
+            await self._writer.call(lambda store: store.release(ledger.head.epoch))
+        except StoreError as error:
+            _log.warning("lease_not_given_back", why=str(error))
+
+    def _take_back(self, why: str) -> None:
+        """Forget what was folded in this turn. Earlier turns are with the writer already: the log is read
+        again behind them."""
+        self._ledger = None
+        self._picture = None
+        self._lost_why = StoreUnavailable(
+            f"The log is being read again: {why}.", remedy="Try again in a moment."
+        )
+        self._refolding = asyncio.get_running_loop().create_task(self._refold())
+        self._tasks.append(self._refolding)
+
+    async def _refold(self) -> None:
+        try:
+            await self._read_log()
+        except Fenced as error:
+            self._refolding = None
+            self._stop(error)
+        except Exception as error:
+            self._refolding = None
+            await self._reopen(_store_error(error))
+        else:
+            self._refolding = None  # what follows may fail again
+            self._go_on()
+
+    # -- what the writer says ----------------------------------------------------------------
+
+    def _on_durable(self, position: int) -> None:
+        self.durable = position
+        self._losses = 0
+        self._lost_at = None
+        entries: list[Entry] = []
+        while self._unwritten and self._unwritten[0].position <= position:
+            entries.append(self._unwritten.popleft())
+        for listener in self.listeners:
+            if not self._notify(listener, partial(listener.committed, entries)):
+                self._notify(listener, listener.reopened)  # it looks at everything again
+        while self._waiting and self._waiting[0][0] <= position:
+            future = self._waiting.popleft()[1]
+            if not future.done():
+                future.set_result(None)
+        self._keep_snapshot(position)
+
+    def _on_failure(self, error: StoreError) -> None:
+        _log.error("commit_failed", error=str(error))
+        self._lose(error)
+
+    def _lose(self, error: StoreError) -> None:
+        """Forget everything that is not on disk for sure; then, unless this is the end anyway, read the
+        log again. Errors that come while that is under way are more of the same."""
+        reopening, self._ledger = self._ledger is None, None
+        self._lost_why = error
+        self._unwritten.clear()
+        self._picture = None
+        told = in_doubt(error) if type(error) is StoreUnavailable else error
+        waiting, self._waiting = self._waiting, deque()
+        for _, future in waiting:
+            if not future.done():
+                future.set_exception(told)
+        if self._closing:
+            return
+        if isinstance(error, Fenced):
+            self._stop(error)
+        elif not reopening:
+            self._tasks.append(asyncio.get_running_loop().create_task(self._reopen(error)))
+
+    async def _reopen(self, error: LabosError) -> None:
+        """Get the log back after a commit of unknown outcome. A database that can be read but not
+        written (a full disk) is not back: its lease is renewed to see."""
+        began = self.clock.monotonic()
+        if self._lost_at is None or began - self._lost_at > 2 * max(self.settings.reopen_s, LONGEST_PAUSE_S):
+            self._lost_at, self._losses = began, 0
+        give_up = self._lost_at + self.settings.reopen_s
+        epoch, lease = self._epoch_claimed, self.settings.lease_s
+        while self.clock.monotonic() < give_up:
+            if self._losses:
+                await asyncio.sleep(min(0.1 * 2 ** min(self._losses, 10), LONGEST_PAUSE_S))
+            self._losses += 1
+            try:
+                if epoch is not None:
+                    await self._writer.call(lambda store: store.renew(epoch, lease))
+                await self._read_log()
+            except Fenced as fenced:
+                self._stop(fenced)
+                return
+            except Exception as again:
+                error = self._lost_why = _store_error(again)
+                continue
+            self._go_on()
+            return
+        self._stop(error)
+
+    def _go_on(self) -> None:
+        """The log was read again."""
+        _log.warning("log_reopened", position=self.durable)
+        for listener in self.listeners:
+            self._notify(listener, listener.reopened)
+        self.wake()
+
+    def _notify(self, listener: Listener, call: Callable[[], None]) -> bool:
+        """Tell a listener. One that fails does not keep the others from hearing."""
+        try:
+            call()
+        except StoreError as error:
+            _log.info("listener_waits_for_log", listener=type(listener).__name__, why=str(error))
+        except Exception as error:
+            _log.exception("listener_failed", listener=type(listener).__name__)
+            self.faults.append(f"{type(listener).__name__}: {error!r}")
+            return False
+        return True
+
+    def _stop(self, error: LabosError) -> None:
+        _log.error("kernel_stopped", error=str(error))
+        if not self.failed.done():
+            self.failed.set_result(error)
+
+    # -- the log -----------------------------------------------------------------------------
+
+    async def _read_log(self) -> None:
+        known = self._epoch_claimed
+
+        def read(store: EventStore) -> tuple[Any, LabState]:
+            head = store.head()
+            if known is not None and head.epoch != known:
+                raise Fenced(
+                    f"Another kernel (epoch {head.epoch}) has taken over this lab.",
+                    remedy="Let it work; this one must not go on.",
+                )
+            follower, self._follower = self._follower, None
+            state, _ = load(store, begin=follower.hand_over() if follower is not None else None, end=head)
+            return head, state
+
+        head, state = await self._writer.call(read)
+        if state.position != head.position:
+            raise StoreUnavailable(f"The log ends at {head.position}, but {state.position} could be read.")
+        self._epoch_claimed = head.epoch
+        self._ledger = Ledger(state, head, self.clock, self.ids)
+        self.durable = head.position
+        self._forget()
+        self._snapshot_at = head.position
+        self._writer.begin(head, self._on_durable, self._on_failure)
+
+    def _keep_snapshot(self, position: int) -> None:
+        ledger = self._ledger
+        if ledger is None:
+            return
+        if self._picture is not None and position >= self._picture[0]:
+            picture, self._picture = self._picture, None
+            task = asyncio.get_running_loop().create_task(
+                self._writer.call(lambda store: store.save_snapshot(*picture))
+            )
+            task.add_done_callback(_swallow_store_error)
+        if ledger.head.position - self._snapshot_at >= self.settings.snapshot_every:
+            self._snapshot_at = ledger.head.position
+            self._picture = snapshot(ledger.state, ledger.head)
+
+    async def _keep_lease(self) -> None:
+        lease = self.settings.lease_s
+        epoch = self.epoch
+        while True:
+            await asyncio.sleep(lease / 3)
+            try:
+                await self._writer.call(lambda store: store.renew(epoch, lease))
+            except Fenced as error:
+                self._lose(error)
+                return
+            except Exception as error:
+                # Nothing was decided meanwhile, and nothing could be: an idle lab has lost its log too.
+                if self._ledger is not None:
+                    _log.error("lease_not_renewed", error=str(error))
+                self._lose(_store_error(error))
+
+    def _open_ledger(self) -> Ledger:
+        if self._ledger is None:
+            why = self._lost_why
+            if why is None:
+                raise StoreUnavailable("The log is still being read.", remedy="Try again in a moment.")
+            raise StoreUnavailable(why.message, remedy=why.remedy)
+        return self._ledger
+
+
+def _swallow_store_error(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and isinstance(task.exception(), StoreError):
+        _log.warning("snapshot_not_saved", error=str(task.exception()))
+
+
+def _store_error(error: Exception) -> StoreError:
+    if isinstance(error, StoreError):
+        return error
+    _log.error("log_not_read", exc_info=error)
+    return StoreUnavailable(f"The log could not be read: {error!r}.", remedy="This is a fault of LabOS.")

@@ -1,0 +1,53 @@
+"""All metrics of a kernel's process, in one registry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector, generate_latest
+
+from labos.core.state import LabState
+from labos.telemetry.bounded import BoundedNames
+from labos.telemetry.event_metrics import EventMetrics
+from labos.telemetry.process_metrics import ProcessMetrics
+from labos.telemetry.series import GaugeMetric, MetricRegistry
+from labos.telemetry.signing import Signing
+from labos.telemetry.state_metrics import StateMetrics
+from labos.telemetry.unattended_metrics import UnattendedMetrics
+
+WORKFLOWS, USERS = 50, 100
+"""So many workflows and users have series of their own; those that come later are ``other``."""
+
+
+class KernelMetrics:
+    """Made once for each kernel; ``of_events`` listens to it. The others are updated by whoever asks."""
+
+    def __init__(self, state: Callable[[], LabState]) -> None:
+        workflows, users = BoundedNames(WORKFLOWS), BoundedNames(USERS)
+        self.of_events = EventMetrics(state, workflows, users)
+        self.of_state = StateMetrics(workflows, users)
+        self.of_unattended_time = UnattendedMetrics()
+        self.of_process = ProcessMetrics()
+        self.signing = Signing()
+        self.series = GaugeMetric("labos_metrics_series", "How many series the last answer had.")
+        self.took_s = GaugeMetric(
+            "labos_metrics_duration_seconds", "How long it took to make the last answer."
+        )
+        groups = (self.of_process, self.of_state, self.of_events, self.of_unattended_time, self.signing)
+        families = [family for group in groups for family in group.families]
+        self.registry = MetricRegistry([*families, self.series, self.took_s])
+
+    @cached_property
+    def process(self) -> CollectorRegistry:
+        """What the system says of this process."""
+        registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        PlatformCollector(registry=registry)
+        return registry
+
+    def text(self) -> str:
+        """Everything, in Prometheus' text format."""
+        told = self.registry.text() + generate_latest(self.process).decode()
+        self.series.set(self.registry.counts)
+        return told

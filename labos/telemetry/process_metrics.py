@@ -1,0 +1,118 @@
+"""Kernel, log, store, bus and disk as metrics: numbers that somebody else has read."""
+
+from __future__ import annotations
+
+import platform
+
+import msgspec
+
+from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup
+from labos.version import VERSION
+
+
+class Readings(msgspec.Struct, frozen=True):
+    """How the kernel's process stands. ``store_bytes`` is None where the database does not say cheaply.
+    ``decided`` is the last position that was decided, ``durable`` the last one on disk; ``started_at`` in
+    UTC s."""
+
+    lab: str
+    name: str
+    simulated: bool
+    pace: float
+    epoch: int
+    started_at: float
+    suspended: bool
+    decided: int
+    durable: int
+    checked: int
+    damaged: bool
+    store_bytes: int | None
+    disk_free: int
+    disk_size: int
+    queries: int
+    unanswered: int
+    published: int
+    dropped: int
+    left_out: int
+
+
+class ProcessMetrics(MetricGroup):
+    """The metrics of a kernel's process that do not speak of the bench."""
+
+    def __init__(self) -> None:
+        self.build = GaugeMetric("labos_build_info", "1; the labels say what runs.", ("version", "python"))
+        self.lab = GaugeMetric(
+            "labos_lab_info",
+            "1; the labels say which lab it is. bench is real or simulated.",
+            ("id", "name", "bench"),
+        )
+        self.pace = GaugeMetric(
+            "labos_lab_pace_ratio",
+            "How much faster than real time simulated instruments run; 1 in a real lab.",
+        )
+        self.epoch = GaugeMetric("labos_kernel_epoch", "The kernel's epoch: one more at each start.")
+        self.started = GaugeMetric(
+            "labos_kernel_start_time_seconds", "When this kernel took the lab (UNIX time)."
+        )
+        self.suspended = GaugeMetric(
+            "labos_kernel_suspended", "1 while nothing is started because planning fails: a fault of LabOS."
+        )
+        self.available = GaugeMetric(
+            "labos_log_available", "0 while the log cannot be written and is being read again."
+        )
+        self.position = GaugeMetric("labos_log_position", "The position of the last event on disk.")
+        self.unwritten = GaugeMetric(
+            "labos_log_unwritten_events", "Events that are decided and not yet on disk."
+        )
+        self.checked = GaugeMetric(
+            "labos_log_checked_events", "Events whose chain was checked since the kernel started."
+        )
+        self.damaged = GaugeMetric("labos_log_damaged", "1 if the check of the log has found a damage.")
+        self.store_bytes = GaugeMetric(
+            "labos_store_size_bytes", "Size of the database's files (SQLite only)."
+        )
+        self.disk_free = GaugeMetric("labos_disk_free_bytes", "Free room on the disk of the lab's folder.")
+        self.disk_size = GaugeMetric("labos_disk_size_bytes", "Size of the disk of the lab's folder.")
+        self.queries = ComputedCounter(
+            "labos_bus_queries_total", "Questions that the kernel has asked on the bus."
+        )
+        self.unanswered = ComputedCounter(
+            "labos_bus_queries_unanswered_total", "Questions on the bus to which no answer came."
+        )
+        self.published = ComputedCounter(
+            "labos_bus_publications_total", "Messages that the kernel has published on the bus."
+        )
+        self.dropped = ComputedCounter(
+            "labos_bus_dropped_total", "Messages that were dropped because too many waited to be handled."
+        )
+        self.left_out = ComputedCounter(
+            "labos_bus_announcements_left_out_total",
+            "Events that were not announced on the bus because it was too slow; they are in the log.",
+        )
+        self.build.set(1, (VERSION, platform.python_version()))
+
+    def update(self, now: Readings) -> None:
+        bench = "simulated" if now.simulated else "real"
+        self.lab.replace({(now.lab, now.name, bench): 1.0})
+        self.pace.set(now.pace)
+        self.epoch.set(now.epoch)
+        self.started.set(now.started_at)
+        self.suspended.set(now.suspended)
+        self.available.set(1)
+        self.position.set(now.durable)
+        self.unwritten.set(max(now.decided - now.durable, 0))
+        self.checked.set(now.checked)
+        self.damaged.set(now.damaged)
+        if now.store_bytes is not None:
+            self.store_bytes.set(now.store_bytes)
+        self.disk_free.set(now.disk_free)
+        self.disk_size.set(now.disk_size)
+        self.queries.set(now.queries)
+        self.unanswered.set(now.unanswered)
+        self.published.set(now.published)
+        self.dropped.set(now.dropped)
+        self.left_out.set(now.left_out)
+
+    def lose(self) -> None:
+        """The log cannot be written: all else is as it was last."""
+        self.available.set(0)

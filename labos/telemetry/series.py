@@ -1,0 +1,304 @@
+"""Metrics that stay cheap however many series they have: written down when they change, joined when asked.
+
+A lab of a thousand modules has tens of thousands of series, of which few change between two scrapes. Each
+line of the answer is kept as text and made anew only when its value has changed. The parts of
+``prometheus_client`` serve everything else: a registry can be handed to its exposition and its servers.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal
+
+from prometheus_client import Metric
+
+Labels = tuple[str, ...]
+Kind = Literal["counter", "gauge", "histogram", "summary"]
+
+OTHER = "other"
+"""Stands for every label that had no room any more."""
+
+MOST = 1000
+"""So many sets of labels a metric has, unless it is said otherwise."""
+
+
+ACTION_BOUNDS_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0)
+"""The bounds of distributions of how long actions take: from a tenth of a second to an hour."""
+
+
+class LabMetric:
+    """All series of one metric. ``most`` bounds how many sets of labels there are: what comes later is put
+    together in one whose labels are all ``other``."""
+
+    kind: Kind
+
+    def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
+        self.name, self.help, self.labels, self.most = name, help, labels, most
+        self._prefixes: dict[Labels, str] = {}
+        self._rest = (OTHER,) * len(labels)
+
+    @property
+    def width(self) -> int:
+        """How many series one set of labels has."""
+        return 1
+
+    def lines(self) -> Iterable[str]:
+        """The series in Prometheus' text format, without their head."""
+        raise NotImplementedError
+
+    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
+        """(name, labels, value) of each series."""
+        raise NotImplementedError
+
+    def _labels_of(self, key: Labels) -> Labels:
+        """The set of labels under which a value is kept; its prefix is made when it is new."""
+        if key in self._prefixes:
+            return key
+        if len(self._prefixes) >= self.most and self.labels:
+            key = self._rest
+        if key not in self._prefixes:
+            self._prefixes[key] = ",".join(
+                f'{name}="{_escape(value)}"' for name, value in zip(self.labels, key, strict=True)
+            )
+        return key
+
+
+class CounterMetric(LabMetric):
+    """Only goes up, but for a new start of the process."""
+
+    kind: Kind = "counter"
+
+    def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
+        super().__init__(name, help, labels, most=most)
+        self._values: dict[Labels, float] = {}
+        self._changed: dict[Labels, bool] = {}
+        self._lines: dict[Labels, str] = {}
+        if not labels:
+            self.begin()
+
+    def begin(self, key: Labels = ()) -> None:
+        """Let the series come into being: who asks for its increase needs to have seen it at 0."""
+        self.add(key, 0.0)
+
+    def add(self, key: Labels = (), by: float = 1.0) -> None:
+        if key not in self._values:
+            key = self._labels_of(key)
+        self._values[key] = self._values.get(key, 0.0) + by
+        self._changed[key] = True
+
+    def value(self, key: Labels = ()) -> float:
+        return self._values.get(key, 0.0)
+
+    def lines(self) -> Iterable[str]:
+        for key in self._changed:
+            self._lines[key] = _line(self.name, self._prefixes[key], self._values[key])
+        self._changed.clear()
+        return self._lines.values()
+
+    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
+        for key, value in self._values.items():
+            yield self.name, dict(zip(self.labels, key, strict=True)), value
+
+
+class GaugeMetric(LabMetric):
+    """What is so at the moment. ``replace`` says all of it: series that it does not name are gone."""
+
+    kind: Kind = "gauge"
+
+    def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
+        super().__init__(name, help, labels, most=most)
+        self._values: dict[Labels, float] = {}
+        self._lines: dict[Labels, str] = {}
+
+    def set(self, value: float, key: Labels = ()) -> None:
+        if self._values.get(key) != value:
+            key = self._labels_of(key)
+            self._values[key] = value
+            self._lines[key] = _line(self.name, self._prefixes[key], value)
+
+    def replace(self, values: Mapping[Labels, float]) -> None:
+        if self._values.keys() - values.keys():
+            for key in [key for key in self._values if key not in values]:
+                del self._values[key], self._lines[key], self._prefixes[key]
+        rest = 0.0
+        for key, value in values.items():
+            if self._values.get(key) == value:
+                continue
+            if key not in self._prefixes and len(self._prefixes) >= self.most:
+                rest += value
+            else:
+                self.set(value, key)
+        if rest:
+            self.set(rest, self._rest)
+
+    def clear(self) -> None:
+        """Nothing is known any more."""
+        self.replace({})
+
+    def lines(self) -> Iterable[str]:
+        return self._lines.values()
+
+    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
+        for key, value in self._values.items():
+            yield self.name, dict(zip(self.labels, key, strict=True)), value
+
+
+class ComputedCounter(GaugeMetric):
+    """A gauge in the code, a counter for Prometheus: its values are worked out when somebody asks. None goes
+    down: what is under way is counted up to now, and may turn out to have ended a moment before; Prometheus
+    would take that for a new start of the process, and for an enormous rate."""
+
+    kind: Kind = "counter"
+
+    def set(self, value: float, key: Labels = ()) -> None:
+        super().set(max(value, self._values.get(key, value)), key)
+
+    def replace(self, values: Mapping[Labels, float]) -> None:
+        super().replace({key: max(value, self._values.get(key, value)) for key, value in values.items()})
+
+
+class _Observations:
+    """What one series of a distribution has seen."""
+
+    __slots__ = ("counts", "total")
+
+    def __init__(self, buckets: int) -> None:
+        self.counts = [0] * (buckets + 1)
+        self.total = 0.0
+
+
+class Distribution(LabMetric):
+    """How values are spread: a histogram with the upper ``bounds``, or, without any, number and sum alone."""
+
+    def __init__(
+        self, name: str, help: str, labels: Labels = (), *, bounds: Sequence[float] = (), most: int = MOST
+    ) -> None:
+        super().__init__(name, help, labels, most=most)
+        self.kind = "histogram" if bounds else "summary"
+        self.bounds = tuple(bounds)
+        self._heaps: dict[Labels, _Observations] = {}
+        self._changed: dict[Labels, bool] = {}
+        self._lines: dict[Labels, str] = {}
+        if not labels:
+            self.begin()
+
+    @property
+    def width(self) -> int:
+        return len(self.bounds) + 3 if self.bounds else 2
+
+    def begin(self, key: Labels = ()) -> None:
+        """Let the series come into being, with nothing seen yet."""
+        key = self._labels_of(key)
+        if key not in self._heaps:
+            self._heaps[key] = _Observations(len(self.bounds))
+            self._changed[key] = True
+
+    def observe(self, value: float, key: Labels = ()) -> None:
+        heap = self._heaps.get(key)
+        if heap is None:
+            self.begin(key)
+            key = self._labels_of(key)
+            heap = self._heaps[key]
+        heap.counts[bisect_left(self.bounds, value)] += 1
+        heap.total += value
+        self._changed[key] = True
+
+    def lines(self) -> Iterable[str]:
+        for key in self._changed:
+            prefix = self._prefixes[key]
+            rows = (
+                _line(name, _join_labels(prefix, f'le="{more["le"]}"') if "le" in more else prefix, value)
+                for name, more, value in self._points(self._heaps[key])
+            )
+            self._lines[key] = "\n".join(rows)
+        self._changed.clear()
+        return self._lines.values()
+
+    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
+        for key, heap in self._heaps.items():
+            named = dict(zip(self.labels, key, strict=True))
+            for name, more, value in self._points(heap):
+                yield name, {**named, **more}, value
+
+    def _points(self, heap: _Observations) -> Iterator[tuple[str, dict[str, str], float]]:
+        counts, total = list(heap.counts), heap.total
+        if self.bounds:
+            upto = 0
+            for bound, count in zip((*self.bounds, math.inf), counts, strict=True):
+                upto += count
+                yield f"{self.name}_bucket", {"le": _number(bound)}, upto
+        yield f"{self.name}_count", {}, sum(counts)
+        yield f"{self.name}_sum", {}, total
+
+
+class MetricGroup:
+    """Metrics that belong together: those of its attributes that are some, in their order."""
+
+    @property
+    def families(self) -> list[LabMetric]:
+        return [value for value in vars(self).values() if isinstance(value, LabMetric)]
+
+    def clear(self) -> None:
+        """Nothing is known any more of what gauges tell."""
+        for family in self.families:
+            if isinstance(family, GaugeMetric):
+                family.clear()
+
+
+class MetricRegistry:
+    """Metrics in the order in which they are shown. ``counts`` is how many series were shown last."""
+
+    def __init__(self, families: Iterable[LabMetric] = ()) -> None:
+        self.families: list[LabMetric] = list(families)
+        self.counts = 0
+
+    @property
+    def most(self) -> int:
+        """So many series there can be, whatever happens; each metric may have one set of labels more."""
+        return sum((family.most + 1 if family.labels else 1) * family.width for family in self.families)
+
+    def text(self) -> str:
+        """All metrics in Prometheus' text format, version 0.0.4. A metric without series is left out."""
+        parts: list[str] = []
+        self.counts = 0
+        for family in self.families:
+            lines = list(family.lines())
+            if lines:
+                parts.append(f"# HELP {family.name} {_escape_help(family.help)}")
+                parts.append(f"# TYPE {family.name} {family.kind}")
+                parts += lines
+                self.counts += len(lines) * family.width
+        return "\n".join(parts) + "\n" if parts else ""
+
+    def collect(self) -> Iterator[Metric]:
+        """The same for ``prometheus_client``: its exposition, its servers, its parsers' tests."""
+        for family in self.families:
+            metric = Metric(family.name.removesuffix("_total"), family.help, family.kind)
+            for name, labels, value in family.samples():
+                metric.add_sample(name, labels, value)
+            if metric.samples:
+                yield metric
+
+
+def _line(name: str, labels: str, value: float) -> str:
+    return f"{name}{{{labels}}} {_number(value)}" if labels else f"{name} {_number(value)}"
+
+
+def _join_labels(labels: str, more: str) -> str:
+    return f"{labels},{more}" if labels else more
+
+
+def _number(value: float) -> str:
+    if value == math.inf:
+        return "+Inf"
+    return repr(float(value)) if math.isfinite(value) else "NaN" if math.isnan(value) else "-Inf"
+
+
+def _escape(value: str) -> str:
+    return value.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
+
+
+def _escape_help(text: str) -> str:
+    return text.replace("\\", r"\\").replace("\n", r"\n")

@@ -1,0 +1,27 @@
+"""Who was let in over HTTP, and who was not."""
+
+from __future__ import annotations
+
+from labos.telemetry.series import CounterMetric, MetricGroup
+
+
+class Signing(MetricGroup):
+    """Counted as it happens."""
+
+    def __init__(self) -> None:
+        self.tries = CounterMetric(
+            "labos_sign_ins_total",
+            "Tries to sign in; outcome is right, wrong or too_many.",
+            ("outcome",),
+            most=3,
+        )
+        self.refused = CounterMetric(
+            "labos_requests_refused_total",
+            "Requests that were not let in; reason is not_signed_in or forbidden.",
+            ("reason",),
+            most=2,
+        )
+        for outcome in ("right", "wrong", "too_many"):
+            self.tries.begin((outcome,))
+        for reason in ("not_signed_in", "forbidden"):
+            self.refused.begin((reason,))

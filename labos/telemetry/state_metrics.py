@@ -1,0 +1,253 @@
+"""How the lab stands now: gauges worked out from the folded state when somebody asks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import lru_cache
+
+from labos.core.ids import ModuleName, StationName, local, workcell_of
+from labos.core.open_experiments import ExperimentStatus
+from labos.core.state import LabState
+from labos.planning.scheduler import Scheduler
+from labos.telemetry.bounded import BoundedNames
+from labos.telemetry.series import GaugeMetric, Labels, MetricGroup
+
+MODULE_STATES = ("idle", "busy", "error", "gone", "out_of_service")
+RUN_STATES = ("queued", "active", "paused", "cancelling", "leaving")
+
+KINDS_OF_RUNS, USERS_SEEN, WAITS_SEEN = 150, 101, 500
+"""So many workflows in workcells, users, and reasons to wait are shown as 0 when nothing is left of them."""
+
+CELLS = 250
+"""So many workcells have series of their own."""
+
+
+class StateMetrics(MetricGroup):
+    """The gauges of a lab's state. ``workflows`` and ``users`` bound these labels."""
+
+    def __init__(self, workflows: BoundedNames, users: BoundedNames) -> None:
+        self._workflow, self._user = workflows, users
+        cell, module = ("workcell",), ("workcell", "module")
+        self.runs = GaugeMetric(
+            "labos_runs",
+            f"Runs that have not ended; state is {', '.join(RUN_STATES)}.",
+            (*cell, "workflow", "state"),
+        )
+        self.queue = GaugeMetric("labos_queue_runs", "Runs that wait to be started.", cell, most=CELLS)
+        self.queue_age_s = GaugeMetric(
+            "labos_queue_oldest_age_seconds",
+            "How long the oldest run that waits to be started has waited; 0 if none does.",
+            cell,
+            most=CELLS,
+        )
+        self.waiting = GaugeMetric(
+            "labos_waiting_steps",
+            "Steps that wait although it is their turn, by reason; queued runs that wait for the same "
+            "count as one.",
+            (*cell, "reason"),
+        )
+        self.user_runs = GaugeMetric(
+            "labos_user_runs", "Runs of a user that have not ended.", ("user", "state"), most=505
+        )
+        self.user_share = GaugeMetric(
+            "labos_user_share_ratio",
+            "A user's share of the modules' time, as the scheduler counts it: time counts half after a day.",
+            ("user",),
+            most=101,
+        )
+        self.experiments = GaugeMetric("labos_experiments", "Experiments that have not ended.", ("status",))
+        self.module_state = GaugeMetric(
+            "labos_module_state",
+            f"1 for the state that the module is in, 0 for the others: {', '.join(MODULE_STATES)}.",
+            (*module, "state"),
+            most=5_000,
+        )
+        self.stations = GaugeMetric(
+            "labos_module_places", "Room for labware at the module's stations.", module, most=1_000
+        )
+        self.occupied = GaugeMetric(
+            "labos_module_places_occupied",
+            "Labware at the module's stations, arrivals under way included.",
+            module,
+            most=1_000,
+        )
+        self.labware = GaugeMetric(
+            "labos_labware",
+            "Labware on the bench; place is known, or uncertain while nobody knows where a piece is.",
+            ("place",),
+        )
+        self.actions = GaugeMetric(
+            "labos_actions_open",
+            "Actions that have not ended; status is requested, accepted, reported or unknown.",
+            ("status",),
+        )
+        self.level = GaugeMetric(
+            "labos_resource_level",
+            "What is left of a resource, in its own unit.",
+            (*module, "resource"),
+        )
+        self.capacity = GaugeMetric(
+            "labos_resource_capacity", "How much of a resource there can be.", (*module, "resource")
+        )
+        self.questions = GaugeMetric(
+            "labos_interventions_open",
+            "Questions and tasks for a person that wait for an answer.",
+            cell,
+            most=CELLS,
+        )
+        self.question_age_s = GaugeMetric(
+            "labos_intervention_oldest_age_seconds",
+            "How long the oldest question or task has waited; 0 if none does.",
+            cell,
+            most=CELLS,
+        )
+        self._seen_runs: dict[Labels, bool] = {}
+        self._seen_users: dict[Labels, bool] = {}
+        self._seen_waits: dict[Labels, bool] = {}
+        self.access = GaugeMetric(
+            "labos_workcell_access", "1 while a person reaches into the workcell.", cell, most=CELLS
+        )
+        self.starts_paused = GaugeMetric(
+            "labos_starts_paused", "How many things have their starts paused by somebody: 0 is normal."
+        )
+
+    def update(self, state: LabState, scheduler: Scheduler, now: int) -> None:
+        """Take the figures from a state at ``now`` (UTC ns)."""
+        self._runs(state, now)
+        self._users(state, now)
+        self._modules(state)
+        self._stations(state)
+        self._people(state, now)
+        self._waits(state, scheduler)
+        statuses = Counter(experiment.status for experiment in state.experiments.open.values())
+        self.experiments.replace({(s,): float(statuses[s]) for s in ExperimentStatus})
+        uncertain = sum(not item.station and not item.on for item in state.bench.labware.values())
+        known = len(state.bench.labware) - uncertain
+        self.labware.replace({("known",): float(known), ("uncertain",): float(uncertain)})
+        flying: Counter[str] = Counter(action.status for action in state.actions.open.values())
+        names = ("requested", "accepted", "reported", "unknown")
+        self.actions.replace({(name,): float(flying[name]) for name in names})
+        self.starts_paused.set(len(state.lab.paused))
+
+    def _runs(self, state: LabState, now: int) -> None:
+        runs: Counter[Labels] = Counter(dict.fromkeys(self._seen_runs, 0))
+        mine: Counter[Labels] = Counter(dict.fromkeys(self._seen_users, 0))
+        queue = dict.fromkeys(state.lab.workcells, 0)
+        queued, active = state.runs.queued.values(), state.runs.active.values()
+        # Thousands may wait: they are counted by what they have in common first.
+        kinds = Counter((run.plan, run.workflow, run.user, run.paused, run.status) for run in queued)
+        kinds.update((run.plan, run.workflow, run.user, run.paused, run.status) for run in active)
+        for (plan, workflow, user, paused, status), count in kinds.items():
+            cell = state.runs.plans[plan].plan.workcell
+            shown = "paused" if paused else status
+            runs[cell, self._workflow(workflow), shown] += count
+            mine[self._user(user), shown] += count
+            if status == "queued":
+                queue[cell] = queue.get(cell, 0) + count
+        self._remember(self._seen_runs, runs, KINDS_OF_RUNS)
+        self._remember(self._seen_users, mine, USERS_SEEN)
+        self.runs.replace(runs)
+        self.user_runs.replace(mine)
+        self.queue.replace({(cell,): float(count) for cell, count in queue.items()})
+        ages: dict[Labels, float] = {(cell,): 0.0 for cell, count in queue.items() if not count}
+        for run in queued:  # they stand in order of age: the first of each workcell is its oldest
+            if len(ages) == len(queue):
+                break
+            ages.setdefault((state.runs.plans[run.plan].plan.workcell,), (now - run.submitted_at) / 1e9)
+        self.queue_age_s.replace(ages)
+
+    def _users(self, state: LabState, now: int) -> None:
+        used: dict[Labels, float] = {}
+        for user, usage in state.shares.usage.items():
+            key = (self._user(user),)
+            used[key] = used.get(key, 0.0) + usage.level(now)
+        total = sum(used.values())
+        self.user_share.replace({key: level / total for key, level in used.items()} if total else {})
+
+    def _modules(self, state: LabState) -> None:
+        states: dict[Labels, float] = {}
+        levels: dict[Labels, float] = {}
+        capacities: dict[Labels, float] = {}
+        for name, module in state.modules.by_name.items():
+            now = "out_of_service" if module.out_of_service else module.status.lower()
+            for each, key in _state_keys(name):
+                states[key] = 1.0 if each == now else 0.0
+        for what, level in state.resources.levels.items():
+            key = _resource_key(what)
+            levels[key], capacities[key] = level.level, level.capacity
+        self.module_state.replace(states)
+        self.level.replace(levels)
+        self.capacity.replace(capacities)
+
+    def _stations(self, state: LabState) -> None:
+        room: dict[Labels, float] = {}
+        taken: dict[Labels, float] = {}
+        for name, station in state.bench.stations.items():
+            if name in state.bench.shelves or station.spec.kind == "waste":
+                continue  # a hotel's shelves count by themselves
+            key = _place_key(name, station.spec.module)
+            room[key] = room.get(key, 0.0) + station.spec.capacity
+            taken[key] = taken.get(key, 0.0)
+            if station.labware or station.stock or station.expected:  # most are empty
+                taken[key] += station.count
+        self.stations.replace(room)
+        self.occupied.replace(taken)
+
+    def _people(self, state: LabState, now: int) -> None:
+        count = dict.fromkeys(state.lab.workcells, 0)
+        oldest = dict.fromkeys(state.lab.workcells, now)
+        for question in state.interventions.open.values():
+            cell = _cell_of(state, question.run, question.module)
+            count[cell] = count.get(cell, 0) + 1
+            oldest[cell] = min(oldest.get(cell, now), question.requested_at)
+        self.questions.replace({(cell,): float(n) for cell, n in count.items()})
+        self.question_age_s.replace({(cell,): (now - at) / 1e9 for cell, at in oldest.items()})
+        self.access.replace({(cell,): float(cell in state.lab.access) for cell in state.lab.workcells})
+
+    def _waits(self, state: LabState, scheduler: Scheduler) -> None:
+        found: Counter[Labels] = Counter(dict.fromkeys(self._seen_waits, 0))
+        for who, wait in scheduler.sleepers.every():
+            run = state.runs.get(who)
+            cell = state.runs.plan_of(run).workcell if run is not None else scheduler.room.cell_of(who)
+            found[(cell, wait.code)] += 1
+        for key in found:
+            if len(self._seen_waits) < WAITS_SEEN:
+                self._seen_waits[key] = True
+        self.waiting.replace(found)
+
+    def _remember(self, seen: dict[Labels, bool], found: Counter[Labels], most: int) -> None:
+        """What was there once is shown as 0 when it is gone, in each state."""
+        for key in list(found):
+            if key not in seen and len(seen) < most * len(RUN_STATES):
+                seen.update({(*key[:-1], state): True for state in RUN_STATES})
+
+
+OWN = "bench"
+"""Stands for the module of a station that belongs to none."""
+
+
+# A factory has thousands of names, and they stay what they are.
+
+
+@lru_cache(maxsize=10_000)
+def _state_keys(name: ModuleName) -> tuple[tuple[str, Labels], ...]:
+    return tuple((state, (workcell_of(name), local(name), state)) for state in MODULE_STATES)
+
+
+@lru_cache(maxsize=10_000)
+def _resource_key(name: str) -> Labels:
+    module, _, resource = name.rpartition(":")
+    return workcell_of(ModuleName(module)), local(module), resource
+
+
+@lru_cache(maxsize=50_000)
+def _place_key(station: StationName, module: ModuleName) -> Labels:
+    return workcell_of(station), local(module) or OWN
+
+
+def _cell_of(state: LabState, run: str, module: str) -> str:
+    """The workcell that a question is about; empty if it is about the lab."""
+    found = state.runs.get(run) if run else None
+    if found is not None:
+        return state.runs.plan_of(found).workcell
+    return workcell_of(StationName(module)) if module else ""

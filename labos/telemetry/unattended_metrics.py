@@ -1,0 +1,62 @@
+"""Time without human intervention as metrics; what it is stands in
+``docs/time-without-human-intervention.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from labos.telemetry.series import ComputedCounter, GaugeMetric, Labels, MetricGroup
+
+if TYPE_CHECKING:
+    from labos.services.twh import Twh
+
+
+class UnattendedMetrics(MetricGroup):
+    """The figures of the lab (scope ``lab``, no workcell) and of each workcell. They are there as soon as the
+    log was read from its beginning."""
+
+    def __init__(self) -> None:
+        scope = ("scope", "workcell")
+        self.current_s = GaugeMetric(
+            "labos_twh_current_seconds",
+            "Working time since the last human intervention.",
+            scope,
+            most=250,
+        )
+        self.longest_s = GaugeMetric(
+            "labos_twh_longest_seconds",
+            "The longest working time without a human intervention so far.",
+            scope,
+            most=250,
+        )
+        self.working = GaugeMetric(
+            "labos_twh_working",
+            "1 while the clock runs: a run goes on and waits for nobody.",
+            scope,
+            most=250,
+        )
+        self.clock_s = ComputedCounter(
+            "labos_twh_clock_seconds_total", "Working time in all, with and without people.", scope, most=250
+        )
+        self.planned = ComputedCounter(
+            "labos_planned_touches_total", "What people did by plan: it ends no stretch.", scope, most=250
+        )
+        self.interventions = ComputedCounter(
+            "labos_human_interventions_total",
+            "Interventions that ended a stretch, by cause: the kind of question, or the type of event that "
+            "somebody brought about.",
+            ("cause",),
+            most=100,
+        )
+
+    def update(self, lab: Twh, workcells: Mapping[str, Twh], causes: Mapping[str, int]) -> None:
+        """Take the figures of all scopes at one moment."""
+        scopes: dict[Labels, Twh] = {("lab", ""): lab}
+        scopes.update({("workcell", name): twh for name, twh in workcells.items()})
+        self.current_s.replace({key: twh.current.worked_ns / 1e9 for key, twh in scopes.items()})
+        self.longest_s.replace({key: twh.longest.worked_ns / 1e9 for key, twh in scopes.items()})
+        self.working.replace({key: float(twh.working) for key, twh in scopes.items()})
+        self.clock_s.replace({key: twh.clock_ns / 1e9 for key, twh in scopes.items()})
+        self.planned.replace({key: float(twh.planned) for key, twh in scopes.items()})
+        self.interventions.replace({(cause,): float(count) for cause, count in causes.items()})
