@@ -207,6 +207,8 @@ class GatewayDriver(Wired):
         if not isinstance(body, dict) or body.get("gateway") != 1 or not isinstance(body.get("journal"), str):
             raise NotConnected(f"{self.name}: {reply.body[:60]!r} is no gateway of version 1.")
         self._journal = body["journal"]
+        self.see_unit(body.get("serial"))
+        self.note_firmware(body.get("firmware"))
         return self._who(str(body.get("instrument")))
 
     @staticmethod

@@ -80,6 +80,15 @@ class Hands:
     instrument = ""
     actions: tuple[str, ...] = ()
 
+    def serial(self) -> str:
+        """The instrument's serial number, as the instrument itself tells it; empty if it tells none. A PC may
+        have several, in an order that changes: choose yours by it, not by its place in a list."""
+        return ""
+
+    def firmware(self) -> str:
+        """The version of the instrument's firmware; empty if it is not told."""
+        return ""
+
     def do(self, action: str, args: dict[str, Any], folder: Path) -> Any:
         """Carry an action (or ``reset``) out and return its result when it has truly ended. Files that it
         leaves go to ``folder``. Raise Refused or Failed."""
@@ -256,7 +265,8 @@ class Handler(BaseHTTPRequestHandler):
         if not parts:
             hands = gateway.hands
             about = {"gateway": VERSION, "instrument": hands.instrument, "actions": list(hands.actions)}
-            self._tell(200, {**about, "journal": gateway.journal})
+            unit = {"serial": hands.serial(), "firmware": hands.firmware()}
+            self._tell(200, {**about, **unit, "journal": gateway.journal})
         elif parts == ["state"]:
             busy = bool(gateway.busy) or not gateway.hands.is_idle()
             self._tell(200, {"busy": busy, "action": gateway.busy, "seen": gateway.hands.seen()})

@@ -31,11 +31,18 @@ class SimulatedHands(Hands):
         self._shown_by, self._leave_files = shown_by, leave_files
         self.fails_with = ""
         """The next action ends so, after all that it did."""
+        self.serial_number, self.firmware_version = f"{instrument}-2041", "1.7"
         self._device, self._actions = device, actions
         self._is_at_work = False
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
+
+    def serial(self) -> str:
+        return self.serial_number
+
+    def firmware(self) -> str:
+        return self.firmware_version
 
     def do(self, action: str, args: dict[str, Any], folder: Path) -> Any:
         async def work() -> Any:
@@ -113,6 +120,14 @@ class GatewayOnWire(Generic[D]):
     @property
     def address(self) -> str:
         return f"http://127.0.0.1:{self._port}"
+
+    @property
+    def serial(self) -> str:
+        return self.hands.serial_number
+
+    @serial.setter
+    def serial(self, number: str) -> None:
+        self.hands.serial_number = number
 
     def plug(self) -> None:
         """The gateway can be reached."""

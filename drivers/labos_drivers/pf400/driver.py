@@ -111,11 +111,13 @@ class PF400Driver(Wired):
         *,
         slow: bool = False,
         through: tuple[str, str] = ("", ""),
+        turn_at: str = "",
     ) -> None:
-        """From place to place, through the regrip place if the grips differ; ``kind`` is the type of
-        labware. ``through`` are the taught places by which the arm comes to source and target."""
+        """From place to place, through the regrip place if the grips differ (``turn_at``: through this one);
+        ``kind`` is the type of labware. ``through`` are the taught places by which the arm comes to source
+        and target."""
         ends = End(source, source_grip, kind, through[0]), End(target, target_grip, kind, through[1])
-        self._transfer(*ends, slow)
+        self._transfer(*ends, slow, turn_at)
 
     @off_loop
     def pick(self, source: str, grip: str = "", kind: str = "", through: str = "") -> None:
@@ -264,14 +266,15 @@ class PF400Driver(Wired):
 
     # -- one transfer ------------------------------------------------------------------------
 
-    def _transfer(self, source: End, target: End, slow: bool = False) -> None:
+    def _transfer(self, source: End, target: End, slow: bool = False, turn_at: str = "") -> None:
+        turn_at = turn_at or self._setup.regrip
         with self.motion():
             take, put = (
                 self._spot(end.place, end.kind, end.approach).lifted(end.up_mm) for end in (source, target)
             )
             carried = target.kind if source.up_mm else source.kind
             grips = self._grip(source.grip, take.pose, carried), self._grip(target.grip, put.pose, carried)
-            turn = self._turn(*grips, carried) if source.grip and target.grip else ()
+            turn = self._turn(*grips, carried, turn_at) if source.grip and target.grip else ()
             for spot in (take, put, *turn):
                 self._check(spot)
             self._needs_empty_hand(self._ready(slow))
@@ -281,28 +284,28 @@ class PF400Driver(Wired):
                     self._place(turn[0], grips[0])
                     held = self._pick(turn[1], grips[1])
                     if not held:
-                        raise DeviceError(f"{self.name}: the plate is lost at {self._setup.regrip}.")
+                        raise DeviceError(f"{self.name}: the plate is lost at {turn_at}.")
                 if held:
                     self._place(put, grips[1] if turn else grips[0])
             if not held:
                 raise self._not_taken(source.place)
 
-    def _turn(self, before: Grip, after: Grip, kind: str) -> tuple[Spot, ...]:
+    def _turn(self, before: Grip, after: Grip, kind: str, place: str) -> tuple[Spot, ...]:
         """How the plate is put down and how it is picked up at the regrip place; nothing if the grip
         does not change. The place was taught for the narrow grip."""
         if before.name == after.name:
             return ()
-        if not self._setup.regrip:
+        if not place:
             raise DeviceError(
                 f"{self.name}: it has no place where it could change from {before.name} to {after.name}.",
                 effects="none",
-                remedy="Write `regrip:` for the module in the workcell file.",
+                remedy="Write `regrip:` for the module in the workcell file, or `rotation_deck:` for a step.",
             )
-        narrow = self._spot(self._setup.regrip, kind)
+        narrow = self._spot(place, kind)
         pose = kinematics.turned(narrow.pose, 90.0, self._limits)
         if pose is None:
             raise DeviceError(
-                f"{self.name}: it cannot turn its hand at {self._setup.regrip}.",
+                f"{self.name}: it cannot turn its hand at {place}.",
                 effects="none",
                 remedy="Teach this place nearer to the rail, or another one.",
             )

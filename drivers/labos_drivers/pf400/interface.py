@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from labos.core.ids import StationName
 from labos.node import Move, Param, Place, Relid, Requires, Sets, Station, Unlid, action
 from labos_drivers._arm import GRIPPER, SOURCE, TARGET
 from labos_drivers._simulation import told
@@ -30,9 +31,13 @@ Column = Annotated[bool, Param(description="the column too; hold it, it may sink
 Approach = Annotated[
     str, Param(description="taught place through which the arm comes and leaves; empty: as configured")
 ]
+Deck = Annotated[
+    str, Param(place=True, description="where the grip is changed; empty: at the module's `regrip`")
+]
 Wide = Annotated[bool, Param(description="as far as for the wide grip, not the narrow one")]
 
 HELD = Requires("module", "free", False)
+DECK = StationName("{rotation_deck}")
 
 
 class PF400(OnBenchOrWire):
@@ -49,7 +54,7 @@ class PF400(OnBenchOrWire):
     device: PF400Simulator | PF400Driver
 
     @action(
-        Move(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}"),
+        Move(SOURCE, TARGET, "{source_plate_rotation}", "{target_plate_rotation}", DECK),
         HELD,
         duration_s=30,
         aliases=("move",),
@@ -64,10 +69,13 @@ class PF400(OnBenchOrWire):
         labware_type: Kind = "",
         source_approach: Approach = "",
         target_approach: Approach = "",
+        rotation_deck: Deck = "",
     ) -> None:
         """Carry a plate from one station to another."""
         grips, through = (source_plate_rotation, target_plate_rotation), (source_approach, target_approach)
-        await self.device.carry(source, target, *grips, labware_type, slow=slow, through=through)
+        await self.device.carry(
+            source, target, *grips, labware_type, slow=slow, through=through, turn_at=rotation_deck
+        )
 
     @action(Move(SOURCE, GRIPPER, "{source_plate_rotation}"), HELD, duration_s=18)
     async def pick_plate(

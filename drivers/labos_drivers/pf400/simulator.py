@@ -34,8 +34,9 @@ class PF400Simulator(Arm):
         *,
         slow: bool = False,
         through: tuple[str, str] = ("", ""),
+        turn_at: str = "",
     ) -> None:
-        turn = self._regrip(source_grip, target_grip)
+        turn = self._regrip(source_grip, target_grip, turn_at)
         factor = CRAWL if slow else 1.0
         await self.transfer(source, target, turn, (source_grip, target_grip), factor)
 
@@ -74,9 +75,9 @@ class PF400Simulator(Arm):
     ) -> None:
         await self.replace_lid(source, target, self._regrip(source_grip, target_grip))
 
-    def _regrip(self, source_grip: str, target_grip: str) -> str:
+    def _regrip(self, source_grip: str, target_grip: str, turn_at: str = "") -> str:
         turns = "" not in (source_grip, target_grip) and source_grip != target_grip
-        return self.regrip_at if turns else ""
+        return (turn_at or self.regrip_at) if turns else ""
 
     async def explore(self) -> None:
         self._lets_nobody_guide_it()
