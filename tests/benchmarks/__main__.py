@@ -11,13 +11,17 @@ import structlog
 
 from tests.benchmarks import (
     action,
+    audit,
+    campaigns,
     decision,
     memory,
     replay,
     safety,
+    scrape,
     size,
     start,
     throughput,
+    trust,
     viewers,
     windows,
 )
@@ -30,17 +34,21 @@ BENCHMARKS = {
     "decision": decision,
     "size": size,
     "memory": memory,
+    "campaigns": campaigns,
     "start": start,
     "safety": safety,
     "windows": windows,
     "viewers": viewers,
+    "scrape": scrape,
+    "trust": trust,
+    "audit": audit,
 }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHMARKS)}; all if none")
-    parser.add_argument("--events", type=int, default=1_000_000, help="length of the log that replay folds")
+    parser.add_argument("--events", type=int, default=1_000_000, help="length of the log of replay and audit")
     parser.add_argument("--quick", action="store_true", help="tiny sizes: does it run at all?")
     options = parser.parse_args()
     unknown = [name for name in options.names if name not in BENCHMARKS]
@@ -50,7 +58,8 @@ def main() -> None:
     reports: list[Report] = []
     for name in options.names or BENCHMARKS:
         benchmark = BENCHMARKS[name]
-        measure = partial(replay.measure, options.events) if name == "replay" else benchmark.measure
+        long = name in ("replay", "audit")
+        measure = partial(benchmark.measure, options.events) if long else benchmark.measure
         began = time.perf_counter()
         report = benchmark.smoke() if options.quick else measure()
         reports.append(report)

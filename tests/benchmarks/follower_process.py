@@ -1,4 +1,4 @@
-"""Many followers of ``GET /events?follow=1`` in one process: they read, count events and throw them away.
+"""Many followers of the stream of events in one process: they read, count events and throw them away.
 
 ``python -m tests.benchmarks.follower_process URL COUNT AFTER``, where one event stands behind AFTER; says
 ``ready`` when all are served, and the number of events that each has got since (least, most) when its
@@ -20,7 +20,7 @@ def connect(url: str, after: int) -> socket.socket:
     assert parts.hostname
     assert parts.port
     link = socket.create_connection((parts.hostname, parts.port), timeout=30)
-    request = f"GET /events?follow=1&after={after} HTTP/1.1\r\nhost: {parts.netloc}\r\n\r\n"
+    request = f"GET /api/v1/events/stream?after={after} HTTP/1.1\r\nhost: {parts.netloc}\r\n\r\n"
     link.sendall(request.encode())
     return link
 

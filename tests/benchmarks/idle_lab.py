@@ -22,7 +22,8 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import ModuleSpec, Plan, PlanStep, Workcell
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Entry
 from labos.runtime.registry import Registry
 from labos.runtime.writer import ThreadWriter

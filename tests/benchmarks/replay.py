@@ -28,7 +28,8 @@ from labos.core.registry import Event, decode
 from labos.core.resources import LevelSet
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, fold_fingerprint, picture
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Ledger, fold, load
 from labos.runtime.writer import ThreadWriter
 from labos.store import SqlEventStore, open_store
@@ -77,7 +78,7 @@ class Pattern:
         offsets = {
             b"R": state.runs.named - self.begin.runs.named,
             b"P": state.bench.named - self.begin.bench.named,
-            b"E": state.campaigns.named - self.begin.campaigns.named,
+            b"E": state.experiments.named - self.begin.experiments.named,
         }
 
         def fresh(found: re.Match[bytes]) -> bytes:
@@ -126,7 +127,7 @@ def write_log(store: SqlEventStore, events: int, pattern: Pattern) -> tuple[LabS
             yield from pattern.cleared(state)
 
     for event in stream():
-        batch += ledger.write([event], "ada" if isinstance(event, RunSubmitted) else "labos")
+        batch.append(ledger.write(event, "ada" if isinstance(event, RunSubmitted) else "labos"))
         counts[event.TYPE] += 1
         if len(batch) >= BATCH or state.position >= events:
             head = store.append(head, [entry.record for entry in batch])

@@ -67,7 +67,7 @@ async def park(lab: StillLab, plates: int) -> None:
     closing = PLANS["cp_trashplate"].plan
     for number in range(plates):
         lab.tell(StartExperiment("colour picker", f"user{number % 2}", closing))
-        experiment = ExperimentId(f"E{lab.state.campaigns.named}")
+        experiment = ExperimentId(f"E{lab.state.experiments.named}")
         await lab.submit(replace(PLANS["cp_newplate"], experiment=experiment))
         while lab.flying():
             await lab.finish_one()

@@ -29,7 +29,8 @@ from labos.core.state import LabState
 from labos.errors import StoreError
 from labos.planning.scheduler import Scheduler
 from labos.ports import EventStore, Head
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.testing.disk import SimulatedStore
 from tests.simulation.mixes import CELL, PLANS, route, stand
 

@@ -13,6 +13,7 @@ SLOW = ("memory", "start")
 """They start whole labs, whatever the sizes."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "benchmark",
     [

@@ -18,13 +18,15 @@ from labos.clock import Clock
 from labos.core.ids import ModuleName
 from labos.core.model import Description
 from labos.http.feed import Feed
-from labos.http.server import HttpServer
+from labos.http.identity import Gate
+from labos.http.server import HttpServer, Listening
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
 from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore
-from labos.store import open_blobs
+from labos.services.accounts import Accounts
+from labos.store import open_accounts, open_blobs
 from tests.benchmarks.figures import Figure, Report, median, scratch, spread, times
 from tests.benchmarks.idle_lab import IdleLab, idle_lab
 
@@ -94,9 +96,12 @@ async def measure_in(folder: Path, rounds: int, modules: int, steps: int, number
     async with idle_lab(folder, modules) as lab, AsyncExitStack() as stack:
         feed = Feed()
         lab.kernel.listeners.append(feed)
-        http = HttpServer(
-            LabService(Parts(lab, folder), feed, Viewers(f"sqlite:///{folder}/labos.db")), "127.0.0.1", 0
-        )
+        url = f"sqlite:///{folder}/labos.db"
+        store = open_accounts(url)
+        stack.callback(store.close)
+        accounts = Accounts(store, lab.kernel.clock, lambda user: False)
+        service = LabService(Parts(lab, folder), feed, Viewers(url))
+        http = HttpServer(service, Gate(accounts, lambda: lab.kernel.state.users), Listening())
         await http.start()
         stack.push_async_callback(http.close)
         lab.keep_plans(steps)

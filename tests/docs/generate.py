@@ -11,23 +11,32 @@ import re
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import msgspec
 
+from labos.audit.tables import VIEWS, Table, view_columns
 from labos.cli._exit import CODES
 from labos.cli.app import group
 from labos.cli.schema import schema_text
-from labos.core import effects, fold, interventions, labware, model, runs
-from labos.core.effects import AnyEffect, Effect
+from labos.core import campaigns, fold, labware, model, runs, shares, topics
+from labos.core.decide.reactions import REACTIONS
+from labos.core.effects import AnyEffect
 from labos.core.registry import TYPES
+from labos.core.state import LabState
+from labos.core.topics import AnyTopic
 from labos.node import protocol
 from labos.spec.describing import load_description, variant
 from labos.spec.description import DescriptionFile
 from labos.spec.schema import FILES
+from labos.telemetry.kernel import KernelMetrics
+from labos.telemetry.node import NodeMetrics
+from labos.telemetry.series import LabMetric
 from labos.torture import CHECKS, says
+from tests.docs import drawings, http_page, rights_page
 from tests.docs.badges import badges
 from tests.docs.markdown import DOCS, REFERENCE, ROOT
 
@@ -118,7 +127,7 @@ def events() -> str:
 def parts() -> str:
     """The structures that events hold."""
     kinds = [
-        *(kind for kind in vars(effects).values() if _is_struct(kind, effects) and kind is not Effect),
+        *typing.get_args(AnyEffect),
         *(
             getattr(model, name)
             for name in (
@@ -126,6 +135,7 @@ def parts() -> str:
                 "RetryDefault",
                 "StationSpec",
                 "LabwareSpec",
+                "TransferWay",
                 "WellGrid",
                 "PlanStep",
                 "Window",
@@ -136,10 +146,27 @@ def parts() -> str:
             )
         ),
         runs.Anchor,
-        interventions.Choice,
+        campaigns.Terms,
+        campaigns.Budget,
+        shares.Group,
+        shares.Member,
+        shares.Quota,
+        topics.Choice,
         labware.Sample,
     ]
     return "\n".join(f"### {kind.__name__}\n\n{_words(kind)}\n\n{_fields(kind)}\n" for kind in kinds)
+
+
+def reactions() -> str:
+    """What follows from which event, in the order in which it is worked out."""
+    order = [
+        (f"`{kind.TYPE}`", ", ".join(f"`{react.__name__}`" for react in found))
+        for kind, found in REACTIONS.items()
+    ]
+    known = {react: True for found in REACTIONS.values() for react in found}
+    says = [(f"`{react.__name__}`", " ".join(_words(react).split())) for react in known]
+    head = ("reaction", "what follows")
+    return f"{_table(('after', 'reactions, in this order'), order)}\n\n{_table(head, says)}\n"
 
 
 # -- node protocol -----------------------------------------------------------------------------
@@ -164,9 +191,10 @@ def _is_struct(kind: Any, module: types.ModuleType) -> bool:
     return isinstance(kind, type) and issubclass(kind, msgspec.Struct) and kind.__module__ == module.__name__
 
 
-def _words(kind: type) -> str:
+def _words(kind: type | Callable[..., Any]) -> str:
     """The docstring as Markdown; empty if it says nothing itself."""
-    text = inspect.cleandoc(kind.__dict__.get("__doc__") or "")
+    own = kind.__dict__.get("__doc__") if isinstance(kind, type) else kind.__doc__
+    text = inspect.cleandoc(own or "")
     return text.replace("``", "`").replace(" ;", ";")
 
 
@@ -205,6 +233,8 @@ def type_name(hint: Any) -> str:
     if origin in (typing.Union, types.UnionType):
         if set(args) == set(typing.get_args(AnyEffect)):
             return "effect"
+        if set(args) == {*typing.get_args(AnyTopic), type(None)}:
+            return "[topic](questions.md) or null"
         return " or ".join(type_name(arg) for arg in args)
     if origin is typing.Literal:
         return " or ".join(f"`{arg}`" for arg in args)
@@ -268,17 +298,70 @@ def _size(name: str, file: DescriptionFile) -> tuple[str, ...]:
     )
 
 
+# -- SQL --------------------------------------------------------------------------------------
+
+
+def views() -> str:
+    """Every view that SQL is asked of, with its columns."""
+    return "\n".join(_one_view(table) for table in VIEWS)
+
+
+def _one_view(table: Table) -> str:
+    rows = [(f"`{column.name}`", column.kind, column.about) for column in view_columns(table)]
+    return f"## {table.view}\n\n{table.about}\n\n{_table(('column', 'kind', 'what it says'), rows)}\n"
+
+
 # -- files -------------------------------------------------------------------------------------
+
+# -- metrics -----------------------------------------------------------------------------------
+
+
+def kernel_metrics() -> str:
+    """What a kernel shows to Prometheus."""
+    return _metrics(KernelMetrics(LabState).registry.families)
+
+
+def node_metrics() -> str:
+    """What a node shows to Prometheus."""
+    return _metrics(NodeMetrics("", "", simulated=True).families)
+
+
+def _metrics(families: Iterable[LabMetric]) -> str:
+    head = ("metric", "kind", "labels", "meaning", "most series")
+    rows = [
+        (
+            f"`{family.name}`",
+            family.kind,
+            ", ".join(f"`{name}`" for name in family.labels),
+            family.help,
+            f"{(family.most if family.labels else 1) * family.width:,}",
+        )
+        for family in families
+    ]
+    return _table(head, rows) + "\n"
+
 
 PARTS: dict[str, Callable[[], str]] = {
     "cli": cli,
     "exits": exits,
     "events": events,
     "parts": parts,
+    "reactions": reactions,
+    "machines": drawings.machines,
+    "waits": partial(drawings.waits, _table),
+    "questions": partial(drawings.questions, _table),
     "messages": messages,
     "checks": checks,
     "badges": badges,
     "sizes": sizes,
+    "http": partial(http_page.http, _table),
+    "operations": partial(http_page.operations, _table),
+    "problems": partial(http_page.problems, _table),
+    "rights": partial(rights_page.rights, _table),
+    "routes": partial(rights_page.routes, _table),
+    "kernel_metrics": kernel_metrics,
+    "node_metrics": node_metrics,
+    "views": views,
 }
 
 PAGES = (*sorted(REFERENCE.glob("*.md")), DOCS / "torture.md", DOCS / "descriptions.md")

@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import re
-import textwrap
-import typing
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import click
 import msgspec
 import pytest
-from starlette.routing import Route
 
-import labos.errors
-import labos.http.app
+from labos.core.decide.reactions import REACTIONS
 from labos.core.envelope import Envelope
 from labos.core.registry import TYPES
-from labos.http.app import create_app
-from labos.http.errors import code_of, status_of
-from labos.http.views import lab_view
+from labos.http.routes import OPERATIONS
 from labos.node import protocol
 from labos.node._admin import Admin
 from labos.settings import DATABASE, HOME, KernelInfo, Settings
-from labos.spec import SpecErrors
 from tests.docs.generate import commands, renewed, schemas
 from tests.docs.markdown import (
     REFERENCE,
@@ -44,7 +33,22 @@ def page(name: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "name", ["cli.md", "events.md", "node-protocol.md", "badges.md", "../torture.md", "../descriptions.md"]
+    "name",
+    [
+        "cli.md",
+        "events.md",
+        "http.md",
+        "metrics.md",
+        "sql.md",
+        "reactions.md",
+        "machines.md",
+        "waits.md",
+        "questions.md",
+        "node-protocol.md",
+        "badges.md",
+        "../torture.md",
+        "../descriptions.md",
+    ],
 )
 def test_generated_parts_are_fresh(name: str) -> None:
     assert page(name) == renewed(page(name)), "run `python -m tests.docs.generate`"
@@ -107,6 +111,16 @@ def test_every_event_says_what_it_means() -> None:
         first = inspect.cleandoc(kind.__doc__ or "").replace("``", "`").split(". ")[0]
         heading = name if kind.SCHEMA == 1 else f"{name} (schema {kind.SCHEMA})"
         assert first in section(text, heading), name
+
+
+def test_every_reaction_is_told_and_says_in_one_sentence_what_follows() -> None:
+    rows = table(page("reactions.md"))
+    for kind, found in REACTIONS.items():
+        assert [f"`{kind.TYPE}`", ", ".join(f"`{react.__name__}`" for react in found)] in rows
+    for react in {react for found in REACTIONS.values() for react in found}:
+        words = " ".join((react.__doc__ or "").split())
+        assert re.fullmatch(r"[A-Z][^.]+\.", words)
+        assert [f"`{react.__name__}`", words] in rows
 
 
 def test_the_envelope_is_told() -> None:
@@ -176,67 +190,13 @@ def test_kernel_json_is_told() -> None:
 # -- HTTP --------------------------------------------------------------------------------------
 
 
-def routes() -> dict[str, Callable[..., Any]]:
-    """Handlers by ``METHOD /path``, without converters."""
-    app = create_app(SimpleNamespace(kernel=None, feed=None))  # type: ignore[arg-type]
-    return {
-        f"{method} {re.sub(r':[a-z]+}', '}', route.path)}": inspect.unwrap(route.endpoint)
-        for route in app.routes
-        if isinstance(route, Route)
-        for method in (route.methods or set()) - {"HEAD"}
-    }
-
-
-def test_every_route_is_told_and_no_other() -> None:
+def test_the_page_has_a_section_for_every_operation() -> None:
     told = [heading for heading in headings(page("http.md")) if re.match(r"(GET|POST|PUT|DELETE) ", heading)]
-    assert sorted(told) == sorted(routes())
+    assert told == [f"{operation.method} {operation.path}" for operation in OPERATIONS]
 
 
-@pytest.mark.parametrize("route", sorted(route for route in routes() if route.startswith("POST")))
-def test_every_field_of_a_request_is_told(route: str) -> None:
-    names = (getattr(labos.http.app, name, None) for name in _code(routes()[route]).co_names)
-    body = next((kind for kind in names if isinstance(kind, type) and issubclass(kind, msgspec.Struct)), None)
-    rows = table(section(page("http.md"), route))
-    told = {row[0].strip("`"): row[1].startswith("required") for row in rows}
-    fields = msgspec.structs.fields(body) if body is not None else ()
-    assert told == {field.encode_name: field.required for field in fields}
-
-
-@pytest.mark.parametrize("route", sorted(route for route in routes() if route.startswith("GET")))
-def test_every_query_parameter_is_told(route: str) -> None:
-    source = inspect.getsource(routes()[route])
-    asked = re.findall(r'(?:params\.get(?:list)?|wire\.number|wire\.seconds)\((?:request, )?"(\w+)"', source)
-    text = section(page("http.md"), route)
-    assert [name for name in asked if f"`{name}`" not in text and f"`{name}=" not in text] == []
-    if first_codes(text) and "| query |" in text:
-        assert sorted(first_codes(text)) == sorted(asked)
-
-
-def test_the_answers_keys_are_told() -> None:
-    assert first_codes(section(page("http.md"), "GET /state")) == _keys(lab_view)
-    health = section(page("http.md"), "GET /health")
-    assert [key for key in _keys(routes()["GET /health"]) if f"`{key}`" not in health] == []
-
-
-def test_every_error_has_the_status_that_is_told() -> None:
-    kinds = {
-        code_of(kind): kind
-        for kind in (*vars(labos.errors).values(), SpecErrors)
-        if isinstance(kind, type) and issubclass(kind, labos.errors.LabosError)
-    }
-    for codes, status in table(section(page("http.md"), "Errors")):
-        for code in re.findall(r"`(\w+)`", codes):
-            if code != "internal":
-                assert status_of(kinds[code].__new__(kinds[code])) == int(status), code
-
-
-def _code(handler: Callable[..., Any]) -> Any:
-    return typing.cast(Any, handler).__func__.__code__
-
-
-def _keys(function: Callable[..., Any]) -> list[str]:
-    """The keys of the largest table that a function writes down, in order."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
-    tables = [node for node in ast.walk(tree) if isinstance(node, ast.Dict)]
-    outer = max(tables, key=lambda node: (node.end_lineno or 0) - node.lineno)
-    return [key.value for key in outer.keys if isinstance(key, ast.Constant)]
+def test_every_field_and_parameter_says_what_it_means() -> None:
+    for operation in OPERATIONS:
+        heading = f"{operation.method} {operation.path}"
+        for row in table(section(page("http.md"), heading)):
+            assert row[2], (heading, row[0])

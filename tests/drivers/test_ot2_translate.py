@@ -53,6 +53,7 @@ def test_the_robots_own_software_runs_the_colors(tmp_path: Path) -> None:
     assert sum(line.startswith("Picking up tip") for line in lines) == 2  # as many as there are wells
 
 
+@pytest.mark.slow
 def test_the_robots_own_software_prepares_a_pcr(tmp_path: Path) -> None:
     # Its release for Python 3.11 finds no definition of a module of this generation.
     text = PCR.read_text().replace(", module: temperature module gen2", "")
@@ -61,6 +62,7 @@ def test_the_robots_own_software_prepares_a_pcr(tmp_path: Path) -> None:
     assert sum(line.startswith("Dispensing 4.0") for line in lines) == 24
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not os.environ.get("LABOS_CORPUS"), reason="the public workcells are not here")
 def test_the_robots_own_software_runs_a_public_protocol(tmp_path: Path) -> None:
     (path,) = Path(os.environ["LABOS_CORPUS"]).glob("**/color_picker_app/**/combined_protocol.yaml")

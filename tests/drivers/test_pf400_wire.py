@@ -103,6 +103,19 @@ def test_the_grip_is_turned_on_the_way(arm: PF400OnWire, world: World) -> None:
     assert world.at("ot2.deck2") == [plate]
 
 
+def test_the_grip_is_turned_where_the_step_says(arm: PF400OnWire, world: World) -> None:
+    """As in the WEI node of the paper's authors, a step may name another place than the arm's own."""
+    world.stock("sealer.default", "plate")
+
+    async def body() -> None:
+        async with driven(arm) as node:
+            await node.transfer("sealer.default", "ot2.deck2", "narrow", "wide", rotation_deck="wc.lidnest")
+
+    run(body)
+    grips = [(m.verb, m.place) for m in world.motions() if m.verb in ("grip", "release")]
+    assert grips[1:3] == [("release", "wc.lidnest"), ("grip", "wc.lidnest")]
+
+
 TALL = {
     place: [column + 20, *POSES[place][1:5], rail + 6]
     for place in ("sealer.default", "ot2.deck2", "wc.regrip")

@@ -16,8 +16,12 @@ from labos.node.unit import keep_unit, known_unit, see_unit
 from labos.settings import Settings
 from labos_drivers.axis import Axis
 from labos_drivers.axis.wire import DriveOnSlcan
+from labos_drivers.biometra import Biometra
+from labos_drivers.biometra.wire import BiometraOnWire
 from labos_drivers.brooks_peeler import BrooksPeeler
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
+from labos_drivers.hidex import Hidex
+from labos_drivers.hidex.wire import HidexOnWire
 from labos_drivers.inheco import Inheco
 from labos_drivers.inheco.wire import InhecoOnWire
 from labos_drivers.mir import MiR
@@ -36,6 +40,8 @@ DEVICES: list[tuple[Any, Any, str, dict[str, Any]]] = [
     (PF400, PF400OnWire, "host", {}),
     (UR, UROnWire, "host", {"rtde": False}),
     (Inheco, InhecoOnWire, "port", {}),
+    (Biometra, BiometraOnWire, "url", {}),
+    (Hidex, HidexOnWire, "url", {}),
 ]
 
 
@@ -80,6 +86,7 @@ def test_a_swapped_device_is_refused(
         (PF400, PF400OnWire, "host", {}, "TCS 3.0D4"),
         (UR, UROnWire, "host", {"rtde": False}, "URSoftware 5.12.2.1101534 (Jul 06 2022)"),
         (BrooksPeeler, PeelerOnWire, "port", {}, "1.4"),
+        (Biometra, BiometraOnWire, "url", {}, "1.7"),
     ],
     ids=lambda each: getattr(each, "__name__", ""),
 )

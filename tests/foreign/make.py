@@ -1,7 +1,7 @@
-"""Makes the environments of the foreign nodes: ``python tests/foreign/make.py [KIND …]``.
+"""Makes the environments of the foreign nodes and tools: ``python tests/foreign/make.py [KIND …]``.
 
 They are put below the folder that LABOS_FOREIGN names, ``.foreign`` in the checkout if it names none. It
-needs nothing but ``uv`` in the Python that runs it.
+needs nothing but ``uv`` in the Python that runs it; for packages of npm, ``npm`` and ``node``.
 """
 
 from __future__ import annotations
@@ -33,6 +33,9 @@ PACKAGES = {
     "opcua": ["asyncua==2.1.0"],
     "unitelabs": ["unitelabs-sila==0.13.0"],
     "sila": ["sila2[cryptography]==0.14.0"],
+    "schemathesis": ["schemathesis==4.32.5", "openapi-python-client==0.29.1"],
+    # The package of rocrate 0.13 is the newest that ships the context of RO-Crate 1.1.
+    "exports": ["roc-validator==0.13.0", "rocrate==0.13.0", "cloudevents==2.2.0"],
     "opentrons": ["opentrons==8.8.2", "numpy<2"],
     "ros": [
         "ros-kilted-rclpy==9.1.2",
@@ -43,6 +46,24 @@ PACKAGES = {
         "ros-kilted-test-msgs==2.3.0",
     ],
 }
+
+NODE_PACKAGES = {
+    "oidc": ["oidc-provider@9.13.3"],
+}
+"""Of npm: a folder with `node_modules` for each."""
+
+
+def make_node(kind: str) -> None:
+    """A folder with a foreign kind of packages of npm, unless there is one."""
+    folder = FOLDER / kind
+    mark = folder / "complete"
+    wanted = "\n".join(NODE_PACKAGES[kind])
+    if mark.exists() and mark.read_text() == wanted:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    command = ["npm", "install", "--prefix", folder, "--no-fund", "--no-audit", "--ignore-scripts"]
+    subprocess.run([*command, "--loglevel=error", *NODE_PACKAGES[kind]], check=True)
+    mark.write_text(wanted)
 
 
 def make(kind: str) -> None:
@@ -65,4 +86,7 @@ def make(kind: str) -> None:
 
 if __name__ == "__main__":
     for wanted_kind in sys.argv[1:] or PACKAGES:
-        make(wanted_kind)
+        if wanted_kind in NODE_PACKAGES:
+            make_node(wanted_kind)
+        else:
+            make(wanted_kind)

@@ -1,8 +1,8 @@
 """Writes golden logs with the present version: ``python -m tests.golden.make NAME``.
 
 Make new ones when events have come that no golden log holds; never write one again that is there.
-``--state NAME`` notes anew which state a log folds to, after a change of the fold that was meant:
-the log itself stays.
+``--view NAME`` notes anew what a log folds to, after a change of the fold that was meant: the log itself
+stays. What is noted is the canonical view of the lab (``tests.golden.view``), never the layout in memory.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-import msgspec
+from msgspec import structs
 
 from labos.client import LabClient
 from labos.core.envelope import Record
@@ -22,9 +24,9 @@ from labos.core.state import LabState
 from labos.runtime.ledger import fold
 from labos.store import FolderBlobs, backup, open_store, read_backup, read_segment, records_of, write_segment
 from labos.testing.faults import STORMY
-from labos.testing.lab import SimulatedLab
-from tests.golden.shape import plain_hash
-from tests.simulation.mixes import colour_picker, generated, pcr, stand
+from labos.testing.lab import Job, SimulatedLab
+from tests.golden.view import lab_view
+from tests.simulation.mixes import colour_picker, compiled_text, dosed_and_read, generated, pcr, stand, timed
 from tests.support.lab_process import Up, statuses, until
 
 FOLDER = Path(__file__).parent
@@ -39,6 +41,66 @@ def simulated() -> Iterator[Record]:
         yield from list(lab.store.records)
     finally:
         lab.close()
+
+
+def steps_of_every_kind() -> Iterator[Record]:
+    """Steps that are read by later ones, left out, tried again, recovered from and late, on a worse day."""
+    rates = structs.replace(STORMY, crash=0.012)
+    lab = SimulatedLab(stand(), SEED, rates, stops=[("rpl/sealer", 400.0)])
+    late = timed(2, "ask", "1 s")
+    jobs = [
+        *(Job(f"c{n}", "ada", (structs.replace(compiled_text(CAREFUL), user="ada"),)) for n in range(4)),
+        Job("late", "bo", (structs.replace(late, user="bo"),)),
+        dosed_and_read("b", "bo", 300.0),
+    ]
+    try:
+        lab.run_for(jobs, 3 * 3600.0)
+        yield from list(lab.store.records)
+    finally:
+        lab.close()
+
+
+CAREFUL = """
+labos: 1
+name: careful
+steps:
+  - {name: Get, module: sciclops, action: get_plate, args: {loc: tower1}}
+  - name: In
+    module: pf400
+    action: transfer
+    args: {source: sciclops.exchange, target: camera_module.plate_station}
+  - name: Shoot
+    module: camera_module
+    action: take_picture
+    args: {file_name: a.jpg}
+    retry: {times: 2, delay: 5 s, reset: true}
+    on_error: skip
+  - name: Again
+    module: camera_module
+    action: take_picture
+    args: {file_name: b.jpg}
+    when: steps.Shoot.result == 1
+  - name: Strict
+    module: camera_module
+    action: take_picture
+    args: {file_name: c.jpg}
+    expect: result == 1
+    on_error:
+      run:
+        - {name: Once more, module: camera_module, action: take_picture, args: {file_name: d.jpg}}
+      then: go_on
+  - name: Over
+    module: pf400
+    action: transfer
+    args: {source: camera_module.plate_station, target: sealer.default}
+  - name: Seal
+    module: sealer
+    action: seal
+    args: {time: 3.0, temperature: 175}
+    retry: {times: 1, reset: true}
+    on_error: ask
+  - {name: Away, module: pf400, action: transfer, args: {source: sealer.default, target: wc.trash}}
+"""
 
 
 def real() -> Iterator[Record]:
@@ -72,30 +134,45 @@ def _work(client: LabClient) -> None:
     assert client.reset("sealer", "ada").succeeded
 
 
-MAKERS: dict[str, Callable[[], Iterator[Record]]] = {"simulated-1": simulated, "real-1": real}
+MAKERS: dict[str, Callable[[], Iterator[Record]]] = {
+    "simulated-1": simulated,
+    "real-1": real,
+    "simulated-2": steps_of_every_kind,
+}
 
 
-def note_state(name: str) -> None:
-    """Keep the state that a log folds to."""
-    state = LabState()
-    fold(state, read_segment(FOLDER / f"{name}.jsonl.gz"))
-    plain = msgspec.to_builtins(state, str_keys=True)
-    data = {"position": state.position, "state_hash": plain_hash(plain), "state": plain}
-    text = json.dumps(data, sort_keys=True, indent=1, ensure_ascii=False).encode() + b"\n"
-    (FOLDER / f"{name}.state.json.gz").write_bytes(gzip.compress(text, mtime=0))
-    print(f"{name}: position {state.position}, state {data['state_hash']}")
+MOMENTS = 60
+"""At so many positions of a log, and at its end, the view is noted: at the end most runs are over."""
+
+
+def views(records: list[Record]) -> list[dict[str, Any]]:
+    """What a log folds to at its moments, the end last."""
+    state, found = LabState(), []
+    ends = sorted({len(records) * part // MOMENTS for part in range(1, MOMENTS + 1)})
+    for begin, end in pairwise([0, *ends]):
+        fold(state, records[begin:end])
+        found.append(lab_view(state))
+    return found
+
+
+def note_views(name: str) -> None:
+    """Keep what a log folds to."""
+    found = views(list(read_segment(FOLDER / f"{name}.jsonl.gz")))
+    text = json.dumps(found, sort_keys=True, indent=1, ensure_ascii=False).encode() + b"\n"
+    (FOLDER / f"{name}.views.json.gz").write_bytes(gzip.compress(text, mtime=0))
+    print(f"{name}: {len(found)} views, the last one at position {found[-1]['position']}")
 
 
 def main(*arguments: str) -> None:
-    if arguments[:1] == ("--state",):
-        note_state(arguments[1])
+    if arguments[:1] == ("--view",):
+        note_views(arguments[1])
         return
     for name in arguments or tuple(MAKERS):
         path = FOLDER / f"{name}.jsonl.gz"
         if path.exists():
             raise SystemExit(f"{path} is there and stays as it is: give the new log another name.")
         write_segment(path, MAKERS[name]())
-        note_state(name)
+        note_views(name)
 
 
 if __name__ == "__main__":

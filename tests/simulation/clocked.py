@@ -16,7 +16,6 @@ from itertools import pairwise
 import msgspec
 
 from labos.core.actions import ActionRequested
-from labos.core.decide.runs import BreachWindow
 from labos.core.ids import ExperimentId, RunId
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import examine
@@ -321,12 +320,12 @@ def one_by_one(instance: Instance) -> Life:
         runs = [*lab.state.runs.active.values(), *lab.state.runs.queued.values()]
         keys, lab.keys = lab.keys, set()
         lab.scheduler.heed(lab.state, keys)
-        for breach in lab.scheduler.breaches(lab.state, lab.now):
-            lab.do(BreachWindow(breach.run, breach.step, breach.window, lab.now))
+        for command in lab.scheduler.deadlines.due(lab.state, lab.now):
+            lab.do(command)
         waits: list[int] = []
         behind = [run for run in runs if run.experiment]
         for run in [*lab.state.runs.active.values(), *behind, *runs][:1]:
-            turn = ready(lab.state, run) if run.steps else lab.state.runs.plans[run.plan].starts
+            turn = ready(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
             for index in turn:
                 found = examine(lab.state, lab.run(run.id), index, lab.now)
                 if not isinstance(found, Wait):

@@ -15,10 +15,11 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.errors import LabosError
 from labos.node.world import World
-from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.faults import QUIET, FaultRates
 from labos.testing.lab import LOOK_S, SimulatedLab
 from labos.testing.loop import Killed
 from tests.simulation.mixes import CELL, identical, stand
+from tests.support.seeds import quiet_and_stormy
 
 CELL_NAME = CELL.workcell.name
 VISITS = 4
@@ -82,7 +83,8 @@ def visited(seed: int, rates: FaultRates) -> tuple[int, list[str]]:
         lab.close()
 
 
-@pytest.mark.parametrize("rates", [QUIET, STORMY], ids=["quiet", "stormy"])
+@pytest.mark.slow
+@quiet_and_stormy
 def test_nothing_moves_while_hands_are_inside(rates: FaultRates) -> None:
     granted = 0
     for seed in range(3):
@@ -92,6 +94,7 @@ def test_nothing_moves_while_hands_are_inside(rates: FaultRates) -> None:
     assert granted > 3
 
 
+@pytest.mark.slow
 def test_without_the_rule_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rule forgets those who are inside."""
     rule = rules.no_hands_inside
@@ -104,6 +107,7 @@ def test_without_the_rule_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> Non
     assert any(visited(seed, QUIET)[1] for seed in range(3))
 
 
+@pytest.mark.slow
 def test_without_waiting_for_what_is_in_flight_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(access, "in_motion", lambda *_: [])
     assert any(visited(seed, QUIET)[1] for seed in range(3))

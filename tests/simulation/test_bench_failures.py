@@ -59,6 +59,7 @@ def test_in_a_storm_too() -> None:
     live_through(CROSSING, 1, STORMY)
 
 
+@pytest.mark.slow
 def test_without_the_rule_they_trap_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: safety looks only at the way on which nothing fails."""
     monkeypatch.setattr(paths, "ways", lambda plan: branches.ways(plan)[:1])
@@ -115,6 +116,7 @@ def test_results_decide_where_plates_go_and_trap_nobody() -> None:
     live_through(SORTED, 3, STORMY)
 
 
+@pytest.mark.slow
 def test_who_counts_on_one_branch_only_is_trapped(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: safety believes that every plate is weak."""
     monkeypatch.setattr(paths, "ways", lambda plan: branches.ways(plan)[:1])
@@ -137,8 +139,8 @@ def test_without_waiting_for_the_reset_it_breaks(monkeypatch: pytest.MonkeyPatch
 
 def _no_reset(runs: Runs, event: StepRetried, at: int) -> None:
     run = runs.active[event.run]
-    run.steps[event.step] = PENDING
-    run.retries[str(event.step)] = event.number
+    run.steps[event.step].status = PENDING
+    run.steps[event.step].retries = event.number
 
 
 JAMMING = [

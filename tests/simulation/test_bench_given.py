@@ -15,9 +15,10 @@ from labos.core.ids import LabwareId, Owner
 from labos.core.labware import LabwareHandedOver
 from labos.core.state import LabState
 from labos.node import Needs, Node, Station, World, action
-from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.faults import QUIET, FaultRates
 from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.corners import Corner
+from tests.support.seeds import quiet_and_stormy
 
 
 class Scale(Node):
@@ -104,7 +105,7 @@ def given_over(seed: int, rates: FaultRates = QUIET) -> tuple[set[str], list[str
         lab.close()
 
 
-@pytest.mark.parametrize("rates", [QUIET, STORMY], ids=["quiet", "stormy"])
+@quiet_and_stormy
 def test_what_was_given_is_its_new_owners(rates: FaultRates) -> None:
     for seed in range(3):
         assert given_over(seed, rates) == ({"leaves", "bo"}, [])

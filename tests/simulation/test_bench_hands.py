@@ -7,6 +7,7 @@ import pytest
 from labos.core import binding
 from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
+from tests.support.seeds import few_and_many
 
 CORNER = Corner("""
 labos: 1
@@ -40,19 +41,22 @@ CARRIED = CORNER.run(
 RUNS = [PICKED, CARRIED] * 3
 
 
-def test_what_is_in_the_hand_is_put_down_first() -> None:
-    for seed in range(4):
+@few_and_many(1, 4)
+def test_what_is_in_the_hand_is_put_down_first(seeds: range) -> None:
+    for seed in seeds:
         CORNER.live_through(RUNS, seed)
 
 
+@pytest.mark.slow
 def test_in_a_storm_too() -> None:
     for seed in range(6):
         CORNER.live_through(RUNS, seed, STORMY)
 
 
+@pytest.mark.slow
 def test_without_the_rule_it_grips_with_a_full_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding, "hand_free", lambda state, step, source: None)
-    monkeypatch.setattr("labos.planning.floor.may_carry", lambda floor, motion: True)
+    monkeypatch.setattr("labos.planning.floor.Mover.hand", lambda self, what: None)
     for seed in range(3):
         crashes = CORNER.crashes(RUNS, seed)
         assert any("grips with a full hand" in crash for crash in crashes), f"seed {seed}"

@@ -10,16 +10,17 @@ from functools import cache
 import pytest
 
 from labos.core import binding, effects
-from labos.core.effects import Move, Relid, Unlid
+from labos.core.effects import Carrying
 from labos.core.ids import StationName
 from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.spec.bench import Bench, Stock
-from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.faults import QUIET, FaultRates
 from labos.testing.lab import Job, SimulatedLab, Stand, bare_rule
 from labos.testing.loop import Stalled
 from tests.simulation.mixes import DESCRIPTIONS, NODES
+from tests.support.seeds import few_and_many, quiet_and_stormy
 
 SEEDS = range(6)
 DAYS_S = 3 * 24 * 3600.0
@@ -96,9 +97,10 @@ def laboratory(
     return SimulatedLab(Stand(CELL.workcell, stock, NODES), seed, rates, plan_with=plan_with)
 
 
-@pytest.mark.parametrize("rates", [QUIET, STORMY], ids=["quiet", "stormy"])
-def test_lids_come_off_and_on_and_nobody_works_on_them(rates: FaultRates) -> None:
-    for seed in SEEDS:
+@quiet_and_stormy
+@few_and_many(1, 6)
+def test_lids_come_off_and_on_and_nobody_works_on_them(rates: FaultRates, seeds: range) -> None:
+    for seed in seeds:
         lab = laboratory(seed, rates)
         try:
             state = lab.run(jobs(), limit_s=DAYS_S)
@@ -112,7 +114,7 @@ def crashes(seed: int, plan_with: Callable[[], Scheduler] = Scheduler) -> list[s
     """What went to pieces on the bench, whatever became of the runs."""
     lab = laboratory(seed, plan_with=plan_with)
     try:
-        lab.run_for(jobs(), 6 * 3600.0)
+        lab.run_for(jobs(), 3 * 3600.0)
     except Stalled:
         pass
     finally:
@@ -121,28 +123,27 @@ def crashes(seed: int, plan_with: Callable[[], Scheduler] = Scheduler) -> list[s
     return found
 
 
+@pytest.mark.slow
 def test_without_the_rule_tips_are_driven_into_lids(monkeypatch: pytest.MonkeyPatch) -> None:
     assert crashes(0) == []
-    monkeypatch.setattr(binding, "_holds", lambda *_: None)
+    monkeypatch.setattr(binding.Start, "value", lambda *_: None)
     assert any("drives its tips into a lid" in crash for crash in crashes(0))
 
 
 def test_without_room_lids_are_put_on_lids(monkeypatch: pytest.MonkeyPatch) -> None:
-    room_at = binding.room_at
+    real = binding.Start.room
 
-    def room_for_lids(state: object, run: object, place: StationName, labware_type: str) -> Wait | None:
-        return None if labware_type == "lid96" else room_at(state, run, place, labware_type)  # type: ignore[arg-type]
+    def room_for_lids(self: binding.Start, what: Carrying, place: StationName) -> Wait | None:
+        item = self._item(what)
+        return None if item is not None and item.type == "lid96" else real(self, what, place)
 
-    def no_lids(effect: Move) -> StationName:
-        return StationName("") if isinstance(effect, Unlid | Relid) else effect.target
-
-    monkeypatch.setattr(binding, "room_at", room_for_lids)
-    monkeypatch.setattr(effects, "filled", no_lids)
-    found = [crash for seed in SEEDS for crash in crashes(seed, bare_rule)]
+    monkeypatch.setattr(binding.Start, "room", room_for_lids)
+    monkeypatch.setattr(effects.Unlid, "room", property(lambda what: (what.via,) if what.via else ()))
+    found = (crash for seed in SEEDS for crash in crashes(seed, bare_rule))
     assert any("puts a plate on a plate at sciclops.lidnest1" in crash for crash in found)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_without_safety_parked_lids_trap_somebody() -> None:
     """One waits at the exchange for the nest, the other has its lid there and cannot come back."""
     lab = laboratory(0, plan_with=bare_rule)

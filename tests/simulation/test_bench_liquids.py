@@ -42,7 +42,7 @@ def lived(seed: int) -> tuple[LabState, list[str], dict[str, float | None]]:
     """The log, what crashed, and what is really left."""
     lab = SimulatedLab(CORNER.stand, seed, QUIET)
     try:
-        state = lab.run_for(jobs(RUNS), 8 * 3600.0)
+        state = lab.run_for(jobs(RUNS), 3 * 3600.0)
         left = {name: lab.world.left("ot2", name) for name in ("color_A", "color_B", "color_C")}
         return state, [motion.facts["what"] for motion in lab.world.crashes()], left
     finally:

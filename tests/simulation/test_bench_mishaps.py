@@ -115,13 +115,14 @@ def seeds(request: pytest.FixtureRequest, usual: range) -> range:
     return usual if one is None else range(one, one + 1)
 
 
+@pytest.mark.slow
 def test_what_hands_drop_is_noticed_where_somebody_looks(request: pytest.FixtureRequest) -> None:
     total = watched(seeds(request, CI_SEEDS), CLUMSY)
     print(dict(total))
     assert total["seen"] == total["slips"] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_what_hands_drop_is_believed_where_nobody_looks() -> None:
     """The control: without observers the log differs from the bench."""
     wrong = [live_through(without_observers(), seed, CLUMSY)[0] for seed in range(12)]

@@ -74,7 +74,7 @@ def test_variables_and_consumables_after_a_failure(how: str) -> None:
         wanted = {"well": True, "after": True, "before": False, "unknown": None}[said]
         assert bool(lab.world.motions("seal")) == (how in ("well", "after", "silent after"))
         sealer = next(m for n, m in state.modules.by_name.items() if local(n) == "sealer")
-        assert sealer.variables.get("hot", False) is wanted
+        assert sealer.values.get("hot", False) is wanted
         foil = next(level for name, level in state.resources.levels.items() if name.endswith("foil"))
         assert foil.level == (10 if how == "before" else 9), "of what is not known all counts as used"
         standing = [i for i in state.bench.labware.values() if local(i.station) == "sealer.default"]

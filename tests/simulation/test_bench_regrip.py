@@ -7,12 +7,12 @@ import pytest
 
 from labos.core import binding
 from labos.core.ids import StationName
-from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.testing.faults import STORMY
 from labos.testing.lab import bare_rule
 from tests.simulation.corners import Corner
+from tests.support.seeds import few_and_many
 
 CORNER = Corner("""
 labos: 1
@@ -50,11 +50,13 @@ TURNS = CORNER.run(
 RUNS = [RESTS, TURNS, TURNS]
 
 
-def test_who_turns_its_grip_waits_until_there_is_room() -> None:
-    for seed in range(4):
+@few_and_many(1, 4)
+def test_who_turns_its_grip_waits_until_there_is_room(seeds: range) -> None:
+    for seed in seeds:
         CORNER.live_through(RUNS, seed)
 
 
+@pytest.mark.slow
 def test_in_a_storm_too() -> None:
     for seed in range(4):
         CORNER.live_through(RUNS, seed, STORMY)
@@ -63,8 +65,8 @@ def test_in_a_storm_too() -> None:
 def test_without_the_rule_it_sets_a_plate_onto_another(monkeypatch: pytest.MonkeyPatch) -> None:
     real = binding.room_at
 
-    def room_at(state: LabState, run: RunState, place: StationName, kind: str) -> Wait | None:
-        return None if place == "corner/wc.regrip" else real(state, run, place, kind)
+    def room_at(state: LabState, place: StationName) -> Wait | None:
+        return None if place == "corner/wc.regrip" else real(state, place)
 
     monkeypatch.setattr(binding, "room_at", room_at)
     # Beside the rule, the kernel refuses to write that two plates stand where there is room for one.

@@ -14,6 +14,7 @@ from labos.core.effects import AnyEffect, Move
 from labos.core.ids import StationName
 from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
+from tests.support.seeds import few_and_many
 
 CORNER = Corner("""
 labos: 1
@@ -61,17 +62,20 @@ RUNS = [
 ]
 
 
-def test_every_plate_has_a_shelf_of_its_own() -> None:
-    for seed in range(6):
+@few_and_many(1, 6)
+def test_every_plate_has_a_shelf_of_its_own(seeds: range) -> None:
+    for seed in seeds:
         state = CORNER.live_through(RUNS, seed)
         assert state.bench.stations[HOTEL].count == 0
 
 
+@pytest.mark.slow
 def test_in_a_storm_too() -> None:
     for seed in range(6):
         CORNER.live_through(RUNS, seed, STORMY)
 
 
+@pytest.mark.slow
 def test_without_looking_for_a_free_shelf_plates_are_put_on_plates(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shelves, "vacant", lambda bench, hotel: bench.shelves[hotel])
     monkeypatch.setattr("labos.runtime.kernel.broken_by", lambda state, events: "")
@@ -80,7 +84,7 @@ def test_without_looking_for_a_free_shelf_plates_are_put_on_plates(monkeypatch: 
         assert any("plate" in crash and "wc.hotel.1" in crash for crash in crashes), f"seed {seed}: {crashes}"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_where_the_lowest_plate_is_taken_it_is_somebody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
     really = shelves.on_shelves
 

@@ -19,6 +19,7 @@ from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab, Stand
 from labos.testing.loop import Stalled
 from tests.simulation.mixes import mix, stand
+from tests.support.seeds import few_and_many
 
 SEEDS = range(3)
 DAYS_S = 3 * 24 * 3600.0
@@ -67,16 +68,18 @@ def _unruled(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(place, "unpromised", lambda state, module, resource: float("inf"))
 
 
-def test_nothing_runs_dry_and_somebody_who_refills_keeps_everything_going() -> None:
-    for seed in SEEDS:
+@few_and_many(1, 3)
+def test_nothing_runs_dry_and_somebody_who_refills_keeps_everything_going(seeds: range) -> None:
+    for seed in seeds:
         state, crashed = live(seed, QUIET, refills=True)
         assert crashed == [], f"seed {seed}"
         assert not state.runs.active
         assert not state.runs.queued
 
 
-def test_in_storms_too() -> None:
-    for seed in SEEDS:
+@few_and_many(1, 3)
+def test_in_storms_too(seeds: range) -> None:
+    for seed in seeds:
         _, crashed = live(seed, STORMY, refills=True)
         assert not [what for what in crashed if "runs out" in what], f"seed {seed}"
 
@@ -91,6 +94,7 @@ def test_without_refills_runs_wait_and_nothing_breaks() -> None:
     assert waiting, "nobody ran out of anything"
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("_unruled")
 def test_with_the_rule_off_the_same_seeds_break_devices() -> None:
     dry = 0

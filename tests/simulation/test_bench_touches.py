@@ -3,6 +3,8 @@ which; the account of the lab says the same, and does not where the difference i
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from labos.services import twh
@@ -39,8 +41,9 @@ def test_rescues_and_planned_work_are_counted_as_what_they_were() -> None:
     assert min(seen.values()) > 3
 
 
+@pytest.mark.full
 def test_where_every_answer_counts_as_a_rescue_the_account_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(twh, "PLANNED_WORK", "nothing of that kind")
+    monkeypatch.setattr(twh, "PlannedWork", SimpleNamespace(KIND="nothing of that kind"))
     wrong = [seed for seed in range(4) if (found := counted(seed))[0] != found[1]]
     assert wrong
     assert all(counted(seed)[1]["rescued"] > counted(seed)[0]["rescued"] for seed in wrong)

@@ -23,9 +23,10 @@ CELL = parse_workcell(
     .read_text(encoding="utf-8")
     .replace(
         "stations:\n",
-        "stations:\n  hidex.default: {a1: 90}\n  camera_module.plate_station: {rotation: 180}\n",
+        "stations:\n  hidex.default: {a1: 90}\n",
         1,
-    ),
+    )
+    .replace("camera_module.plate_station: {", "camera_module.plate_station: {rotation: 180, "),
     DESCRIPTIONS,
 )
 STOCK = (Stock(StationName("rpl/sciclops.tower1"), "plate96", 20),)
@@ -107,6 +108,7 @@ def parked_and_read() -> list[Job]:
     return [Job("parked", "ada", (compiled(PARK), compiled(FETCH)), StartExperiment("turn", "ada"))]
 
 
+@pytest.mark.slow
 def test_what_is_known_only_then_waits_and_says_why() -> None:
     state, lab = live_through(0, parked_and_read())
     try:

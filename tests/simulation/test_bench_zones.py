@@ -51,6 +51,7 @@ def test_in_a_storm_too() -> None:
         CORNER.live_through(RUNS, seed, STORMY)
 
 
+@pytest.mark.slow
 def test_without_the_rule_they_hit_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rules, "zones_free", lambda state, step: None)
     for seed in range(3):

@@ -52,10 +52,12 @@ def each_step(others: int, steps: Iterable[int] = range(STEPS)) -> None:
         assert places <= {"sciclops.tower2", "wc.output"}, f"step {step}: {places}"
 
 
+@pytest.mark.slow
 def test_a_pcr_that_is_cancelled_at_any_step_clears_the_bench() -> None:
     each_step(others=1, steps=range(1, STEPS, 3))
 
 
+@pytest.mark.slow
 def test_whoever_is_cancelled_keeps_nobody_from_the_end() -> None:
     mixes([4])
 

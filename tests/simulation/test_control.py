@@ -125,6 +125,7 @@ def pauses(steps: Sequence[int], names: Sequence[str], rates: FaultRates = QUIET
                 assert still(told, "starts.paused", "starts.resumed", met[0]), f"step {step}, {name}"
 
 
+@pytest.mark.slow
 def test_what_is_paused_goes_on() -> None:
     cells = ((1, "the run"), (4, "the experiment"), (5, "the lab"), (7, "biometra"), (9, "out of service"))
     for step, name in cells:

@@ -21,8 +21,8 @@ from labos.spec.about import described
 from labos.spec.dialects import find_kind
 from labos.spec.references import keys_in
 from labos.spec.source import Source, read
-from labos.spec.uses import users_of, uses_in, workflow_in
-from labos.spec.workflow import Brought
+from labos.spec.uses import read_uses, workflow_in, workflows_by_workcell
+from labos.spec.workflow import StartingLabware
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES
@@ -64,14 +64,16 @@ def cases() -> list[Case]:
             continue
     by_file = {source.file: source for source in sources}
     found = {
-        flow.file: Case(flow, by_file[cell]) for cell, flows in users_of(sources).items() for flow in flows
+        flow.file: Case(flow, by_file[cell])
+        for cell, flows in workflows_by_workcell(sources).items()
+        for flow in flows
     }
     return [found[file] for file in sorted(found)]
 
 
 def compiled(case: Case) -> tuple[CompiledWorkcell, Compiled, dict[str, Any]]:
     """Raises SpecErrors."""
-    cell = compile_workcell(case.cell, DESCRIPTIONS, uses=uses_in([case.flow]))
+    cell = compile_workcell(case.cell, DESCRIPTIONS, uses=read_uses([case.flow]))
     payload = payload_for(case.flow, cell)
     plan = compile_workflow(case.flow, payload, cell.workcell, DESCRIPTIONS, simulate=True, bench=cell.bench)
     return cell, plan, payload
@@ -134,7 +136,7 @@ def run(case: Case) -> str:
         lab.close()
 
 
-def load_of(brought: Brought) -> LoadStation:
+def load_of(brought: StartingLabware) -> LoadStation:
     """A person brings what a run needs."""
     has = tuple(name for name, value in brought.variables.items() if value)
     lacks = tuple(name for name, value in brought.variables.items() if not value)

@@ -25,8 +25,8 @@ class Silent(SimulatedLab):
             return await super()._user(job)
         request = f"{job.name}/experiment"
         start = replace(job.experiment, request=request)
-        await self._insist(start, lambda state: request in state.campaigns.requests)
-        name = self.folded().campaigns.requests[request]
+        await self._insist(start, lambda state: request in state.experiments.requests)
+        name = self.folded().experiments.requests[request]
         for number, run in enumerate(job.runs):
             key = f"{job.name}/{number}"
             await self._insist(
@@ -37,13 +37,13 @@ class Silent(SimulatedLab):
             await self._until(lambda state, run_id=run_id: state.runs.get(run_id) is None)  # type: ignore[misc]
         lost = LoseExperiment(ExperimentId(name), "no sign of life")
         await self._insist(lost, lambda state: asked_or_over(state, name))
-        await self._until(lambda state: name not in state.campaigns.experiments)
+        await self._until(lambda state: name not in state.experiments.open)
         self.done_jobs.add(job.name)
         return None
 
 
 def asked_or_over(state: LabState, name: ExperimentId) -> bool:
-    found = state.campaigns.experiments.get(name)
+    found = state.experiments.open.get(name)
     return found is None or found.status != "open" or state.interventions.about(name) is not None
 
 
@@ -53,6 +53,7 @@ def application(name: str, mixes: int, after_s: float) -> Job:
     return Job(name, "ada", runs, start, after_s=after_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rates", [QUIET, STORMY], ids=["quiet", "storm"])
 def test_silent_applications_are_closed_and_cleared_away(rates: FaultRates) -> None:
     closed = 0
@@ -62,7 +63,7 @@ def test_silent_applications_are_closed_and_cleared_away(rates: FaultRates) -> N
             jobs = [application("first", 1, 0.0), application("second", 0, 300.0), pcr("third", "bo", 60.0)]
             state = lab.run(jobs, limit_s=TWO_DAYS_S)
             assert lab.differences(state) == [], f"seed {seed}"
-            assert state.campaigns.experiments == {}
+            assert state.experiments.open == {}
             assert not [o for o in state.bench.by_owner if o.startswith("experiment:")]
             closed += [record.head.type for record in lab.store.records].count("experiment.closing")
         finally:
@@ -81,6 +82,7 @@ def left_standing(seed: int) -> list[str]:
         lab.close()
 
 
+@pytest.mark.slow
 def test_unheard_of_silence_leaves_plates_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [left_standing(seed) for seed in range(2)] == [[], []]
     monkeypatch.setitem(DECIDERS, LoseExperiment, lambda state, command: [])

@@ -7,10 +7,10 @@ import random
 import pytest
 
 from labos.core.ids import local
-from labos.core.runs import RunSubmitted
+from labos.core.runs import PENDING, RunSubmitted
 from labos.core.state import LabState
 from labos.runtime.ledger import fold
-from labos.services.inventory import Inventory, RunsOut, earliest, inventory
+from labos.services.inventory import Inventory, Shortfall, earliest, inventory
 from labos.services.log import events
 from labos.services.times import iso_time
 from labos.testing.faults import QUIET
@@ -83,7 +83,7 @@ def position(name: str) -> int:
 
 def first_short(found: Inventory) -> tuple[str, set[str]]:
     """The oldest run that is told to find too little, and of what."""
-    told: list[tuple[str, RunsOut]] = earliest(found)
+    told: list[tuple[str, Shortfall]] = earliest(found)
     if not told:
         return "", set()
     run = min((out.run for _, out in told), key=position)
@@ -110,6 +110,6 @@ def test_the_step_at_which_a_run_stops_half_way_is_told() -> None:
     ((name, out),) = earliest(found)
     assert local(name) == "sealer:foil"
     (run,) = end.runs.active.values()
-    step = end.runs.plan_of(run).steps[run.steps.index(0)]
+    step = end.runs.plan_of(run).steps[run.statuses.index(PENDING)]
     assert (out.run, out.step) == (run.id, step.key)
     assert waits == {run.id: {name}}

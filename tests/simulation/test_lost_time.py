@@ -53,6 +53,7 @@ def compare(seed: int) -> Counter[str]:
         lab.close()
 
 
+@pytest.mark.slow
 def test_every_mishap_is_charged_with_what_it_cost() -> None:
     total = Counter[str]()
     for seed in range(4):
@@ -133,6 +134,7 @@ def soundly_charged(seed: int) -> Counter[str]:
         lab.close()
 
 
+@pytest.mark.slow
 def test_on_the_whole_bench_nobody_is_charged_for_others() -> None:
     total = Counter[str]()
     for seed in (0, 6):

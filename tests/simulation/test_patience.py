@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
 from msgspec.structs import replace
 
 from labos.core.ids import RunId
@@ -76,6 +77,7 @@ steps:
         lab.close()
 
 
+@pytest.mark.slow
 def test_a_plate_inside_is_overtaken_for_so_long_and_no_longer() -> None:
     # One may be at the reader when its turn has come, and one on its way there.
     assert overtaken(Scheduler) <= PATIENCE + 2

@@ -81,6 +81,7 @@ def test_a_person_is_sometimes_late_and_nothing_fails() -> None:
     assert count["run.failed"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_in_a_storm_planned_work_is_done_once(seed: int) -> None:
     live_through(seed, STORMY)

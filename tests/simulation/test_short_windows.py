@@ -25,6 +25,7 @@ def told(found: Count) -> str:
     )
 
 
+@pytest.mark.slow
 def test_no_window_is_breached_that_could_be_kept() -> None:
     found = count(range(25))
     print(told(found))
@@ -46,6 +47,7 @@ def test_a_lab_that_cannot_keep_all_windows_comes_to_its_end_all_the_same() -> N
     assert hopeless > 0
 
 
+@pytest.mark.slow
 def test_durations_that_stray_keep_nobody_from_the_end() -> None:
     for seed in range(20):
         planned(Instance(seed), stray=0.3)

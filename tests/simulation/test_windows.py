@@ -8,11 +8,11 @@ from collections.abc import Callable
 import pytest
 
 from labos.core.actions import ActionSucceeded
-from labos.core.decide.windows import LATE_STEP
 from labos.core.interventions import InterventionRequested
 from labos.core.registry import Event, decode
 from labos.core.runs import RunFailed, RunState
 from labos.core.state import LabState
+from labos.core.topics import LateStep
 from labos.core.waits import Wait
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
@@ -20,6 +20,7 @@ from labos.planning.scheduler import Scheduler
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.mixes import dosed_and_read, hurried, stand
+from tests.support.seeds import few_and_many
 
 KEPT = (RunFailed.TYPE, InterventionRequested.TYPE)
 TWO_DAYS_S = 2 * 24 * 3600.0
@@ -72,11 +73,12 @@ def compare(seeds: range) -> tuple[int, int, int]:
 
 @pytest.mark.slow
 def test_reservations_keep_windows_that_would_be_breached_without_them() -> None:
-    """Of 36 windows in these seeds none is breached, and 12 with reservations switched off. Of 73 in
+    """Of 36 windows in 8 seeds none is breached, and 12 with reservations switched off. Of 73 in
     16 seeds: none, and 34."""
-    windows, kept, lost = compare(range(8))
-    assert windows > 20
-    assert lost >= 8
+    windows, kept, lost = compare(range(4))
+    print(f"{windows} windows: {kept} breached, {lost} without reservations")
+    assert windows > 8
+    assert lost >= 4
     assert kept <= lost // 4
 
 
@@ -86,6 +88,7 @@ def test_in_a_storm_nothing_is_lost_and_nobody_stands_still() -> None:
         live_through(hurried(seed), seed, STORMY)
 
 
+@pytest.mark.slow
 def test_the_log_says_when_the_device_was_done() -> None:
     """Results are late in a storm, and now and then pulled much later; their times are not."""
     late_ns = []
@@ -115,11 +118,13 @@ def breached(on_breach: str, seeds: range) -> tuple[int, list[Event], Counter[st
     return count["window.breached"], told, count
 
 
+@pytest.mark.slow
 def test_a_breach_may_be_no_more_than_an_event() -> None:
     _, told, _ = breached("continue", range(2, 4))
     assert told == []
 
 
+@pytest.mark.slow
 def test_a_breach_may_fail_its_run() -> None:
     breaches, told, _ = breached("fail", range(2, 4))
     failed = [event for event in told if isinstance(event, RunFailed)]
@@ -127,21 +132,23 @@ def test_a_breach_may_fail_its_run() -> None:
     assert all("did not start within 240 s of the end of 'Dose'" in event.why for event in failed)
 
 
+@pytest.mark.slow
 def test_a_breach_may_ask_and_either_answer_leads_on() -> None:
     breaches, told, count = breached("ask", range(2, 5))
-    asked = [e for e in told if isinstance(e, InterventionRequested) and e.kind == LATE_STEP]
+    asked = [e for e in told if isinstance(e, InterventionRequested) and e.kind == LateStep.KIND]
     failed = [event for event in told if isinstance(event, RunFailed)]
     assert len(asked) == breaches
     assert 0 < len(failed) < breaches, "of the answers some give up and some go on"
     assert count["run.resumed"] == breaches - len(failed)
 
 
-def test_a_run_is_in_time_after_a_run_before_it() -> None:
+@few_and_many(1, 3)
+def test_a_run_is_in_time_after_a_run_before_it(seeds: range) -> None:
     """The second run of an experiment waits twenty minutes from a step of the first; others want the
     reader meanwhile. It is in time only where room is kept for it."""
     late = Counter[str]()
     for name, plan_with in (("reserved", Scheduler), ("careless", careless)):
-        for seed in range(3):
+        for seed in seeds:
             others = [job for job in hurried(seed) if "timed" not in job.runs[0].plan.workflow]
             jobs = [dosed_and_read("x", "ada", after_s=600.0), *others]
             late[name] += live_through(jobs, seed, plan_with=plan_with)[0]["window.breached"]

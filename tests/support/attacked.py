@@ -30,7 +30,8 @@ from labos.node.journal_file import FileJournalFile
 from labos.node.protocol import AboutReport, ActionReply, AdminReply, Keys, StateReport
 from labos.node.server import NodeServer
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.verify import Verifier

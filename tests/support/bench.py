@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from labos.core.canonical import canonical, digest
-from labos.core.decide import Command, Rejection, decide
+from labos.core.decide import Command, Rejection, carry_out, decide
 from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import (
     AcceptAction,
@@ -26,13 +26,12 @@ from labos.core.decide.actions import (
     RefuseAction,
     StartStep,
 )
+from labos.core.decide.campaigns import ConcludeCampaign
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetLevel, StartKernel
-from labos.core.decide.nodes import EndOutage, JoinNode
-from labos.core.decide.runs import BreachWindow, SubmitRun
-from labos.core.decide.steps import TimeOutAction
-from labos.core.decide.work import NoteOverdue
+from labos.core.decide.nodes import JoinNode
+from labos.core.decide.runs import SubmitRun
 from labos.core.effects import (
     AnyEffect,
     Claims,
@@ -53,7 +52,7 @@ from labos.core.invariants import broken
 from labos.core.model import Hold, ModuleSpec, Plan, PlanStep, StationKind, StationSpec, Workcell
 from labos.core.registry import Event, decode, encode
 from labos.core.rules import examine
-from labos.core.runs import RunState
+from labos.core.runs import RunState, results_of
 from labos.core.state import LabState, from_picture, picture
 from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler, ready
@@ -226,35 +225,35 @@ class Driver:
 
     # -- commands ----------------------------------------------------------------------------
 
-    def ask(self, command: Command) -> list[Event] | Rejection:
-        """Decide; fold what was decided, checking after every event."""
+    def ask(self, command: Command, actor: str = "labos") -> list[Event] | Rejection:
+        """Decide; fold what was decided and what follows from it, checking after every event."""
         before = picture(self.state) if self.careful else b""
-        decision = decide(self.state, command)
         if self.careful:
+            decide(self.state, command, actor)
             assert picture(self.state) == before, f"{command} changed the state by being decided"
-        if isinstance(decision, Rejection):
-            assert decision.message.endswith("."), decision
-            return decision
-        for event in decision:
-            self.write(event)
-        for event in decision:
+        answer = carry_out(self.state, command, self.write, actor)
+        if isinstance(answer, Rejection):
+            assert not self.careful or picture(self.state) == before, f"{command} was refused too late"
+            assert answer.message.endswith("."), answer
+            return answer
+        for event in answer:
             self.keys.update(touched(self.state, event))
-        return decision
+        return answer
 
-    def do(self, command: Command) -> list[Event]:
+    def do(self, command: Command, actor: str = "labos") -> list[Event]:
         """A command that has to be accepted."""
-        answer = self.ask(command)
+        answer = self.ask(command, actor)
         if isinstance(answer, Rejection):
             raise Refused(answer)
         return answer
 
-    def refused(self, command: Command) -> Rejection:
+    def refused(self, command: Command, actor: str = "labos") -> Rejection:
         """A command that has to be rejected."""
-        answer = self.ask(command)
+        answer = self.ask(command, actor)
         assert isinstance(answer, Rejection), f"accepted: {answer}"
         return answer
 
-    def write(self, event: Event) -> None:
+    def write(self, event: Event) -> Event:
         """One event to the end of the log, with everything that must hold after it."""
         payload = encode(event)
         assert decode(event.TYPE, event.SCHEMA, payload) == event
@@ -264,6 +263,7 @@ class Driver:
         self.log.append(Entry(event, position, self.now, stream, version))
         fault = broken(self.state) if self.careful else ""
         assert not fault, f"after {event}: {fault}"
+        return event
 
     def join(self, name: str) -> None:
         self.do(JoinNode(ModuleName(full(name)), f"journal-{name}", "i1", "driver", "1", "about", "IDLE"))
@@ -281,7 +281,7 @@ class Driver:
 
     def experiment(self, name: str = "app", user: str = "ada", **more: Any) -> ExperimentId:
         self.do(StartExperiment(name, user, **more))
-        return ExperimentId(f"E{self.state.campaigns.named}")
+        return ExperimentId(f"E{self.state.experiments.named}")
 
     def end(self, experiment: str) -> list[Event]:
         return self.do(EndExperiment(ExperimentId(experiment)))
@@ -336,6 +336,11 @@ class Driver:
         assert found is not None, f"{name} has ended"
         return found
 
+    def results(self, name: str) -> dict[int, Any]:
+        """What later steps of a run read, by step."""
+        run = self.run(name)
+        return results_of(self.state.runs.plan_of(run), run)
+
     def judge(self, run: str, index: int = 0) -> Wait | tuple[AnyEffect, ...]:
         """What the rules say about a step."""
         return examine(self.state, self.run(run), index, self.now)
@@ -377,16 +382,10 @@ class Driver:
             keys, self.keys = self.keys, set()
             before = len(self.log)
             self.scheduler.heed(self.state, keys)
-            for breach in self.scheduler.breaches(self.state, self.now):
-                self.do(BreachWindow(breach.run, breach.step, breach.window, self.now))
-            for late in self.scheduler.timed_out(self.state, self.now):
-                self.do(TimeOutAction(late, self.now))
-            for outage in self.scheduler.outages_over(self.state, self.now):
-                self.do(EndOutage(outage, self.now))
-            for question in self.scheduler.unanswered(self.state, self.now):
-                self.do(NoteOverdue(question, self.now))
-            for command in self.scheduler.leaving(self.state):
+            for command in self.scheduler.due(self.state, self.now):
                 self.do(command)
+            for campaign in tuple(self.state.campaigns.due):
+                self.do(ConcludeCampaign(campaign))
             for start in self.scheduler.proposals(self.state, keys, self.now):
                 self._carry_out(start.run, start.step)
                 started.append(f"{start.run}#{start.step}")
@@ -403,7 +402,7 @@ class Driver:
         while again:
             again = False
             for run in [*self.state.runs.active.values(), *self.state.runs.queued.values()]:
-                steps = ready(self.state, run) if run.steps else self.state.runs.plans[run.plan].starts
+                steps = ready(self.state, run) if run.has_started else self.state.runs.plans[run.plan].starts
                 for index in steps:
                     if not isinstance(examine(self.state, run, index, self.now), Wait):
                         self._carry_out(run.id, index)

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 import httpx
 import pytest
 
-from tests.foreign.make import FOLDER, PACKAGES, ROOT
+from tests.foreign.make import FOLDER, NODE_PACKAGES, PACKAGES, ROOT
 
 
 def python_of(kind: str) -> Path:
@@ -25,6 +25,11 @@ def python_of(kind: str) -> Path:
     where there is none; where LABOS_REQUIRE_FOREIGN names it, waits while it is being made."""
     if kind not in PACKAGES:
         return Path(sys.executable)
+    _await_complete(kind, PACKAGES[kind][0])
+    return FOLDER / kind / "bin" / "python"
+
+
+def _await_complete(kind: str, package: str) -> None:
     complete = FOLDER / kind / "complete"
     if kind in os.environ.get("LABOS_REQUIRE_FOREIGN", "").split():
         until = time.monotonic() + 90
@@ -35,8 +40,16 @@ def python_of(kind: str) -> Path:
                 )
             time.sleep(0.2)
     elif not complete.exists():
-        pytest.skip(f"no environment with {PACKAGES[kind][0]} (python tests/foreign/make.py {kind})")
-    return FOLDER / kind / "bin" / "python"
+        pytest.skip(f"no environment with {package} (python tests/foreign/make.py {kind})")
+
+
+def node_modules_of(kind: str) -> Path:
+    """The folder of a foreign kind's packages of npm. Skips the test where there is none, or no ``node``;
+    where LABOS_REQUIRE_FOREIGN names it, waits while it is being made."""
+    _await_complete(kind, NODE_PACKAGES[kind][0])
+    if shutil.which("node") is None:
+        pytest.skip("no node")
+    return FOLDER / kind / "node_modules"
 
 
 def opentrons_simulate() -> str:

@@ -284,7 +284,7 @@ def test_a_key_that_nothing_takes_is_refused_whoever_sends_it(lab: Lab) -> None:
             client.start_experiment("e", "ada", closing=file, payload={"seal": {"tim": 3}})
         url = client._base()
     body = {"workflow": {"text": text}, "user": "ada", "payload": {"seal": {"tim": 3}}}
-    answer = httpx.post(f"{url}/runs", json=body)
+    answer = httpx.post(f"{url}/api/v1/runs", json=body)
     assert answer.status_code == 422
     (detail,) = answer.json()["details"]
     assert (detail["field"], detail["remedy"]) == ("payload.seal.tim", told[1])

@@ -126,7 +126,6 @@ def test_an_emergency_stop_past_the_kernel_is_recorded_too(lab: Up) -> None:
     assert (late.returncode, "Nothing was stopped" in late.stderr) == (1, True), late.stderr
 
 
-@pytest.mark.smoke
 def test_out_of_service_and_back(lab: Up) -> None:
     lab.start("rpl")
     home = ("--home", str(lab.home), "--user", "ada")

@@ -91,12 +91,12 @@ def test_a_dropped_plate_is_missed(corner: Corner) -> None:
         assert "eye saw nothing at wc.table" in failed["why"]
         (question,) = client.state(waits=False)["interventions"]
         assert question["kind"] == "lost_labware"
-        seen = labos("bench", "look", "--home", str(corner.home)).stdout
+        seen = labos("bench", "show", "--home", str(corner.home)).stdout
         assert re.search(r"on the floor +P1 \(plate96\)", seen), seen
         assert f"A person is asked: {question['id']}" in seen
         assert labos("resolve", question["id"], "gone", "--home", str(corner.home)).returncode == 0
         assert world.at("floor") == [], "who says so has picked it up"
-        seen = labos("bench", "look", "--home", str(corner.home))
+        seen = labos("bench", "show", "--home", str(corner.home))
         assert (seen.returncode, "The log says the same" in seen.stdout) == (0, True), seen.stdout
     assert corner.differences() == []
 
@@ -126,7 +126,14 @@ def test_who_asks_may_have_it_put_where_it_belongs(corner: Corner) -> None:
     ]
 
 
-@pytest.mark.parametrize("answer", ["unload", "source", "target"])
+@pytest.mark.parametrize(
+    "answer",
+    [
+        "unload",
+        pytest.param("source", marks=pytest.mark.full),
+        pytest.param("target", marks=pytest.mark.full),
+    ],
+)
 def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner, answer: str) -> None:
     home = ("--home", str(corner.home))
     with LabClient(corner.thread.url) as client:
@@ -134,7 +141,7 @@ def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner, answer: str) -> Non
         run = corner.carry(client, "pf400", "shelf", "table")
         assert client.wait(run, timeout_s=PATIENCE_S).status == "failed"
         until(lambda: corner.told("labware.observed"), "the arm says that it holds it")
-        seen = labos("bench", "look", *home).stdout
+        seen = labos("bench", "show", *home).stdout
         assert re.search(r"in the hand of pf400 +P1 \(plate96\)", seen), seen
         (question,) = client.state(waits=False)["interventions"]
         assert "now P1 was seen at pf400.gripper" in labos("interventions", *home).stdout
@@ -142,7 +149,7 @@ def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner, answer: str) -> Non
         told = ("unload", "pf400.gripper", "P1") if answer == "unload" else resolved
         assert labos(*told, *home).returncode == 0
         assert client.state(waits=False)["interventions"] == []
-        seen = labos("bench", "look", *home).stdout
+        seen = labos("bench", "show", *home).stdout
         assert "in the hand" not in seen
         assert "The log says the same" in seen
     assert corner.differences() == []

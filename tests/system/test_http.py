@@ -14,11 +14,14 @@ import pytest
 
 from labos.bootstrap import LabThread, descriptions
 from labos.client import Experiment, LabClient, LabUnreachable, RunFailed
+from labos.client._lab import API
 from labos.errors import BadInput, NotFound, Refused
 from labos.http import service
 from labos.settings import Settings, find_kernel, free_port
 from labos.spec import find_spec, load_workcell
 from tests.support.lab_process import until
+
+PROBLEM = {"type", "title", "status", "detail", "code", "remedy", "details"}
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +40,7 @@ def client(lab: LabThread) -> Iterator[LabClient]:
 
 @pytest.fixture
 def raw(lab: LabThread) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=lab.url) as found:
+    with httpx.Client(base_url=lab.url + API) as found:
         yield found
 
 
@@ -72,7 +75,7 @@ def test_one_key_for_two_things_is_a_conflict(raw: httpx.Client) -> None:
     assert (first.status_code, raw.post("/experiments", json=body, headers=key).json()) == (201, first.json())
     other = raw.post("/experiments", json={**body, "name": "shapes"}, headers=key)
     assert other.status_code == 409
-    assert first.json()["experiment"] in other.json()["error"]
+    assert first.json()["experiment"] in other.json()["detail"]
     raw.post(f"/experiments/{first.json()['experiment']}/end", json={})
 
 
@@ -116,9 +119,9 @@ def test_errors_have_one_shape(raw: httpx.Client, client: LabClient) -> None:
         ("POST", "/runs", {"user": "ada", "workflow": {"text": "a: [", "name": "w.yaml"}}, 422),
         ("POST", "/runs", {"user": "ada", "workcell": "no", "workflow": {"text": "a: 1"}}, 404),
         ("POST", "/interventions/I9", {"choice": "done", "by": "ada"}, 409),
-        ("POST", "/nodes/nobody/in-service", {}, 404),
-        ("POST", "/nodes/sealer/out-of-service", {"why": " ", "by": "ada"}, 400),
-        ("POST", "/nodes/sealer/out-of-service", {"why": "x", "by": "ada", "until": 7}, 409),
+        ("POST", "/modules/nobody/in-service", {}, 404),
+        ("POST", "/modules/sealer/out-of-service", {"why": " ", "by": "ada"}, 400),
+        ("POST", "/modules/sealer/out-of-service", {"why": "x", "by": "ada", "until": 7}, 409),
         ("POST", "/estop", {"target": "nobody"}, 404),
         ("POST", "/runs/R1/dance", {}, 404),
         ("POST", "/experiments/E99/notes", {"kind": "decision", "name": "x"}, 409),
@@ -126,7 +129,9 @@ def test_errors_have_one_shape(raw: httpx.Client, client: LabClient) -> None:
     ):
         answer = raw.request(method, path, json=body) if body is not None else raw.request(method, path)
         assert answer.status_code == status, (path, answer.text)
-        assert answer.json().keys() == {"error", "remedy", "code", "details"}, path
+        assert set(answer.json()) == PROBLEM, path
+        assert answer.headers["content-type"] == "application/problem+json", path
+        assert answer.json()["status"] == status, path
     details = raw.post("/runs", json={"user": "ada", "workflow": {"text": "a: [", "name": "w.yaml"}}).json()
     assert details["code"] in ("spec_error", "spec_errors")
     assert details["details"][0]["file"] == "w.yaml"
@@ -142,7 +147,7 @@ def test_a_refused_submission_leaves_no_event(client: LabClient) -> None:
 
 def test_events_are_followed(raw: httpx.Client, client: LabClient) -> None:
     after = client.health()["position"]
-    with raw.stream("GET", "/events", params={"after": after, "follow": 1, "type": "run"}) as stream:
+    with raw.stream("GET", "/events/stream", params={"after": after, "type": "run"}) as stream:
         lines = stream.iter_lines()
         run = client.submit("pcr", user="ada")
         data = next(line for line in lines if line.startswith("data: "))

@@ -256,7 +256,7 @@ def survive(home: Path, database: str, crash: str) -> None:
             lab.process.wait()
 
 
-@pytest.mark.parametrize("crash", [pytest.param(SMOKE[0], marks=pytest.mark.smoke), *SMOKE[1:]])
+@pytest.mark.parametrize("crash", SMOKE)
 def test_a_kill_costs_seconds(tmp_path: Path, crash: str) -> None:
     survive(tmp_path / "lab", f"sqlite:///{tmp_path}/labos.db", crash)
 

@@ -19,7 +19,7 @@ modules: [{name: sealer, model: a4s_sealer}]
 """
 
 
-TOLD = b'{"error": "The database broke off.", "remedy": "Look.", "code": "commit_in_doubt", "details": []}'
+TOLD = b'{"detail": "The database broke off.", "remedy": "Look.", "code": "commit_in_doubt", "details": []}'
 IN_DOUBT = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/json\r\n"
 IN_DOUBT += b"content-length: %d\r\n\r\n%s" % (len(TOLD), TOLD)
 """What the lab says when its database broke off while it wrote."""

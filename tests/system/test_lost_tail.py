@@ -139,7 +139,7 @@ def only_after_a_round(lab: Up, run: str) -> None:
         assert requested == []
         assert lab.bench() == before
         # What is to be seen is said, and the lab goes on.
-        answered = said(lab, "bench", "round", "--look", "--user", "ada")
+        answered = said(lab, "bench", "round", "--as-simulated", "--user", "ada")
         assert "is answered" in answered
         assert client.status(run).status == "cancelled"
         assert client.status(waiting).status == "paused"

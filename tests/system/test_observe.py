@@ -47,7 +47,7 @@ def test_a_plate_is_missed_found_and_given(tmp_path: Path) -> None:
         assert (question["kind"], question["id"]) == ("contradiction", follows["asked"][0]["id"])
         told = say("observe", "wc.table", plate)
         assert f"{plate} stands at wc.table." in told
-        assert f"{question['id']} has answered itself." in told
+        assert f"{question['id']} is auto-resolved." in told
         assert client.state(waits=False)["interventions"] == []
 
         told = say("observe", "wc.shelf", "plate96")
@@ -122,4 +122,4 @@ def test_nodes_say_where_what_an_arm_missed_is_not(tmp_path: Path) -> None:
         # Said before it is done: a camera that looks once more would else answer before the person does.
         done = labos("observe", "wc.table", labware, "--home", str(home))
         assert f"{labware} stands at wc.table." in done.stdout
-        assert f"{question['id']} has answered itself." in done.stdout
+        assert f"{question['id']} is auto-resolved." in done.stdout

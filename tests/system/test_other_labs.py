@@ -51,7 +51,14 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("way", ["as it is", "placed", "imported"])
+@pytest.mark.parametrize(
+    "way",
+    [
+        pytest.param("as it is", marks=pytest.mark.full),
+        pytest.param("placed", marks=pytest.mark.full),
+        "imported",
+    ],
+)
 def test_a_workflow_that_feeds_results_forward(folder: Path, way: str) -> None:
     """The workcell is the one beside it; the stack holds what is taken from it; what is read is returned."""
     workflow = folder / "workflows" / "flow.yaml"

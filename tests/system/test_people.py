@@ -221,6 +221,6 @@ def test_an_arm_is_taught_a_station(lab: Up) -> None:
         short = labos("teach", "pf400", "sealer.default", "--pose", "1,2", *home)
         assert short.returncode == 1
         now = json.loads(labos("locations", "pf400", "--json", *home).stdout)["sealer.default"]
-        assert now == {"pose": pose, "version": 1, "proven": False}
+        assert now == {"pose": pose, "version": 1, "proven": False, "types": {}}
         until(lambda: arm() not in (0, before), "its node has the new pose")
     assert lab.interrupt() == 0, lab.said()

@@ -85,7 +85,9 @@ def only_after_a_round(lab: Up, database: str, restored: int, ahead: set[str]) -
         (asked,) = [q for q in client.state()["interventions"] if q["kind"] == "log_shorter"]
         with pytest.raises(Refused, match="Nobody has said what stands at"):
             client.resolve(asked["id"], "checked", by="ada")
-        assert "is answered" in said("bench", "round", "--look", "--user", "ada", "--home", str(lab.home))
+        assert "is answered" in said(
+            "bench", "round", "--as-simulated", "--user", "ada", "--home", str(lab.home)
+        )
         assert lab.bench() == bench
         for name in ahead:
             assert statuses(client, [client.do(local(ModuleName(name)), "reset", user="ada")]) == [

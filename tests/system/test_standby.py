@@ -56,16 +56,19 @@ steps:
 class Pair:
     """A bus by itself, a kernel, and another that stands by; nodes outlive both."""
 
-    def __init__(self, folder: Path, database: str, speed: float) -> None:
+    def __init__(self, folder: Path, database: str, speed: float, *, secure: bool = False) -> None:
         self.home = folder / "lab"
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = f"{'tls' if secure else 'tcp'}/127.0.0.1:{free_port()}"
+        self.bus_options = ("--secure", "--home", str(self.home)) if secure else ()
         self.start_bus()
+        if secure:
+            until((self.home / "pki" / "members.json").exists, "the bus has an authority")
         common = ("--database", database, "--bus", self.endpoint, "--detach-nodes")
         self.first = Up(self.home, "--simulate", "--speed", str(speed), *common)
         self.second = Up(self.home, "--standby", *common)
 
     def start_bus(self) -> None:
-        argv = [sys.executable, "-m", "labos", "bus", "--listen", self.endpoint]
+        argv = [sys.executable, "-m", "labos", "bus", "--listen", self.endpoint, *self.bus_options]
         self.bus = subprocess.Popen(argv, stdin=subprocess.DEVNULL)
 
     def start(self, workcell: str) -> None:
@@ -103,6 +106,13 @@ def workflow(tmp_path: Path) -> Path:
     path = tmp_path / "away.yaml"
     path.write_text(AWAY)
     return path
+
+
+@pytest.fixture
+def secure_pair(tmp_path: Path, postgres_url: str) -> Iterator[Pair]:
+    made = Pair(tmp_path, postgres_url, 300.0, secure=True)
+    yield made
+    made.clean_up()
 
 
 @pytest.fixture
@@ -173,6 +183,20 @@ def test_a_standby_takes_the_place_of_a_kernel_that_is_killed(
     assert pair.second.interrupt() == 0, pair.second.said()
     sound(pair)
     print(f"taken over {took:.2f} s after the kill")
+
+
+@pytest.mark.timeout(240)
+def test_a_standby_takes_over_on_a_secure_bus(secure_pair: Pair, workcell: str, workflow: Path) -> None:
+    """It speaks with the certificate that the lab's kernel has."""
+    secure_pair.start(workcell)
+    with secure_pair.first.client() as client:
+        runs = [client.submit(workflow, user=user) for user in ("ada", "bo")]
+        under_way(secure_pair, 2)
+    secure_pair.first.kill()
+    until(secure_pair.second.is_there, "the second kernel answers")
+    secure_pair.runs_ended(runs)
+    assert secure_pair.second.interrupt() == 0, secure_pair.second.said()
+    sound(secure_pair)
 
 
 @pytest.mark.full

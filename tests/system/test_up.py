@@ -63,7 +63,13 @@ def test_interrupted_it_goes_on_where_it_was(lab: Up) -> None:
     assert set(ran) == {pinned}
 
 
-@pytest.mark.parametrize("detach", [(), ("--detach-nodes",)], ids=["attached", "detached"])
+@pytest.mark.parametrize(
+    "detach",
+    [
+        pytest.param((), id="attached", marks=pytest.mark.full),
+        pytest.param(("--detach-nodes",), id="detached"),
+    ],
+)
 def test_killed_it_goes_on_where_it_was(lab: Up, detach: tuple[str, ...]) -> None:
     lab.options = ("--simulate", "--speed", "3000", *detach)
     lab.start("rpl")

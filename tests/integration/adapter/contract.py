@@ -25,6 +25,7 @@ class Contract:
 
     kind: ClassVar[str]
     startup_words: ClassVar[bytes]
+    version: ClassVar[str]
 
     @pytest.fixture(scope="class")
     @classmethod
@@ -75,12 +76,14 @@ class Contract:
 
         async def scenario(here: Bench) -> None:
             places = {"source": [1, 2], "nest": [3, 4]}
-            await here.adapter(foreign.interface, description, node_url=foreign.url, representations=places)
+            where = {"node_url": foreign.url, "representations": places}
+            adapter = await here.adapter(foreign.interface, description, **where)
             await here.idle()
             await here.start("a1", "shake", speed=300, label="everyday")
             done = await here.outcome("a1")
             assert (done.succeeded, done.effects) == (True, "all")
             assert done.result == {"speed": 300, "turns": 60.0}
+            assert adapter.node.setup.firmware == self.version
             assert len(foreign.truth("shake", label="everyday")) == 1
             await here.start("a2", "transfer", source="source", target="arm.nest")
             assert (await here.outcome("a2")).succeeded

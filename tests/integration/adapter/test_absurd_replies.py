@@ -14,7 +14,7 @@ import pytest
 
 from labos.adapter import _http
 from labos.adapter._decode import LARGEST_JSON, read_json_text
-from labos.adapter._http import Http, Lost, read_json
+from labos.adapter._http import Http, NoResponse, read_json
 from labos.adapter.protobuf import _from_json
 from labos.adapter.ros import _table
 from labos.adapter.sila.features import Named, read_feature, unwrapped
@@ -95,7 +95,7 @@ def test_an_http_answer_without_an_end_is_not_kept_in_memory(monkeypatch: pytest
     monkeypatch.setattr(_http, "LARGEST_ANSWER", 1_000_000)
 
     async def use(http: Http) -> None:
-        with pytest.raises(Lost, match="more than 1000000 bytes came"):
+        with pytest.raises(NoResponse, match="more than 1000000 bytes came"):
             await http.send("POST", "/action")
         with pytest.raises(DeviceError, match="more than 1000000 bytes came") as caught:
             await http.ask("/state")

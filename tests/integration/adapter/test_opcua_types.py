@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from labos.adapter import _signals, adapted
+from labos.adapter import _signals, adapter_class
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError
 from labos.node import Setup
@@ -67,7 +67,7 @@ def with_node(port: int, use: Callable[[Any], Awaitable[None]], **config: Any) -
 
     async def main() -> None:
         told = {"opcua_url": f"opc.tcp://127.0.0.1:{port}/", "opcua": MAPPING, "poll_s": 0.1, **config}
-        node = adapted("opcua_node", DESCRIPTION)(Setup("plc", "cell", told))
+        node = adapter_class("opcua_node", DESCRIPTION)(Setup("plc", "cell", told))
         try:
             await node.connect()
             await use(node)
@@ -118,7 +118,7 @@ def test_an_object_is_nothing_to_epics() -> None:
     mapping = {"actions": {name: {"start": {"pv": "X", "object": "Y"}} for name in NAMES}}
 
     async def main() -> None:
-        node = adapted("epics_node", DESCRIPTION)(Setup("plc", "cell", {"epics": mapping}))
+        node = adapter_class("epics_node", DESCRIPTION)(Setup("plc", "cell", {"epics": mapping}))
         with pytest.raises(DeviceError, match="`object` is for methods of OPC UA"):
             await node.connect()
 
@@ -143,6 +143,7 @@ def own_certificate(folder: Path) -> dict[str, str]:
     return {"opcua_certificate": str(certificate), "opcua_key": str(key)}
 
 
+@pytest.mark.slow
 def test_an_encrypted_server_lets_the_right_user_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_signals, "CONNECT_S", 1.5)
     server = SecuredServer("opcua", tmp_path / "server", free_port())

@@ -79,6 +79,7 @@ def test_commands_properties_errors_and_files(
     async def scenario(here: Bench) -> None:
         node = (await here.adapter("sila_node", description, **config(server))).node
         await here.idle()
+        assert node.setup.firmware
         await here.start("a1", "shake_plate", **{**SHAKE, "label": "everyday"})
         done = await here.outcome("a1")
         assert (done.succeeded, done.effects, done.result["Turns"]) == (True, "all", 1.5)

@@ -8,6 +8,7 @@ from tests.integration.adapter.contract import Contract
 
 class TestWei(Contract):
     kind = "wei"
+    version = "1.2"
     startup_words = b"/action"
 
     async def see_lost(self, here: Bench, action: str) -> None:

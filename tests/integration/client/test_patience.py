@@ -14,7 +14,7 @@ from labos.errors import LabosError
 
 HELD_S = 1.2
 PATIENCE_S = 1.0
-DOUBT = b'{"error": "The database broke off.", "remedy": "Look.", "code": "commit_in_doubt", "details": []}'
+DOUBT = b'{"detail": "The database broke off.", "remedy": "Look.", "code": "commit_in_doubt", "details": []}'
 UNAVAILABLE = DOUBT.replace(b"commit_in_doubt", b"store_unavailable")
 ANSWER = b'HTTP/1.1 200 OK\r\ncontent-type: application/json\r\ncontent-length: 13\r\n\r\n{"epoch": 23}'
 

@@ -14,6 +14,7 @@ import pytest
 from labos.bootstrap import LabThread, descriptions
 from labos.bootstrap._node_settings import with_own_settings
 from labos.client import LabClient
+from labos.client._lab import API
 from labos.errors import BadInput, LabosError
 from labos.http import server
 from labos.node.protocol import SetupReply
@@ -40,7 +41,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
 
 @pytest.fixture
 def raw(lab: LabThread) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=lab.url, timeout=30) as found:
+    with httpx.Client(base_url=lab.url + API, timeout=30) as found:
         yield found
 
 
@@ -95,13 +96,23 @@ def test_only_json_is_read(raw: httpx.Client, kind: str) -> None:
     assert told.status_code == 200
 
 
-def test_another_address_needs_a_word(tmp_path: Path) -> None:
-    settings = Settings.of(tmp_path / "lab", simulate=True, host="0.0.0.0")
-    with (
-        pytest.raises(BadInput, match=r"Other computers reach 0\.0\.0\.0"),
-        LabThread(settings, nodes="none"),
-    ):
+@pytest.mark.parametrize(
+    ("said", "wrong", "remedy"),
+    [
+        ({}, "in clear", "--tls-cert"),
+        ({"open_to_network": True}, "in clear", "--behind-proxy"),
+        ({"behind_proxy": True}, "asks nobody for a certificate", "--open-to-network"),
+        ({"behind_proxy": True, "open_to_network": True}, "has no users", "labos user add"),
+    ],
+)
+def test_another_address_needs_users_and_tls(
+    tmp_path: Path, said: dict[str, Any], wrong: str, remedy: str
+) -> None:
+    settings = Settings.of(tmp_path / "lab", simulate=True, host="0.0.0.0", **said)
+    with pytest.raises(BadInput, match=wrong) as refused, LabThread(settings, nodes="none"):
         pass
+    assert "Other computers reach 0.0.0.0" in refused.value.message or "0.0.0.0" in refused.value.message
+    assert remedy in refused.value.remedy
     assert not (tmp_path / "lab" / "kernel.json").exists()
 
 
@@ -118,7 +129,7 @@ def test_no_file_of_the_server_is_read(raw: httpx.Client, tmp_path: Path) -> Non
         )
         answer = apply(raw, text)
         assert answer.status_code == 422
-        assert "was not sent along" in answer.json()["error"]
+        assert "was not sent along" in answer.json()["detail"]
         assert "hunter2" not in answer.text
     answer = apply(raw, CELL.format(name="c", more="active: true") + f"labware: [{secret}]\n")
     assert answer.status_code == 422
@@ -160,7 +171,7 @@ def test_a_table_that_was_sent_along_is_taken(lab: LabThread, raw: httpx.Client)
 def test_files_programs_and_secrets_are_not_named_over_http(raw: httpx.Client, config: str) -> None:
     answer = apply(raw, CELL.format(name="rpl2", more=f"config: {config}"))
     assert answer.status_code == 400, answer.text
-    assert "cannot be said over HTTP" in answer.json()["error"]
+    assert "cannot be said over HTTP" in answer.json()["detail"]
     assert "nodes.yaml" in answer.json()["remedy"]
 
 
@@ -186,7 +197,7 @@ def test_what_the_lab_has_already_may_be_said_again(tmp_path: Path) -> None:
     cell = load_workcell(file, descriptions())
     with (
         LabThread(Settings.of(tmp_path / "lab", simulate=True), [cell], nodes="none") as lab,
-        httpx.Client(base_url=lab.url) as raw,
+        httpx.Client(base_url=lab.url + API) as raw,
     ):
         same = apply(raw, file.read_text() + "  - {name: peeler, model: brooks_xpeel}\n")
         assert (same.status_code, same.json()["modules"]["added"]) == (200, ["peeler"])
@@ -237,8 +248,8 @@ def test_a_head_that_does_not_come_is_not_waited_for(lab: LabThread, monkeypatch
 
 
 def test_a_body_that_does_not_come_is_not_waited_for(lab: LabThread, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labos.http.arriving.FIRST_S", 0.3)
-    head = b"POST /estop HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
+    monkeypatch.setattr("labos.http.body_reader.FIRST_S", 0.3)
+    head = b"POST /api/v1/estop HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
     with connected(lab) as slow:
         slow.sendall(head + b'content-length: 100\r\n\r\n{"tar')
         assert b"408" in slow.recv(4000).splitlines()[0]
@@ -249,7 +260,7 @@ def test_a_body_counts_while_it_comes(lab: LabThread, chunked: bool) -> None:
     how = b"transfer-encoding: chunked" if chunked else b"content-length: 100000000000"
     with connected(lab) as endless:
         endless.sendall(
-            b"POST /estop HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
+            b"POST /api/v1/estop HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
             + how
             + b"\r\n\r\n"
         )

@@ -15,6 +15,7 @@ from click.testing import CliRunner, Result
 from labos.bootstrap import LabThread, descriptions
 from labos.cli.files import command
 from labos.client import LabClient
+from labos.client._lab import API
 from labos.errors import BadInput, NotFound
 from labos.settings import Settings
 from labos.spec import parse_workcell
@@ -30,7 +31,7 @@ LOOK = """
 labos: 1
 name: look
 steps:
-  - {name: Look, module: camera, action: grab_image, args: {file_name: plate.png}}
+  - {name: Look, module: camera, action: grab_image, args: {file_name: pictures/plate.png}}
 """
 
 
@@ -96,7 +97,7 @@ def kept(lab: Lab, content: bytes) -> str:
 
 def test_ranges_over_http(lab: Lab) -> None:
     size = lab.picture["bytes"]
-    with httpx.Client(base_url=lab.url) as raw:
+    with httpx.Client(base_url=lab.url + API) as raw:
         path = f"/files/{lab.picture['sha256']}"
         whole = raw.get(path)
         assert (whole.status_code, len(whole.content)) == (200, size)

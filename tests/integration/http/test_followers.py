@@ -17,6 +17,7 @@ import pytest
 
 from labos.bootstrap import LabThread, descriptions
 from labos.client import LabClient
+from labos.client._lab import API
 from labos.core.envelope import Envelope, Record
 from labos.http import tail as tails
 from labos.http.shared import Shared
@@ -45,7 +46,7 @@ def client(lab: LabThread) -> Iterator[LabClient]:
 
 @pytest.fixture
 def raw(lab: LabThread) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=lab.url, timeout=30) as found:
+    with httpx.Client(base_url=lab.url + API, timeout=30) as found:
         yield found
 
 
@@ -75,10 +76,10 @@ def test_what_is_followed_is_what_is_paged(raw: httpx.Client, client: LabClient)
     paged = [event["position"] for event in client.events(before)]
     assert len(paged) > 5
     for _ in range(2):  # first from the log, then as it comes
-        with raw.stream("GET", "/events", params={"after": before, "follow": 1}) as stream:
+        with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
             assert "text/event-stream" in stream.headers["content-type"]
             assert [e["position"] for e in followed(stream.iter_lines(), len(paged))] == paged
-    with raw.stream("GET", "/events", params={"follow": 1, "after": 2**63 - 1, "type": "run"}) as stream:
+    with raw.stream("GET", "/events/stream", params={"after": 2**63 - 1, "type": "run"}) as stream:
         assert stream.status_code == 200
 
 
@@ -110,17 +111,45 @@ def test_a_filter_means_the_same_everywhere(
 
 def test_a_follower_goes_on_where_it_was(raw: httpx.Client, client: LabClient) -> None:
     before = some_events(client)
-    with raw.stream("GET", "/events", params={"after": before, "follow": 1}) as stream:
+    with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
         first = followed(stream.iter_lines(), 3)
     known = {"last-event-id": str(first[-1]["position"])}
-    with raw.stream("GET", "/events", params={"after": before, "follow": 1}, headers=known) as stream:
+    with raw.stream("GET", "/events/stream", params={"after": before}, headers=known) as stream:
         (then,) = followed(stream.iter_lines(), 1)
     assert then["position"] == first[-1]["position"] + 1
 
 
+def test_a_browser_that_comes_again_goes_on_where_it_was(raw: httpx.Client, client: LabClient) -> None:
+    """It sends the ``after`` of the first time with the ``id`` that it has seen last, whichever is larger."""
+    before = some_events(client)
+    paged = [event["position"] for event in client.events(before)]
+    for after in (0, before, paged[3]):
+        known = {"last-event-id": str(paged[1])}
+        with raw.stream("GET", "/events/stream", params={"after": after}, headers=known) as stream:
+            assert [e["position"] for e in followed(stream.iter_lines(), 2)] == paged[2:4]
+
+
+def test_nothing_keeps_a_stream_back(raw: httpx.Client, lab: LabThread, client: LabClient) -> None:
+    """In the process for followers, and in the kernel's where there is none."""
+    before = some_events(client)
+    service = lab.runtime.service
+    viewers = service.viewers
+    try:
+        for service.viewers in (viewers, None):
+            with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
+                assert stream.headers["cache-control"] == "no-store"
+                assert stream.headers["x-accel-buffering"] == "no"
+                assert stream.headers["content-type"] == "text/event-stream; charset=utf-8"
+                lines = stream.iter_lines()
+                assert next(lines).startswith("retry: ")
+                assert followed(lines, 1)[0]["position"] == before + 1
+    finally:
+        service.viewers = viewers
+
+
 def test_followers_outlive_their_process(lab: LabThread, raw: httpx.Client, client: LabClient) -> None:
     before = some_events(client)
-    with raw.stream("GET", "/events", params={"after": before, "follow": 1}) as stream:
+    with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
         followed(stream.iter_lines(), 1)
         viewers = lab.runtime.service.viewers
         assert viewers is not None
@@ -129,7 +158,7 @@ def test_followers_outlive_their_process(lab: LabThread, raw: httpx.Client, clie
         assert str(lab.settings.database) not in Path(f"/proc/{pid}/cmdline").read_text()
         os.kill(pid, signal.SIGKILL)
     until(lambda: viewers._process is None, "its end is seen")
-    with raw.stream("GET", "/events", params={"after": before, "follow": 1}) as stream:
+    with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
         assert followed(stream.iter_lines(), 1)
     assert client.health()["status"] == "ok"
 

@@ -53,6 +53,7 @@ def until(found: Callable[[], Any], what: str) -> Any:
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("choice", "left"), [("removed", []), ("leave", ["plate1"])])
 def test_a_plate_that_a_cancelled_run_left(
     client: LabClient, settings: Settings, choice: str, left: list[str]

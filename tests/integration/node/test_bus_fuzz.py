@@ -50,8 +50,6 @@ COMMANDS = (
     "estop",
     "observe",
     "shutdown",
-    "lock",
-    "unlock",
     "settled",
     "rewind",
     "trace",
@@ -163,10 +161,9 @@ async def fuzz(here: Bench, seed: int, count: int) -> NodeServer:
 
 
 async def bring_back(here: Bench, server: NodeServer) -> None:
-    """Out of what the messages have done to it: locked, stopped, told of a position far ahead."""
+    """Out of what the messages have done to it: stopped, told of a position far ahead."""
     kernel = here.kernel
     kernel.epoch = server.journal.epoch
-    assert (await kernel.admin("unlock")).done
     assert (await kernel.admin("rewind", position=min(server.journal.pruned, 10**9))).done
     server.stopping.clear()
     recovery = f"r{server.journal.pruned}.{kernel.epoch}.{time.monotonic_ns()}"

@@ -304,7 +304,7 @@ def test_an_older_epoch_is_fenced_for_good(check: Check) -> None:
         assert (await kernel.ask("a1", void=True)).status == "fenced"
         assert (await kernel.acknowledge(99)).status == "fenced"
         assert (await kernel.reset("a2")).status == "fenced"
-        assert not (await kernel.admin("lock")).done
+        assert not (await kernel.admin("observe")).done
         kernel.epoch = 5
         assert (await kernel.ask("a1")).status == "unheard"
         assert here.world.motions() == []
@@ -641,13 +641,9 @@ def test_admin_commands(check: Check) -> None:
         kernel = here.kernel
         assert (await kernel.admin("observe")).result["grip"] == "open"
         assert (await kernel.state()).variables == {"grip": "open"}
-        assert (await kernel.admin("lock")).done
-        assert (await kernel.state()).locked
-        assert (await kernel.start("a1")).why == "cell/arm is locked."
-        assert (await kernel.admin("unlock")).done
         unknown = await kernel.admin("dance")
         assert not unknown.done
-        assert "estop, lock, observe, rewind, settled, shutdown, stop, trace, unlock" in unknown.why
+        assert "estop, observe, rewind, settled, shutdown, stop, trace" in unknown.why
         assert not (await kernel.admin("reset")).done
         assert not (await kernel.admin("home")).done
         assert (arm_of(server).homes, arm_of(server).resets) == (0, 0)

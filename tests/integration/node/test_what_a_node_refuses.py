@@ -72,7 +72,7 @@ def test_an_epoch_that_no_kernel_has_is_refused_and_not_kept(check: Check, bound
                 reply = await kernel.send(message)
                 assert reply.status == "refused", reply
                 assert str(epoch) in reply.why
-            assert not (await admin(here, "lock", {}, epoch)).done
+            assert not (await admin(here, "observe", {}, epoch)).done
         assert on_disk(here) == before
         assert (await kernel.start("a2")).status == "finished"
         assert len(here.world.motions("wave")) == 1 + bound
@@ -159,8 +159,8 @@ def test_a_message_that_cannot_be_read_is_answered(check: Check) -> None:
         before = on_disk(here)
         deep = b"[" * 5_000 + b"]" * 5_000
         start = b'{"op":"start","lab":"lab7","epoch":1,"journal":"j","action":"a2","attempt":1,"position":21,'
-        lock = b'{"lab":"lab7","epoch":1,"command":"lock",'
-        for operation, beginning in (("action", start), ("reset", start), ("admin", lock)):
+        observe = b'{"lab":"lab7","epoch":1,"command":"observe",'
+        for operation, beginning in (("action", start), ("reset", start), ("admin", observe)):
             name = b"" if operation == "admin" else b'"name":"wave",'
             for payload in (
                 b"",
@@ -182,7 +182,7 @@ def test_a_message_that_cannot_be_read_is_answered(check: Check) -> None:
                     assert told.status == "refused"
                     assert 0 < len(told.why) <= TEXT_LIMIT
         assert on_disk(here) == before
-        assert not (await here.kernel.state()).locked
+        assert not (await here.kernel.state()).variables
 
     check(scenario)
 

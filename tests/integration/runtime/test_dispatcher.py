@@ -23,7 +23,8 @@ from labos.errors import StoreUnavailable
 from labos.node.protocol import Acknowledge, ActionReply, Ask, Keys, Start
 from labos.ports import EventStore, Head, Record
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.writer import ThreadWriter
 from labos.settings import free_port
 from labos.store import open_store

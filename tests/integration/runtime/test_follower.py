@@ -11,7 +11,8 @@ import pytest
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.state import LabState, state_hash
 from labos.runtime.follower import Follower
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import load
 from labos.runtime.writer import ThreadWriter
 from labos.store import SqlEventStore, open_store

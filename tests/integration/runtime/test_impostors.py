@@ -10,7 +10,7 @@ import pytest
 
 from labos.core.ids import ModuleName
 from labos.node.protocol import StateReport
-from labos.runtime.living import MOST_INSTANCES, MOST_STRANGERS, Living
+from labos.runtime.liveness import MOST_INSTANCES, MOST_STRANGERS, Liveness
 from labos.runtime.stop import stop_modules
 from tests.integration.bus.contract import until
 from tests.support.attacked import ARM, OTHER, Liar, attacked
@@ -221,7 +221,7 @@ def test_one_bad_answer_keeps_no_other_module_from_being_stopped(tmp_path: Path,
 
 
 def test_living_never_forgets_the_one_that_is_in_use() -> None:
-    living = Living()
+    living = Liveness()
     assert living.hear(ARM, "first", 0.0, "first", None)
     for n in range(1000):
         assert living.hear(ARM, f"i{n}", float(n + 1), "first", None)

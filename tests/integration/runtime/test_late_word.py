@@ -29,11 +29,12 @@ class Written(Driver):
         super().__init__(small_cell())
         self.stock("stack", 5)
 
-    def write(self, event: Event) -> None:
+    def write(self, event: Event) -> Event:
         if self.ledger is None:
             self.ledger = Ledger(self.state, self.head, SystemClock(), Uuid7Ids())
-        entries = self.ledger.write([event], "test")
-        self.head = self.store.append(self.head, [entry.record for entry in entries])
+        entry = self.ledger.write(event, "test")
+        self.head = self.store.append(self.head, [entry.record])
+        return entry.event
 
 
 @pytest.fixture

@@ -19,7 +19,8 @@ from labos.node.journal_file import FileJournalFile
 from labos.node.server import NodeServer
 from labos.ports import AliveListener, Bus, Handle
 from labos.runtime.dispatcher import Dispatcher
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.registry import Registry
 from labos.runtime.writer import ThreadWriter
 from labos.settings import free_port

@@ -12,7 +12,7 @@ from labos.core.ids import LabId
 from labos.core.lab import KernelStarted
 from labos.errors import StoreError, StoreUnavailable
 from labos.runtime.ledger import Ledger, load
-from labos.runtime.silence import Silence
+from labos.runtime.silence import SilenceTimer
 from labos.runtime.writer import ThreadWriter
 from labos.store import SqlEventStore, open_store
 from tests.support.postgres import PostgresServer
@@ -24,13 +24,13 @@ def silent(limit_s: float, sign: Callable[[], object | None], looks: int) -> int
     async def main() -> int:
         called, looked, over = [], [], asyncio.Event()
 
-        def look() -> object | None:
+        def observe() -> object | None:
             looked.append(sign())
             if len(looked) >= looks or looked[-1] is None:
                 over.set()
             return looked[-1]
 
-        silence = Silence(limit_s, look, lambda: called.append(1))
+        silence = SilenceTimer(limit_s, observe, lambda: called.append(1))
         silence.watch()
         silence.watch()
         await over.wait()
@@ -83,7 +83,7 @@ class Told:
 
     def submit(self, ledger: Ledger) -> None:
         event = KernelStarted(ledger.head.position + 1, "test")
-        self.writer.submit([entry.record for entry in ledger.write([event], "test")])
+        self.writer.submit([ledger.write(event, "test").record])
 
 
 def run(server: PostgresServer, scenario: Callable[[Told], Awaitable[None]]) -> None:

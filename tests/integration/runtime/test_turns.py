@@ -10,6 +10,7 @@ import pytest
 
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.actions import ActionRequested, ActionSucceeded
+from labos.core.decide import REACTIONS
 from labos.core.decide._base import DECIDERS, Command, Decision
 from labos.core.decide.control import PauseStarts
 from labos.core.decide.lab import ApplyWorkcell
@@ -17,12 +18,14 @@ from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import PauseRun, SubmitRun
 from labos.core.ids import ActionId, ModuleName, RunId
 from labos.core.registry import Event
+from labos.core.runs import RunPaused, RunResumed
 from labos.core.state import LabState
 from labos.errors import InternalFault, Refused, StoreUnavailable
 from labos.http.views import run_view
 from labos.planning.scheduler import Scheduler, Start
 from labos.runtime import kernel as kernel_module
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Entry, load
 from labos.runtime.writer import ThreadWriter
 from labos.store import open_store
@@ -145,9 +148,9 @@ def test_while_planning_keeps_failing_nothing_starts_and_everything_else_works(
         assert run is not None
         assert bool(kernel.state.actions.open) == (part == "deadlines")
         if part == "proposing":
-            (wait,) = run_view(kernel, run, kernel.clock.now_ns(), {}, waits=True)["waits"]
-            assert wait["code"] == "planning_failed"
-            assert "a fault in planning" in wait["why"]
+            (wait,) = run_view(kernel, run, kernel.clock.now_ns(), {}, waits=True).waits
+            assert wait.code == "planning_failed"
+            assert "a fault in planning" in wait.why
         setattr(Flawed, part, False)
         await until(lambda: is_open(kernel) and bool(kernel.state.actions.open), 20.0)
         assert kernel.suspended == ""
@@ -165,6 +168,27 @@ def test_an_event_that_contradicts_the_state_is_taken_back_and_not_tried_at_ever
             await reopened(kernel)
         assert 1 <= len(kernel.faults) <= 5
         await kernel.execute(PauseRun(RunId(run)), "ada")
+
+    in_kernel(tmp_path, work)
+
+
+def test_a_turn_of_which_there_is_no_end_is_taken_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def toggle(state: LabState, event: RunPaused | RunResumed) -> Iterator[Event]:
+        yield RunResumed(event.run) if isinstance(event, RunPaused) else RunPaused(event.run)
+
+    async def work(kernel: Kernel) -> None:
+        run = RunId((await kernel.execute(SubmitRun(PLAN, "ada"), "ada"))[-1].stream())
+        before = kernel.durable
+        with monkeypatch.context() as endless:
+            for kind in (RunPaused, RunResumed):
+                endless.setitem(REACTIONS, kind, (toggle,))
+            with pytest.raises(InternalFault, match="What follows from PauseRun does not come to an end"):
+                await kernel.execute(PauseRun(run), "ada")
+            await reopened(kernel)
+        assert kernel.durable == before == kernel.state.position
+        await kernel.execute(PauseRun(run, "now"), "ada")
 
     in_kernel(tmp_path, work)
 

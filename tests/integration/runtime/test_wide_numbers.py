@@ -13,7 +13,8 @@ from labos.core.canonical import digest
 from labos.core.envelope import Envelope, seal
 from labos.core.lab import WorkcellApplied
 from labos.core.state import state_hash
-from labos.runtime.kernel import Kernel, KernelSettings
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import load
 from labos.runtime.writer import ThreadWriter
 from labos.store import FolderBlobs, backup, open_store, verify_backup

@@ -35,7 +35,7 @@ class Log:
     def records(self) -> list[Record]:
         """One event more."""
         event = KernelStarted(self.ledger.head.position + 1, "test")
-        return [entry.record for entry in self.ledger.write([event], "test")]
+        return [self.ledger.write(event, "test").record]
 
     def _on_durable(self, position: int) -> None:
         self.commits.append(position)

@@ -48,8 +48,8 @@ class Writing:
             self.write([LabCreated(LAB, "lab"), KernelStarted(self.head.epoch, "0")])
 
     def write(self, events: list[Event]) -> Head:
-        entries = self.ledger.write(events, "ada")
-        self.head = self.store.append(self.head, [entry.record for entry in entries])
+        records = [self.ledger.write(event, "ada").record for event in events]
+        self.head = self.store.append(self.head, records)
         return self.head
 
 

@@ -24,6 +24,8 @@ from tests.integration.store.records import LAB, LEASE_S, Raw, batch, filled, ra
 from tests.support.postgres import PostgresServer
 
 Open = Callable[..., SqlEventStore]
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[3]
 
 

@@ -119,7 +119,7 @@ def test_another_labs_segment_is_refused(safe: Safe) -> None:
     safe.detach(1)
     ledger = Ledger(LabState(), Head(LabId("lab-2"), 0, GENESIS, 1), Clock(), Ids())
     events: list[Event] = [LabCreated(LabId("lab-2"), "other"), *notes(20)]
-    records: list[Record] = [entry.record for entry in ledger.write(events, "ada")]
+    records: list[Record] = [ledger.write(event, "ada").record for event in events]
     mine = safe.made.segments[1]
     digest = write_segment(safe.path(1), records[mine.first - 1 : mine.last])
     assert "holds a record of the lab lab-2" in safe.damage(safe.key).message

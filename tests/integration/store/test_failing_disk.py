@@ -20,6 +20,7 @@ FAILURES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("failing", list(FAILURES))
 def test_it_is_reported_and_what_was_acknowledged_is_there(
     tmp_path: Path, opened: Callable[..., SqlEventStore], monkeypatch: pytest.MonkeyPatch, failing: str

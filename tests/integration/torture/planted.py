@@ -24,7 +24,7 @@ POLL = 'while (state := self.ask("STAT")) in ("BUSY", "IDLE"):'
 ANSWER = '        if answer == "LOCKED":'
 ENDS = 'if state == "IDLE" and self.done() == before + 1:'
 UNLESS_DONE = (
-    '            if state == "IDLE" and time.monotonic() - begun > START_S:\n'
+    '            if state == "IDLE" and asked - begun > START_S:\n'
     '                raise DeviceError("It rests, and has not done it: was it switched off?")\n'
 )
 IN_WORDS = "{FAULTS.get(state, 'nobody knows what that means')}"
@@ -98,7 +98,7 @@ BUGS: dict[str, Bug] = {
     "takes a restart for the end": Bug(
         "restart",
         (
-            (ENDS, 'if state == "IDLE" and time.monotonic() - begun > START_S:'),
+            (ENDS, 'if state == "IDLE" and asked - begun > 0.3:'),
             (
                 UNLESS_DONE,
                 "",
@@ -130,9 +130,9 @@ BUGS: dict[str, Bug] = {
         "device error",
         (
             (POLL, 'while (state := self.ask("STAT")) != "NEVER":'),
-            ("START_S, MOTION_S = 1.0, 0.3, 10.0", "START_S, MOTION_S = 1.0, 1e9, 1e9"),
+            ("START_S, MOTION_S = 1.0, 1.0, 10.0", "START_S, MOTION_S = 1.0, 1e9, 1e9"),
         ),
-        "has no outcome",
+        "neither goes on nor ends, and nothing says why",
     ),
     "fails without a word": Bug(
         "device error",
@@ -152,10 +152,10 @@ BUGS: dict[str, Bug] = {
                 "            self.is_refused = True\n            return\n",
             ),
             (
-                "        begun = time.monotonic()\n",
+                "        begun = asked = time.monotonic()\n",
                 '        if self.__dict__.pop("is_refused", False):\n'
                 "            return\n"
-                "        begun = time.monotonic()\n",
+                "        begun = asked = time.monotonic()\n",
             ),
         ),
         "says that all was done",

@@ -149,6 +149,7 @@ def test_who_names_no_driver_is_told_so(driver: str, says: str) -> None:
         load_driver(driver)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_a_new_driver_is_installed_and_survives_what_it_is_put_to(tmp_path: Path) -> None:
     python = new_environment(tmp_path)

@@ -54,7 +54,7 @@ MUTANTS = (
                 "                listener.committed(entries)\n",
             ),
             Change(
-                "runtime/kernel.py",
+                "runtime/kernel_log.py",
                 "        for listener in self.listeners:\n"
                 "            if not self._notify(listener, partial(listener.committed, entries)):\n"
                 "                self._notify(listener, listener.reopened)  # it looks at everything again\n"
@@ -117,8 +117,9 @@ MUTANTS = (
         (
             Change(
                 "core/decide/actions.py",
-                "    events += took_place\n    if command.succeeded:\n        read",
-                "    events += [*took_place, *took_place]\n    if command.succeeded:\n        read",
+                '    yield from effect_events(state, action, "all", "", command.result)\n',
+                '    took_place = [*effect_events(state, action, "all", "", command.result)]\n'
+                "    yield from [*took_place, *took_place]\n",
             ),
         ),
     ),

@@ -58,12 +58,12 @@ def _in_kernel() -> None:
     from labos.core.ids import local
     from labos.node.protocol import Ask, Start
     from labos.runtime.dispatcher import Dispatcher
-    from labos.runtime.eyes import Eyes
+    from labos.runtime.observing import Observer
     from labos.runtime.reconcile import Reconciler
     from labos.store import SqlEventStore
 
     append, claim, ask = SqlEventStore.append, SqlEventStore.claim, Dispatcher._ask_node
-    look, tell = Eyes.look, Reconciler._tell
+    look, tell = Observer.observe, Reconciler._tell
 
     def crashing_append(self: Any, expected: Any, records: Any) -> Any:
         ends = any(record.head.type == "action.succeeded" for record in records)
@@ -107,7 +107,7 @@ def _in_kernel() -> None:
     SqlEventStore.append = crashing_append  # type: ignore[method-assign]
     SqlEventStore.claim = crashing_claim  # type: ignore[method-assign]
     Dispatcher._ask_node = crashing_ask  # type: ignore[method-assign]
-    Eyes.look = crashing_look  # type: ignore[method-assign]
+    Observer.observe = crashing_look  # type: ignore[method-assign]
     Reconciler._tell = crashing_tell  # type: ignore[method-assign]
 
 

@@ -121,6 +121,22 @@ def test_files_that_arguments_name_come_along(tmp_path: Path) -> None:
     assert "mix.py' " not in told, "it was found"
 
 
+def test_a_workcell_that_workflows_name_is_written_as_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the folder is given by a relative path: the file as it was must not take its place."""
+    lab = tmp_path / "lab"
+    (lab / "flows").mkdir(parents=True)
+    (lab / "cell.yaml").write_text("name: corner\nmodules:\n  - {name: ot2, model: ot2}\n")
+    flow = "name: Mix\nmetadata: {workcell: ../cell.yaml}\nworkcell: ../cell.yaml\nflowdef:\n"
+    flow += "  - {name: a, module: ot2, action: run_protocol, args: {config_path: x.py}}\n"
+    (lab / "flows/mix.yaml").write_text(flow)
+    monkeypatch.chdir(tmp_path)
+    told = call("import", "lab", "-o", "out")
+    assert "copied" not in told
+    assert "labos: 1" in (tmp_path / "out/cell.yaml").read_text()
+
+
 def test_what_was_assumed_is_listed_by_consequence(tmp_path: Path) -> None:
     lab = tmp_path / "lab"
     lab.mkdir()

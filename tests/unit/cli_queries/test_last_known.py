@@ -12,10 +12,11 @@ from click.testing import CliRunner
 from labos.cli.app import group
 from labos.core.experiments import ExperimentStarted
 from labos.core.ids import ExperimentId, InterventionId, LabwareId, RunId
-from labos.core.interventions import PLANNED_WORK, InterventionRequested
+from labos.core.interventions import InterventionRequested
 from labos.core.lab import StartsPaused, StartsResumed
 from labos.core.labware import Sample, SamplesRegistered
 from labos.core.runs import RunCancelled, RunCancelling, RunStarted, RunSubmitted
+from labos.core.topics import PlannedWork
 from labos.errors import NotFound
 from labos.store import open_store
 from tests.unit.cli_queries.conftest import Ask
@@ -66,7 +67,7 @@ def test_nodes_the_inbox_and_locations_are_told_as_they_were_last_known(home: Pa
     told = CliRunner().invoke(group, ["nodes", "--json"])
     nodes = {node["name"]: node for node in json.loads(told.stdout)}
     assert nodes["rpl/sealer"]["driver"] == "a4s_sealer"
-    asked = InterventionRequested(InterventionId("I1"), PLANNED_WORK, "R2", "Put in foil", ())
+    asked = InterventionRequested(InterventionId("I1"), PlannedWork.KIND, "R2", "Put in foil", ())
     append(home, asked)
     assert "Put in foil" in CliRunner().invoke(group, ["inbox"]).stdout
     assert "sealer.default" in CliRunner().invoke(group, ["locations", "pf400"]).stdout

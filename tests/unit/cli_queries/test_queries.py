@@ -22,15 +22,16 @@ from labos.cli._summary import show_summary
 from labos.cli.app import main
 from labos.core.ids import InterventionId, LabwareId, ModuleName, RunId
 from labos.core.interventions import (
-    PLANNED_WORK,
-    Choice,
     InterventionOverdue,
     InterventionRequested,
     InterventionResolved,
 )
 from labos.core.modules import ModuleTakenOut, NodeLeft
+from labos.core.repeated import RequestRepeated
 from labos.core.runs import RunFailed, RunPaused
 from labos.core.state import fold_fingerprint, from_picture, picture
+from labos.core.topics import Choice, PlannedWork
+from labos.services.interventions import answered
 from labos.services.summary import summarise
 from labos.services.times import iso_time
 from labos.settings import KernelInfo, announce
@@ -158,8 +159,8 @@ def append(home: Path, *events: Any) -> None:
         head = store.claim(store.head().lab, "test", 30.0)
         clock, ids = Clock(), Ids()
         clock.now, ids.count = state.recorded_at, 10_000_000 + head.position
-        entries = Ledger(state, head, clock, ids).write(events, "ada")
-        store.append(head, [entry.record for entry in entries])
+        ledger = Ledger(state, head, clock, ids)
+        store.append(head, [ledger.write(event, "ada").record for event in events])
         store.release(head.epoch)
     finally:
         store.close()
@@ -284,7 +285,7 @@ QUESTIONS = (
     ),
     InterventionRequested(
         InterventionId("I2"),
-        PLANNED_WORK,
+        PlannedWork.KIND,
         "a8",
         "Put foil in.",
         (Choice("done", "the run goes on"), Choice("not_done", "the run ends")),
@@ -320,6 +321,33 @@ def test_what_the_lab_asks(ask: Ask, home: Path) -> None:
     assert (second["kind"], second["overdue"]) == ("planned_work", True)
 
 
+def test_the_inbox_says_that_the_lab_asks_for_help_too(ask: Ask, home: Path) -> None:
+    append(home, QUESTIONS[0])
+    assert ask("inbox").stdout.splitlines() == [
+        "No work is planned for anybody now.",
+        "The lab also asks for help: I1. See: labos interventions",
+    ]
+    append(home, *QUESTIONS[1:])
+    assert ask("inbox").stdout.splitlines()[-1].endswith("I1. See: labos interventions")
+
+
+def test_who_answers_late_is_told_who_did_before(home: Path) -> None:
+    append(home, *QUESTIONS, InterventionResolved(InterventionId("I1"), "gone", "olga", "it fell down"))
+    store = open_store(f"sqlite:///{home / 'labos.db'}", create=False, read_only=True)
+    try:
+        assert answered(store, "I1").startswith("olga answered I1 at 2025-06-15")
+        assert answered(store, "I1").endswith(": gone (it fell down).")
+        assert answered(store, "I2") == answered(store, "I9") == ""
+    finally:
+        store.close()
+
+
+def test_what_was_asked_for_again_stands_in_the_log_of_its_run(ask: Ask, home: Path) -> None:
+    append(home, RequestRepeated("R2", "cancel", "second thoughts"), RequestRepeated("*", "pause", "lunch"))
+    assert "R2: cancel was asked for again: second thoughts" in ask("log", "--run", "R2").stdout
+    assert "the lab: pause was asked for again: lunch" in ask("log").stdout
+
+
 def test_what_the_lab_asked_and_who_answered(ask: Ask, home: Path) -> None:
     append(home, *QUESTIONS)
     append(
@@ -336,7 +364,7 @@ def test_what_the_lab_asked_and_who_answered(ask: Ask, home: Path) -> None:
     assert head.split() == ["id", "asked", "answered", "by", "choice", "about", "question"]
     assert "olga gone (it fell down)" in " ".join(first.split())
     assert "R2 (pcr), pf400, P2" in first
-    assert "answered itself (the run was cancelled)" in second
+    assert "auto-resolved (the run was cancelled)" in second
     answered = json.loads(ask("interventions", "--all", "--json").stdout)[0]
     assert (answered["open"], answered["choice"], answered["by"]) == (False, "gone", "olga")
     assert answered["resolved_at"] >= answered["requested_at"] > ""

@@ -97,7 +97,7 @@ def lab_that_says(home: Path, modules: Any) -> Iterator[None]:
     class Answer(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             body = json.dumps({"modules": modules}).encode()
-            self.send_response(200 if self.path.startswith("/nodes?") else 404)
+            self.send_response(200 if self.path.startswith("/api/v1/nodes?") else 404)
             self.send_header("Content-Length", str(len(body)))
             self.end_headers()
             self.wfile.write(body)

@@ -13,6 +13,7 @@ from labos.core.decide.actions import AcceptAction, DoubtAction, FinishAction, R
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.ids import ActionId
+from labos.core.modules import Variable
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, UNKNOWN
 from tests.support.bench import (
     Driver,
@@ -55,7 +56,7 @@ def test_a_request_names_everything_and_reserves() -> None:
     assert bench.stations["cell/b"].expected == 1  # type: ignore[index]
     assert bench.labware["P1"].moving == action  # type: ignore[index]
     assert lab.state.modules.by_name["cell/arm"].busy  # type: ignore[index]
-    assert lab.run("R1").steps[1] == IN_FLIGHT
+    assert lab.run("R1").steps[1].status == IN_FLIGHT
 
 
 def test_accepting_is_recorded_once() -> None:
@@ -91,7 +92,7 @@ def test_a_final_refusal_fails_the_run() -> None:
 def test_a_transient_refusal_waits_until_the_module_says_idle_again() -> None:
     lab, action = carrying()
     lab.refuse(action, final=False)
-    assert lab.run("R1").steps[1] == PENDING
+    assert lab.run("R1").steps[1].status == PENDING
     assert lab.code("R1", 1) == "module_busy"
     assert lab.do(RefuseAction(action, 1, "no", False)) == []
     assert lab.owner("P1") == "run:R1"
@@ -157,7 +158,7 @@ def test_all_effects_take_place() -> None:
     lab.step(run, 1)
     assert lab.state.bench.labware["P1"].variables == {"sealed": True}  # type: ignore[index]
     dev = lab.state.modules.by_name["cell/dev"]  # type: ignore[index]
-    assert (dev.variables, dev.set_by, dev.at_rest) == ({"lid": "closed"}, {"lid": "R1"}, False)
+    assert (dev.variables, dev.at_rest) == ({"lid": Variable("closed", "R1")}, False)
     assert lab.state.resources.left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
     assert lab.code(run, 2) == "no_access"
 
@@ -288,7 +289,7 @@ def test_of_a_failed_action_variables_are_unknown_and_consumption_is_counted() -
         )
     )
     lab.fail(lab.start(run), "partial")
-    assert lab.state.modules.by_name["cell/dev"].variables == {"lid": None}  # type: ignore[index]
+    assert lab.state.modules.by_name["cell/dev"].values == {"lid": None}  # type: ignore[index]
     assert lab.state.bench.labware["P1"].variables == {"sealed": None}  # type: ignore[index]
     assert lab.state.resources.left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
 
@@ -298,7 +299,7 @@ def test_a_failed_action_that_did_nothing_uses_nothing() -> None:
     run = lab.submit(plan(step("dev", sets("lid", "closed"), consumes("tips", 4.0))))
     lab.fail(lab.start(run), "none")
     assert lab.state.resources.left("cell/dev", "tips") == 10.0  # type: ignore[arg-type]
-    assert lab.state.modules.by_name["cell/dev"].variables == {"lid": "open"}  # type: ignore[index]
+    assert lab.state.modules.by_name["cell/dev"].values == {"lid": "open"}  # type: ignore[index]
 
 
 def parallel() -> tuple[Driver, ActionId, ActionId]:
@@ -313,7 +314,7 @@ def test_a_run_that_has_failed_waits_for_its_other_step() -> None:
     lab, first, second = parallel()
     lab.fail(first, "none")
     assert ended(lab) == "run.cancelling"
-    assert lab.run("R1").steps == [FAILED, IN_FLIGHT, PENDING]
+    assert lab.run("R1").statuses == [FAILED, IN_FLIGHT, PENDING]
     lab.finish(second)
     assert ended(lab) == "run.failed"
     assert lab.log[-1].event.why == "dev could not 'act': jam"  # type: ignore[attr-defined]
@@ -349,7 +350,7 @@ def test_doubt_asks_with_concrete_choices() -> None:
     question = lab.question("unknown_action")
     assert [c.name for c in question.choices] == ["done", "not_done", "gone"]
     assert "P1 may be at: a, arm.gripper, b" in question.text
-    assert lab.run("R1").steps[1] == UNKNOWN
+    assert lab.run("R1").steps[1].status == UNKNOWN
     assert lab.state.bench.haunted == {"cell/a": 1, "cell/arm.gripper": 1, "cell/b": 1}
 
 
@@ -366,7 +367,7 @@ def test_each_answer_about_a_move(choice: str, place: str | None, step_after: in
     assert lab.state.bench.stations["cell/b"].expected == 0  # type: ignore[index]
     if place is not None:
         assert lab.where("P1") == place
-        assert lab.run("R1").steps[1] == step_after
+        assert lab.run("R1").steps[1].status == step_after
         assert lab.code("R1", 2 if choice == "done" else 1) == ""
     else:
         assert lab.state.bench.labware == {}
@@ -398,7 +399,7 @@ def test_each_answer_about_an_action_that_carries_nothing(choice: str) -> None:
     lab.doubt(lab.start(run))
     assert "may be at" not in lab.question().text
     lab.answer(lab.question(), choice)
-    lid = lab.state.modules.by_name["cell/dev"].variables["lid"]  # type: ignore[index]
+    lid = lab.state.modules.by_name["cell/dev"].value("lid")  # type: ignore[index]
     assert lid == ("closed" if choice == "done" else "open")
     assert (ended(lab) == "run.failed") == (choice == "gone")
 
@@ -459,6 +460,18 @@ def test_a_result_that_comes_twice_says_nothing() -> None:
     assert lab.do(FinishAction(action, 1, False, "unknown")) == []
 
 
+def test_a_result_out_of_another_journal_ends_nothing() -> None:
+    """The request was meant for one journal: whoever else answers was not asked."""
+    lab, action = carrying()
+    for journal, attempt in (("journal-cell/cam", 1), ("forged", 1), ("journal-cell/arm", 2), ("forged", 0)):
+        said = FinishAction(action, attempt, True, "all", journal=journal)
+        assert lab.refused(said).code == ("no_attempt" if attempt != 1 else "other_journal")
+    assert lab.state.bench.labware["P1"].moving == action  # type: ignore[index]
+    lab.do(FinishAction(action, 1, True, "all", journal="journal-cell/arm"))
+    assert lab.where("P1") == "b"
+    lab.check_log()
+
+
 # -- again -------------------------------------------------------------------------------------------
 
 
@@ -507,7 +520,7 @@ def test_a_result_that_is_too_large_to_record_is_replaced_by_its_size() -> None:
     run = lab.submit(plan(step("dev"), step("dev"), feeds=(0,)))
     lab.finish(lab.start(run), {"image": "x" * 70_000})
     assert lab.state.actions.open == {}
-    assert lab.run(run).results == {"0": {"$too_large": 70_012}}
+    assert lab.results(run) == {0: {"$too_large": 70_012}}
 
 
 def test_a_person_who_says_that_it_was_done_says_what_later_steps_read_of_it() -> None:
@@ -540,14 +553,28 @@ def test_files_of_earlier_steps_go_to_a_later_one_by_name_and_digest() -> None:
     lab.check_log()
 
 
+def test_a_returned_file_named_as_one_of_the_plan_gets_another_name() -> None:
+    lab = small()
+    args = {"protocol": "p.py", "seen": {"$result": [0], "$file": True}}
+    submitted = plan(
+        step("dev"), step("dev", args=args), feeds=(0,), files={"p.py": "a" * 64, "q.py": "c" * 64}
+    )
+    run = lab.submit(submitted)
+    lab.finish(lab.start(run), {"picture": {"file": "p.py", "sha256": "b" * 64, "bytes": 9}})
+    action = lab.state.actions.open[lab.start(run, 1)]
+    assert action.args == {"protocol": "p.py", "seen": "seen-p.py"}
+    assert action.files == {"p.py": "a" * 64, "seen-p.py": "b" * 64}
+    lab.check_log()
+
+
 def test_what_is_no_file_is_not_given_for_one() -> None:
     lab = small()
     last = step("dev", args={"file": {"$result": [0], "$file": True}})
-    run = lab.submit(plan(step("dev"), last, feeds=(0,)))
+    run = lab.submit(plan(step("dev", key="first"), last, feeds=(0,)))
     lab.finish(lab.start(run), {"file": "p.png"})
     lab.do(lab.start_command(run, 1))
     assert lab.types()[-1] == "run.failed"
-    assert "is no file" in str(lab.log[-1])
+    assert "file: what step 'first' returned is no file" in str(lab.log[-1])
 
 
 def test_a_slot_that_the_device_reports_is_the_labwares_and_fills_in_arguments() -> None:

@@ -77,14 +77,14 @@ class Chaos:
         self.late: list[tuple[ActionId, int]] = []
 
     def submit(self) -> None:
-        experiments = ["", *self.lab.state.campaigns.experiments]
+        experiments = ["", *self.lab.state.experiments.open]
         what = some_plan(self.rng)
         command = SubmitRun(what, self.rng.choice(["ada", "bob"]), experiment=self.rng.choice(experiments))  # type: ignore[arg-type]
         self.lab.ask(command)
 
     def experiment(self) -> None:
         lab, rng = self.lab, self.rng
-        alive = list(lab.state.campaigns.experiments)
+        alive = list(lab.state.experiments.open)
         if len(alive) < 2:
             closing = rng.choice([None, route("hotel", "trash"), route("a", "trash")])
             lab.do(StartExperiment("app", "ada", closing))
@@ -199,7 +199,7 @@ class Chaos:
 
     def give(self) -> None:
         lab, rng = self.lab, self.rng
-        heirs = ["shared", "user:bob", *(f"experiment:{name}" for name in lab.state.campaigns.experiments)]
+        heirs = ["shared", "user:bob", *(f"experiment:{name}" for name in lab.state.experiments.open)]
         for name in list(lab.state.bench.labware)[:1]:
             lab.ask(HandOver(name, Owner(rng.choice(heirs)), "ada", rng.random() < 0.5, "x"))
 
@@ -241,9 +241,9 @@ class Chaos:
                 choice = next(c for c in ("gone", "removed", "checked", "close") if c in names)
                 answer = lab.ask(ResolveIntervention(question.id, choice, "x"))
                 assert not isinstance(answer, Rejection), answer
-            for experiment in list(lab.state.campaigns.experiments):
+            for experiment in list(lab.state.experiments.open):
                 lab.ask(EndExperiment(experiment))
-            alive = lab.state.runs.active or lab.state.runs.queued or lab.state.campaigns.experiments
+            alive = lab.state.runs.active or lab.state.runs.queued or lab.state.experiments.open
             if not (alive or lab.questions()):
                 return
         raise AssertionError(lab.stuck())
@@ -255,7 +255,7 @@ def nothing_left(lab: Driver) -> None:
     assert all(item.moving == "" and item.maybe == () for item in state.bench.labware.values())
     assert all(place.expected == 0 for place in state.bench.stations.values())
     assert all(module.in_flight == {} for module in state.modules.by_name.values())
-    assert state.runs.plans == state.runs.queue == state.campaigns.users == state.campaigns.clocks == {}
+    assert state.runs.plans == state.runs.queue == state.shares.users == state.shares.clocks == {}
     owners = {item.owner for item in state.bench.labware.values()}
     assert owners <= {"user:ada", "user:bob", "shared", ""}, "labware of somebody who is gone"
     runs = {stream for stream in state.versions if stream[:1] in "RE" and stream[1:].isdigit()}

@@ -8,7 +8,7 @@ import pytest
 from labos.core.decide.cancelling import CancelRun, GiveUpWayOut, TakeWayOut
 from labos.core.decide.runs import PauseRun
 from labos.core.model import ON_CANCEL, Plan, PlanStep
-from labos.core.runs import DONE, PENDING, SKIPPED, RunCancelled, RunCancelling, RunLeaving
+from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, RunCancelled, RunCancelling, RunLeaving
 from tests.support.bench import Driver, move, needs, plan, requires, sets, small, step, take
 
 MAIN_STEPS = (
@@ -99,8 +99,8 @@ def test_its_states_tell_that_it_leaves() -> None:
     lab.finish(lab.flying()[0])
     lab.pump()
     assert lab.run(run).status == "leaving"
-    assert lab.run(run).steps[:6] == [DONE, DONE, SKIPPED, SKIPPED, SKIPPED, SKIPPED]
-    assert lab.run(run).steps[6:9] == [SKIPPED] * 3
+    assert lab.run(run).statuses[:6] == [DONE, DONE, SKIPPED, SKIPPED, SKIPPED, SKIPPED]
+    assert lab.run(run).statuses[6:9] == [SKIPPED] * 3
 
 
 def test_labware_may_stay() -> None:
@@ -144,7 +144,7 @@ def test_a_failure_while_it_waits_for_the_end_does_not_keep_it() -> None:
     lab.do(CancelRun(run))  # type: ignore[arg-type]
     lab.fail(lab.flying()[0], "none")
     lab.pump()
-    assert lab.run(run).steps[7] == 1  # from a to b
+    assert lab.run(run).steps[7].status == IN_FLIGHT  # from a to b
     while lab.flying():
         lab.finish(lab.flying()[0])
         lab.pump()
@@ -185,7 +185,7 @@ def test_commands_that_come_too_late_change_nothing() -> None:
     lab, run = under_way(1)
     assert lab.do(TakeWayOut(run)) == []  # type: ignore[arg-type]
     assert lab.do(GiveUpWayOut(run)) == []  # type: ignore[arg-type]
-    assert lab.run(run).steps[2] == PENDING
+    assert lab.run(run).steps[2].status == PENDING
 
 
 def test_what_the_person_said_who_cancelled_is_in_the_log() -> None:

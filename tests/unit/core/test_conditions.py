@@ -30,7 +30,7 @@ def test_a_result_decides_which_steps_are_done(value: float, done: list[int]) ->
     lab.pump()
     lab.finish("A1", {"x": value})
     if value == 0:
-        assert lab.run(run).steps == done
+        assert lab.run(run).statuses == done
     lab.pump()
     lab.finish("A2")
     assert lab.types()[-1] == "run.completed"
@@ -86,16 +86,16 @@ def test_a_result_out_of_range_is_an_experiment_error(result: object) -> None:
 def test_a_result_out_of_range_follows_on_error() -> None:
     lab, run = expecting(OnError("ask", may_skip=True))
     lab.finish("A1", {"x": 2})
-    assert lab.run(run).steps == [FAILED, PENDING]
+    assert lab.run(run).statuses == [FAILED, PENDING]
     assert lab.pump() == []
     lab.answer(lab.question("failed_step"), "retry")
     assert lab.pump() == [f"{run}#0"]
     lab.finish("A2", {"x": 1})
-    assert lab.run(run).results == {"0": {"x": 1}}
+    assert lab.results(run) == {0: {"x": 1}}
     lab, run = expecting(OnError("skip", may_skip=True))
     lab.finish("A1", {"x": 2})
-    assert lab.run(run).steps == [SKIPPED, PENDING]
-    assert not lab.run(run).results, "nobody reads what was not as it should be"
+    assert lab.run(run).statuses == [SKIPPED, PENDING]
+    assert not lab.results(run), "nobody reads what was not as it should be"
 
 
 def test_what_was_carried_there_is_not_carried_again() -> None:

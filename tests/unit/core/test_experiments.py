@@ -13,7 +13,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.fold import evolve
 from labos.core.ids import ExperimentId, StationName
 from labos.core.runs import REQUESTS_KEPT
-from tests.support.bench import Driver, move, plan, route, small, step
+from tests.support.bench import Driver, move, plan, route, small, step, take, unlid
 
 CLOSING = route("a", "trash", name="clear")
 
@@ -32,9 +32,9 @@ def test_one_key_is_one_experiment() -> None:
     command = StartExperiment("app", "ada", CLOSING, request="k")
     lab.do(command)
     assert lab.do(command) == []
-    assert lab.state.campaigns.requests == {"k": "E1"}
+    assert lab.state.experiments.requests == {"k": "E1"}
     lab.do(StartExperiment("app", "ada", CLOSING))
-    assert list(lab.state.campaigns.experiments) == ["E1", "E2"]
+    assert list(lab.state.experiments.open) == ["E1", "E2"]
     assert lab.types().count("plan.recorded") == 1
 
 
@@ -44,8 +44,8 @@ def test_the_last_thousand_keys_are_remembered() -> None:
     for number in range(1, REQUESTS_KEPT + 1):
         again = msgspec.structs.replace(event, experiment=f"E{number + 1}", request=f"k{number}")
         evolve(lab.state, again, lab.state.position + 1, lab.now)
-    assert len(lab.state.campaigns.requests) == REQUESTS_KEPT
-    assert "k0" not in lab.state.campaigns.requests
+    assert len(lab.state.experiments.requests) == REQUESTS_KEPT
+    assert "k0" not in lab.state.experiments.requests
 
 
 def test_a_closing_workflow_that_could_never_run_is_refused() -> None:
@@ -78,13 +78,13 @@ def test_without_a_closing_workflow_its_labware_goes_to_its_user() -> None:
     lab, name = parked()
     lab.end(name)
     assert lab.owner("P1") == "user:ada"
-    assert lab.state.campaigns.experiments == {}
+    assert lab.state.experiments.open == {}
 
 
 def test_its_closing_workflow_clears_away_and_then_it_ends() -> None:
     lab, name = parked(closing=CLOSING, priority=3)
     lab.end(name)
-    assert lab.state.campaigns.experiments[name].status == "closing"
+    assert lab.state.experiments.open[name].status == "closing"
     assert lab.end(name) == []
     closing = lab.run("R2")
     assert (closing.closing, closing.workflow, closing.priority) == (True, "clear", 3)
@@ -129,7 +129,7 @@ def test_what_a_closing_run_did_not_clear_away_goes_to_the_user(how: str) -> Non
         lab.do(CancelRun(closing))
     assert {item.owner for item in lab.state.bench.labware.values()} == {"user:ada"}
     assert lab.where("P2") == "c"
-    assert lab.state.campaigns.experiments == {}
+    assert lab.state.experiments.open == {}
     assert lab.state.runs.plans == {}
     lab.check_log()
 
@@ -144,7 +144,7 @@ def test_a_silent_application_is_asked_about_once() -> None:
     question = lab.question("lost_experiment")
     assert "app (E1, ada) is silent: no heartbeat" in question.text
     lab.answer(question, "wait")
-    assert lab.state.campaigns.experiments[name].status == "open"
+    assert lab.state.experiments.open[name].status == "open"
     lab.do(LoseExperiment(name, "no heartbeat"))
     lab.answer(lab.question(), "close")
     assert lab.run("R2").closing
@@ -174,6 +174,14 @@ def test_an_application_that_comes_back_and_ends_takes_the_question_with_it() ->
     lab.end(name)
     assert lab.questions() == []
     lab.check_log()
+
+
+def test_a_plate_whose_lid_is_taken_away_stays_where_it_is() -> None:
+    lab = small()
+    name = lab.experiment(closing=CLOSING, parking=(StationName("cell/a"),))
+    what = plan(step("arm", take("stack", "b"), key="to b"), step("arm", unlid("b", "a")))
+    refusal = lab.refused(SubmitRun(what, "ada", experiment=name))
+    assert (refusal.code, "at b (step 'to b')" in refusal.message) == ("no_parking", True)
 
 
 def test_runs_park_only_where_their_experiment_does() -> None:

@@ -68,7 +68,7 @@ def test_a_new_description_adds_changes_and_removes() -> None:
     assert "cell/cam" not in state.modules.by_name
     assert "cell/cam.nest" not in state.bench.stations
     assert "cell/cam" not in state.bench.by_module
-    assert state.modules.by_name["cell/dev"].variables == {"lid": "closed", "lamp": "off"}  # type: ignore[index]
+    assert state.modules.by_name["cell/dev"].values == {"lid": "closed", "lamp": "off"}  # type: ignore[index]
     assert state.resources.left("cell/dev", "tips") == 3.0  # type: ignore[arg-type]
     assert state.bench.by_module["cell/new"] == ["cell/new.nest"]  # type: ignore[index]
     assert lab.at("a") == ["P1"]

@@ -38,6 +38,7 @@ from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, RunI
 from labos.core.interventions import Intervention
 from labos.core.model import Plan
 from labos.core.registry import Event
+from labos.core.runs import StepStatus
 from tests.support.bench import Driver, full, module, move, needs, plan, station, step, take, workcell
 from tests.unit.core.bench_of_dicts import (
     ARMS,
@@ -512,7 +513,7 @@ class Lab(RuleBasedStateMachine):
                 assert run.over, f"{name} is {run.status}"
                 continue
             assert (found.status, found.paused) == (run.status, run.paused), name
-            steps = [WORDS_OF_STEPS[code] for code in found.steps]
+            steps = [WORDS_OF_STEPS[status] for status in found.statuses]
             assert (steps or ["pending"] * len(run.steps)) == run.steps, name
         unknown = {name: flight.unknown for name, flight in self.model.flying.items()}
         assert {str(a.id): a.status == "unknown" for a in state.actions.open.values()} == unknown
@@ -540,7 +541,7 @@ class Lab(RuleBasedStateMachine):
 
 
 ENDS = ("run.completed", "run.failed", "run.cancelled")
-WORDS_OF_STEPS = ("pending", "flying", "done", "failed", "unknown", "skipped")
+WORDS_OF_STEPS = {status: str(status) for status in StepStatus} | {StepStatus.IN_FLIGHT: "flying"}
 
 
 @pytest.mark.parametrize(

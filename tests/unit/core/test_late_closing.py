@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from labos.core.decide.cancelling import CancelRun
-from labos.core.decide.experiments import AskAboutClosing
 from labos.core.ids import LabwareId, RunId
 from labos.core.interventions import InterventionRequested
 from labos.core.rules import CLOSING_S
@@ -29,11 +28,7 @@ def closing() -> Driver:
 def look_in(lab: Driver, seconds: float, deadlines: Deadlines) -> list[object]:
     """What the kernel does about it after a while."""
     lab.wait(seconds)
-    return [
-        event
-        for run in deadlines.closing_late(lab.state, lab.now)
-        for event in lab.do(AskAboutClosing(run, lab.now))
-    ]
+    return [event for command in deadlines.due(lab.state, lab.now) for event in lab.do(command)]
 
 
 def test_somebody_is_told_once() -> None:
@@ -54,7 +49,7 @@ def test_it_ends_by_an_answer_and_its_labware_stays_where_it_is() -> None:
     lab = closing()
     look_in(lab, CLOSING_S + 1, Deadlines())
     lab.answer(lab.question(KIND), "end")
-    assert lab.state.campaigns.experiments == {}
+    assert lab.state.experiments.open == {}
     assert (lab.owner("P1"), lab.state.bench.labware[LabwareId("P1")].station) == ("user:ada", "cell/a")
     assert lab.questions(KIND) == []
     lab.check_log()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from labos.core import reasons
 from labos.core.decide.lab import DeclareStation
 from labos.core.ids import LabwareId, Owner, StationName
 from labos.core.labware import LabwareHandedOver, LabwareObserved
@@ -93,7 +94,7 @@ def test_what_needs_an_open_plate_waits_for_the_lid_to_come_off() -> None:
     run = lab.submit(plan(*steps))
     lab.step(run, 0)
     found = lab.judge(run, 2)
-    assert found == Wait("requires", ("P1", "lidded", "False"), ("station:cell/dev.n",))
+    assert found == Wait(reasons.Requires("P1", "lidded", "False"), ("station:cell/dev.n",))
     action = lab.start(run, 1)
     lab.keys.clear()
     lab.finish(action)

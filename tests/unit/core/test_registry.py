@@ -24,6 +24,20 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
+from labos.core.approvals import RunApproved
+from labos.core.campaigns import (
+    Budget,
+    CampaignAmended,
+    CampaignCancelled,
+    CampaignCompleted,
+    CampaignPaused,
+    CampaignResumed,
+    CampaignRowRefused,
+    CampaignStopped,
+    CampaignSubmitted,
+    Terms,
+)
+from labos.core.conditions import condition
 from labos.core.effects import Consumes, Draws, Move, Needs, Replaces, Requires, Sets, Take, Transfers
 from labos.core.experiments import (
     ExperimentCancelled,
@@ -32,8 +46,9 @@ from labos.core.experiments import (
     ExperimentNoted,
     ExperimentStarted,
 )
+from labos.core.expressions import parse_expression
 from labos.core.fold import TABLE
-from labos.core.interventions import Choice, InterventionOverdue, InterventionRequested, InterventionResolved
+from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
 from labos.core.lab import (
     AccessEnded,
     AccessGranted,
@@ -64,7 +79,7 @@ from labos.core.labware import (
     StationUnloaded,
     WasteEmptied,
 )
-from labos.core.model import LabwareSpec, PlanStep, WellGrid, Window
+from labos.core.model import LabwareSpec, PlanStep, TransferWay, WellGrid, Window
 from labos.core.modules import (
     EmergencyStopped,
     LocationTaught,
@@ -79,6 +94,7 @@ from labos.core.modules import (
 )
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import TYPES, Event, decode, encode, event
+from labos.core.repeated import RequestRepeated
 from labos.core.resources import LevelSet, ResourceConsumed, ResourceReplenished
 from labos.core.runs import (
     Anchor,
@@ -92,13 +108,27 @@ from labos.core.runs import (
     RunStarted,
     RunSubmitted,
 )
+from labos.core.shares import Group, Member, Quota, SharesApplied
 from labos.core.shorter import BenchCompared, LogFoundShorter, StationsChecked
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
+from labos.core.topics import Choice, LostLabware
+from labos.core.users import (
+    GroupAdded,
+    GroupRemoved,
+    MemberAdded,
+    MemberRemoved,
+    RoleGranted,
+    RoleRevoked,
+    UserAdded,
+    UserDisabled,
+    UserEnabled,
+)
 from labos.errors import LogTooNew
 from tests.support.bench import small_cell
 
 WELLS = WellGrid(8, 12, 9.0, 14.38, 11.24, 2000.0)
 DEEP = LabwareSpec("deep", 127.76, 85.48, 44.0, WELLS, stackable=False, grips=("narrow",))
+WAY = TransferWay("cell/arm", "carry", "from", "to", 2.0, {"slow": True}, ("cell/a",), ("cell/b",))  # type: ignore[arg-type]
 CELL = small_cell()
 EFFECTS = (
     Move("c/a", "c/b", "narrow", "wide", "c/v", "P1"),  # type: ignore[arg-type]
@@ -113,6 +143,9 @@ EFFECTS = (
 )
 IDS = ("A1", "R1", 2, "c/m")
 ANCHORS = (Anchor("w", "s", "R0", 5),)  # type: ignore[arg-type]
+UNTIL = condition("steps.read.od > 1", parse_expression("steps.read.od > 1"))
+MEMBER = Member(3.0, Quota(2, 20, 40.0, {"tips": 960.0}))
+TERMS = Terms(2, 9, Budget(10, 3600.0, {"tips": 96.0}), ("assay",), UNTIL, 3)
 STEP = PlanStep(
     "k",
     "c/m",
@@ -126,7 +159,7 @@ STEP = PlanStep(
 EXAMPLES: list[Event] = [
     LabCreated("L", "name", 2.0),  # type: ignore[arg-type]
     KernelStarted(3, "0.1"),
-    WorkcellApplied("cell", "d", CELL.modules, (DEEP,)),
+    WorkcellApplied("cell", "d", CELL.modules, (DEEP,), (WAY,)),
     StationsApplied("cell", CELL.stations),
     NodeJoined("c/m", "j", "i", "d", "1", "about", "IDLE", True),  # type: ignore[arg-type]
     NodeLeft("c/m", "silence"),  # type: ignore[arg-type]
@@ -166,12 +199,18 @@ EXAMPLES: list[Event] = [
     BenchCompared("ada", "all of it"),
     PlanRecorded("R1", "p", "s", "flow", "cell", 2, (0,), {"f": "d"}),
     PlanStepsRecorded("R1", "p", 0, (STEP,)),
-    RunSubmitted("R1", "p", "flow", "ada", "E1", 3, {"x": 1}, {"about": "d"}, True, "key", ANCHORS),  # type: ignore[arg-type]
+    RunSubmitted(
+        *("R1", "p", "flow", "ada", "E1", 3, {"x": 1}, {"about": "d"}, True, "key", ANCHORS),  # type: ignore[arg-type]
+        campaign="C1",  # type: ignore[arg-type]
+        row=4,
+        reads={"k": 0},
+    ),
     RunStarted("R1"),  # type: ignore[arg-type]
     RunPaused("R1"),  # type: ignore[arg-type]
     RunResumed("R1"),  # type: ignore[arg-type]
     RunCancelling("R1", "why"),  # type: ignore[arg-type]
     RunLeaving("R1", (3, 4)),  # type: ignore[arg-type]
+    RunApproved("R1", "bo"),  # type: ignore[arg-type]
     RunCompleted("R1", 2),  # type: ignore[arg-type]
     RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
     RunCancelled("R1"),  # type: ignore[arg-type]
@@ -186,13 +225,24 @@ EXAMPLES: list[Event] = [
     StationLoaded("c/s", "plate", 20, "lot", ("R1",)),  # type: ignore[arg-type]
     StationUnloaded("c/s", 2, ("R1",)),  # type: ignore[arg-type]
     InterventionRequested(
-        "I1", "lost_labware", "A1", "?", (Choice("gone", "."),), "R1", "c/m", ("P1",), EFFECTS[:2]
+        "I1",
+        "lost_labware",
+        "A1",
+        "?",
+        (Choice("gone", "."),),
+        "R1",
+        "c/m",
+        ("P1",),
+        EFFECTS[:2],
+        0,
+        LostLabware(run="R1", module="c/m", action="A1", motions=EFFECTS[:2]),
     ),  # type: ignore[arg-type]
     LocationTaught("cell/arm", "cell/a", (1.5, 2.0), 2, "ada", "moved", "deep"),  # type: ignore[arg-type]
     AccessRequested("cell", "ada", "oil", ("plan",)),
     AccessGranted("cell"),
     AccessEnded("cell", "ada", "oiled"),
     StartsPaused("cell", "ada", "listening"),
+    RequestRepeated("R1", "cancel", "wrong plate"),
     StartsResumed("cell", "ada"),
     InterventionOverdue("I1", "R1", 7),  # type: ignore[arg-type]
     InterventionResolved("I1", "gone", "ada", "note"),  # type: ignore[arg-type]
@@ -201,6 +251,24 @@ EXAMPLES: list[Event] = [
     ExperimentClosing("E1", "ended"),  # type: ignore[arg-type]
     ExperimentEnded("E1", "p"),  # type: ignore[arg-type]
     ExperimentNoted("E1", "decision", "stop", {"score": 0.5}),  # type: ignore[arg-type]
+    SharesApplied("d", (Group("chemistry", 2.0, {"ada": MEMBER}, MEMBER.quota),), {"eve": MEMBER}),
+    CampaignSubmitted("C1", "screen", "ada", "flow", "cell", 3, "d", "e", TERMS, "key"),  # type: ignore[arg-type]
+    CampaignPaused("C1", "tea"),  # type: ignore[arg-type]
+    CampaignResumed("C1"),  # type: ignore[arg-type]
+    CampaignAmended("C1", TERMS),  # type: ignore[arg-type]
+    CampaignRowRefused("C1", 2, "no such well"),  # type: ignore[arg-type]
+    CampaignStopped("C1", "enough", "R7"),  # type: ignore[arg-type]
+    CampaignCancelled("C1", "wrong plate"),  # type: ignore[arg-type]
+    CampaignCompleted("C1", 1, 2, 3, 4, 5, "enough"),  # type: ignore[arg-type]
+    UserAdded("robot", "service"),
+    UserDisabled("ada"),
+    UserEnabled("ada"),
+    GroupAdded("chemistry"),
+    GroupRemoved("chemistry"),
+    MemberAdded("chemistry", "ada"),
+    MemberRemoved("chemistry", "ada"),
+    RoleGranted("group:chemistry", "operator", "rpl"),
+    RoleRevoked("user:ada"),
 ]
 
 
@@ -290,7 +358,7 @@ def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:
 def test_every_type_is_folded_somewhere_or_only_remembered() -> None:
     assert set(TABLE) == set(TYPES.values())
     silent = {kind.TYPE for kind, handlers in TABLE.items() if not handlers}
-    assert silent == {"experiment.noted"}
+    assert silent == {"experiment.noted", "request.repeated"}
 
 
 def test_names_say_family_and_past() -> None:

@@ -20,8 +20,8 @@ def test_a_step_that_did_nothing_is_done_again_after_its_delay() -> None:
     lab, run = lab_with()
     assert lab.pump() == [f"{run}#0"]
     lab.fail("A1", "none")
-    assert lab.run(run).steps[0] == PENDING
-    assert lab.run(run).retries == {"0": 1}
+    assert lab.run(run).steps[0].status == PENDING
+    assert lab.run(run).steps[0].retries == 1
     assert lab.pump() == []
     wait = lab.judge(run)
     assert (wait.code, wait.until) == ("retry_later", lab.now + 30 * SECOND)  # type: ignore[union-attr]
@@ -30,7 +30,7 @@ def test_a_step_that_did_nothing_is_done_again_after_its_delay() -> None:
     assert lab.missed() == [f"{run}#0"]
     assert lab.pump() == [f"{run}#0"], "the clock alone wakes it"
     lab.finish("A2")
-    assert lab.run(run).steps[0] == DONE
+    assert lab.run(run).steps[0].status == DONE
     lab.check_log()
 
 
@@ -112,7 +112,7 @@ def test_an_action_that_does_not_end_in_its_time_is_unknown_and_not_failed() -> 
     assert lab.scheduler.next_deadline(lab.state) is None
     lab.finish(action)
     assert lab.questions() == [], "the node answered after all"
-    assert lab.run(run).steps[0] == DONE
+    assert lab.run(run).steps[0].status == DONE
     lab.check_log()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from labos.core import reasons
 from labos.core.binding import nothing_at, same, usable_at
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.nodes import LoseNode, ReportState, TakeOut
@@ -75,7 +76,7 @@ def test_one_exclusive_action_at_a_time() -> None:
     first, second = lab.submit(plan(step("dev"))), lab.submit(plan(step("dev")))
     query = lab.submit(plan(step("dev", exclusive=False)))
     action = lab.start(first)
-    assert wait(lab, second) == Wait("module_busy", ("cell/dev",), ("module:cell/dev",))
+    assert wait(lab, second) == Wait(reasons.ModuleBusy("cell/dev"), ("module:cell/dev",))
     assert lab.code(query) == ""
     lab.finish(action)
     assert lab.code(second) == ""
@@ -181,7 +182,7 @@ def test_an_arm_needs_an_open_lid_and_an_idle_module(plate_at: str) -> None:
     assert lab.code(run) == "module_busy"
     lab.finish(action)
     lab.write(VariableSet(lab.state.modules.by_name["cell/dev"].spec.name, "lid", "closed"))  # type: ignore[index]
-    assert wait(lab, run) == Wait("no_access", ("cell/dev.n1", "lid", "open"), ("module:cell/dev",))
+    assert wait(lab, run) == Wait(reasons.NoAccess("cell/dev.n1", "lid", "open"), ("module:cell/dev",))
     lab.write(VariableSet(lab.state.modules.by_name["cell/dev"].spec.name, "lid", None))  # type: ignore[index]
     assert lab.code(run) == "no_access", "a lid of which nothing is known is not open"
 
@@ -384,9 +385,9 @@ def test_variables_of_module_and_labware_have_to_fit() -> None:
         )
     )
     lab.step(run)
-    assert wait(lab, run, 1) == Wait("requires", ("P1", "sealed", "False"), ("station:cell/a",))
+    assert wait(lab, run, 1) == Wait(reasons.Requires("P1", "sealed", "False"), ("station:cell/a",))
     other = lab.submit(plan(step("dev", requires("lid", "closed"))))
-    assert wait(lab, other) == Wait("requires", ("cell/dev", "lid", "closed"), ("module:cell/dev",))
+    assert wait(lab, other) == Wait(reasons.Requires("cell/dev", "lid", "closed"), ("module:cell/dev",))
     assert lab.code(lab.submit(plan(step("dev", requires("lid", "open"))))) == ""
 
 
@@ -532,4 +533,33 @@ def test_a_setpoint_that_the_last_step_of_a_run_claims_is_free_again_when_the_ru
         lab.fail(action, effects)
     assert first not in lab.state.runs.active
     assert lab.code(lab.submit(plan(step("dev", claims("t", 42)), step("cam")))) == ""
+    lab.check_log()
+
+
+def test_a_stack_behind_a_door_is_reached_through_it() -> None:
+    """Taking off a stack needs its door open as carrying away what lies there does; and while another run
+    has left the door open, it is that run's."""
+    cell = workcell(
+        [module("arm"), module("oven", variables={"door": "shut"}, rest={"door": "shut"})],
+        [station("oven.mag", "stack", 9, access={"door": "open"}), station("a")],
+    )
+    lab = Driver(cell)
+    lab.stock("oven.mag", 2)
+    opens, takes = step("oven", sets("door", "open")), step("arm", take("oven.mag", "a"))
+    run = lab.submit(plan(opens, takes, parallel=True))
+    other = lab.submit(plan(takes))
+    assert lab.code(other) == "no_access"
+    lab.step(run, 0)
+    assert (lab.code(run, 1), lab.code(other)) == ("", "held")
+
+
+def test_one_action_carries_two_pieces_off_one_place() -> None:
+    lab = small()
+    lab.stock("hotel", 2)
+    run = lab.submit(plan(step("arm", move("hotel", "a"), move("hotel", "b"))))
+    assert lab.code(run) == ""
+    lab.step(run)
+    assert sorted(lab.at("a") + lab.at("b")) == ["P1", "P2"]
+    three = lab.submit(plan(step("arm", move("a", "c"), move("a", "hotel"))), "ada")
+    assert lab.code(three) == "nothing_there"
     lab.check_log()

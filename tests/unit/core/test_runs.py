@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from labos.core.decide.cancelling import CancelRun
-from labos.core.decide.inputs import inputs_known
+from labos.core.decide.inputs import fill_inputs
 from labos.core.decide.runs import (
     BreachWindow,
     PauseRun,
@@ -159,7 +159,7 @@ def test_a_closing_plan_survives_its_runs_until_the_experiment_ends() -> None:
     assert lab.state.runs.plans[plan_digest(closing)].uses == 2
     lab.step("R3")
     assert lab.state.runs.plans == {}
-    assert lab.state.campaigns.experiments == {}
+    assert lab.state.experiments.open == {}
     lab.check_log()
 
 
@@ -376,17 +376,17 @@ def test_a_breach_waits_for_what_is_in_flight_before_the_run_fails() -> None:
     ],
 )
 def test_results_of_earlier_steps_feed_later_arguments(reference: list[Any], found: Any) -> None:
-    results = {"0": {"x": [1, 2], "y": {"z": 3}}}
+    results = {0: {"x": [1, 2], "y": {"z": 3}}}
     args = {"given": {"a": 1}, "v": {"$result": reference}}
-    assert inputs_known(QUERY, results, args) == {"given": {"a": 1}, "v": found}
+    assert fill_inputs(QUERY, results, args) == {"given": {"a": 1}, "v": found}
 
 
 @pytest.mark.parametrize(
     "reference", [[0, "q"], [0, "x", 9], [0, "x", "q"], [0, "y", "z", "deep"], [0, "n", "m"]]
 )
 def test_a_reference_that_leads_nowhere_is_named(reference: list[Any]) -> None:
-    results = {"0": {"x": [1, 2], "y": {"z": 3}, "n": None}}
-    answer = inputs_known(QUERY, results, {"v": {"$result": reference}})
+    results = {0: {"x": [1, 2], "y": {"z": 3}, "n": None}}
+    answer = fill_inputs(QUERY, results, {"v": {"$result": reference}})
     assert isinstance(answer, str)
     assert answer.startswith("v: the result of step 's0' has no ")
 
@@ -406,7 +406,7 @@ def test_only_results_that_are_needed_are_kept() -> None:
     run = lab.submit(feeding(beside=True))
     lab.step(run, 0, {"od": 0.7})
     lab.step(run, 2, {"not": "needed"})
-    assert lab.run(run).results == {"0": {"od": 0.7}}
+    assert lab.results(run) == {0: {"od": 0.7}}
     lab.start(run, 1)
     assert lab.log[-1].event.args == {"v": 0.7}  # type: ignore[attr-defined]
 
@@ -449,7 +449,7 @@ def test_lab_time_used_counts_half_after_a_day() -> None:
     action = lab.start(run)
     lab.wait(10)
     lab.finish(action)
-    usage = lab.state.campaigns.usage["ada"]
+    usage = lab.state.shares.usage["ada"]
     assert usage.used_ns == 10e9
     assert usage.level(lab.now) == 10e9
     assert usage.level(lab.now + 24 * 3600 * 10**9) == pytest.approx(5e9)
@@ -460,8 +460,8 @@ def test_a_run_counts_its_steps_and_when_they_ended() -> None:
     run = lab.submit(plan(step("dev"), step("dev")))
     assert lab.state.runs.get("R1") is lab.run(run)
     lab.step(run)
-    assert lab.run(run).steps == [DONE, PENDING]
-    assert lab.run(run).ended_at == {"0": lab.now}
+    assert lab.run(run).statuses == [DONE, PENDING]
+    assert lab.run(run).steps[0].ended_at == lab.now
     assert lab.run(run).started_at == lab.now
     with pytest.raises(Refused, match="not_pending"):
         lab.start(run, 0)

@@ -26,6 +26,7 @@ from labos.core.ids import ActionId, LabwareId, ModuleName, StationName
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import LEAP
 from labos.core.modules import ModuleTakenOut, VariableSet
+from labos.core.topics import DiscoveredAction
 from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
 from tests.support.bench import Driver, full, move, needs, plan, small, step, take
@@ -153,7 +154,7 @@ def test_lids_and_doors_of_a_module_that_knows_more_are_not_known() -> None:
     lab = small(stock=3)
     lab.write(VariableSet(DEV, "lid", "open"))
     lab.do(hears(DEV, found("X1", needs("dev.n1"))))
-    assert lab.state.modules.by_name[DEV].variables["lid"] is None
+    assert lab.state.modules.by_name[DEV].value("lid") is None
 
 
 def test_a_position_that_no_log_can_have_come_to_is_not_believed() -> None:
@@ -201,6 +202,7 @@ def test_questions_of_earlier_versions_become_one_round() -> None:
     for number, name in enumerate((DEV, ARM)):
         lab.write(ModuleTakenOut(name, "its journal knows an action"))
         old = InterventionRequested(f"I{number + 1}", "discovered_action", f"X{number}", "?", (), module=name)  # type: ignore[arg-type]
+        old = msgspec.structs.replace(old, topic=DiscoveredAction(action=ActionId(f"X{number}"), module=name))
         lab.write(old)
     lab.do(StartKernel(2, "0"))
     assert [question.kind for question in lab.questions()] == ["log_shorter"]

@@ -13,6 +13,8 @@ from labos.core.effects import Move
 from labos.core.ids import ActionId, LabwareId, Owner, StationName
 from labos.core.invariants import broken
 from labos.core.model import ActionSpec, Description
+from labos.core.modules import Flight
+from labos.core.runs import StepState
 from labos.core.state import LabState, fold_fingerprint, from_picture, picture, state_hash
 from labos.planning.waiting import head_of
 from tests.support.bench import (
@@ -106,7 +108,7 @@ def test_streams_end_and_are_not_remembered() -> None:
     lab.step(run, 1)
     lab.end(name)
     assert set(lab.state.versions) == before
-    assert lab.state.runs.active == lab.state.campaigns.users == {}
+    assert lab.state.runs.active == lab.state.shares.users == {}
 
 
 def test_the_checker_of_streams_sees_a_stream_that_goes_on_after_its_end() -> None:
@@ -173,11 +175,11 @@ def owned_by_nobody(state: LabState) -> None:
 
 def twice_at_work(state: LabState) -> None:
     module = next(m for m in state.modules.by_name.values() if m.in_flight)
-    module.in_flight[ActionId("A98")] = True
+    module.in_flight[ActionId("A98")] = Flight(True)
 
 
 def at_work_on_nothing(state: LabState) -> None:
-    state.modules.by_name["cell/cam"].in_flight[ActionId("A97")] = False  # type: ignore[index]
+    state.modules.by_name["cell/cam"].in_flight[ActionId("A97")] = Flight(False)  # type: ignore[index]
 
 
 def reserves_nothing(state: LabState) -> None:
@@ -195,7 +197,7 @@ def without_plan(state: LabState) -> None:
 
 
 def miscounted(state: LabState) -> None:
-    next(iter(state.runs.active.values())).steps.append(0)
+    next(iter(state.runs.active.values())).steps.append(StepState())
 
 
 def out_of_the_queue(state: LabState) -> None:

@@ -154,7 +154,7 @@ def test_a_lids_plate_is_found_by_the_plates_pose() -> None:
     run = lab.submit(plan(step("arm", unlid("c", "b"), args=TOLD)))
     action = lab.start(run)
     arm = lab.state.modules.by_name[ModuleName(full("arm"))]
-    assert arm.proving[action] == ((StationName(full("c")), "deep"),)
+    assert arm.in_flight[action].proving == ((StationName(full("c")), "deep"),)
     lab.finish(action)
-    assert [taught.proven for taught in arm.taught_of[StationName(full("c"))].values()] == [False, True]
+    assert [taught.proven for taught in arm.taught[StationName(full("c"))].by_type.values()] == [False, True]
     lab.check_log()

@@ -194,7 +194,7 @@ def test_results_told_before_the_doubt_are_kept() -> None:
     lab.finish(action, 42)
     see(lab, action, "cam is dark")
     lab.answer(lab.question("unknown_action"), "done")
-    assert lab.run(run).results == {"0": 42}
+    assert lab.results(run) == {0: 42}
     lab.check_log()
 
 

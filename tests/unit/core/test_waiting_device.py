@@ -6,7 +6,6 @@ import pytest
 
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.nodes import LoseNode, ReportState
-from labos.core.decide.steps import TimeOutAction
 from labos.core.ids import ActionId, ModuleName
 from labos.core.interventions import InterventionRequested
 from labos.core.rules import WAITS_S
@@ -30,8 +29,7 @@ def look_in(lab: Driver, seconds: float) -> list[object]:
     """What the kernel does about it after a while."""
     lab.wait(seconds)
     deadlines = Deadlines()
-    late = deadlines.timed_out(lab.state, lab.now)
-    return [event for action in late for event in lab.do(TimeOutAction(action, lab.now))]
+    return [event for command in deadlines.due(lab.state, lab.now) for event in lab.do(command)]
 
 
 def test_somebody_is_told_once_and_the_step_goes_on() -> None:

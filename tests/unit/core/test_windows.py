@@ -31,7 +31,7 @@ def test_a_clock_starts_when_the_device_was_done_not_when_it_was_heard_of() -> N
     action = lab.start(run)
     lab.wait(100.0)
     finish_at(lab, action, lab.now - 50 * SECOND)
-    assert lab.run(run).ended_at == {"0": lab.now - 50 * SECOND}
+    assert lab.run(run).steps[0].ended_at == lab.now - 50 * SECOND
     assert lab.judge(run, 1).until == lab.now + 10 * SECOND  # type: ignore[union-attr]
     lab.check_log()
 
@@ -44,7 +44,7 @@ def test_a_time_that_cannot_be_is_not_believed(skew_s: float) -> None:
     action = lab.start(run)
     lab.wait(100.0)
     finish_at(lab, action, lab.now + int(skew_s * SECOND))
-    assert lab.run(run).ended_at == {"0": lab.now}
+    assert lab.run(run).steps[0].ended_at == lab.now
 
 
 def test_a_result_recorded_without_a_time_can_still_be_read() -> None:
@@ -167,7 +167,7 @@ def test_a_breach_outside_is_noticed_in_time() -> None:
     assert lab.scheduler.next_deadline(lab.state) == lab.now + 100 * SECOND + 1
     lab.wait(100.1)
     lab.pump()
-    assert lab.run(run).breached == [0]
+    assert lab.run(run).is_breached(0)
     lab.finish(lab.flying()[0])
     assert lab.pump() == [f"{run}#0"]
 

@@ -167,7 +167,7 @@ class FoldMachine(RuleBasedStateMachine):
 
 
 TestFoldMachine = FoldMachine.TestCase
-TestFoldMachine.settings = settings(max_examples=200, stateful_step_count=40, deadline=None)
+TestFoldMachine.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
 
 
 # -- journals of older LabOSes -----------------------------------------------------------------

@@ -140,7 +140,7 @@ class Explored:
         """Remember a state; what it is called does not tell the order in which it was reached."""
         runs = lab.state.runs
         key = tuple(
-            tuple(runs.active[name].steps)
+            tuple(runs.active[name].statuses)
             if (name := RunId(f"R{n + 1}")) in runs.active
             else name in runs.queued
             for n in range(runs.named)
@@ -158,7 +158,7 @@ class Explored:
     def starts(self, lab: Driver, *, newcomers: bool) -> Iterator[Start]:
         """What the rules let start."""
         for run in [*lab.state.runs.active.values(), *(lab.state.runs.queued.values() if newcomers else ())]:
-            steps = ready(lab.state, run) if run.steps else lab.state.runs.plans[run.plan].starts
+            steps = ready(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
             for index in steps:
                 kept = [h.module for h in lab.state.runs.plan_of(run).holds if h.first == index]
                 others = [who for name in kept for who in lab.state.runs.holding(name) if who != run.id]

@@ -2,78 +2,66 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 import random
-from types import ModuleType
+import string
+from typing import Any, get_args
 
+import msgspec
 import pytest
 
-from labos.core import binding, expiry, rules, watching
+from labos.core import reasons
+from labos.core.reasons import AnyReason, Reason, Urgency
 from labos.core.waits import Wait
-from labos.planning import aside, explain, keeping, reservations, scheduler, stuck
-from labos.planning.explain import SENTENCES, sentence
-from labos.services import waits
+from labos.planning.explain import sentence
 from tests.support.bench import Driver
 from tests.unit.planning.cases import Case
 
-
-def codes_in(module: ModuleType) -> set[str]:
-    """The codes of all waits that a module makes."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(inspect.getsource(module))):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Wait":
-            found |= strings(node.args[0])
-        elif isinstance(node, ast.Assign) and any(getattr(t, "id", "") == "code" for t in node.targets):
-            found |= strings(node.value)
-    return found
+KINDS: tuple[type[Reason], ...] = get_args(AnyReason)
 
 
-def strings(node: ast.expr) -> set[str]:
-    if isinstance(node, ast.IfExp):
-        return strings(node.body) | strings(node.orelse)
-    return {node.value} if isinstance(node, ast.Constant) and isinstance(node.value, str) else set()
+def example(kind: type[Reason]) -> Reason:
+    """A reason with a name of a workcell in each field."""
+    fields: list[Any] = msgspec.structs.fields(kind)
+    return kind(*((f.name,) if f.type is not str else f"c/{f.name}" for f in fields))
 
 
-MODULES = (aside, rules, binding, expiry, scheduler, reservations, keeping, stuck, watching, waits)
-CODES = set[str]().union(*map(codes_in, MODULES)) - {""}
+def fields_in(template: str) -> set[str]:
+    return {name for _, name, _, _ in string.Formatter().parse(template) if name}
 
 
-def test_the_codes_are_found() -> None:
-    assert {"held", "occupied", "unsafe", "no_way_out", "after_elder", "gone", "buried"} <= CODES
-    assert len(CODES) > 20
+def test_every_reason_is_one_of_them() -> None:
+    assert set(KINDS) == set(Reason.__subclasses__())
+    assert len({kind.__struct_config__.tag for kind in KINDS}) == len(KINDS) > 40
 
 
-def test_every_code_has_a_sentence_and_every_sentence_a_code() -> None:
-    assert CODES - {"unsafe"} <= set(SENTENCES)
-    assert set(SENTENCES) <= CODES
-    assert "unsafe" in inspect.getsource(explain)
-
-
-@pytest.mark.parametrize("code", sorted(CODES))
-def test_a_sentence_is_whole_with_any_number_of_names(code: str) -> None:
-    for count in range(1 if code == "unsafe" else 0, 4):
-        text = sentence(Wait(code, tuple(f"name{i}" for i in range(count))))
-        assert text
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_its_sentence_and_remedy_are_whole(kind: type[Reason]) -> None:
+    reason = example(kind)
+    for text in (reason.sentence, reason.remedy):
         assert not {"{", "}", "/"} & set(text), text
+    assert reason.sentence
+    assert not kind.__dict__.get("__doc__"), "what it says is its sentence"
+    known = {field.name for field in msgspec.structs.fields(kind)}
+    if "_in_words" not in kind.__dict__:
+        assert fields_in(kind.SENTENCE) | fields_in(kind.REMEDY) <= known
 
 
 @pytest.mark.parametrize(
     ("wait", "text"),
     [
-        (Wait("occupied", ("rpl/ot2.deck1", "P7")), "ot2.deck1 is occupied by P7"),
-        (Wait("held", ("rpl/ot2", "run:R12")), "ot2 is held by run R12"),
-        (Wait("unsafe", ("to ot2", "R12", "R3")), "starting 'to ot2' now would trap run R12, run R3"),
+        (Wait(reasons.Occupied("rpl/ot2.deck1", "P7")), "ot2.deck1 is occupied by P7"),
+        (Wait(reasons.Held("rpl/ot2", "run:R12")), "ot2 is held by run R12"),
+        (Wait(reasons.Unsafe("to ot2", ("R12", "R3"))), "starting 'to ot2' now would trap run R12, run R3"),
         (
-            Wait("unsafe", ("to ot2", "experiment:E1")),
+            Wait(reasons.Unsafe("to ot2", ("experiment:E1",))),
             "starting 'to ot2' now would trap experiment E1",
         ),
         (
-            Wait("reserved", ("rpl/hidex", "R12", "Read")),
+            Wait(reasons.Reserved("rpl/hidex", "R12", "Read")),
             "hidex is reserved for run R12, whose step 'Read' has to start in time",
         ),
-        (Wait("not_in_time", ("rpl/hidex", "Read")), "hidex would not be free in time for 'Read'"),
-        (Wait("brand_new", ("rpl/x",)), "brand_new x"),
+        (Wait(reasons.NotInTime("rpl/hidex", "Read")), "hidex would not be free in time for 'Read'"),
+        (Wait(reasons.ModuleDown("rpl/x", "GONE")), "x is GONE"),
     ],
 )
 def test_sentences_name_what_is_meant(wait: Wait, text: str) -> None:
@@ -92,7 +80,10 @@ def test_whatever_a_crowded_cell_waits_for_is_explained() -> None:
                 for _, wait in lab.scheduler.waits(lab.state, run, lab.now):
                     seen.add(wait.code)
                     assert "{" not in sentence(wait)
+                    kind = type(wait.reason)
+                    assert {key.partition(":")[0] for key in wait.on} <= {*kind.WAKES}, (wait, kind)
+                    if kind.URGENCY is not Urgency.EITHER:
+                        assert wait.blocked == (kind.URGENCY is Urgency.PERSON), wait
 
         lab.work(rng, look)
     assert {"module_busy", "occupied", "held", "unsafe"} <= seen
-    assert seen <= set(SENTENCES) | {"unsafe"}

@@ -31,6 +31,7 @@ def found(seeds: Iterable[int]) -> list[str]:
     return [who for who in map(trapped, seeds) if who]
 
 
+@pytest.mark.slow
 def test_nobody_is_trapped_where_everything_comes_together() -> None:
     assert found([*range(80), 3758]) == []
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from labos.planning.paths import Motion, path_of
-from tests.support.bench import move, needs, plan, sets, step, take
+from labos.planning.paths import path_of
+from tests.support.bench import move, needs, plan, relid, sets, step, take
 
 
 def test_what_carries_labware_or_needs_a_module_for_itself_is_a_motion() -> None:
@@ -15,11 +15,16 @@ def test_what_carries_labware_or_needs_a_module_for_itself_is_a_motion() -> None
         step("arm", move("a", "b", via="c")),
     )
     path = path_of(what, {})
-    assert path.motions == (
-        Motion(0, "cell/stack", "cell/a", new=True, uses="cell/arm"),  # type: ignore[arg-type]
-        Motion(1, uses="cell/dev"),  # type: ignore[arg-type]
-        Motion(2, "cell/a", "cell/b", "cell/c", uses="cell/arm"),  # type: ignore[arg-type]
-    )
+    assert [(m.step, m.source, m.target, m.via, m.new, m.uses) for m in path.motions] == [
+        (0, "cell/stack", "cell/a", "", True, "cell/arm"),
+        (1, "", "", "", False, "cell/dev"),
+        (2, "cell/a", "cell/b", "cell/c", False, "cell/arm"),
+    ]
+    assert [(m.stands, m.room, m.emptied, m.filled) for m in path.motions] == [
+        ((), ("cell/a",), "cell/stack", "cell/a"),
+        ((), (), "", ""),
+        (("cell/a",), ("cell/b", "cell/c"), "cell/a", "cell/b"),
+    ]
     assert path.modules == ((0, "cell/arm"), (1, "cell/dev"), (2, "cell/arm"))
 
 
@@ -57,3 +62,13 @@ def test_motions_stand_in_an_order_that_is_allowed() -> None:
 def test_steps_that_wait_for_each_other_have_no_order() -> None:
     with pytest.raises(ValueError, match="wait for each other"):
         path_of(plan(step("dev", after=(1,)), step("dev", after=(0,))), {})
+
+
+def test_all_that_a_step_needs_is_asked_before_any_of_it_is_done() -> None:
+    """Two pieces off one hotel are needed at once, and where one comes to the other must have gone before."""
+    first, second = path_of(plan(step("arm", move("hotel", "a"), move("hotel", "hotel2")))).motions
+    assert first.stands == ("cell/hotel", "cell/hotel")
+    assert first.room == ("cell/a", "cell/hotel2")
+    assert (second.stands, second.room) == ((), ())
+    (put_on, _) = path_of(plan(step("arm", relid("lids", "a"), move("a", "b")))).motions
+    assert put_on.stands == ("cell/a", "cell/lids")

@@ -14,10 +14,11 @@ from labos.core.decide.lab import DeclareStation
 from labos.core.ids import StationName
 from labos.planning.scheduler import Scheduler
 from tests.support.bench import CELL, Driver, elsewhere
+from tests.support.seeds import few_and_many
 from tests.unit.core.test_any_order import Chaos, nothing_left
 from tests.unit.planning.cases import Case
 
-SEEDS = 120
+FEW, MANY = 12, 120
 
 
 def work(rng: random.Random, **kinds: bool) -> Driver:
@@ -35,20 +36,22 @@ def work(rng: random.Random, **kinds: bool) -> Driver:
 
 
 @pytest.mark.parametrize("kind", ["plain", "lids", "holds", "zones", "hands", "covers"])
-def test_with_all_modules_alive_every_run_completes(kind: str) -> None:
+@few_and_many(FEW, MANY)
+def test_with_all_modules_alive_every_run_completes(kind: str, seeds: range) -> None:
     searched = 0
-    for seed in range(SEEDS):
+    for seed in seeds:
         lab = work(random.Random(seed), **{kind: True} if kind != "plain" else {})
         assert lab.types().count("run.completed") == lab.state.runs.named
         searched += lab.scheduler.safety.interleavings > 0
-    assert searched > 10, "the cases are too easy: greed alone finds a way"
+    assert searched > len(seeds) // 12, "the cases are too easy: greed alone finds a way"
 
 
-def test_nobody_inside_is_trapped_by_what_comes_to_rest_or_by_a_restart() -> None:
+@few_and_many(FEW, MANY)
+def test_nobody_inside_is_trapped_by_what_comes_to_rest_or_by_a_restart(seeds: range) -> None:
     """Plates that stay where their run ended fill the cell: not everybody gets in, but who is in
     comes out, also where planning has forgotten everything in between."""
     trapped_by_rule = 0
-    for seed in range(SEEDS):
+    for seed in seeds:
         rng = random.Random(seed)
         lab = Case(rng, stays=0.3).submitted()
 
@@ -65,7 +68,7 @@ def test_nobody_inside_is_trapped_by_what_comes_to_rest_or_by_a_restart() -> Non
         bare = Case(rng, stays=0.3).submitted()
         bare.work(rng, bare.pump_by_rule)
         trapped_by_rule += bool(bare.state.runs.active)
-    assert trapped_by_rule > SEEDS // 4
+    assert trapped_by_rule > len(seeds) // 4
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -103,12 +106,12 @@ def test_every_run_completes_in_cells_that_are_looked_for(rng: random.Random) ->
 def test_by_the_papers_rule_alone_many_of_the_same_cases_deadlock(capsys: pytest.CaptureFixture[str]) -> None:
     """Move a → b when a is occupied and b is empty, with no thought of what comes after."""
     trapped = 0
-    for seed in range(SEEDS):
+    for seed in range(MANY):
         rng = random.Random(seed)
         lab = Case(rng).submitted()
         trapped += not lab.work(rng, lab.pump_by_rule)
     with capsys.disabled():
-        print(f"\nbare rule: {trapped} of {SEEDS} cases deadlock; with the safety check: none")
+        print(f"\nbare rule: {trapped} of {MANY} cases deadlock; with the safety check: none")
     assert trapped > 0
 
 
@@ -142,10 +145,11 @@ def test_the_same_seed_gives_the_same_log() -> None:
     assert first.log == second.log
 
 
-def test_after_somebody_has_reached_in_everybody_goes_on() -> None:
+@few_and_many(FEW // 3, MANY // 3)
+def test_after_somebody_has_reached_in_everybody_goes_on(seeds: range) -> None:
     """While a workcell is held nothing starts there; then nobody sleeps on, and nobody is trapped."""
     granted = 0
-    for seed in range(SEEDS // 3):
+    for seed in seeds:
         rng = random.Random(seed)
         lab = Case(rng, lids=seed % 2 == 0).submitted()
 
@@ -163,4 +167,4 @@ def test_after_somebody_has_reached_in_everybody_goes_on() -> None:
         assert lab.work(rng, pump), f"seed {seed}, trapped: {lab.stuck()}"
         granted += lab.types().count("workcell.access_granted")
         lab.check_log()
-    assert granted > SEEDS // 3
+    assert granted > len(seeds)

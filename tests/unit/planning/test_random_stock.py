@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 
+import pytest
 from msgspec.structs import replace
 
 from labos.core.decide.stock import Replenish
@@ -37,6 +38,7 @@ def refill(rng: random.Random, lab: Driver) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_whoever_is_refilled_goes_on_and_everybody_completes() -> None:
     refills = 0
     for seed in range(SEEDS):

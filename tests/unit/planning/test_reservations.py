@@ -643,7 +643,7 @@ def live(rng: random.Random, lab: Driver) -> None:
 @pytest.mark.slow
 def test_nobody_stands_still_because_of_reservations(how: str) -> None:
     refused = 0
-    for seed in range(120):
+    for seed in range(40):
         rng = random.Random(seed)
         case = Case(rng, lids=how == "lids", holds=how == "holds")
         hurried(rng, case)
@@ -653,7 +653,7 @@ def test_nobody_stands_still_because_of_reservations(how: str) -> None:
         assert not lab.state.runs.active, f"seed {seed}"
         assert not lab.state.runs.queued, f"seed {seed}"
         refused += lab.scheduler.reservations.refusals > 0
-    assert refused > 20, "the cases are too easy: nobody ever had to wait"
+    assert refused > 6, "the cases are too easy: nobody ever had to wait"
 
 
 def test_a_scheduler_that_starts_anew_decides_alike() -> None:

@@ -325,7 +325,7 @@ def test_what_experiments_park_can_always_be_cleared_away(seed: int) -> None:
     for name in names:
         lab.end(name)
     assert works(lab, seed)
-    assert lab.state.campaigns.experiments == {}
+    assert lab.state.experiments.open == {}
     assert lab.state.bench.labware == {}
     lab.check_log()
 

@@ -6,13 +6,13 @@ import random
 
 import pytest
 
-from labos.core.campaigns import Usage
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import LoseNode, PutBack, TakeOut
 from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
+from labos.core.shares import Usage
 from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import everything_in
@@ -42,7 +42,7 @@ LONG = plan(step("dev"), step("dev"), name="long")
 def used(lab: Driver, **seconds: float) -> None:
     """Lab time that users have had."""
     for user, value in seconds.items():
-        lab.state.campaigns.usage[user] = Usage(value * SECOND, lab.now)
+        lab.state.shares.usage[user] = Usage(value * SECOND, lab.now)
 
 
 def sequence(lab: Driver) -> list[str]:
@@ -183,7 +183,7 @@ def test_a_window_whose_anchor_has_not_ended_runs_for_nobody() -> None:
     other = step("arm", take("stack", "a"))
     late = step("cam", windows=(Window(1, wait_s=5.0, within_s=9.0),))
     lab.submit(plan(step("dev"), other, late, parallel=True))
-    assert lab.scheduler.breaches(lab.state, lab.now) == []
+    assert list(lab.scheduler.due(lab.state, lab.now)) == []
     assert lab.pump()[0] == "R1#0"
     assert lab.scheduler.next_deadline(lab.state) is None
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from labos.core.branches import main_steps
 from labos.core.canonical import digest
-from labos.core.decide import Command, Rejection, decide
+from labos.core.decide import Command, Rejection, carry_out
 from labos.core.decide.actions import AcceptAction, FinishAction, StartStep
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
 from labos.core.decide.nodes import JoinNode
@@ -76,15 +76,24 @@ class Logbook:
         self.clock.now = START_NS + round(seconds * SECOND)
 
     def do(self, command: Command, actor: str = "ada") -> list[Event]:
-        decision = decide(self.state, command)
-        assert not isinstance(decision, Rejection), decision
-        self.write(decision, actor)
-        return decision
+        begin = len(self.entries)
+
+        def write(event: Event) -> Event:
+            cause = self.entries[begin].record.head.id if len(self.entries) > begin else ""
+            self._keep(self.ledger.write(event, actor, cause))
+            return self.entries[-1].event
+
+        events = carry_out(self.state, command, write)
+        assert not isinstance(events, Rejection), events
+        return events
 
     def write(self, events: Sequence[Event], actor: str = "labos") -> None:
-        entries = self.ledger.write(events, actor)
-        self.entries += entries
-        self.records += [entry.record for entry in entries]
+        for event in events:
+            self._keep(self.ledger.write(event, actor))
+
+    def _keep(self, entry: Entry) -> None:
+        self.entries.append(entry)
+        self.records.append(entry.record)
 
     def furnish(self) -> None:
         """The RPL workcell, all nodes idle, stocked."""
@@ -128,7 +137,7 @@ class Logbook:
         active = self.state.runs.get(run)
         assert active is not None
         total = len(main_steps(self.state.runs.plan_of(active)))
-        first = active.steps.index(PENDING) if active.steps else 0
+        first = active.statuses.index(PENDING) if active.has_started else 0
         for index in range(first, total if steps is None else first + steps):
             now += seconds
             self.step(run, index, until=now)

@@ -22,9 +22,9 @@ from labos.services.catalogue import catalogue_of
 from labos.services.describe import describe
 from labos.services.filters import Filter, Sieve
 from labos.services.history import position_at, state_at
-from labos.services.labware import all_stories, stories, story_of
+from labos.services.labware import fold_histories, labware_histories, labware_history
 from labos.services.log import events
-from labos.services.runs import run_stories, run_story
+from labos.services.runs import run_histories, run_history
 from labos.services.times import Moment
 from labos.store import SqlEventStore, open_store
 from tests.unit.services.logbook import SECOND, START_NS, Logbook, two_users
@@ -140,11 +140,11 @@ def test_sentences_bear_the_names_of_steps(log: SqlEventStore) -> None:
 
 
 def found(log: SqlEventStore, **wanted: Any) -> list[Event]:
-    return [event for event, _ in Sieve(log, Filter(**wanted)).found()]
+    return [event for event, _ in Sieve(log, Filter(**wanted)).matching_events()]
 
 
 def positions(log: SqlEventStore, **wanted: Any) -> list[int]:
-    return [record.head.position for _, record in Sieve(log, Filter(**wanted)).found()]
+    return [record.head.position for _, record in Sieve(log, Filter(**wanted)).matching_events()]
 
 
 def test_no_filter_shows_everything_in_order(log: SqlEventStore) -> None:
@@ -209,7 +209,8 @@ def test_users_and_times(log: SqlEventStore) -> None:
     assert all(getattr(event, "run", "R2") == "R2" for event in bo)
     since, until = START_NS + 300 * SECOND, START_NS + 320 * SECOND
     shown = [
-        record.head.recorded_at for _, record in Sieve(log, Filter(since_ns=since, until_ns=until)).found()
+        record.head.recorded_at
+        for _, record in Sieve(log, Filter(since_ns=since, until_ns=until)).matching_events()
     ]
     assert shown
     assert min(shown) >= since
@@ -220,7 +221,7 @@ def test_later_events_pass_the_same_sieve(log: SqlEventStore) -> None:
     every = positions(log, run="R2", types=("action",))
     sieve = Sieve(log, Filter(run="R2", types=("action",)))
     half = every[len(every) // 2]
-    first = [record.head.position for _, record in sieve.found(half)]
+    first = [record.head.position for _, record in sieve.matching_events(half)]
     assert first + [record.head.position for _, record in sieve.later(half)] == every
 
 
@@ -228,7 +229,7 @@ def test_later_events_pass_the_same_sieve(log: SqlEventStore) -> None:
 
 
 def test_the_story_of_a_plate(log: SqlEventStore) -> None:
-    story = story_of(log, "P1")
+    story = labware_history(log, "P1")
     assert story is not None
     assert [stay.places[0].partition("/")[2] for stay in story.stays] == [
         "sciclops.exchange",
@@ -247,8 +248,8 @@ def test_the_story_of_a_plate(log: SqlEventStore) -> None:
         record = two_users().records[stay.proof.position - 1]
         assert record.hash.hex() == stay.proof.hash
         assert record.head.recorded_at == stay.since
-    assert story_of(log, "P9") is None
-    assert story_of(log, "P1", upto=story.stays[2].proof.position).place == "sealer.default"  # type: ignore[union-attr]
+    assert labware_history(log, "P9") is None
+    assert labware_history(log, "P1", upto=story.stays[2].proof.position).place == "sealer.default"  # type: ignore[union-attr]
 
 
 def test_uncertain_and_gone_are_said(log: SqlEventStore) -> None:
@@ -258,18 +259,18 @@ def test_uncertain_and_gone_are_said(log: SqlEventStore) -> None:
     from tests.unit.services.logbook import sealed
 
     doubt = sealed([(500, "rpl/pf400", event)])
-    told = stories([*book.records, *doubt], catalogue_of(log))
+    told = fold_histories([*book.records, *doubt], catalogue_of(log))
     assert told["P2"].place == "not known: pf400.gripper or wc.output.1"
-    assert list(all_stories(log)) == ["P1", "P2"]
+    assert list(labware_histories(log)) == ["P1", "P2"]
 
 
 def test_the_story_of_runs(log: SqlEventStore) -> None:
-    told = run_stories(log)
+    told = run_histories(log)
     assert [(r.id, r.user, r.status, r.done) for r in told.values()] == [
         ("R1", "ada", "completed", 14),
         ("R2", "bo", "active", 5),
     ]
-    one = run_story(log, "R1")
+    one = run_history(log, "R1")
     assert msgspec.to_builtins(one) == msgspec.to_builtins(told["R1"])
     assert [step.ended_at - step.requested_at for step in one.steps if step.state != "asleep"] == [
         10 * SECOND
@@ -284,6 +285,6 @@ def test_a_failed_step_bears_its_error(tmp_path: Path, open_log: Open) -> None:
     book.carry_through("R1", seconds=5, steps=4)
     action = book.start("R1", 4)
     book.finish(action, succeeded=False, effects="none", error="no foil")
-    run = run_story(open_log(book.save(tmp_path)), "R1")
+    run = run_history(open_log(book.save(tmp_path)), "R1")
     assert (run.status, run.steps[4].state, run.steps[4].error) == ("failed", "failed", "no foil")
     assert "no foil" in run.why

@@ -11,7 +11,7 @@ from sqlalchemy import text
 from labos.core.envelope import Record
 from labos.errors import NotFound
 from labos.ports import LogQuery
-from labos.services.runs import run_stories, run_story
+from labos.services.runs import run_histories, run_history
 from labos.store import SqlEventStore, open_store
 from labos.store._select import selection
 from tests.unit.services.logbook import Logbook
@@ -47,9 +47,9 @@ def test_one_run_costs_its_own_events(tmp_path: Path, run: str) -> None:
         store = open_store(lab(others).save(tmp_path / str(others)), create=False, read_only=True)
         try:
             counting = Counting(store)
-            story = run_story(counting, run)  # type: ignore[arg-type]
+            story = run_history(counting, run)  # type: ignore[arg-type]
             assert story.in_play == 14
-            assert story == run_stories(store)[run]
+            assert story == run_histories(store)[run]
             costs.append(counting.read_records)
         finally:
             store.close()
@@ -65,6 +65,6 @@ def test_a_stream_is_found_by_its_index(tmp_path: Path) -> None:
         steps = [str(row[3]) for row in backend.fetch(f"EXPLAIN QUERY PLAN {plain}", ())]
         assert any("USING INDEX" in step and "stream=?" in step for step in steps), steps
         with pytest.raises(NotFound, match="no run 'R99'"):
-            run_story(store, "R99")
+            run_history(store, "R99")
     finally:
         store.close()

@@ -16,7 +16,7 @@ from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.experiments import ExperimentStarted
 from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, StationName
-from labos.core.interventions import Choice, InterventionRequested, InterventionResolved
+from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import KernelStarted
 from labos.core.labware import StationDeclared, StationUnloaded, WasteEmptied
 from labos.core.model import Plan, PlanStep
@@ -25,6 +25,7 @@ from labos.core.plans import PlanRecorded
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
+from labos.core.topics import Choice
 from labos.services.log import events
 from labos.services.twh import Meter, Report, Twh, measure
 from tests.simulation import mixes

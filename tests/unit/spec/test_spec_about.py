@@ -189,3 +189,22 @@ def test_wei_files_are_arguments() -> None:
     about = {"name": "x", "actions": [{"name": "run", "args": [], "files": [{"name": "protocol"}]}]}
     (arg,) = describe_wei(about).actions[0].args
     assert (arg.name, arg.type, arg.required) == ("protocol", "file", True)
+
+
+@pytest.mark.parametrize(
+    ("effect", "remedy"),
+    [
+        ("{sets: {latch: open}}", "Write `sets: {of: …, variable: …, value: …}`; it may also say labware."),
+        ("{moves: {}}", "Known effects: claims, "),
+        ("{take: {}}", "Write `take: {stack: …, target: …}`; it may also say labware."),
+    ],
+)
+def test_an_effect_that_does_not_fit_says_how_it_is_written(effect: str, remedy: str) -> None:
+    text = (
+        "labos: 1\nname: bench\nmodules:\n  - name: shaker\n    about: {actions: {latch: {effects: ["
+        f"{effect}]}}}}}}\n"
+    )
+    with pytest.raises(SpecErrors) as caught:
+        parse_workcell(text, {})
+    (fault,) = caught.value.findings
+    assert fault.remedy.startswith(remedy)

@@ -1,8 +1,9 @@
-"""A step that names no module is carried by whoever can, from hand to hand if nobody reaches both ends."""
+"""A step that names no module is carried by whoever can, over several arms if none reaches both ends."""
 
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import pytest
 
@@ -11,7 +12,7 @@ from labos.core.effects import Move, Take
 from labos.core.model import Description, Plan
 from labos.spec import SpecErrors, compile_workcell, compile_workflow, parse_workflow
 from labos.spec.source import parse
-from labos.spec.uses import uses_in
+from labos.spec.uses import read_uses
 
 MADSCI = """\
 workcell_manager_name: corner
@@ -39,17 +40,18 @@ def drivers() -> dict[str, Description]:
     return installed()
 
 
-def plan_of(steps: str, payload: dict[str, str] | None = None) -> Plan:
-    flow = parse(f"name: carry\nsteps:\n{steps}", "carry.yaml")
-    cell = compile_workcell(parse(MADSCI, "settings.yaml"), drivers(), uses=uses_in([flow]))
+def compiled(text: str, payload: dict[str, Any] | None = None) -> Plan:
+    cell = compile_workcell(
+        parse(MADSCI, "settings.yaml"), drivers(), uses=read_uses([parse(text, "carry.yaml")])
+    )
+    flow = parse_workflow(text, "carry.yaml")
     return compile_workflow(
-        parse_workflow(f"name: carry\nsteps:\n{steps}", "carry.yaml"),
-        payload or {},
-        cell.workcell,
-        drivers(),
-        simulate=True,
-        bench=cell.bench,
+        flow, payload or {}, cell.workcell, drivers(), simulate=True, bench=cell.bench
     ).plan
+
+
+def plan_of(steps: str, payload: dict[str, Any] | None = None) -> Plan:
+    return compiled(f"name: carry\nsteps:\n{steps}", payload)
 
 
 def motions(plan: Plan) -> list[tuple[str, str, str, str]]:
@@ -110,3 +112,66 @@ def test_what_cannot_be_carried_is_refused_with_its_line(steps: str, says: str) 
     assert says in fault.message
     assert fault.line == 3
     assert fault.remedy
+
+
+BACK = "{name: Back, action: transfer, args: {source: handler.deck_2, target: reader.carriage}}"
+NATIVE = f"""\
+labos: 1
+name: carry
+steps:
+  - {{name: Fill, action: transfer, args: {{source: storage, target: handler.deck_2}}}}
+  - {{name: Mix, module: handler, action: mix, args: {{}}, on_error: {{run: [{BACK}], then: fail}}}}
+on_cancel:
+  - {BACK}
+"""
+
+
+def test_over_several_arms_after_a_cancellation_and_after_a_failure() -> None:
+    plan = compiled(NATIVE)
+    found = [motion for motion in motions(plan) if "Back" in motion[0]]
+    there = [
+        ("deck_transfer", "handler.deck_2", "handler.deck_1"),
+        ("transfer", "handler.deck_1", "reader.carriage"),
+    ]
+    assert [motion[1:] for motion in found] == [*there, *there]
+    assert [key for key, *_ in found] == [
+        "on_cancel/Back[1]",
+        "on_cancel/Back[2]",
+        "Mix/on_error/Back[1]",
+        "Mix/on_error/Back[2]",
+    ]
+
+
+def test_for_each_place() -> None:
+    plan = compiled(
+        """\
+labos: 1
+name: carry
+steps:
+  - name: Carry
+    action: transfer
+    args: {source: payload.item.from, target: payload.item.to}
+    for_each: {item: item, in: payload.ways}
+""",
+        {"ways": [{"from": "storage", "to": "handler.deck_2"}, {"from": "handler.deck_2", "to": "storage"}]},
+    )
+    assert [motion[0] for motion in motions(plan)] == [
+        "Carry[1][1]", "Carry[1][2]", "Carry[2][1]", "Carry[2][2]"
+    ]  # fmt: skip
+    assert [step.after for step in plan.steps] == [(), (0,), (1,), (2,)]
+
+
+def test_rounds_side_by_side_still_carry_hop_after_hop() -> None:
+    plan = compiled(
+        """\
+labos: 1
+name: carry
+steps:
+  - name: Carry
+    action: transfer
+    args: {source: payload.item, target: reader.carriage}
+    for_each: {item: item, in: [storage, handler.deck_2], parallel: true}
+""",
+    )
+    before = {plan.steps[n].key: [plan.steps[m].key for m in step.after] for n, step in enumerate(plan.steps)}
+    assert before == {"Carry[1]": [], "Carry[2][1]": [], "Carry[2][2]": ["Carry[2][1]"]}

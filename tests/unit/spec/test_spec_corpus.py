@@ -15,6 +15,7 @@ from labos.bootstrap import descriptions as installed
 from labos.core.model import Description
 from labos.errors import SpecError
 from labos.spec import Finding, SpecErrors, compile_workcell, compile_workflow, find_spec, load_workcell
+from labos.spec.comments import read_comments
 from labos.spec.dialects import find_kind, no_spec, workcell_form, workflow_form
 from labos.spec.findings import Report, finding_of
 from labos.spec.importing import import_spec, settled
@@ -63,7 +64,9 @@ def load(path: Path) -> tuple[str, list[Finding]]:
         found = find_kind(source)
         if found is None:
             return "", [finding_of(no_spec(source))]
-        import_spec(source, drivers())
+        text = import_spec(source, drivers()).text
+        kept = Counter(comment.text for comment in read_comments(text))
+        assert not Counter(comment.text for comment in read_comments(source.text)) - kept, path
     except SpecErrors as errors:
         return "", [finding for finding in errors.findings if finding.severity == "error"]
     except SpecError as error:

@@ -147,3 +147,22 @@ def test_what_is_wrong_in_a_step_is_named_too(written: str, message: str) -> Non
     (fault,) = caught.value.findings
     assert (fault.file, fault.line) == ("flow.yaml", 4)
     assert message in fault.message
+
+
+CUTTER = """\
+labos: 1
+name: corner
+modules:
+- name: cutter
+  interface: wei_rest_node
+  config: {rest_node_address: "http://cutter.lab:2000"}
+  about: {actions: {cut: {dangerous: laser}, look: {}}}
+"""
+
+
+@pytest.mark.parametrize(("more", "dangers"), [("  second_person: true\n", ["laser", ""]), ("", ["", ""])])
+def test_what_is_dangerous_takes_a_second_person_where_the_workcell_says_so(
+    more: str, dangers: list[str]
+) -> None:
+    steps = "".join(f"- {{name: {name}, module: cutter, action: {name}}}\n" for name in ("cut", "look"))
+    assert [step.dangerous for step in compiled(steps, CUTTER + more).plan.steps] == dangers

@@ -14,7 +14,7 @@ from labos.spec import Bench, CompiledWorkcell, SpecErrors, compile_workcell, co
 from labos.spec.importing import import_spec
 from labos.spec.serving import drivers_of, suggested_driver
 from labos.spec.source import parse
-from labos.spec.uses import users_of, uses_in
+from labos.spec.uses import read_uses, workflows_by_workcell
 
 CELL = """\
 name: corner
@@ -45,7 +45,7 @@ def drivers() -> dict[str, Description]:
 
 
 def cell_for(flow: str = FLOW, cell: str = CELL) -> CompiledWorkcell:
-    return compile_workcell(parse(cell, "corner.yaml"), drivers(), uses=uses_in([parse(flow, "bake.yaml")]))
+    return compile_workcell(parse(cell, "corner.yaml"), drivers(), uses=read_uses([parse(flow, "bake.yaml")]))
 
 
 def plan_of(flow: str = FLOW, cell: str = CELL) -> Plan:
@@ -95,7 +95,7 @@ def test_without_workflows_it_is_as_before() -> None:
 
 
 def test_what_is_written_plans_the_same(tmp_path: object) -> None:
-    found = import_spec(parse(CELL, "corner.yaml"), drivers(), uses_in([parse(FLOW, "bake.yaml")]))
+    found = import_spec(parse(CELL, "corner.yaml"), drivers(), read_uses([parse(FLOW, "bake.yaml")]))
     again = compile_workcell(parse(found.text, "again.yaml"), drivers())
     flow = import_spec(parse(FLOW, "bake.yaml"), drivers()).text
     compiled = compile_workflow(
@@ -112,6 +112,36 @@ def test_an_action_with_other_arguments_takes_the_place_of_the_drivers() -> None
         "module: sealer, action: seal, args: {pressure: ", "module: sealer, action: transfer, args: {way: "
     )
     assert any("knows 'transfer' with other arguments" in message for _, message in assumed(flow, cell))
+
+
+def test_a_step_with_other_arguments_does_not_spoil_the_action_for_the_others() -> None:
+    """What the driver knows of its action holds for the steps that fit; the odd one is refused by itself."""
+    cell = CELL.replace("model: Acme Mover 7", "model: pf400")
+    flow = "name: Carry\nflowdef:\n"
+    flow += (
+        "  - {name: one, module: arm, action: transfer, args: {source: wc.rack, target: sealer.default}}\n"
+    )
+    odd = "  - {name: odd, module: arm, action: transfer, args: {from_here: wc.rack, to_there: wc.rack}}\n"
+    compiled = cell_for(flow + odd, cell)
+    (step,) = compile_workflow(
+        parse_workflow(flow), {}, compiled.workcell, drivers(), simulate=True, bench=compiled.bench
+    ).plan.steps
+    assert any(isinstance(effect, Move) for effect in step.effects)
+    with pytest.raises(SpecErrors, match="Step 'odd': The action 'transfer' needs the argument 'source'"):
+        compile_workflow(parse_workflow(flow + odd), {}, compiled.workcell, drivers(), simulate=True)
+
+
+def test_several_spellings_of_one_action_are_one_action() -> None:
+    """One step calls it by the driver's alias and with a file, another by its name and with a number."""
+    cell = CELL.replace("name: oven, type: wei_ros_node, model: Acme Oven", "name: oven, model: biometra")
+    flow = "name: Cycle\nflowdef:\n"
+    flow += "  - {name: shut, module: oven, action: close_lid}\n"
+    old = "  - {name: old, module: oven, action: thermocycle, args: {protocol_file: pcr.yaml}}\n"
+    new = "  - {name: new, module: oven, action: run_program, args: {prog: 4}}\n"
+    assert plan_of(flow + old, cell).steps[1].args == {"protocol_file": "pcr.yaml"}
+    assert plan_of(flow + new, cell).steps[1].args == {"program_n": 4}
+    with pytest.raises(SpecErrors, match="Step 'old': The action 'run_program' needs"):
+        plan_of(flow + old + new, cell)
 
 
 def test_joint_values_are_no_places() -> None:
@@ -167,7 +197,9 @@ def test_workflows_belong_to_the_workcell_that_they_name_or_that_has_their_modul
         parse(FLOW.replace("name: Bake", "name: Bake\nworkcell: /home/x/other.yaml"), "a/named.yaml"),
         parse("name: x\nflowdef:\n  - {name: s, module: nobody, action: rest}\n", "a/none.yaml"),
     ]
-    found = {cell: [source.file for source in flows] for cell, flows in users_of(sources).items()}
+    found = {
+        cell: [source.file for source in flows] for cell, flows in workflows_by_workcell(sources).items()
+    }
     assert found == {"a/corner.yaml": ["b/bake.yaml"], "b/other.yaml": ["a/named.yaml"]}
 
 
@@ -182,7 +214,7 @@ ADDRESS = "config: {ros_node_address: /arm}, "
 
 
 def test_locations_of_modules_that_are_not_there_are_kept() -> None:
-    found = import_spec(parse(PLACES, "corner.yaml"), drivers(), uses_in([parse(FLOW, "bake.yaml")]))
+    found = import_spec(parse(PLACES, "corner.yaml"), drivers(), read_uses([parse(FLOW, "bake.yaml")]))
     again = parse(found.text, "again.yaml")
     assert again.data["config"]["locations_of_others"] == {
         "armm": {"wc.rack": [7, 7, 7], "wc.shelf": {"pose": [1, 2], "path": [[3, 4]]}}

@@ -84,10 +84,10 @@ def test_a_grip_that_the_type_does_not_leave_is_refused() -> None:
 
 
 def test_a_labware_type_says_how_it_can_be_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    from labos.spec import furnishing
+    from labos.spec import compile_stations
 
-    known = furnishing.packaged_labware()
+    known = compile_stations.packaged_labware()
     held = {**known, "plate96": known["plate96"].model_copy(update={"grips": ["narrow"]})}
-    monkeypatch.setattr(furnishing, "packaged_labware", lambda: held)
+    monkeypatch.setattr(compile_stations, "packaged_labware", lambda: held)
     wide = TO_READER.replace("default}", "default, target_plate_rotation: wide}")
     assert told(GET, wide) == ["Step 'in': pf400 cannot grip plate96 wide at hidex.default."]

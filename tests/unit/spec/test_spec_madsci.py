@@ -81,7 +81,7 @@ def test_a_labs_settings() -> None:
     assert file.stations["sealer.default"].comment == "Where it seals"
     assert file.stations["wc.far_away_place"].kind == "nest"
     assert file.stock == {}
-    assert [where(finding) for finding in findings] == [(1, 1), (17, 5), (21, 5), (25, 1)]
+    assert [where(finding) for finding in findings] == [(1, 1), (17, 5), (21, 5)]
 
 
 def test_locations_beside_the_settings(tmp_path: Path) -> None:
@@ -272,7 +272,7 @@ STEP = "name: x\nsteps:\n  - "
 @pytest.mark.parametrize(
     ("text", "line", "column", "says"),
     [
-        (STEP + "{action: transfer_resource, args: {target: b}}", 3, 14, "has no action 'transfer_resource'"),
+        (STEP + "{action: transfer_resource, args: {target: b}}", 3, 14, "names a resource of MADSci"),
         (STEP + "{action: wait}", 3, 5, "does not say how long"),
         (STEP + "{node: a}", 3, 5, "no action"),
         (STEP + "{node: a, action: b, params: {action: c}}", 3, 43, "'c' is not declared"),

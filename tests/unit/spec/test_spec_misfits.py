@@ -9,7 +9,7 @@ import pytest
 
 from labos.spec import parse_workflow, validate_workflow
 from labos.spec.flaws import flaw_in
-from labos.spec.misfits import plainly
+from labos.spec.mismatch import plainly
 from labos.spec.models import WorkcellFile, WorkflowFile
 
 LIBRARY = (

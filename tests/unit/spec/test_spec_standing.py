@@ -6,8 +6,8 @@ import pytest
 
 from labos.bootstrap import descriptions, shape_of
 from labos.spec import compile_workcell, find_spec
+from labos.spec.layout_check import check_layout
 from labos.spec.source import parse, read
-from labos.spec.standing import standing
 
 TWO = """labos: 1
 name: cell
@@ -27,7 +27,7 @@ locations:
 
 def warnings(text: str) -> list[str]:
     source = parse(text, "cell.yaml", last_wins=True)
-    found = standing(source, compile_workcell(source, descriptions()), shape_of)
+    found = check_layout(source, compile_workcell(source, descriptions()), shape_of)
     assert all(finding.severity == "warning" for finding in found)
     return [str(finding.as_error()) for finding in found]
 
@@ -93,9 +93,9 @@ def test_a_reach_in_the_file_counts_like_a_taught_place() -> None:
 def test_modules_without_coordinates_or_descriptions_are_let_be() -> None:
     assert warnings(TWO.replace(", coordinates: [{second}]", "").format(first="0, 0, 1, 1, 0, 0, 0")) == []
     source = parse(TWO.format(first="0, 0, 1, 1, 0, 0, 0", second="0, 0, 1, 1, 0, 0, 0"))
-    assert standing(source, compile_workcell(source, descriptions()), lambda driver: None) == []
+    assert check_layout(source, compile_workcell(source, descriptions()), lambda driver: None) == []
 
 
 def test_the_packaged_workcell_stands_well() -> None:
     source = read(find_spec("workcells", "rpl"), last_wins=True)
-    assert standing(source, compile_workcell(source, descriptions()), shape_of) == []
+    assert check_layout(source, compile_workcell(source, descriptions()), shape_of) == []

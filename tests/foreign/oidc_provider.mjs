@@ -1,0 +1,27 @@
+// An identity provider on loopback, with the sign-in page that it brings for development:
+//   node oidc_provider.mjs PORT WAY_BACK MODULES
+// Whoever signs in has the groups that stand behind a dash: `ada-operators-chemists`.
+import { createRequire } from "node:module";
+import { pathToFileURL } from "node:url";
+
+const [port, wayBack, modules] = process.argv.slice(2);
+const require = createRequire(`${modules}/`);
+const { default: Provider } = await import(pathToFileURL(require.resolve("oidc-provider")));
+
+const provider = new Provider(`http://127.0.0.1:${port}`, {
+  clients: [{
+    client_id: "labos",
+    token_endpoint_auth_method: "none",
+    redirect_uris: [wayBack],
+    grant_types: ["authorization_code"],
+    response_types: ["code"],
+    application_type: "native",
+  }],
+  pkce: { required: () => true },
+  claims: { openid: ["sub"], profile: ["name", "groups"] },
+  findAccount: async (_, id) => ({
+    accountId: id,
+    claims: async () => ({ sub: id, name: `Person ${id}`, groups: id.split("-").slice(1) }),
+  }),
+});
+provider.listen(Number(port), "127.0.0.1", () => console.log("ready"));

@@ -1,0 +1,340 @@
+"""``labos export``: crates and events that foreign software reads and finds in order."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labos.audit._crate_parts import METADATA, Crate, safe_name
+from labos.audit.crate import make_crate
+from labos.audit.database import open_audit
+from labos.audit.query import open_asker
+from labos.cli.app import main
+from labos.core.decide.experiments import StartExperiment
+from labos.core.decide.lab import StartKernel
+from labos.core.ids import ExperimentId, LabId
+from labos.core.labware import SamplesRegistered
+from labos.store import FolderBlobs, open_store
+from tests.foreign.make import ROOT
+from tests.integration.audit.logs import GrowingLog, project
+from tests.support.audited import MEASURED, PLATE, audited_lab, finish_with
+from tests.support.foreign import python_of
+from tests.unit.services.logbook import Logbook, save
+
+SOURCE = b"# the workflow as somebody wrote it\n"
+PICTURE = b"\x89PNG not really"
+FILE = {
+    "file": "../shots/final image.png",
+    "sha256": hashlib.sha256(PICTURE).hexdigest(),
+    "bytes": len(PICTURE),
+}
+WFRUN = "https://w3id.org/ro/wfrun"
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """R2 returned a picture, R3 and R4 are of the experiment E1 and of one workflow, R5 failed, R6 has begun.
+    Before R6, a newer LabOS took over."""
+    book = Logbook()
+    book.furnish()
+    pins = {"workflow": hashlib.sha256(SOURCE).hexdigest()}
+    finish_with(book, book.submit("cp_newplate", "ada"), {})
+    finish_with(
+        book, book.submit("cp_mixcolor", "ada", pins=pins), {"Take picture": {**MEASURED, "picture": FILE}}
+    )
+    book.do(StartExperiment("app", "ada"))
+    for _ in range(2):
+        finish_with(book, book.submit("pcr", "ada", pins=pins, experiment=ExperimentId("E1")), {})
+    book.finish(
+        book.start(book.submit("pcr", "bo"), 0), succeeded=False, effects="none", error="it is jammed"
+    )
+    book.do(StartKernel(2, "0.2.0"), "labos")
+    book.start(book.submit("pcr", "bo"), 0)
+    home = tmp_path_factory.mktemp("kept") / "lab"
+    book.save(home)
+    for content in (SOURCE, PICTURE):
+        FolderBlobs(home / "blobs").put(content)
+    return home
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("LABOS_HOME", "LABOS_DATABASE_URL", "LABOS_URL"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def export(home: Path, *words: str, code: int = 0) -> None:
+    assert main(["export", *words, "--home", str(home)]) == code
+
+
+def graph_of(crate: Path) -> dict[str, dict[str, Any]]:
+    data = (crate / METADATA).read_bytes() if crate.is_dir() else zipfile.ZipFile(crate).read(METADATA)
+    return {entity["@id"]: entity for entity in json.loads(data)["@graph"]}
+
+
+def ids(value: Any) -> list[str]:
+    return [each["@id"] for each in (value if isinstance(value, list) else [value])] if value else []
+
+
+# -- crates ------------------------------------------------------------------------------------
+
+
+def validated(*crates: str) -> list[dict[str, Any]]:
+    """What foreign software says of crates, as Provenance Run Crates."""
+    wanted = [f"{name}=provenance-run-crate" for name in crates]
+    command = [python_of("exports"), ROOT / "tests" / "foreign" / "crate_check.py", "cache", *wanted]
+    run = subprocess.run(command, capture_output=True, check=True)
+    answers: list[dict[str, Any]] = json.loads(run.stdout)
+    return answers
+
+
+def test_foreign_software_finds_a_crate_in_order(kept: Path) -> None:
+    export(kept, "crate", "R2", "--to", "R2", "--license", "https://spdx.org/licenses/CC-BY-4.0")
+    (told,) = validated("R2")
+    assert told["wrong"] == []
+    assert told["name"] == "Run R2: cp_mixcolor"
+    assert told["main"] == "workflows/cp_mixcolor.yaml"
+    assert len(told["actions"]) == 1 + 5
+    written = {str(path.relative_to("R2")) for path in Path("R2").rglob("*") if path.is_file()}
+    assert told["parts"] == sorted(written - {METADATA})
+
+
+@pytest.mark.slow
+def test_an_experiment_is_in_order_too_and_a_spoilt_crate_is_not(kept: Path) -> None:
+    export(kept, "crate", "E1", "--to", "E1.zip")
+    for run in ("R5", "R6"):
+        export(kept, "crate", run, "--to", run)
+    export(kept, "crate", "R2", "--to", "bad")
+    metadata = Path("bad", METADATA)
+    told = json.loads(metadata.read_text())
+    next(each for each in told["@graph"] if each["@type"] == "ControlAction").pop("instrument")
+    metadata.write_text(json.dumps(told))
+    experiment, failed, under_way, bad = validated("E1.zip", "R5", "R6", "bad")
+    assert experiment["wrong"] == failed["wrong"] == under_way["wrong"] == []
+    assert {"#run-R3", "#run-R4"} < {*experiment["actions"]}
+    assert len(bad["wrong"]) == 1
+    assert "ControlAction" in bad["wrong"][0]
+
+
+def test_each_file_is_the_one_that_is_told(kept: Path) -> None:
+    export(kept, "crate", "R2", "--to", "R2")
+    graph = graph_of(Path("R2"))
+    files = [each for each in graph.values() if "File" in each["@type"]]
+    for each in files:
+        data = Path("R2", each["@id"]).read_bytes()
+        assert hashlib.sha256(data).hexdigest() == each["sha256"], each["@id"]
+        assert int(each.get("contentSize", len(data))) == len(data)
+    assert Path("R2/workflows/cp_mixcolor.yaml").read_bytes() == SOURCE
+    assert Path("R2/files/final_image.png").read_bytes() == PICTURE
+    (plan,) = Path("R2/plans").iterdir()
+    assert hashlib.sha256(plan.read_bytes()).hexdigest().startswith(plan.stem), "its SHA-256 is its name"
+    assert json.loads(Path("R2/runs/R2/payload.json").read_text())["destination_wells"] == ["A1", "A2"]
+    assert "absorbance,0.52" in Path("R2/results.csv").read_text()
+
+
+def test_a_crate_tells_who_did_what_with_what(tmp_path: Path) -> None:
+    audited_lab().save(tmp_path / "lab")
+    export(tmp_path / "lab", "crate", "R2", "--to", "R2.zip")
+    graph = graph_of(Path("R2.zip"))
+    mix = next(each for each in graph.values() if each.get("name") == "R2 #1: Mix all colors")
+    assert ids(mix["agent"]) == ["#user-ada"]
+    assert (mix["startTime"], mix["endTime"]) == (
+        "2025-06-15T15:07:41.000+00:00",
+        "2025-06-15T15:07:42.000+00:00",
+    )
+    assert mix["actionStatus"] == "http://schema.org/CompletedActionStatus"
+    (driver,) = (graph[each] for each in ids(mix["instrument"]))
+    assert (driver["@type"], driver["softwareVersion"]) == ("SoftwareApplication", "1")
+    assert graph[driver["about"]["@id"]]["name"] == "rpl/ot2_cp_gamma"
+    used = ids(mix["object"])
+    assert {"#labware-P1", "#lot-A-17", "#lot-B-03", "#lot-C-99", "files/combined_protocol.yaml"} < {*used}
+    arguments = {graph[each]["name"]: graph[each]["value"] for each in used if each.startswith("#argument")}
+    assert arguments["color_A_volumes"] == "[10.0,20.0]"
+    assert arguments["use_existing_resources"] is False
+
+
+@pytest.mark.postgres
+def test_a_crate_is_the_same_on_both_databases(kept: Path, postgres_url: str) -> None:
+    lite_url = f"sqlite:///{kept / 'labos.db'}"
+    log = open_store(lite_url, create=False, read_only=True, home=kept)
+    found = []
+    for url in (lite_url, postgres_url):
+        tables = open_audit(url)
+        project(GrowingLog(list(log.read())), tables)
+        tables.close()
+        with open_asker(url) as asker:
+            crates = [make_crate(asker, log, name, 0) for name in ("R1", "R2", "E1", "R5", "R6")]
+            found.append([list(crate.contents(FolderBlobs(kept / "blobs"))) for crate in crates])
+    log.close()
+    assert found[0] == found[1]
+
+
+def test_only_what_follows_one_workflow_is_a_provenance_run_crate(kept: Path) -> None:
+    export(kept, "crate", "E1", "--to", "E1")
+    assert f"{WFRUN}/provenance/0.5" in ids(graph_of(Path("E1"))["./"]["conformsTo"])
+    export(kept, "crate", "R6", "--to", "R6")
+    graph = graph_of(Path("R6"))
+    under_way = graph["#run-R6"]
+    (by,) = (graph[each] for each in ids(graph["#execution-R6"]["instrument"]))
+    assert by["softwareVersion"] == "0.2.0", (
+        "of the LabOS that carries it out, not of the one that exports it"
+    )
+    assert under_way["actionStatus"] == "http://schema.org/ActiveActionStatus"
+    assert "endTime" not in under_way
+    book = Logbook()
+    book.furnish()
+    book.do(StartExperiment("app", "ada"))
+    for workflow in ("cp_newplate", "pcr"):
+        book.submit(workflow, "ada", experiment=ExperimentId("E1"))
+    save(book.records, Path("other"))
+    export(Path("other"), "crate", "E1", "--to", "other-E1")
+    root = graph_of(Path("other-E1"))["./"]
+    assert ids(root["conformsTo"]) == [f"{WFRUN}/process/0.5"]
+    assert "mainEntity" not in root
+
+
+def test_a_crate_tells_what_failed(kept: Path) -> None:
+    export(kept, "crate", "R5", "--to", "R5")
+    graph = graph_of(Path("R5"))
+    run, action = (graph[each] for each in ids(graph["./"]["mentions"]))
+    assert {run["actionStatus"], action["actionStatus"]} == {"http://schema.org/FailedActionStatus"}
+    assert action["error"] == "it is jammed"
+    assert run["error"]
+
+
+def test_a_crate_with_its_bundle_proves_itself(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    export(kept, "crate", "R2", "--to", "early.zip", "--bundle", code=1)
+    assert "no signed checkpoint" in capsys.readouterr().err
+    assert not Path("early.zip").exists()
+    assert main(["key", "create", "--home", str(kept)]) == 0
+    Path("lab.pub").write_text(capsys.readouterr().out)
+    assert main(["checkpoint", "--home", str(kept)]) == 0
+    export(kept, "crate", "R2", "--to", "R2", "--bundle")
+    assert main(["verify", "--bundle", "R2/bundles/R2.zip", "--public-key", "lab.pub"]) == 0
+    assert "bundles/R2.zip" in ids(graph_of(Path("R2"))["./"]["hasPart"])
+    export(kept, "crate", "R6", "--to", "R6", "--bundle", code=1)
+    assert "has not ended" in capsys.readouterr().err
+
+
+def test_what_cannot_be_exported_is_said(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    export(kept, "crate", "R99", "--to", "R99", code=1)
+    assert "There is no run 'R99'" in capsys.readouterr().err
+    Path("full").mkdir()
+    Path("full/there").touch()
+    export(kept, "crate", "R2", "--to", "full", code=1)
+    assert "full is there already" in capsys.readouterr().err
+    blob = next((kept / "blobs").rglob(FILE["sha256"]))
+    away = blob.rename(blob.with_suffix(".away"))
+    export(kept, "crate", "R2", "--to", "gone.zip", code=1)
+    assert "There is no blob" in capsys.readouterr().err
+    away.rename(blob)
+    assert not list(Path().glob("*gone*")), "whole or absent"
+
+
+def test_files_of_one_name_are_kept_apart() -> None:
+    crate = Crate()
+    first = crate.put("files/a.txt", b"one")
+    second = crate.put("files/a.txt", b"two")
+    assert first == "files/a.txt" != second
+    assert crate.put("files/b.txt", b"one") == first, "the same content is there once"
+    assert [safe_name(name) for name in ("../../x y.png", "C:\\data\\é.csv", "..", "a/")] == [
+        "x_y.png",
+        "_.csv",
+        "file",
+        "file",
+    ]
+
+
+# -- events ------------------------------------------------------------------------------------
+
+
+def lines(capsys: pytest.CaptureFixture[str], home: Path, *words: str) -> list[dict[str, Any]]:
+    export(home, "events", *words)
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_events_are_cloudevents(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    book = audited_lab()
+    home = tmp_path / "lab"
+    book.save(home)
+    export(home, "events")
+    written = capsys.readouterr().out
+    command = [python_of("exports"), ROOT / "tests" / "foreign" / "events_check.py"]
+    read = subprocess.run(command, input=written.encode(), capture_output=True, check=True)
+    told = [json.loads(line) for line in read.stdout.splitlines()]
+    assert len(told) == len(book.records)
+    for each, record in zip(told, book.records, strict=True):
+        head = record.head
+        assert (each["id"], each["type"]) == (head.id, f"labos.{head.type}")
+        assert (each["position"], each["hash"]) == (str(head.position), record.hash.hex())
+        assert each["source"] == "https://labos.invalid/log/lab-1"
+        assert each["data"] == json.loads(record.payload)
+
+
+def test_an_export_goes_on_where_it_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    book = audited_lab()
+    home = tmp_path / "lab"
+    book.save(home)
+    everything = lines(capsys, home)
+    assert lines(capsys, home, "--since", "0") == everything
+    half = everything[:100]
+    assert half + lines(capsys, home, "--since", half[-1]["position"]) == everything
+    assert lines(capsys, home, "--since", str(len(everything))) == []
+    runs = lines(capsys, home, "--family", "run", "--family", "labware.samples_registered")
+    assert runs == [
+        each
+        for each in everything
+        if each["type"].startswith(("labos.run.", "labos.labware.samples_registered"))
+    ]
+    export(home, "events", "--family", "rnu", code=1)
+    assert "no events of type 'rnu'" in capsys.readouterr().err
+    export(home, "events", "--since", "100000", code=1)
+    assert "no position 100000" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_an_export_follows_the_log(tmp_path: Path) -> None:
+    book = audited_lab()
+    home = tmp_path / "lab"
+    url = book.save(home)
+    known = len(book.records)
+    command = [
+        sys.executable,
+        "-m",
+        "labos",
+        "export",
+        "events",
+        "-f",
+        "--since",
+        str(known - 1),
+        "--home",
+        home,
+    ]
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        # A shell that runs the tests in the background has Ctrl-C ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    ) as process:
+        try:
+            assert process.stdout is not None
+            assert json.loads(process.stdout.readline())["position"] == str(known)
+            book.write([SamplesRegistered(PLATE, "", "5" * 64, 1, ())], "ada")
+            store = open_store(url, home=home)
+            head = store.claim(LabId("lab-1"), "test", 30.0)
+            store.append(head, book.records[known:])
+            store.close()
+            assert json.loads(process.stdout.readline())["type"] == "labos.labware.samples_registered"
+            process.send_signal(signal.SIGINT)
+            assert process.wait(20) == 0
+        finally:
+            process.kill()

@@ -1,0 +1,142 @@
+"""The files in deploy/: the system's own tools find no fault with them, and the commands in them exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from tests.docs.markdown import ROOT
+from tests.docs.test_pages import what_is_wrong
+
+DEPLOY = ROOT / "deploy"
+UNITS = sorted([*(DEPLOY / "systemd").glob("*.service"), *(DEPLOY / "systemd").glob("*.timer")])
+MOST_EXPOSED = 2.0
+"""Of 10, as `systemd-analyze security` grades it; a unit without any hardening has 9.6."""
+
+needs_systemd = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="there is no systemd here")
+
+
+def environment() -> dict[str, str]:
+    lines = (DEPLOY / "systemd" / "labos.env").read_text().splitlines()
+    return dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
+
+
+def commands_of(unit: Path) -> list[str]:
+    """What a unit starts, as systemd makes it of the environment file."""
+    found = []
+    for line in re.findall(r"^ExecStart=(.*)$", unit.read_text(), re.MULTILINE):
+        for name, value in environment().items():
+            line = line.replace(f"${{{name}}}", value).replace(f"${name}", value)
+        found.append(line.replace("%i", "sealer"))
+    return found
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    """The units as on a computer where LabOS is installed: with a program that is there."""
+    for unit in UNITS:
+        name = unit.name.replace("@.", "@sealer.")
+        text = unit.read_text().replace("/opt/labos/bin/labos", sys.executable)
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+@needs_systemd
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_systemd_finds_no_fault_with_a_unit(installed: Path, unit: Path) -> None:
+    """It only warns of what it does not know, and exits with 0: it has to say nothing."""
+    name = unit.name.replace("@.", "@sealer.")
+    done = subprocess.run(
+        ["systemd-analyze", "verify", f"./{name}"], cwd=installed, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@needs_systemd
+@pytest.mark.parametrize(
+    "unit", [unit for unit in UNITS if unit.suffix == ".service"], ids=lambda unit: unit.name
+)
+def test_a_unit_exposes_little(installed: Path, unit: Path) -> None:
+    name = unit.name.replace("@.", "@sealer.")
+    done = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--no-pager", f"./{name}"],
+        cwd=installed,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    exposed = re.search(r"exposure level .*?: ([\d.]+)", done.stdout)
+    assert exposed, done.stderr
+    assert float(exposed[1]) <= MOST_EXPOSED
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_what_a_unit_starts_exists(unit: Path) -> None:
+    assert [line for line in commands_of(unit) if what_is_wrong(line, strict=True)] == []
+    assert unit.suffix == ".timer" or commands_of(unit)
+
+
+def test_every_variable_of_a_unit_is_in_the_environment_file() -> None:
+    used = {name for unit in UNITS for name in re.findall(r"\$\{?(LABOS_\w+)", unit.read_text())}
+    assert used <= environment().keys()
+
+
+def test_the_compose_file_fits_its_schema() -> None:
+    pytest.importorskip("check_jsonschema")
+    done = subprocess.run(
+        [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec", "compose.yaml"],
+        cwd=DEPLOY / "compose",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_compose_file_publishes_on_this_computer_only() -> None:
+    services = yaml.safe_load((DEPLOY / "compose" / "compose.yaml").read_text())["services"]
+    ports = [port for service in services.values() for port in service.get("ports", [])]
+    assert ports
+    assert [port for port in ports if not port.startswith("127.0.0.1:")] == []
+    images = [service["image"] for service in services.values() if "build" not in service]
+    assert [image for image in images if not re.search(r":v?\d", image)] == [], "an image has no version"
+
+
+def test_the_lab_of_the_compose_file_can_be_started() -> None:
+    service = yaml.safe_load((DEPLOY / "compose" / "compose.yaml").read_text())["services"]["lab"]
+    (line,) = re.findall(r"exec (labos .*)", service["entrypoint"][-1])
+    told = dict(
+        line.split("=", 1)
+        for line in (DEPLOY / "compose" / "lab.env.example").read_text().splitlines()
+        if "=" in line
+    )
+    assert what_is_wrong(line.replace("$$LABOS_UP", told["LABOS_UP"]), strict=True) == ""
+
+
+def test_the_image_holds_what_the_package_is_built_of() -> None:
+    copied = re.findall(
+        r"^COPY (?!--)(.*) \S+$", (DEPLOY / "compose" / "Containerfile").read_text(), re.MULTILINE
+    )
+    names = {name for line in copied for name in shlex.split(line)}
+    assert {"labos", "drivers", "migrations", "specs", "pyproject.toml", "README.md", "LICENSE"} <= names
+    assert [name for name in names if not (ROOT / name).exists()] == []
+
+
+def test_the_windows_service_starts_a_command_that_exists() -> None:
+    service = ElementTree.parse(DEPLOY / "windows" / "labos-node.xml").getroot()
+    assert what_is_wrong(f"labos {service.findtext('arguments')}", strict=True) == ""
+
+
+def test_every_file_is_told_of() -> None:
+    page = (ROOT / "docs" / "install.md").read_text()
+    ours = ("systemd", "compose", "tls", "windows")
+    files = [path for folder in ours for path in (DEPLOY / folder).iterdir() if not path.name.startswith(".")]
+    assert [path.name for path in files if f"`{path.name}`" not in page] == []

@@ -1,0 +1,194 @@
+"""Signing in with a real identity provider (oidc-provider of npm), and what is tried against it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import msgspec
+import pytest
+
+from labos.bootstrap import LabThread
+from labos.client import LabClient
+from labos.core.decide.users import AddGroup, DisableUser, EnableUser
+from labos.settings import free_port
+from tests.foreign.make import ROOT
+from tests.integration.http.signed import execute, lab_with_users
+from tests.support.foreign import node_modules_of
+
+pytestmark = pytest.mark.slow
+
+FILE = """
+labos: 1
+issuer: http://127.0.0.1:{port}
+client_id: labos
+lab: http://127.0.0.1:{lab_port}
+groups: {{chemists: chemistry}}
+roles:
+  operators: [{{role: operator, workcell: rpl}}]
+  heads: [{{role: admin}}, {{role: viewer, workcell: rpl}}]
+"""
+
+
+@pytest.fixture(scope="module")
+def issuer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, int]]:
+    """The provider, and the port of the lab that it knows."""
+    modules, port, lab_port = node_modules_of("oidc"), free_port(), free_port()
+    way_back = f"http://127.0.0.1:{lab_port}/login/oidc/callback"
+    command = ["node", ROOT / "tests" / "foreign" / "oidc_provider.mjs", str(port), way_back, modules]
+    log = (tmp_path_factory.mktemp("provider") / "log").open("wb")
+    with log, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
+            yield f"http://127.0.0.1:{port}", lab_port
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def lab(issuer: tuple[str, int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
+    folder = tmp_path_factory.mktemp("oidc")
+    (folder / "lab").mkdir()
+    port = issuer[0].rpartition(":")[2]
+    (folder / "lab" / "oidc.yaml").write_text(FILE.format(port=port, lab_port=issuer[1]))
+    with lab_with_users(folder, http_port=issuer[1]) as running:
+        execute(running, AddGroup("chemistry"), "ada")
+        yield running
+
+
+@pytest.fixture
+def browser(lab: LabThread) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=lab.url, timeout=30) as found:
+        yield found
+
+
+def to_the_way_back(browser: httpx.Client, name: str) -> httpx.URL:
+    """Go to the provider, sign in and agree there; the address to which it sends the browser back."""
+    answer = browser.get("/login/oidc")
+    assert answer.status_code == 303, answer.text
+    for _ in range(12):
+        if answer.is_redirect:
+            address = answer.request.url.join(answer.headers["location"])
+            if address.path == "/login/oidc/callback":
+                return address
+            answer = browser.get(address)
+            continue
+        action = re.search(r'action="([^"]+)"', answer.text)
+        prompt = re.search(r'name="prompt" value="(\w+)"', answer.text)
+        assert action, answer.text
+        assert prompt, answer.text
+        form = {"prompt": prompt[1], "login": name, "password": "any"}
+        answer = browser.post(answer.request.url.join(action[1]), data=form)
+    raise AssertionError(answer.text)
+
+
+def sign_in(browser: httpx.Client, name: str) -> httpx.Response:
+    browser.cookies.clear()
+    # As a browser says it that a page of another site has sent here.
+    return browser.get(to_the_way_back(browser, name), headers={"sec-fetch-site": "cross-site"})
+
+
+def refused(answer: httpx.Response) -> str:
+    told: dict[str, Any] = answer.json()
+    assert (answer.status_code, told["code"]) == (401, "not_signed_in"), answer.text
+    assert "labos-session" not in answer.headers.get("set-cookie", "")
+    return str(told["detail"])
+
+
+def whoami(browser: httpx.Client) -> dict[str, Any]:
+    found: dict[str, Any] = browser.get("/api/v1/whoami").json()
+    return found
+
+
+def test_whom_the_lab_does_not_know_it_does_not_let_in(browser: httpx.Client) -> None:
+    assert "this lab does not" in refused(sign_in(browser, "eve-heads"))
+
+
+def test_groups_and_roles_are_those_of_the_provider(
+    lab: LabThread, browser: httpx.Client, issuer: tuple[str, int]
+) -> None:
+    with LabClient(home=lab.settings.home) as home:
+        home.link_identity("bob", issuer[0], "bob-operators-chemists")
+        home.link_identity("bob", issuer[0], "bob")
+    answer = sign_in(browser, "bob-operators-chemists")
+    assert answer.status_code == 200, answer.text
+    assert "bob" in answer.text
+    cookies = answer.headers["set-cookie"].lower()
+    assert "samesite=strict" in cookies
+    assert "httponly" in cookies
+    found = whoami(browser)
+    assert (found["user"], found["how"], found["group"]) == ("bob", "session", "chemistry")
+    assert found["roles"] == {"*": "submitter", "rpl": "operator"}
+    assert found["name"] == "Person bob-operators-chemists"
+    # Another time the provider says less of him; what it never gave stays.
+    assert sign_in(browser, "bob").status_code == 200
+    found = whoami(browser)
+    assert (found["user"], found["group"], found["roles"]) == ("bob", "", {"*": "submitter"})
+
+
+def test_a_way_back_is_good_once_and_for_one_browser(lab: LabThread, browser: httpx.Client) -> None:
+    address = to_the_way_back(browser, "bob")
+    with httpx.Client(base_url=lab.url) as another:
+        assert "another browser" in refused(another.get(address))
+    refused(browser.get(address))  # it was tried
+    address = to_the_way_back(browser, "bob")
+    assert browser.get(address).status_code == 200
+    assert "nobody went there" in refused(browser.get(address))
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"state": "x"}, "nobody went there"),
+        ({"iss": "https://evil.example"}, "the answer is of"),
+        ({"iss": ""}, "the answer is of"),
+        ({"code": ""}, "says 'nothing'"),
+        ({"code": "x"}, "invalid_grant"),
+        ({"error": "access_denied"}, "access_denied"),
+    ],
+)
+def test_a_forged_answer_is_refused(browser: httpx.Client, change: dict[str, str], why: str) -> None:
+    address = to_the_way_back(browser, "bob")
+    assert why in refused(browser.get(address.copy_merge_params(change)))
+
+
+@pytest.mark.parametrize(
+    ("field", "why"), [("verifier", "invalid_grant"), ("nonce", "id token is not valid")]
+)
+def test_a_code_of_somebody_else_is_refused(
+    lab: LabThread, browser: httpx.Client, field: str, why: str
+) -> None:
+    """Without PKCE and nonce a code that was caught elsewhere would be as good as one's own."""
+    address = to_the_way_back(browser, "bob")
+    provider = lab.runtime.gate.provider
+    assert provider is not None
+    for state, pending in provider._pending.items():
+        provider._pending[state] = msgspec.structs.replace(pending, **{field: "another" * 8})
+    assert why in refused(browser.get(address))
+
+
+def test_a_disabled_user_stays_out(lab: LabThread, browser: httpx.Client) -> None:
+    execute(lab, DisableUser("bob"), "ada")
+    assert "disabled" in refused(sign_in(browser, "bob"))
+    execute(lab, EnableUser("bob"), "ada")
+
+
+def test_new_users_get_an_id_that_says_nothing(
+    lab: LabThread, browser: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    provider = lab.runtime.gate.provider
+    assert provider is not None
+    monkeypatch.setattr(provider, "told", provider.told.model_copy(update={"new_users": True}))
+    assert sign_in(browser, "carol-heads").status_code == 200
+    found = whoami(browser)
+    assert re.fullmatch(r"u-[0-9a-f]{8}", found["user"])
+    assert found["roles"] == {"*": "admin", "rpl": "viewer"}
+    again = found["user"]
+    assert sign_in(browser, "carol-heads").status_code == 200
+    assert whoami(browser)["user"] == again
+    events = browser.get("/api/v1/events").text
+    assert "arol" not in events

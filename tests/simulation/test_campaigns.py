@@ -1,0 +1,81 @@
+"""Campaigns on a bad day: each row becomes exactly one run, whoever is killed when."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+
+import pytest
+
+from labos.core.campaigns import Campaign, CampaignCompleted, CampaignSubmitted
+from labos.core.decide.campaigns import RefuseRow, SubmitCampaign, SubmitRow
+from labos.core.registry import decode
+from labos.core.runs import RunSubmitted
+from labos.runtime.feeder import Feeder
+from labos.runtime.kernel import Kernel
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab
+from tests.simulation.mixes import PLANS, stand
+
+ROWS = 4
+BAD_ROW = 2
+A_WEEK_S = 7 * 24 * 3600.0
+
+
+class Table:
+    """A table of which one row fits no workflow; looking at a row takes a while."""
+
+    async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
+        await asyncio.sleep(1.0)
+        if row == BAD_ROW:
+            return RefuseRow(campaign.id, row, "there is no such well")
+        return SubmitRow(campaign.id, row, PLANS["pcr"].plan, {"seal": {"time": float(row)}})
+
+
+class Facility(SimulatedLab):
+    """A lab whose kernels feed campaigns; its user submits one and waits for its end."""
+
+    def _serve(self, kernel: Kernel) -> None:
+        Feeder(kernel, Table()).start()
+
+    async def _user(self, job: Job) -> None:
+        submit = SubmitCampaign("screen", job.user, "pcr", "rpl", ROWS, "d", "d", request=job.name)
+        await self._insist(submit, lambda state: job.name in state.campaigns.requests)
+        name = self.folded().campaigns.requests[job.name]
+        await self._until(lambda state: name not in state.campaigns.open)
+        self.done_jobs.add(job.name)
+
+
+@pytest.mark.parametrize(
+    ("rates", "seeds"),
+    [
+        pytest.param(STORMY, range(1), id="storm"),
+        pytest.param(QUIET, range(2), id="quiet", marks=pytest.mark.full),
+        *(
+            pytest.param(STORMY, range(first, first + 2), id=f"storms {first}", marks=pytest.mark.full)
+            for first in range(1, 21, 2)
+        ),
+    ],
+)
+def test_each_row_is_one_run_or_refused_once(rates: FaultRates, seeds: range) -> None:
+    kernels = 0
+    for seed in seeds:
+        lab = Facility(stand(), seed, rates)
+        lab.refills = True
+        try:
+            jobs = [Job("one", "ada", ()), *([Job("two", "bo", ())] if len(seeds) > 1 else [])]
+            state = lab.run(jobs, limit_s=A_WEEK_S)
+            assert lab.differences(state) == [], f"seed {seed}"
+            events = [decode(r.head.type, r.head.schema, r.payload) for r in lab.store.records]
+            campaigns = [e.campaign for e in events if isinstance(e, CampaignSubmitted)]
+            rows = Counter((e.campaign, e.row) for e in events if isinstance(e, RunSubmitted) and e.campaign)
+            wanted = [(name, row) for name in campaigns for row in range(ROWS) if row != BAD_ROW]
+            assert rows == Counter(wanted), f"seed {seed}"
+            ends = [e for e in events if isinstance(e, CampaignCompleted)]
+            assert [end.refused for end in ends] == [1] * len(jobs)
+            assert [end.completed + end.failed + end.cancelled for end in ends] == [ROWS - 1] * len(jobs)
+            assert state.campaigns.open == state.campaigns.members == state.campaigns.clocks == {}
+            kernels += lab.kernels
+        finally:
+            lab.close()
+    assert kernels > len(seeds) or rates is QUIET

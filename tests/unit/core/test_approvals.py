@@ -1,0 +1,105 @@
+"""Dangerous steps: the run waits until somebody else than its user has approved it."""
+
+from __future__ import annotations
+
+from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.runs import SubmitRun
+from labos.core.decide.users import AddUser, GrantRole
+from labos.core.ids import RunId
+from labos.core.interventions import Intervention
+from labos.core.model import Plan
+from labos.core.users import on_behalf
+from tests.support.bench import Driver, plan, small, step
+from tests.unit.core.test_rights import peopled
+
+
+def burning(steps: int = 1) -> Plan:
+    return plan(step("dev"), *(step("dev", dangerous="laser") for _ in range(steps)), name="burn")
+
+
+def question_of(lab: Driver, run: str) -> Intervention:
+    (found,) = lab.state.interventions.of_run(run)
+    assert found.kind == "second_person"
+    return found
+
+
+def answer(lab: Driver, run: str, by: str, choice: str = "approve") -> ResolveIntervention:
+    return ResolveIntervention(question_of(lab, run).id, choice, by)
+
+
+def test_a_run_waits_until_a_second_person_has_approved_it() -> None:
+    lab = peopled()
+    lab.do(GrantRole("user:ada", "operator"))
+    lab.do(SubmitRun(burning(), "ada"), "ada")
+    assert lab.code("R1") == "unapproved"
+    assert lab.pump() == []
+    found = lab.refused(answer(lab, "R1", "ada"), "ada")
+    assert (found.code, found.message) == (
+        "second_person",
+        "R1 is ada's own, and takes the approval of a second person.",
+    )
+    assert lab.refused(answer(lab, "R1", "bo"), "bo").code == "no_right"
+    lab.do(answer(lab, "R1", "olga"), "olga")
+    assert lab.pump() == ["R1#0"], "it was woken"
+    assert not lab.missed()
+    lab.check_log()
+
+
+def test_a_program_is_no_second_person_whoever_it_acts_for() -> None:
+    lab = peopled()
+    lab.do(GrantRole("user:robot", "operator"))
+    lab.do(SubmitRun(burning(), "ada"), on_behalf("robot", "ada"))
+    for actor in ("robot", on_behalf("robot", "olga")):
+        assert lab.refused(answer(lab, "R1", actor), actor).code == "second_person"
+    # Nor is the person for whom it was submitted.
+    lab.do(GrantRole("user:ada", "operator"))
+    assert lab.refused(answer(lab, "R1", "ada"), "ada").code == "second_person"
+
+
+def test_who_does_not_approve_cancels_it() -> None:
+    lab = small()
+    run = lab.submit(burning(), "ada")
+    lab.do(answer(lab, run, "ada", "refuse"))
+    assert lab.state.runs.get(run) is None
+    assert not lab.state.interventions.open
+    lab.check_log()
+
+
+def test_the_question_goes_with_the_run() -> None:
+    lab = small()
+    run = lab.submit(burning(), "ada")
+    lab.do(CancelRun(RunId(run)))
+    assert not lab.state.interventions.open
+
+
+def test_others_of_the_same_shape_do_not_wait_with_it() -> None:
+    lab = small()
+    first = lab.submit(burning(), "ada")
+    second = lab.submit(plan(step("dev"), step("dev"), name="burn"), "ada")
+    third = lab.submit(burning(), "ada")
+    assert lab.pump() == [f"{second}#0"]
+    lab.do(answer(lab, third, "bo"))
+    assert (lab.code(first), lab.run(third).unapproved) == ("unapproved", False)
+    lab.check_log()
+
+
+def test_the_question_names_the_steps_and_whose_run_it_is() -> None:
+    lab = small()
+    run = lab.submit(burning(7), "ada")
+    text = question_of(lab, run).text
+    assert text.startswith("Run R1 (burn) of ada does what is dangerous: ")
+    assert text.count("(laser)") == 5
+    assert "and 2 more" in text
+
+
+def test_users_are_not_needed_for_it() -> None:
+    """In an open lab the names that people say have to differ."""
+    lab = small()
+    run = lab.submit(burning(), "ada")
+    assert lab.refused(answer(lab, run, "ada")).code == "second_person"
+    lab.do(AddUser("ada"))
+    lab.do(AddUser("bo"))
+    lab.do(GrantRole("user:bo", "operator"))
+    lab.do(answer(lab, run, "bo"), "bo")
+    assert lab.code(run) == ""
