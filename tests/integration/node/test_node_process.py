@@ -6,6 +6,8 @@ import asyncio
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from labos.clock import Uuid7Ids
@@ -18,14 +20,24 @@ from tests.integration.ports import free_endpoint
 ROOT = Path(__file__).parents[3]
 
 
-def node_process(endpoint: str, folder: Path, *options: str) -> subprocess.Popen[bytes]:
+@contextmanager
+def node_process(endpoint: str, folder: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A node in a process of its own, which does not outlive the test, however that ends."""
     command = [sys.executable, "-m", "tests.integration.node.node_process", endpoint, str(folder), *options]
-    return subprocess.Popen(command, cwd=ROOT)
+    with subprocess.Popen(command, cwd=ROOT) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
-async def living(kernel: Kernel) -> None:
+async def connected(kernel: Kernel) -> None:
+    """The node answers, and has connected its device: before that it is busy with just this."""
     await until(lambda: any(kernel.alive.values()), 10.0)
     kernel.journal = (await kernel.about()).journal
+    async with asyncio.timeout(10.0):
+        while (await kernel.state()).status == "BUSY":  # noqa: ASYNC110 - another process
+            await asyncio.sleep(0.01)
 
 
 def test_a_node_process_acts_is_killed_and_remembers(tmp_path: Path) -> None:
@@ -34,7 +46,7 @@ def test_a_node_process_acts_is_killed_and_remembers(tmp_path: Path) -> None:
         async with bench(tmp_path, endpoint) as here:
             kernel = here.kernel
             with node_process(endpoint, tmp_path) as process:
-                await living(kernel)
+                await connected(kernel)
                 await kernel.start("a1", times=3)
                 published = await kernel.outcome("a1")
                 assert (await kernel.ask("a1")).outcome == published
@@ -46,7 +58,7 @@ def test_a_node_process_acts_is_killed_and_remembers(tmp_path: Path) -> None:
                 assert time.monotonic() - killed < 1.0
             journal = kernel.journal
             with node_process(endpoint, tmp_path) as process:
-                await living(kernel)
+                await connected(kernel)
                 assert kernel.journal == journal
                 again = await kernel.ask("a1")
                 assert (again.status, again.outcome) == ("finished", published)
@@ -66,13 +78,13 @@ def test_a_reset_whose_node_is_killed_is_interrupted_and_not_repeated(tmp_path: 
         async with bench(tmp_path, endpoint) as here:
             kernel = here.kernel
             with node_process(endpoint, tmp_path, "--slow-reset") as process:
-                await living(kernel)
+                await connected(kernel)
                 assert (await kernel.reset("a1")).status == "accepted"
                 await until(lambda: len(here.world.motions("reset")) == 1)
                 process.kill()
                 await until(lambda: not any(kernel.alive.values()), 2.0)
             with node_process(endpoint, tmp_path) as process:
-                await living(kernel)
+                await connected(kernel)
                 assert [(o.name, o.status) for o in (await kernel.about()).open] == [("reset", "interrupted")]
                 assert (await kernel.reset("a1")).status == "interrupted"
                 assert (await kernel.ask("a1", void=True)).status == "interrupted"
