@@ -32,6 +32,7 @@ QUARANTINE = "LABOS_QUARANTINE"
 NODE_SETTINGS = "LABOS_NODE_SETTINGS"
 NODE_SETTINGS_FILE = "nodes.yaml"
 PKI = "LABOS_PKI"
+OTLP = "LABOS_OTLP"
 DEFAULT_HOME = "lab"
 HOME_KEY = "home.key"
 PATIENCE_S = 30.0
@@ -62,7 +63,8 @@ class Settings(msgspec.Struct, frozen=True):
     the lab. ``first_user`` is added to a lab that has none, with the password in the file ``first_password``.
     ``secure`` says whether the bus is one of TLS and certificates (None: as it was last), ``certificate`` is
     the folder of the kernel's own if the authority is elsewhere, ``addresses`` are further names by which
-    other computers reach the bus that the kernel runs.
+    other computers reach the bus that the kernel runs. ``otlp`` is the receiver that traces of runs are sent
+    to, as ``http://127.0.0.1:4318``.
     """
 
     home: Path
@@ -92,6 +94,7 @@ class Settings(msgspec.Struct, frozen=True):
     behind_proxy: bool = False
     first_user: str = ""
     first_password: str = ""
+    otlp: str = ""
 
     @classmethod
     def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
@@ -118,6 +121,11 @@ class Settings(msgspec.Struct, frozen=True):
             f"{said!r} says nothing about a database that is gone.",
             remedy=f"Say stop, wait, or a number of seconds ({ON_DATABASE_LOSS}, --on-database-loss).",
         )
+
+    @property
+    def trace_receiver(self) -> str:
+        """Where traces of runs are sent; empty for nowhere."""
+        return self.otlp or os.environ.get(OTLP) or ""
 
     @property
     def silence_s(self) -> float:

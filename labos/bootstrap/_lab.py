@@ -27,6 +27,7 @@ from labos.bootstrap._gate import (
 from labos.bootstrap._metrics import LabMetrics
 from labos.bootstrap._notify import find_contacts, run_notifier
 from labos.bootstrap._secure import Guard, unheard_by_name
+from labos.bootstrap._traces import send_traces
 from labos.bus import SCHEME, Security, Unheard, ZenohBus, open_bus
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.actions import ActionStatus
@@ -89,6 +90,7 @@ from labos.store import (
     open_store,
     shown_url,
 )
+from labos.telemetry.otlp import check_receiver
 from labos.version import VERSION
 
 Nodes = Literal["processes", "none"]
@@ -290,6 +292,8 @@ async def open_lab(
     file, StoreError, LogTooNew.
     """
     expect_tls(settings)
+    if settings.trace_receiver:
+        check_receiver(settings.trace_receiver)
     simulated = _is_simulated(settings)
     contacts = find_contacts(settings)
     async with AsyncExitStack() as stack:
@@ -305,6 +309,7 @@ async def open_lab(
         expect_users(settings, kernel)
         lab = LabRuntime(settings, kernel, store, simulated=simulated)
         lab.metrics = LabMetrics(lab, writer)
+        lab.metrics.traces = await stack.enter_async_context(send_traces(settings, kernel))
         stack.push_async_callback(lab.metrics.close)
         lab.blobs.tidy()
         stack.callback(lab.close_worlds)

@@ -11,6 +11,7 @@ from labos.bootstrap._unattended import UnattendedMeter
 from labos.core.ids import local, workcell_of
 from labos.errors import StoreError
 from labos.telemetry.kernel import KernelMetrics
+from labos.telemetry.otlp import OtlpSender
 from labos.telemetry.process_metrics import Readings
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 class LabMetrics:
     """Counts from the moment it is made. Nothing is decided in its turn: it listens, and looks when it is
     asked."""
+
+    traces: OtlpSender | None = None
+    """Sends traces of runs, if somebody asked for that."""
 
     def __init__(self, lab: LabRuntime, writer: ThreadWriter) -> None:
         self._lab, kernel = lab, lab.kernel
@@ -105,6 +109,8 @@ class LabMetrics:
             published=bus.published,
             dropped=bus.dropped,
             left_out=lab.announcer.left_out,
+            spans=self.traces.offered if self.traces is not None else 0,
+            spans_sent=self.traces.taken if self.traces is not None else 0,
         )
 
 

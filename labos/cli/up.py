@@ -132,6 +132,12 @@ NO_USERS = (
     is_flag=True,
     help="Nodes show metrics of their own, on free ports: Prometheus finds them at /metrics/targets.",
 )
+@click.option(
+    "--otlp",
+    metavar="URL",
+    default="",
+    help="Send traces of runs to this receiver of OpenTelemetry, http://HOST:4318 (LABOS_OTLP).",
+)
 @click.option("--quiet", is_flag=True, help="Print no events.")
 def command(
     workcells: tuple[str, ...],
@@ -165,6 +171,7 @@ def command(
     wire: bool,
     trace: bool,
     node_metrics: bool,
+    otlp: str,
     quiet: bool,
 ) -> None:
     """Run a lab until Ctrl-C, with a node for each module. WORKCELL is a file or a packaged one.
@@ -208,6 +215,7 @@ def command(
         wire=wire,
         trace_wires=trace,
         node_metrics=node_metrics,
+        otlp=otlp,
         on_database_loss=on_database_loss,
         database_silence=database_silence,
         bus=bus,

@@ -34,6 +34,8 @@ class Readings(msgspec.Struct, frozen=True):
     published: int
     dropped: int
     left_out: int
+    spans: int
+    spans_sent: int
 
 
 class ProcessMetrics(MetricGroup):
@@ -89,6 +91,12 @@ class ProcessMetrics(MetricGroup):
             "labos_bus_announcements_left_out_total",
             "Events that were not announced on the bus because it was too slow; they are in the log.",
         )
+        self.spans = ComputedCounter(
+            "labos_trace_spans_total", "Spans of traces that were made for a receiver of OpenTelemetry."
+        )
+        self.spans_sent = ComputedCounter(
+            "labos_trace_spans_sent_total", "Spans of traces that the receiver has taken."
+        )
         self.build.set(1, (VERSION, platform.python_version()))
 
     def update(self, now: Readings) -> None:
@@ -112,6 +120,8 @@ class ProcessMetrics(MetricGroup):
         self.published.set(now.published)
         self.dropped.set(now.dropped)
         self.left_out.set(now.left_out)
+        self.spans.set(now.spans)
+        self.spans_sent.set(now.spans_sent)
 
     def lose(self) -> None:
         """The log cannot be written: all else is as it was last."""

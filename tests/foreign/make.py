@@ -36,6 +36,8 @@ PACKAGES = {
     "schemathesis": ["schemathesis==4.32.5", "openapi-python-client==0.29.1"],
     # The package of rocrate 0.13 is the newest that ships the context of RO-Crate 1.1.
     "exports": ["roc-validator==0.13.0", "rocrate==0.13.0", "cloudevents==2.2.0"],
+    # A receiver of OpenTelemetry, a program in Rust.
+    "otlp": ["rotel==0.0.1a15"],
     "opentrons": ["opentrons==8.8.2", "numpy<2"],
     "ros": [
         "ros-kilted-rclpy==9.1.2",
