@@ -97,6 +97,7 @@ SECTIONS = {
         "verify": "Check the log's chain of hashes.",
         "key": "The keys that sign a lab's checkpoints.",
         "checkpoint": "Sign the log's end, and keep it elsewhere.",
+        "sign": "Sign the record of a run, or show its signatures.",
         "bundle": "One run as a file that proves itself.",
         "witness": "Cosign other labs' checkpoints.",
         "sql": "Ask the lab in SQL, read only.",

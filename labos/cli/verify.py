@@ -20,6 +20,7 @@ from labos.core.state import state_hash
 from labos.errors import LabosError, LogDamaged
 from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
 from labos.services.journals import surplus
+from labos.services.signatures import check_signatures
 from labos.services.times import iso_time
 from labos.services.trust.compare import CheckpointComparison, is_signed
 from labos.services.verification import (
@@ -235,6 +236,7 @@ def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
         ("end", lambda: check_end(store)),
         ("snapshot", lambda: check_snapshot(store)),
         ("blobs", lambda: check_blobs(store, open_blobs(settings.blobs))),
+        ("signatures", lambda: check_signatures(store)),
         ("benches", lambda: check_benches(settings.worlds)),
     )
     found = []

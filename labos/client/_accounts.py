@@ -39,6 +39,18 @@ class AccountCalls(Calls):
     def set_password(self, user: str, password: str, present: str = "") -> None:
         self._post(f"/users/{user}/password", {"password": password, "present": present})
 
+    def sign_run(self, run: str, meaning: str, password: str, *, why: str = "") -> dict[str, Any]:
+        """Sign the record of a run that has ended, as whoever asks. ``meaning``: authored, responsible,
+        reviewed, approved or rejected. Raises Forbidden for a wrong password."""
+        body = {"meaning": meaning, "password": password, "why": why}
+        return self._post(f"/runs/{run}/signatures", body, repeat=True)
+
+    def signatures(self, run: str) -> list[dict[str, Any]]:
+        """Each with ``by``, ``meaning``, ``why``, ``at`` (UTC ns), and ``holds``: whether the record of the
+        run is the one that was signed."""
+        found: list[dict[str, Any]] = self._get(f"/runs/{run}/signatures")["signatures"]
+        return found
+
     def people(self) -> list[dict[str, str]]:
         """Who users are, as far as somebody has said so."""
         found: list[dict[str, str]] = self._get("/people")["people"]

@@ -20,6 +20,7 @@ from labos.core import (
     runs,
     shares,
     shorter,
+    signatures,
     steps,
     users,
 )
@@ -51,6 +52,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("shorter", shorter.HANDLERS),
     ("users", users.HANDLERS),
     ("lab", repeated.HANDLERS),
+    ("lab", signatures.HANDLERS),
 )
 
 

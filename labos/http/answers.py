@@ -11,6 +11,7 @@ from labos.http.teaching import LocationPose
 from labos.ports import EventLine
 from labos.services.runs import RunHistory, StepHistory
 from labos.services.shares import Account
+from labos.services.signatures import Signature
 from labos.spec.findings import Finding
 
 
@@ -96,6 +97,10 @@ class RunSubmission(msgspec.Struct, frozen=True):
 
 class RunReference(msgspec.Struct, frozen=True):
     run: str
+
+
+class Signatures(msgspec.Struct, frozen=True):
+    signatures: list[Signature]
 
 
 class ExperimentReference(msgspec.Struct, frozen=True):

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
+from labos.core.signatures import Meaning
 from labos.http.access import StationChange
 from labos.http.limits import (
     MOST_ENTRIES,
@@ -23,6 +24,7 @@ from labos.http.limits import (
     Names,
     Pose,
     Priority,
+    Secret,
     SheetText,
     Time,
     Words,
@@ -231,6 +233,14 @@ class RunCancel(By, forbid_unknown_fields=True):
 
     stay: Annotated[bool, says("labware stays where it is, even if there is a way out")] = False
     why: Annotated[Line, says("a word about it for the log")] = ""
+
+
+class RunSignature(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """The record of a run is signed, by whoever asks."""
+
+    meaning: Annotated[Meaning, says("`authored`, `responsible`, `reviewed`, `approved` or `rejected`")]
+    password: Annotated[Secret, says("the password, once more")]
+    why: Annotated[Line, says("a comment, for the log")] = ""
 
 
 class RunPause(By, forbid_unknown_fields=True):

@@ -78,6 +78,8 @@ FileName = Annotated[str, msgspec.Meta(max_length=LONGEST_FILE_NAME, pattern=ONE
 FileText = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
 SheetText = Annotated[str, msgspec.Meta(max_length=LONGEST_SHEET)]
 Files = Annotated[dict[Name, bytes], msgspec.Meta(max_length=MOST_FILES)]
+Secret = Annotated[str, msgspec.Meta(max_length=1000)]
+"""A password; it is in no log and no answer."""
 Priority = Annotated[int, msgspec.Meta(ge=-HIGHEST_PRIORITY, le=HIGHEST_PRIORITY)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=10_000)]
 Time = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]

@@ -32,6 +32,7 @@ from labos.core.decide.rights import RIGHTS
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.shares import ApplyShares
 from labos.core.decide.shorter import ConfirmStations, SayContents
+from labos.core.decide.signatures import SignRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.decide.teach import TeachLocation
 from labos.core.decide.users import (
@@ -55,6 +56,7 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "cancel_run": (CancelRun,),
     "pause_run": (PauseRun,),
     "resume_run": (ResumeRun,),
+    "sign_run": (SignRun,),
     "start_experiment": (StartExperiment,),
     "end_experiment": (EndExperiment,),
     "note_experiment": (NoteExperiment,),
@@ -119,6 +121,7 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "cancel": ("labos cancel",),
     "stop_modules": ("labos estop",),
     "submit_run": ("labos run", "labos submit", "labos do", "labos reset", "labos home"),
+    "sign_run": ("labos sign",),
     "submit_campaign_file": ("labos campaign submit", "labos campaign plan"),
     "pause_campaign": ("labos campaign pause",),
     "resume_campaign": ("labos campaign resume",),

@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from labos.errors import BadInput, Forbidden, NotFound, NotSignedIn, Refused
 from labos.http.identity import SIGN_IN, Gate, Who
-from labos.http.limits import Line, Name, says
+from labos.http.limits import Line, Name, Secret, says
 from labos.ports import Person, Session, Token
 from labos.services.accounts import Accounts, Need, allows
 from labos.services.accounts.accounts import MOST_DAYS, NEEDS, TOKEN_DAYS
@@ -17,7 +17,6 @@ from labos.services.accounts.accounts import MOST_DAYS, NEEDS, TOKEN_DAYS
 if TYPE_CHECKING:
     from labos.http.operation import Call
 
-Secret = Annotated[str, msgspec.Meta(max_length=1000)]
 Days = Annotated[float, msgspec.Meta(gt=0, le=MOST_DAYS)]
 Mail = Annotated[str, msgspec.Meta(max_length=254, pattern=r"\A([^\s@<>,]+@[^\s@<>,]+)?\Z")]
 

@@ -25,6 +25,7 @@ from labos.core.ids import local, owner_parts
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import Event
 from labos.core.repeated import RequestRepeated
+from labos.core.signatures import RunSigned
 from labos.core.wells import by_well
 from labos.services.catalogue import Catalogue
 from labos.services.times import show_time
@@ -298,6 +299,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     q.SharesApplied: lambda e, _: (
         f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users hold from now on"
     ),
+    RunSigned: lambda e, _: f"{e.by} signed {e.run}: {e.meaning}{_if(e.why, f': {e.why}')}",
     RunApproved: lambda e, _: f"approved by {e.by}, as a second person",
     u.UserAdded: lambda e, _: f"{e.user} may use the lab ({e.kind})",
     u.UserDisabled: lambda e, _: f"{e.user} may do nothing any more",

@@ -29,6 +29,7 @@ from labos.core.decide import (
     runs,
     shares,
     shorter,
+    signatures,
     steps,
     stock,
     targets,
@@ -222,6 +223,9 @@ RIGHTS: dict[type[Command], Right] = {
     control.PauseStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
     control.ResumeStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
     control.CancelRuns: Right("operator", _OPERATOR, targets.of_target),
+    signatures.SignRun: Right(
+        "viewer", "a person, as themselves, with their password", targets.anywhere("viewer"), "by"
+    ),
     # labware
     handover.HandOver: Right("submitter", "its owner; with `force`, an operator", targets.of_handover, "by"),
     labware.RegisterSamples: Right("submitter", "its owner; else an operator", targets.of_plates),

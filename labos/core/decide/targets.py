@@ -58,6 +58,11 @@ def in_lab(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
     return lambda state, command: (Target(needs, (WHOLE_LAB,)),)
 
 
+def anywhere(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
+    """For what belongs to no workcell any more: the role in one of them is enough."""
+    return lambda state, command: (Target(needs, (ANYWHERE,)),)
+
+
 def of_module(state: LabState, command: Any) -> Iterable[Target]:
     return (Target("operator", (workcell_of(command.module),)),)
 

@@ -26,6 +26,7 @@ from labos.core.envelope import Record
 from labos.core.merkle import Tree, inclusion_ranges, leaf_hash, proof_of
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.core.signatures import RunSigned
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.ports import BlobStore
 from labos.services.log import Log
@@ -36,6 +37,7 @@ from labos.services.verification import needed_blobs
 
 FORMAT = "labos-bundle/1"
 ENDS = (RunCompleted.TYPE, RunFailed.TYPE, RunCancelled.TYPE)
+SIGNED = RunSigned.TYPE
 PLANS = (PlanRecorded.TYPE, PlanStepsRecorded.TYPE)
 ABOUT, NOTE, STAMP, ROTATIONS, EVENTS = (
     "bundle.json",
@@ -122,7 +124,7 @@ def _read(log: Log, run: str, head: TreeHead) -> tuple[Tree, list[Record]]:
         hashes.append(leaf_hash(record.envelope))
         if record.head.type in PLANS:
             plans.setdefault(record.head.stream, []).append(record)
-        if record.head.stream == run:
+        if record.head.stream == run or signs(record.head.type, record.payload, run):
             found.append(record)
     tree = Tree(hashes)
     if tree.size != head.size or tree.root() != head.root:
@@ -135,6 +137,11 @@ def _read(log: Log, run: str, head: TreeHead) -> tuple[Tree, list[Record]]:
         {record.head.position: record for record in (*found, *_plan(found, plans))}.values(),
         key=lambda record: record.head.position,
     )
+
+
+def signs(kind: str, payload: bytes, run: str) -> bool:
+    """Whether an event is a signature under a run."""
+    return kind == SIGNED and msgspec.json.decode(payload).get("run") == run
 
 
 def _plan(records: Iterable[Record], plans: dict[str, list[Record]]) -> list[Record]:

@@ -14,6 +14,7 @@ from labos.core.canonical import digest
 from labos.core.envelope import Envelope
 from labos.core.merkle import is_included, leaf_hash
 from labos.core.runs import RunSubmitted
+from labos.core.signatures import RunSigned, digest_of_records
 from labos.errors import BadInput
 from labos.services.times import iso_time
 from labos.services.trust.bundle import (
@@ -28,6 +29,7 @@ from labos.services.trust.bundle import (
     STAMP,
     About,
     ProvenEvent,
+    signs,
 )
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import TrustedKeys, parse_rotations
@@ -70,6 +72,7 @@ class Proof(msgspec.Struct, frozen=True):
 class _Event(msgspec.Struct, frozen=True):
     head: Envelope
     payload: bytes
+    envelope: bytes
 
 
 def prove_bundle(path: Path, trust: Trust) -> Proof:
@@ -85,6 +88,7 @@ def prove_bundle(path: Path, trust: Trust) -> Proof:
         *_check_stamp(files, note, trust),
         inside,
         _check_story(about, events),
+        *_check_signatures(about, events),
         _check_blobs(files, events),
     ]
     return Proof(about.run, events[0].head.lab if events else "", head.size, signer, tuple(parts))
@@ -186,7 +190,7 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[Part, list[_
         try:
             found = _line.decode(line)
             envelope = bytes(found.envelope)
-            event = _Event(_envelope.decode(envelope), bytes(found.payload))
+            event = _Event(_envelope.decode(envelope), bytes(found.payload), envelope)
             proof = [bytes.fromhex(each) for each in found.proof]
         except (msgspec.MsgspecError, ValueError) as error:
             faults.append(f"Line {number} of {EVENTS} cannot be read ({error}).")
@@ -227,12 +231,36 @@ def _check_story(about: About, events: Sequence[_Event]) -> Part:
         faults.append(f"The submission of {about.run} is missing.")
     if not any(kind in ENDS for kind in kinds):
         faults.append(f"The end of {about.run} is missing.")
-    strange = [event for event in events if event not in own and not _is_plan(event, own)]
+    strange = [
+        event
+        for event in events
+        if event not in own
+        and not _is_plan(event, own)
+        and not signs(event.head.type, event.payload, about.run)
+    ]
     for event in strange:
         faults.append(f"Position {event.head.position}: {event.head.type} does not belong to {about.run}.")
         positions.append(event.head.position)
     told = f"The run {about.run} is whole: {len(own)} events of its own, from its submission to its end."
     return Part("run", len(own), told, tuple(faults), tuple(positions))
+
+
+def _check_signatures(about: About, events: Sequence[_Event]) -> Iterator[Part]:
+    """Whether people's signatures under the run are under these records of it."""
+    own = [event.envelope for event in events if event.head.stream == about.run]
+    signed, faults, positions = [], [], []
+    for event in events:
+        if not signs(event.head.type, event.payload, about.run):
+            continue
+        found = msgspec.json.decode(event.payload, type=RunSigned)
+        when = iso_time(event.head.recorded_at)
+        signed.append(f"{found.by} ({found.meaning}, {when})")
+        if (found.records, found.digest) != (len(own), digest_of_records(own)):
+            faults.append(f"Position {event.head.position}: {found.by} signed other records than these.")
+            positions.append(event.head.position)
+    if signed:
+        told = f"{about.run} is signed by {', '.join(signed)}."
+        yield Part("signed by", len(signed), told, tuple(faults), tuple(positions))
 
 
 def _is_plan(event: _Event, own: Sequence[_Event]) -> bool:

@@ -110,6 +110,7 @@ from labos.core.runs import (
 )
 from labos.core.shares import Group, Member, Quota, SharesApplied
 from labos.core.shorter import BenchCompared, LogFoundShorter, StationsChecked
+from labos.core.signatures import RunSigned
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.core.topics import Choice, LostLabware
 from labos.core.users import (
@@ -211,6 +212,7 @@ EXAMPLES: list[Event] = [
     RunCancelling("R1", "why"),  # type: ignore[arg-type]
     RunLeaving("R1", (3, 4)),  # type: ignore[arg-type]
     RunApproved("R1", "bo"),  # type: ignore[arg-type]
+    RunSigned("R1", "bo", "reviewed", 37, "d", "password", "checked"),  # type: ignore[arg-type]
     RunCompleted("R1", 2),  # type: ignore[arg-type]
     RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
     RunCancelled("R1"),  # type: ignore[arg-type]
@@ -358,7 +360,7 @@ def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:
 def test_every_type_is_folded_somewhere_or_only_remembered() -> None:
     assert set(TABLE) == set(TYPES.values())
     silent = {kind.TYPE for kind, handlers in TABLE.items() if not handlers}
-    assert silent == {"experiment.noted", "request.repeated"}
+    assert silent == {"experiment.noted", "request.repeated", "run.signed"}
 
 
 def test_names_say_family_and_past() -> None:

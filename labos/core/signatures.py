@@ -1,0 +1,45 @@
+"""Electronic signatures: a user signs the record of a run that has ended."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from typing import Any, Literal, get_args
+
+from labos.core.ids import RunId
+from labos.core.merkle import leaf_hash
+from labos.core.registry import Event, event
+
+Meaning = Literal["authored", "responsible", "reviewed", "approved", "rejected"]
+MEANINGS: tuple[Meaning, ...] = get_args(Meaning)
+
+STREAM = "signatures"
+"""Of all signatures: the stream of a run ends with the run."""
+
+
+@event("run.signed")
+class RunSigned(Event, frozen=True):
+    """A user has signed the record of a run that had ended, and proved just before who they are (``method``:
+    `password`). What was signed are all ``records`` of the run's own stream: ``digest`` is the SHA-256 over
+    their leaf hashes (RFC 6962), in order. ``meaning``: authored, responsible, reviewed, approved or
+    rejected."""
+
+    run: RunId
+    by: str
+    meaning: str
+    records: int
+    digest: str
+    method: str
+    why: str = ""
+
+    def stream(self) -> str:
+        return STREAM
+
+
+HANDLERS: dict[Any, Any] = {}
+"""No state depends on it."""
+
+
+def digest_of_records(envelopes: Iterable[bytes]) -> str:
+    """What a signature binds to: the records of a run, by their envelopes in the order of the log."""
+    return hashlib.sha256(b"".join(map(leaf_hash, envelopes))).hexdigest()

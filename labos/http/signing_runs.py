@@ -1,0 +1,49 @@
+"""Signing the record of a run: who signs proves again who they are."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from labos.core.decide.signatures import SignRun
+from labos.core.ids import RunId
+from labos.core.signatures import RunSigned
+from labos.errors import Forbidden, NotSignedIn
+from labos.http.bodies import RunSignature
+from labos.http.signing import expect_users
+from labos.services.signatures import Signature, record_of, signatures_of
+
+if TYPE_CHECKING:
+    from labos.http.operation import Call
+
+
+async def sign(call: Call, run: str, asked: RunSignature) -> Signature:
+    """The signature of whoever asks; one that is there already, of the same meaning and comment, is given
+    again. Raises Forbidden, NotFound, Refused, TooManyTries."""
+    expect_users(call)
+    user, store = call.who.user, call.service.parts.store
+    if not call.who.is_known:
+        raise NotSignedIn("Only a user can sign.", remedy="Sign in: labos login")
+    client = call.request.client
+    try:
+        await call.api.gate.accounts.expect_password(
+            user, asked.password, client.host if client is not None else ""
+        )
+    except NotSignedIn:
+        raise Forbidden(
+            f"This is not the password of {user}. Nothing was signed.",
+            remedy="Try again. Who signs in by an identity provider needs a password of this lab for "
+            f"signing: labos user password {user}",
+        ) from None
+    await call.kernel.written()
+    record = await asyncio.to_thread(record_of, store, run)
+    for known in await asyncio.to_thread(signatures_of, store, run):
+        if (known.by, known.meaning, known.why) == (user, asked.meaning, asked.why) and known.holds:
+            return known
+    events = await call.kernel.execute(
+        SignRun(RunId(run), user, asked.meaning, record.records, record.digest, "password", asked.why),
+        call.user,
+    )
+    assert any(isinstance(event, RunSigned) for event in events)
+    found = await asyncio.to_thread(signatures_of, store, run)
+    return [each for each in found if each.by == user][-1]
