@@ -18,7 +18,7 @@ from labos.errors import BadInput
 @json_option
 @home_option
 def command(run: str, meaning: str | None, why: str, as_json: bool, home: str | None) -> None:
-    """Sign the record of RUN as yourself. The run has ended; you are asked for your password again.
+    """Sign the record of RUN, which has ended. You are asked for your password again.
 
     The signature is an event: who, when, what it means, and the digest of all records of the run, so that it
     cannot be moved to another run. It is part of the run's bundle. Without --meaning, the signatures of RUN

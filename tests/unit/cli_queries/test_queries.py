@@ -451,6 +451,7 @@ def test_what_stands_beside_the_log_is_checked_too(ask: Ask, home: Path) -> None
         "end": 1,
         "snapshot": 1,
         "blobs": checked["blobs"],
+        "signatures": 0,
         "benches": 1,
         "database": 1,
     }
