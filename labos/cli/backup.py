@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+import msgspec
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, kernel_file, log_options, open_database
+from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, open_database
 from labos.settings import Settings
-from labos.store import backup, key_of, open_blobs
+from labos.store import backup, key_of, move_old_segments, open_blobs
+
+_DAY_NS = 86_400 * 10**9
 
 key_option = click.option(
     "--key",
@@ -22,10 +25,26 @@ key_option = click.option(
 
 @click.command("backup", short_help="Copy the log and its blobs while the lab runs.")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.option(
+    "--move-old",
+    "archive",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Then move segments older than --keep-days to this folder, such as another disk.",
+)
+@click.option(
+    "--keep-days",
+    type=click.FloatRange(min=0),
+    default=365.0,
+    show_default=True,
+    help="With --move-old: segments whose newest event is younger stay.",
+)
 @key_option
 @json_option
 @log_options
-def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) -> None:
+def command(
+    where: Where, folder: Path, archive: Path | None, keep_days: float, key_file: Path | None, as_json: bool
+) -> None:
     """Bring a backup in FOLDER up to the present end of the log. The lab may run meanwhile.
 
     \b
@@ -33,7 +52,9 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
     labos backup /safe/lab              later: what is new, in a segment of its own
     labos backup /safe/lab --key K      seal the new segment
     labos verify --backup /safe/lab     check it, without a database
+    labos restore /safe/lab --rehearse  try whether it comes back
     labos restore /safe/lab             put it into an empty database
+    labos backup /safe/lab --move-old /archive/lab --keep-days 400
 
     A segment is never changed again. The journals of the nodes are not copied: they are how a log that was
     restored from an older copy is recognised.
@@ -48,8 +69,10 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
             key=key,
             simulated=bool(known.get("simulated", (where.home / "world").is_dir())),
         )
+    before = now_ns() - int(keep_days * _DAY_NS)
+    moved = move_old_segments(folder, archive, before) if archive is not None else []
     if as_json:
-        show_json(made)
+        show_json({**msgspec.structs.asdict(made), "moved": [segment.file for segment in moved]})
         return
     newest = made.segments[-1]
     click.echo(f"{folder} holds the lab {made.lab} up to position {made.position}.")
@@ -58,3 +81,5 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
         f"{len(made.segments)} segments, the newest {newest.file}{' (sealed)' if newest.seal else ''}; "
         f"{len(made.blobs)} blobs."
     )
+    if archive is not None:
+        click.echo(f"{len(moved)} segments were moved to {archive}." if moved else "No segment is so old.")

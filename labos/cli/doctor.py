@@ -20,6 +20,7 @@ from labos.services.doctor import (
     check_certificates,
     check_nodes,
     check_permissions,
+    check_rehearsal,
     check_space,
     check_sync,
 )
@@ -41,8 +42,8 @@ LONG_AGO_S = 7 * 86_400.0
 @json_option
 @log_options
 def command(where: Where, as_json: bool) -> None:
-    """Check database, disk, permissions, ports, kernel, bus, clocks, nodes and checkpoints, and report
-    for each what to do if it is not as it should be. Moves nothing and changes nothing; works with and
+    """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints and backups, and
+    report for each what to do if it is not as it should be. Moves nothing and changes nothing; works with and
     without a running kernel. Exit code 1 if anything is a fault.
 
     \b
@@ -89,6 +90,7 @@ def _examine(where: Where) -> Iterator[Finding]:
     else:
         yield from _kernel(kernel)
     yield _checkpoint(where.home)
+    yield check_rehearsal(where.home, now_ns())
 
 
 def _examine_safely(name: str, look: Callable[[], Finding]) -> Iterator[Finding]:

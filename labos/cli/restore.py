@@ -1,19 +1,23 @@
-"""``labos restore``: a backup put into an empty database."""
+"""``labos restore``: a backup put into an empty database, or tried out."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import click
+import msgspec
 
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, open_database
+from labos.cli._rehearse import rehearse
 from labos.cli.backup import key_option
+from labos.core.ids import LabId
 from labos.core.state import state_hash
 from labos.errors import LogDamaged
 from labos.services.log import fold_to
 from labos.settings import KernelInfo, Settings, announce
 from labos.store import (
+    Blobs,
     FolderBlobs,
     first_damage,
     forget_end,
@@ -28,26 +32,93 @@ from labos.store import (
 )
 
 
-@click.command("restore", short_help="Put a backup into an empty database.")
+class Restored(msgspec.Struct, frozen=True):
+    """A backup that was put into a database, and checked there: up to which ``position``, the chain's
+    ``hash`` and the hash of the ``state`` there. The next kernel's ``epoch`` is above this one."""
+
+    lab: LabId
+    position: int
+    hash: str
+    state: str
+    epoch: int
+    blobs: int
+    database: str
+    recorded_at: int = 0
+
+
+@click.command("restore", short_help="Put a backup into an empty database, or try whether it could be.")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.option(
+    "--rehearse",
+    "is_rehearsal",
+    is_flag=True,
+    help="Only try it: into a folder that is removed afterwards. The lab may run.",
+)
+@click.option(
+    "--scratch",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    metavar="DIR",
+    help="With --rehearse: where there is room for a copy of the log (the folder for temporary files).",
+)
 @key_option
 @json_option
 @log_options
-def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) -> None:
+def command(
+    where: Where,
+    folder: Path,
+    is_rehearsal: bool,
+    scratch: Path | None,
+    key_file: Path | None,
+    as_json: bool,
+) -> None:
     """Put the backup in FOLDER into the lab's database, which must not hold a log, and its blobs into
     the lab's folder. SQLite and PostgreSQL take each other's backups.
 
     The backup is checked first, what was written is checked afterwards: chain, fold and hash of the
     state. The lab's next kernel has a greater epoch than any that its nodes have seen, and starts nothing
     before a person has checked the bench: labos bench round.
+
+    With --rehearse all that is done in a folder of its own, and the copy is compared with the lab's log:
+    how much a restore would lose, and how long it takes. When this was done last, `labos doctor` reports.
+
+    \b
+    labos restore /safe/lab
+    labos restore /safe/lab --rehearse
     """
+    key = key_of(key_file) if key_file else b""
+    if scratch is not None and not is_rehearsal:
+        raise click.UsageError("--scratch goes with --rehearse.")
+    if is_rehearsal:
+        rehearse(where, folder, lambda place: _put_into(place, folder, key), scratch, as_json=as_json)
+        return
     # What is noted in the home must hold from every working directory.
-    where = Where(where.home.absolute(), where.database)
+    done = put_back(Where(where.home.absolute(), where.database), folder, key)
+    if as_json:
+        show_json({name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"})
+        return
+    click.echo(f"The lab {done.lab} is restored up to position {done.position}: chain, fold and state agree.")
+    click.echo(f"Database {done.database}, {done.blobs} blobs, next epoch above {done.epoch}.")
+    click.echo(
+        "Nothing will start before somebody has been round the bench: labos up, then labos bench round."
+    )
+
+
+def _put_into(where: Where, folder: Path, key: bytes) -> Restored:
+    """As ``put_back``, with the blobs in the same folder, wherever the lab keeps its own."""
+    return put_back(where, folder, key, FolderBlobs(where.home / "blobs"))
+
+
+def put_back(where: Where, folder: Path, key: bytes, blobs: Blobs | None = None) -> Restored:
+    """Put a backup into a database without a log, its blobs where the lab keeps them (or into ``blobs``), and
+    check what was written. Raises Refused, LogDamaged, BadInput, StoreUnavailable."""
     refuse_to_overwrite(where.url)
-    found, state = verify_backup(folder, key=key_of(key_file) if key_file else b"")
-    blobs, source = open_blobs(Settings.of(where.home, where.url).blobs), FolderBlobs(folder / "blobs")
+    found, state = verify_backup(folder, key=key)
+    target, source = (
+        blobs or open_blobs(Settings.of(where.home, where.url).blobs),
+        FolderBlobs(folder / "blobs"),
+    )
     for name in found.blobs:
-        blobs.put(source.get(name))
+        target.put(source.get(name))
     epoch = leapt_epoch(found.epoch, now_ns())
     head = restore_log(where.url, records_of(folder, found), found.lab, epoch)
     forget_end(where.home)  # it was put back on purpose
@@ -71,23 +142,13 @@ def command(where: Where, folder: Path, key_file: Path | None, as_json: bool) ->
         place = str(Settings.of(where.home, where.url).blobs)
         info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)
         announce(where.home, info)
-    if as_json:
-        show_json(
-            {
-                "lab": found.lab,
-                "position": head.position,
-                "hash": head.hash.hex(),
-                "state": written,
-                "epoch": epoch,
-                "blobs": len(found.blobs),
-                "database": shown_url(where.url),
-            }
-        )
-        return
-    click.echo(
-        f"The lab {found.lab} is restored up to position {head.position}: chain, fold and state agree."
-    )
-    click.echo(f"Database {shown_url(where.url)}, {len(found.blobs)} blobs, next epoch above {epoch}.")
-    click.echo(
-        "Nothing will start before somebody has been round the bench: labos up, then labos bench round."
+    return Restored(
+        lab=head.lab,
+        position=head.position,
+        hash=head.hash.hex(),
+        state=written,
+        epoch=epoch,
+        blobs=len(found.blobs),
+        database=shown_url(where.url),
+        recorded_at=head.recorded_at,
     )

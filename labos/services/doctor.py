@@ -30,6 +30,11 @@ CLOCK_OFF_S, CLOCK_WRONG_S = 0.5, 5.0
 CA_LITTLE_NS = 90 * 86_400 * 10**9
 """All certificates of a lab end with that of their authority: so long before, it is time for another one."""
 
+REHEARSAL = "rehearsal.json"
+"""In the lab's folder: when a restore was last rehearsed."""
+
+LONG_UNREHEARSED_NS = 100 * 86_400 * 10**9
+
 State = Literal["ok", "warning", "fault"]
 
 
@@ -54,6 +59,20 @@ def check_space(folder: Path) -> Finding:
     if free < LITTLE_BYTES:
         return Finding("disk space", "warning", told, "Make room before it runs out.")
     return Finding("disk space", "ok", told)
+
+
+def check_rehearsal(home: Path, now_ns: int) -> Finding:
+    """When it was last shown that a backup comes back."""
+    remedy = "labos restore FOLDER --rehearse"
+    try:
+        found = msgspec.json.decode((home / REHEARSAL).read_bytes())
+        at, folder, position, took = found["at"], found["folder"], found["position"], found["took_s"]
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, KeyError, TypeError):
+        return Finding("backup", "warning", "Nobody has tried yet whether a backup comes back.", remedy)
+    told = f"On {show_time(at)} the backup in {folder} came back, up to position {position}, in {took:.1f} s."
+    if now_ns - at > LONG_UNREHEARSED_NS:
+        return Finding("backup", "warning", told, remedy)
+    return Finding("backup", "ok", told)
 
 
 def check_sync(folder: Path) -> Finding:

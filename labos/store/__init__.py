@@ -2,6 +2,7 @@
 
 from labos.private import create_file, make_folder, tighten
 from labos.store._accounts import SqlAccounts, open_accounts
+from labos.store._archive import move_old_segments
 from labos.store._backend import Holder
 from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
@@ -11,7 +12,7 @@ from labos.store._event_store import SqlEventStore
 from labos.store._home import HomeFiles, KnownEnd, forget_end
 from labos.store._lease import database_bytes, database_file, lease_holder, shown_url, silent_holder
 from labos.store._migrate import DatabaseStatus, database_status, migrate, migrations_folder
-from labos.store._objects import ObjectBlobs, open_blobs
+from labos.store._objects import Blobs, ObjectBlobs, open_blobs
 from labos.store._open import open_store
 from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
@@ -21,6 +22,7 @@ from labos.store._verify import Damage, Progress, first_damage
 
 __all__ = [
     "Backup",
+    "Blobs",
     "Damage",
     "DatabaseStatus",
     "Detached",
@@ -51,6 +53,7 @@ __all__ = [
     "make_folder",
     "migrate",
     "migrations_folder",
+    "move_old_segments",
     "open_accounts",
     "open_blobs",
     "open_store",

@@ -50,8 +50,9 @@ def test_a_lab_that_is_well(lab: Lab) -> None:
         "permissions": "ok",
         "kernel": "ok",
         "checkpoints": "warning",
+        "backup": "warning",
     }
-    assert "0 faults, 1 warnings" in lab.ask("doctor")
+    assert "0 faults, 2 warnings" in lab.ask("doctor")
     assert sorted(path.name for path in lab.home.iterdir() if path.name.startswith(".")) == []
 
 

@@ -1,0 +1,53 @@
+"""Old segments of a backup, moved to where they are kept for years.
+
+A segment is copied, synced and read again before it leaves the folder: whenever this is broken off, it is in
+one of the two places, or in both. The newest segment stays.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from labos.errors import LogDamaged, StoreUnavailable
+from labos.private import make_folder, replace_file, sync_folder
+from labos.store._backup import Segment, damaged, read_backup
+from labos.store._segment import file_digest
+
+
+def move_old_segments(folder: Path, to: Path, before_ns: int) -> list[Segment]:
+    """Move the segments whose newest event was recorded before a time (UTC ns); returns those that were
+    moved. Raises LogDamaged for a segment that is not what was sealed (it stays), StoreUnavailable,
+    BadInput."""
+    found = read_backup(folder)
+    moved = []
+    for segment in found.segments[:-1]:
+        if segment.recorded_at >= before_ns:
+            break  # later ones are younger
+        source, target = folder / segment.file, to / segment.file
+        if not source.is_file():
+            continue  # it was moved before
+        try:
+            _move(segment, source, target)
+        except OSError as error:
+            raise StoreUnavailable(
+                f"{segment.file} cannot be moved to {to}: {error.strerror or error}.",
+                remedy="Look for room, and whether this user may write there. The backup still has it.",
+            ) from error
+        moved.append(segment)
+    return moved
+
+
+def _move(segment: Segment, source: Path, target: Path) -> None:
+    if file_digest(source) != segment.sha256:
+        raise damaged(segment, "has other bytes than when it was sealed")
+    make_folder(target.parent)
+    if not target.is_file() or file_digest(target) != segment.sha256:
+        replace_file(target, source.read_bytes())
+    if file_digest(target) != segment.sha256:
+        raise LogDamaged(
+            f"{target} has other bytes than were written there.",
+            position=segment.first,
+            remedy="Check that disk. The segment is still in the backup.",
+        )
+    source.unlink()
+    sync_folder(source.parent)
