@@ -12,6 +12,7 @@ import click
 
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
+from labos.cli._node_install import install
 from labos.cli._options import cert_option, home_option, json_option, user_option, who, why_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput, NotFound
@@ -214,6 +215,9 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
         forget_unit(file)
     told = f"{module}: {serial or 'the next unit'} is accepted (it was {was or 'none'}). Reset the module."
     tell(told, {"module": module, "serial": serial, "was": was}, as_json=as_json)
+
+
+command.add_command(install)
 
 
 class JournalFacts(NamedTuple):

@@ -63,7 +63,7 @@ def receiver(agent: Path, tmp_path: Path) -> Iterator[Receiver]:
     environment = {**os.environ, "NO_COLOR": "1"}
     with log.open("wb") as file, subprocess.Popen(argv, stdout=file, stderr=file, env=environment) as process:
         try:
-            until(lambda: is_open(port), 20.0)
+            until(lambda: is_open(port), "the receiver listens", 20.0)
             yield Receiver(log, port)
         finally:
             process.kill()
@@ -81,7 +81,7 @@ def test_a_receiver_gets_each_span_as_it_was(receiver: Receiver) -> None:
         sender.send(span)
     sender.close()
     assert (sender.offered, sender.taken) == (len(sent), len(sent))
-    until(lambda: len(receiver.spans()) == len(sent), 10.0)
+    until(lambda: len(receiver.spans()) == len(sent), "all spans arrive", 10.0)
     wanted = sorted((s.trace, s.parent, s.id, s.name, s.start, s.end) for s in sent)
     assert sorted(receiver.spans()) == wanted
     told = receiver.log.read_text()
@@ -95,7 +95,7 @@ def test_a_lab_sends_traces_of_its_runs_and_counts_them(receiver: Receiver, tmp_
         run = client.submit("pcr", user="ada")
         client.cancel(run, "ada")
         trace = trace_id(client.health()["lab"], run)
-        until(lambda: [s for s in receiver.spans() if s[0] == trace and s[3] == "run pcr"] != [], 15.0)
+        until(lambda: any(s[:1] + s[3:4] == (trace, "run pcr") for s in receiver.spans()), "its span", 15.0)
         told = read(httpx.get(f"{lab.url}/metrics").text)
         assert told[("labos_trace_spans_total", ())] >= told[("labos_trace_spans_sent_total", ())] >= 1
     assert "labos.user: Str(ada)" in receiver.log.read_text()

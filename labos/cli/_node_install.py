@@ -1,0 +1,108 @@
+"""``labos node install``: a node for the computer of its instrument."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from labos.cli._complete import completes
+from labos.cli._options import cert_option, home_option, json_option, pki_option
+from labos.cli._out import tell
+from labos.errors import BadInput, SystemFailed
+from labos.settings import Settings, last_kernel
+from labos.version import VERSION
+
+
+@click.command("install")
+@click.argument("module", shell_complete=completes("module"), metavar="WORKCELL/MODULE")
+@click.option(
+    "--connect",
+    required=True,
+    metavar="ENDPOINT",
+    help="The lab's bus as that computer reaches it: tcp/HOST:7447, or tls/HOST:7447 if it is secure.",
+)
+@click.option(
+    "-o",
+    "--output",
+    "file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Where the archive goes (labos-node-WORKCELL-MODULE.tar.gz).",
+)
+@click.option(
+    "--option",
+    "options",
+    default="",
+    metavar="TEXT",
+    help="Further options of `labos node start`, such as --option '--metrics-port 9101'.",
+)
+@click.option(
+    "--wheel",
+    "wheels",
+    multiple=True,
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    metavar="FILE",
+    help="A wheel to install LabOS from, for a computer that reaches no package index.",
+)
+@cert_option
+@pki_option
+@home_option
+@json_option
+def install(
+    module: str,
+    connect: str,
+    file: Path | None,
+    options: str,
+    wheels: tuple[Path, ...],
+    cert: Path | None,
+    pki: Path | None,
+    home: str | None,
+    as_json: bool,
+) -> None:
+    """Make an archive that installs the node of WORKCELL/MODULE on another computer, with Linux and systemd:
+    program, user, settings, certificate and unit.
+
+    For a secure bus it holds the node's private key: a certificate is issued if there is none. Copy it over a
+    way that you trust, unpack it there, and run its install.sh as root; again after an upgrade of the lab.
+
+    \b
+    labos node install rpl/sealer --connect tls/lab.example.org:7447
+    scp labos-node-rpl-sealer.tar.gz sealer-pc:
+    ssh sealer-pc 'tar xzf labos-node-rpl-sealer.tar.gz && sudo sh labos-node-rpl-sealer/install.sh'
+    """
+    from labos.services.node_package import NodePackage, pack_node
+    from labos.store import create_file
+
+    workcell, slash, name = module.partition("/")
+    if not slash or not name:
+        raise BadInput(f"{module!r} names no workcell.", remedy="Name WORKCELL/MODULE, such as rpl/sealer.")
+    settings = Settings.of(home, authority=pki)
+    folder = cert.absolute() if cert is not None else _certificate(settings, module, connect)
+    requirement = f"labos-sdl[drivers]=={VERSION}"
+    data = pack_node(NodePackage(workcell, name, connect, requirement, options, folder, wheels))
+    target = file or Path(f"labos-node-{workcell}-{name}.tar.gz")
+    try:
+        with create_file(target) as written:
+            written.write(data)
+    except OSError as error:
+        raise SystemFailed(f"{target} cannot be written: {error}.", remedy="Name another file.") from None
+    secret = " It holds the node's private key." if folder is not None else ""
+    facts = {"module": module, "file": str(target), "secure": folder is not None, "version": VERSION}
+    tell(f"{target} installs the node of {module} (LabOS {VERSION}).{secret}", facts, as_json=as_json)
+
+
+def _certificate(settings: Settings, module: str, connect: str) -> Path | None:
+    """The folder of the node's own certificate, which is issued if there is none; None for a bus that is not
+    secure."""
+    from labos.pki import Authority, Identity
+
+    if not connect.startswith("tls/"):
+        return None
+    authority, known = Authority(settings.pki), last_kernel(settings.home)
+    if not authority.issues or known is None:
+        raise BadInput(
+            f"There is no authority in {settings.pki} that could issue a certificate for {module}.",
+            remedy="Name the node's certificate: --cert FOLDER; or the lab's folder: --home DIR.",
+        )
+    return authority.ensure(Identity("node", module, known.lab)).folder
