@@ -10,12 +10,24 @@ import click
 from labos.cli._complete import completes
 from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
+from labos.cli._query import (
+    Where,
+    at_option,
+    contents,
+    json_option,
+    log_options,
+    now_ns,
+    open_database,
+    open_log,
+)
 from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader
 from labos.services.files import ResultFile, files_of
 from labos.services.history import position_at
 from labos.services.times import Moment, show_time
+from labos.services.verification import unused_blobs
+from labos.settings import Settings
+from labos.store import FolderBlobs, open_blobs
 
 if TYPE_CHECKING:
     pass
@@ -35,10 +47,29 @@ SHORT = 12
     metavar="PATH",
     help="Fetch into this folder; with FILE, to this file (- for stdout).",
 )
+@click.option(
+    "--unused", is_flag=True, help="Files that nothing in the log names, in place of those of runs."
+)
+@click.option(
+    "--remove", is_flag=True, help="With --unused: remove those that nobody has kept for --keep-days."
+)
+@click.option(
+    "--keep-days", type=click.FloatRange(min=1), default=7.0, show_default=True, help="With --remove."
+)
 @json_option
 @at_option
 @log_options
-def command(where: Where, run: str, file: str, to: str | None, as_json: bool, moment: Moment) -> None:
+def command(
+    where: Where,
+    run: str,
+    file: str,
+    to: str | None,
+    unused: bool,
+    remove: bool,
+    keep_days: float,
+    as_json: bool,
+    moment: Moment,
+) -> None:
     """Files that steps have returned: pictures, traces, raw data.
 
     FILE is a file's name, or the beginning of its SHA-256. What is fetched is compared with its SHA-256. A
@@ -49,7 +80,15 @@ def command(where: Where, run: str, file: str, to: str | None, as_json: bool, mo
     labos files R3                     of one run
     labos files R3 -o pictures         fetch them all into a folder
     labos files R3 plate.png -o .      fetch one
+    labos files --unused --remove      make room: what requests left that were refused, or a kernel that died
     """
+    if remove and not unused:
+        raise click.UsageError("--remove goes with --unused.")
+    if unused:
+        if run or to is not None:
+            raise click.UsageError("--unused goes without RUN, FILE and --output.")
+        _show_unused(where, keep_days if remove else None, as_json=as_json)
+        return
     with open_log(where) as store:
         if moment == Moment():
             say_if_dead(where.url, store.head(), last_known=False)
@@ -74,6 +113,36 @@ def command(where: Where, run: str, file: str, to: str | None, as_json: bool, mo
             click.echo(f"To fetch it: labos files {run} {file} -o .")
     else:
         click.echo(f"{run or 'This lab'} has no files.")
+
+
+def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> None:
+    """Name what nothing in the log names; with ``keep_days``, remove what is older than that."""
+    if where.lab:
+        raise BadInput(
+            "Unused files are looked for in the lab's folder, on its own computer.",
+            remedy="Use --home there.",
+        )
+    blobs = open_blobs(Settings.of(where.home, where.url).blobs)
+    if keep_days is not None and not isinstance(blobs, FolderBlobs):
+        raise BadInput(
+            "Files in an object store are not removed by LabOS.",
+            remedy="See which are unused, and remove them there while no kernel runs.",
+        )
+    removed: list[str] = []
+    if isinstance(blobs, FolderBlobs) and keep_days is not None:
+        blobs.put_back_removed()
+    with open_database(where) as store:
+        found = unused_blobs(store, blobs)
+    if isinstance(blobs, FolderBlobs) and keep_days is not None:
+        before = now_ns() / 1e9 - keep_days * 86_400
+        removed = [name for name in found if blobs.remove_unused(name, before)]
+    if as_json:
+        show_json({"unused": found, "removed": removed})
+        return
+    for name in found:
+        click.echo(f"{name}{' removed' if name in removed else ''}")
+    told = f"{len(found)} files are there that nothing in the log names"
+    click.echo(f"{told}; {len(removed)} were removed." if keep_days is not None else f"{told}.")
 
 
 def _row(told: ResultFile) -> tuple[str, ...]:

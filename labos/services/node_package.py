@@ -109,7 +109,7 @@ def _read(path: Path) -> bytes:
 
 
 def _script(package: NodePackage, place: str) -> str:
-    wheels = '"$HERE"/wheels/*.whl' if package.wheels else ""
+    wheels = '--find-links "$HERE/wheels"' if package.wheels else ""
     certificate = ""
     if package.certificate is not None:
         certificate = f"""

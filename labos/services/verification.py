@@ -161,6 +161,13 @@ def check_blobs(log: Log, blobs: Blobs) -> Part:
     return Part("blobs", len(named) + len(others), told, tuple(faults), tuple(positions))
 
 
+def unused_blobs(log: Log, blobs: Blobs) -> list[str]:
+    """The blobs that no event of the log names, in whatever field. Raises StoreUnavailable."""
+    stored = set(blobs.names())  # before the log: a blob is there before the event that names it
+    named, mentioned = _digests(log)
+    return sorted(stored - named.keys() - mentioned)
+
+
 def check_journals(folder: Path) -> tuple[Part, dict[str, Journal]]:
     """Whether the nodes' journals can be read, their checksums included; returns those that can."""
     found: dict[str, Journal] = {}

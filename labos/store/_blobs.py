@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,9 @@ from labos.private import make_folder, remove_leftovers, replace_file, sync_fold
 
 DIGEST = re.compile("[0-9a-f]{64}")
 """What a blob is called: its SHA-256."""
+
+
+REMOVING = ".removing"
 
 
 class FolderBlobs:
@@ -31,7 +35,8 @@ class FolderBlobs:
         target = self._file(name)
         try:
             made = make_folder(target.parent)
-            if not _holds(target, data):
+            # First of all it becomes young: then nobody removes it as unused.
+            if not (_touch(target) and _holds(target, data)):
                 replace_file(target, data)
             # Also for a blob that was there: another process may have renamed it only just now.
             for folder in {target.parent, *(folder.parent for folder in made)}:
@@ -48,7 +53,7 @@ class FolderBlobs:
                 f"{digest!r} is not the name of a blob.", remedy="Give 64 hexadecimal digits of a SHA-256."
             )
         try:
-            data = self._file(digest).read_bytes()
+            data = self._read(digest)
         except FileNotFoundError:
             raise NotFound(
                 f"There is no blob {digest} in {self.path}.",
@@ -59,12 +64,54 @@ class FolderBlobs:
         verify_blob(self.path, digest, data)
         return data
 
+    def _read(self, name: str) -> bytes:
+        file, aside = self._file(name), self.path / REMOVING / name
+        for path in (file, aside):
+            try:
+                return path.read_bytes()
+            except FileNotFoundError:
+                continue  # perhaps it is put aside for a moment
+        return file.read_bytes()
+
     def names(self) -> Iterator[str]:
         """The digests of all blobs. Raises StoreUnavailable."""
         try:
             for path in sorted(self.path.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*")):
                 if DIGEST.fullmatch(path.name):
                     yield path.name
+        except OSError as error:
+            raise self._unavailable(error) from error
+
+    def changed_at(self, name: str) -> float:
+        """When a blob was last kept (UNIX time). Raises FileNotFoundError."""
+        return self._file(name).stat().st_mtime
+
+    def remove_unused(self, name: str, before: float) -> bool:
+        """Remove a blob that nothing names, unless it was kept again since ``before`` (UNIX time); whether
+        that was done. Raises StoreUnavailable."""
+        source, aside = self._file(name), self.path / REMOVING / name
+        try:
+            make_folder(aside.parent)
+            source.rename(aside)
+            if aside.stat().st_mtime >= before:
+                aside.rename(source)
+                return False
+            aside.unlink()
+        except FileNotFoundError:
+            return False  # somebody has removed it, or keeps it just now
+        except OSError as error:
+            raise self._unavailable(error) from error
+        return True
+
+    def put_back_removed(self) -> None:
+        """What a removal that was broken off has put aside stands where it was. Raises StoreUnavailable."""
+        try:
+            for aside in (self.path / REMOVING).glob("*"):
+                target = self._file(aside.name)
+                if target.exists():
+                    aside.unlink()
+                else:
+                    aside.rename(target)
         except OSError as error:
             raise self._unavailable(error) from error
 
@@ -92,6 +139,15 @@ def verify_blob(where: Path | str, name: str, data: bytes) -> None:
             position=0,
             remedy="Restore it from a backup.",
         )
+
+
+def _touch(file: Path) -> bool:
+    """Make a file young; whether there is one."""
+    try:
+        os.utime(file)
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def _holds(file: Path, data: bytes) -> bool:
