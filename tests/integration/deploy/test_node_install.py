@@ -139,6 +139,7 @@ def test_the_installed_node_joins_the_lab(installed: Path, lab: LabThread, tmp_p
 
 
 @pytest.mark.full
+@pytest.mark.timeout(600)
 def test_the_script_makes_the_program_of_a_wheel(tmp_path: Path) -> None:
     """pip and a package index, as on a new computer."""
     root = Path(__file__).parents[3]
