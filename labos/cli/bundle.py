@@ -66,7 +66,13 @@ def make_bundle_of(where: Where, run: str, checkpoint: Path | None = None) -> tu
     path = checkpoint or newest_in(where.home / FOLDER)
     if path is None:
         raise NotFound("This lab has no signed checkpoint yet.", remedy="Make one: labos checkpoint")
-    note, stamp = note_beside(path)
+    try:
+        note, stamp = note_beside(path)
+    except OSError as error:
+        raise NotFound(
+            f"The checkpoint {path} cannot be read: {error.strerror or error}.",
+            remedy="Name one that labos checkpoint has made: a file that ends in .note.",
+        ) from None
     beside = Attachments(parse_note(note), stamp, Keys(where.home).rotations())
     with open_database(where) as store:
         return make_bundle(store, open_blobs(Settings.of(where.home, where.url).blobs), run, beside)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import click
+import msgspec
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, json_option, why_option
+from labos.cli._options import why_option
 from labos.cli._out import show_json, tell
+from labos.cli._query import Where, json_option, log_options, open_log
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
+from labos.services.signatures import Signature, signatures_under
 
 
 @click.command("sign", short_help="Sign the record of a run, or show its signatures.")
@@ -16,8 +21,8 @@ from labos.errors import BadInput
 @click.option("--meaning", type=click.Choice(MEANINGS), help="What the signature means.")
 @why_option("A comment, which stands in the log.")
 @json_option
-@home_option
-def command(run: str, meaning: str | None, why: str, as_json: bool, home: str | None) -> None:
+@log_options
+def command(where: Where, run: str, meaning: str | None, why: str, as_json: bool) -> None:
     """Sign the record of RUN, which has ended. You are asked for your password again.
 
     The signature is an event: who, when, what it means, and the digest of all records of the run, so that it
@@ -28,22 +33,27 @@ def command(run: str, meaning: str | None, why: str, as_json: bool, home: str | 
     labos sign R7 --meaning reviewed --why "checked against the protocol"
     labos sign R7
     """
-    from labos.cli._lab import need_lab
+    from labos.cli._lab import need_lab_of
     from labos.cli._secret import ask_password
 
-    with need_lab(home) as client:
-        if meaning is None:
-            if why:
-                raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
-            found = client.signatures(run)
-            if as_json:
-                show_json(found)
-            else:
-                click.echo("\n".join(map(_line, found)) or f"{run} has no signatures.")
-            return
+    if meaning is None:
+        if why:
+            raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
+        with open_log(where) as log:
+            _show(run, signatures_under(log, run), as_json=as_json)
+        return
+    with need_lab_of(where) as client:
         user = client.identity()["user"]
         signature = client.sign_run(run, meaning, ask_password(f"Password of {user}"), why=why)
     tell(_line(signature), signature, as_json=as_json)
+
+
+def _show(run: str, found: Sequence[Signature], *, as_json: bool) -> None:
+    if as_json:
+        show_json(found)
+        return
+    lines = [_line(msgspec.structs.asdict(each)) for each in found]
+    click.echo("\n".join(lines) or f"{run} has no signatures.")
 
 
 def _line(signature: dict[str, object]) -> str:

@@ -87,6 +87,13 @@ def signatures_of(log: Log, run: str = "") -> list[Signature]:
     return found
 
 
+def signatures_under(log: Log, run: str) -> list[Signature]:
+    """The signatures under a run. Raises NotFound if there never was one."""
+    if next(log.select(LogQuery(streams=(run,), last=1)), None) is None:
+        raise NotFound(f"There is no run {run!r}.", remedy="List them: labos runs --all")
+    return signatures_of(log, run)
+
+
 def check_signatures(log: Log) -> Part:
     """Whether each signature is under what was signed."""
     found = signatures_of(log)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from labos.core.canonical import digest
 from labos.core.decide.actions import FinishAction
 from labos.core.decide.campaigns import PauseCampaign, RefuseRow, SubmitCampaign
 from labos.core.ids import CampaignId, InterventionId, LabwareId, ModuleName
@@ -12,11 +13,12 @@ from labos.core.labware import LiquidDrawn, LiquidTransferred, Sample, SamplesRe
 from labos.core.model import MAIN
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.topics import Choice
+from tests.simulation import mixes
 from tests.unit.services.logbook import Logbook
 
 OT2 = ModuleName("rpl/ot2_cp_gamma")
 PLATE = LabwareId("P1")
-SHEET = "5" * 64
+SHEET = digest(mixes.FILES[0])
 
 MEASURED: dict[str, Any] = {"quantity": "absorbance", "wells": {"A1": 0.52, "A2": 0.71, "B7": 0.60}}
 
