@@ -47,6 +47,10 @@ SECTIONS = {
         "experiments": "Which experiments there are.",
         "campaign": "Carry out a workflow for each row of a table.",
         "shares": "Who is to have how much of the lab, and who has had it.",
+        "approvals": "What waits for an approval, and why.",
+        "approve": "Let what waits for an approval go on.",
+        "refuse": "Do not let it go on.",
+        "policy": "Which submissions wait for an approval.",
         "results": "What a run measured, well by well.",
         "files": "Files that steps have returned, to list and to fetch.",
     },
@@ -128,6 +132,7 @@ _ONE_FILE = {
     **dict.fromkeys(("observe", "give"), "_bench"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
     **dict.fromkeys(("inbox", "confirm"), "inbox"),
+    **dict.fromkeys(("approvals", "approve", "refuse"), "approvals"),
     **dict.fromkeys(("teach", "locations"), "teach"),
     **dict.fromkeys(("login", "logout", "whoami"), "login"),
 }

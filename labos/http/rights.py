@@ -28,6 +28,7 @@ from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.labware import NameBarcode, RegisterSamples
 from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.observation import ObserveStation
+from labos.core.decide.proposals import ApplyPolicy, ApproveProposal, RefuseProposal
 from labos.core.decide.rights import RIGHTS
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.shares import ApplyShares
@@ -64,6 +65,9 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "cancel_campaign": (CancelCampaign,),
     "amend_campaign": (AmendCampaign,),
     "apply_shares": (ApplyShares,),
+    "approve_proposal": (ApproveProposal,),
+    "refuse_proposal": (RefuseProposal,),
+    "apply_policy": (ApplyPolicy,),
     "take_out_of_service": (TakeOut,),
     "put_in_service": (PutBack,),
     "replenish_resource": (Replenish,),
@@ -125,6 +129,9 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "cancel_campaign": ("labos campaign cancel",),
     "amend_campaign": ("labos campaign amend",),
     "apply_shares": ("labos shares",),
+    "approve_proposal": ("labos approve",),
+    "refuse_proposal": ("labos refuse",),
+    "apply_policy": ("labos policy",),
     "take_out_of_service": ("labos out-of-service",),
     "put_in_service": ("labos in-service",),
     "replenish_resource": ("labos replenish",),

@@ -326,15 +326,24 @@ class LabService:
         experiment: str = "",
         place: Sequence[Placing] = (),
         request: str = "",
+        propose: bool = False,
     ) -> tuple[str, tuple[Finding, ...]]:
         """Queue a run of ``user``, who asks; returns its id and the workflow's warnings. The same ``request``
         twice is one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with
-        it, or not at all."""
+        it, or not at all. With ``propose`` it waits for an approval."""
         self.expect_role(user, "submitter")  # before anything is kept of it
         self._expect_own(experiment, user)
         files = await asyncio.to_thread(_digests, workflow.files)
         asked = digest_of_request(
-            workflow.text, files, payload, user, workcell, priority, experiment, *([place] if place else [])
+            workflow.text,
+            files,
+            payload,
+            user,
+            workcell,
+            priority,
+            experiment,
+            *([place] if place else []),
+            *(["propose"] if propose else []),
         )
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
@@ -350,6 +359,7 @@ class LabService:
             priority,
             {**self.pins_of(workflow, compiled.plan), "request": asked},
             request,
+            propose,
         )
         loads: list[LoadStation] = []
         if place and request not in self.kernel.state.runs.requests:
@@ -426,13 +436,14 @@ class LabService:
         priority: int = 0,
         request: str = "",
         parking: Sequence[str] = (),
+        propose: bool = False,
     ) -> str:
         """An application begins; it must be heard of every ``SILENCE_S`` from now on."""
         self.expect_role(user, "submitter")
         plan = (await self.compile(closing, payload, workcell)).plan if closing is not None else None
         places = tuple(self.station(place) for place in parking)
         command = StartExperiment(
-            name, person_of(user), plan, priority, request or self.kernel.ids.new(), places
+            name, person_of(user), plan, priority, request or self.kernel.ids.new(), places, propose
         )
         events = await self.kernel.execute(command, user)
         experiment = self.kernel.state.experiments.requests[command.request]

@@ -98,7 +98,7 @@ def attributed(command: Command, actor: str) -> Command:
     """The command as it is recorded: what a service account says for a person is put down to both, so that
     nobody takes it for the person's own word."""
     is_said = ON_BEHALF in actor and getattr(command, "by", "") == person_of(actor)
-    return msgspec.structs.replace(command, by=actor) if is_said else command  # type: ignore[call-arg]
+    return msgspec.structs.replace(command, by=actor) if is_said else command
 
 
 # -- at the door ---------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.http.operation import Operation
-from labos.http.routes import accounts, bench, campaigns, lab, log, modules, people, runs
+from labos.http.routes import accounts, approvals, bench, campaigns, lab, log, modules, people, runs
 
 PREFIX = "/api/v1"
 
@@ -13,6 +13,7 @@ OPERATIONS: tuple[Operation, ...] = (
     *log.OPERATIONS,
     *runs.OPERATIONS,
     *campaigns.OPERATIONS,
+    *approvals.OPERATIONS,
     *modules.OPERATIONS,
     *bench.OPERATIONS,
     *people.OPERATIONS,
