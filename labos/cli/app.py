@@ -87,6 +87,7 @@ SECTIONS = {
         "user": "Users: who may use the lab.",
         "group": "Groups: users who share a part of the lab.",
         "role": "Roles: what users and groups may do.",
+        "mcp": "Let an agent look, plan and propose.",
         "interventions": "What the lab asks people, and what they may answer.",
         "resolve": "Answer a question that the lab asks a person.",
         "inbox": "The work that workflows plan for people.",

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from labos.client._calls import Calls
+from labos.client._files import workflow_text
 
 
 class ApprovalCalls(Calls):
@@ -30,6 +34,18 @@ class ApprovalCalls(Calls):
         """Do not let a submission go on; returns its digest."""
         body = {"by": by, "comment": comment}
         return str(self._post(f"/approvals/{subject}/refuse", body, repeat=True)["digest"])
+
+    def actions(self, module: str) -> dict[str, Any]:
+        """What a module can do: its ``actions``, with their ``arguments``. Raises NotFound."""
+        return self._get(f"/modules/{quote(module, safe='')}/actions")
+
+    def check(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
+        """What a run of a workflow would be: its ``steps``, its ``demand``, why it would wait for an
+        ``approval`` or be refused (``refusal``). Nothing is submitted. Options are those of ``submit``, and
+        ``payload``. Raises as ``submit``."""
+        payload = options.pop("payload", None) or {}
+        body = {"workflow": workflow_text(workflow, payload), "payload": dict(payload), **options}
+        return self._post("/runs/check", body, repeat=True)
 
     def policy(self) -> dict[str, Any]:
         """The ``policy`` that holds, and the digest of its file (``applied``)."""

@@ -54,9 +54,9 @@ class CampaignCalls(Calls):
         self._post(f"/campaigns/{campaign}/cancel", {"by": by, "why": why, "stay": stay}, repeat=True)
 
     def amend_campaign(self, campaign: str, by: str, **changes: Any) -> dict[str, Any]:
-        """Let a campaign go on under other terms. Returns those that hold: a change that waits for an approval
-        (``approval`` of the client says so) is not among them. Changes: ``priority``, ``deadline``, ``runs``,
-        ``lab_time_s``, ``consumables``, ``tags``, ``until``, ``stop_after``."""
+        """Let a campaign go on under other terms. Returns those that hold: a change that waits for an
+        approval (``approval`` of the client says so) is not among them. Changes: ``priority``, ``deadline``,
+        ``runs``, ``lab_time_s``, ``consumables``, ``tags``, ``until``, ``stop_after``."""
         found: dict[str, Any] = self._post(f"/campaigns/{campaign}/amend", {"by": by, **changes}, repeat=True)
         self.approval = str(found.get("approval", ""))
         return dict(found["terms"])

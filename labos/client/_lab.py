@@ -234,6 +234,11 @@ class LabClient(BenchCalls, ApprovalCalls, CampaignCalls, AccountCalls, PeopleCa
         self.approval = str(answer.get("approval", ""))
         self.warnings += [self.approval] if self.approval else []
 
+    def runs(self, *, after: int = 0, ended: int = 0) -> dict[str, Any]:
+        """``runs`` that are alive, a page of them in the order of their submission, behind the last ``ended``
+        ones; ask again with ``after`` = ``position`` while there are ``more``."""
+        return self._get("/runs", after=after, ended=ended)
+
     def do(self, module: str, action: str, args: Mapping[str, Any] | None = None, **options: Any) -> str:
         """Queue one action on one module, as a run of its own; returns the run's id. Options are
         those of ``submit``."""

@@ -291,8 +291,11 @@ class LabService:
         workcell: str,
         place: Sequence[Placing] = (),
         by: str = LABOS,
+        *,
+        keep: bool = True,
     ) -> Compiled:
-        """``place`` is what ``by`` will have put on the bench when it is submitted. Raises SpecError,
+        """``place`` is what ``by`` will have put on the bench when it is submitted. With ``keep``, files and
+        text are kept for whoever submits it. Raises SpecError,
         SpecErrors, BadInput; NotFound and Refused for what cannot be put there."""
         if not workcell and len(self.kernel.state.lab.workcells) != 1:
             source = await self.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
@@ -309,7 +312,7 @@ class LabService:
                 source, payload, cell, descriptions, simulate=simulated, files=workflow.files, bench=bench
             )
             # Kept before any event speaks of them.
-            for content in (*compiled.files.values(), workflow.text.encode()):
+            for content in (*compiled.files.values(), workflow.text.encode()) if keep else ():
                 self.parts.blobs.put(content)
             return compiled
 
