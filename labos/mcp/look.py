@@ -131,6 +131,8 @@ class Look:
         `run.failed`, or `run` for all about runs), `mentions` those that name an id. `after` is the `next` of
         the page before. With `newest` the last events are told, the newest first; then `before` is the `next`
         of the page before."""
+        if newest and before == 1:
+            return page([], lambda number: number)
         last = {"last": NEWEST, "upto": max(before - 1, 0)} if newest else {"after": after}
         asked = {**last, "type": type, "mentions": mentions}
         found = msgspec.json.decode(self._lab.page_of_events({k: v for k, v in asked.items() if v}))
