@@ -20,6 +20,7 @@ from labos.core.campaigns import (
     Terms,
     note_due,
 )
+from labos.core.canonical import canonical, digest
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
 from labos.core.ids import CampaignId, ExperimentId, RunId
 from labos.core.open_experiments import Experiments
@@ -63,9 +64,10 @@ class ApprovalEvent(Event, frozen=True):
 
 @event("approval.requested")
 class ApprovalRequested(ApprovalEvent, frozen=True):
-    """A submission, or a change of a campaign (``amendment``, to these ``terms``), waits for an approval.
+    """A submission, or a change of a campaign (``amendment``), waits for an approval.
     ``digest`` is that of all its ``parts``, which are digests by name; ``by`` is who asked. ``before`` is
-    what was approved last of the same name, and ``changed`` are the parts that were others then."""
+    what was approved last of the same name, and ``changed`` are the parts that were others then. ``terms``
+    are those of a campaign."""
 
     kind: Kind
     name: str
@@ -135,10 +137,11 @@ class Proposal(msgspec.Struct):
 
 
 class Past(msgspec.Struct):
-    """What was approved last under a name."""
+    """What was approved last under a name; ``terms`` of a campaign, as they were approved."""
 
     subject: str
     parts: dict[str, str]
+    terms: Terms | None = None
 
 
 class Approvals(msgspec.Struct):
@@ -180,7 +183,9 @@ def given(approvals: Approvals, event: ApprovalGiven, at: int) -> None:
     proposal = approvals.open.pop(event.subject)
     key = f"{proposal.kind}:{proposal.name}"
     approvals.past.pop(key, None)
-    approvals.past[key] = Past(proposal.subject, proposal.parts)
+    terms = event.terms or proposal.terms
+    changed = {"terms": digest(canonical(terms))} if event.terms is not None else {}
+    approvals.past[key] = Past(proposal.subject, proposal.parts | changed, terms)
     while len(approvals.past) > PAST_KEPT:
         del approvals.past[next(iter(approvals.past))]
     approvals.given[proposal.user] = approvals.given.get(proposal.user, 0) + 1

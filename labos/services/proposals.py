@@ -8,8 +8,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.approvals import Proposal
-from labos.core.campaigns import CampaignSubmitted
+from labos.core.approvals import Past, Proposal
 from labos.core.ids import CampaignId
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
@@ -53,26 +52,18 @@ def differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal
     past = state.approvals.past.get(f"{proposal.kind}:{proposal.name}")
     if past is None:
         return []
-    return [
-        Difference(part, _lines(log, blobs, proposal, past.subject, part, past.parts.get(part, "")))
-        for part in proposal.changed
-    ]
+    return [Difference(part, _lines(log, blobs, proposal, past, part)) for part in proposal.changed]
 
 
-def _lines(
-    log: Log, blobs: BlobReader, proposal: Proposal, before: str, part: str, was: str
-) -> tuple[str, ...]:
-    now = proposal.parts.get(part, "")
+def _lines(log: Log, blobs: BlobReader, proposal: Proposal, past: Past, part: str) -> tuple[str, ...]:
+    was, now = past.parts.get(part, ""), proposal.parts.get(part, "")
     if part == "payload":
-        old, new = _first(log, before, RunSubmitted), _first(log, proposal.subject, RunSubmitted)
+        old, new = _first(log, past.subject, RunSubmitted), _first(log, proposal.subject, RunSubmitted)
         if isinstance(old, RunSubmitted) and isinstance(new, RunSubmitted):
             return tuple(compared(old.payload, new.payload))
         return ()
     if part == "terms":
-        olds, news = _first(log, before, CampaignSubmitted), _first(log, proposal.subject, CampaignSubmitted)
-        if isinstance(olds, CampaignSubmitted) and isinstance(news, CampaignSubmitted):
-            return tuple(compared(msgspec.to_builtins(olds.terms), msgspec.to_builtins(news.terms)))
-        return ()
+        return tuple(compared(msgspec.to_builtins(past.terms), msgspec.to_builtins(proposal.terms)))
     if part == "workflow" or part.startswith("file:"):
         return tuple(_texts_compared(_text(blobs, was), _text(blobs, now)))
     return ()
@@ -107,9 +98,9 @@ def _texts_compared(old: str | None, new: str | None) -> Iterator[str]:
         yield line
 
 
-def compared(old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
+def compared(old: dict[str, Any] | None, new: dict[str, Any] | None) -> Iterator[str]:
     """The values that differ, each with what it was."""
-    before, now = _flat(old), _flat(new)
+    before, now = _flat(old or {}), _flat(new or {})
     for number, key in enumerate(k for k in {**before, **now} if before.get(k, _NONE) != now.get(k, _NONE)):
         if number == MOST_VALUES:
             yield "…"

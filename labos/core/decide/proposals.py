@@ -165,7 +165,7 @@ def _of_table(
     why: tuple[Why, ...],
 ) -> ApprovalRequested | None:
     parts = {"workflow": of.definition, "table": of.table, "terms": _digest_of(of.terms)}
-    return _request(state, name, "campaign", of.name, asked, actor, why, parts, [])
+    return _request(state, name, "campaign", of.name, asked, actor, why, parts, [], of.terms)
 
 
 def _of_experiment(
@@ -190,7 +190,10 @@ def _of_amendment(state: LabState, command: AmendCampaign, events: list[Event], 
     if waiting is not None and waiting.kind == "campaign":
         parts = {**waiting.parts, "terms": _digest_of(command.terms)}
         asked = Submission(campaign.user, campaign.workcell, waiting.demand)
-        again = _request(state, campaign.id, "campaign", campaign.name, asked, actor, waiting.why, parts, [])
+        again = _request(
+            *(state, campaign.id, "campaign", campaign.name, asked, waiting.by, waiting.why),
+            *(parts, [], command.terms),
+        )
         return [*events, *([again] if again is not None else [])]
     if not more_than(campaign.terms, command.terms):
         return events
@@ -223,7 +226,9 @@ def _of_row(state: LabState, command: SubmitRow, events: list[Event]) -> list[Ev
         "table": campaign.table,
         "terms": _digest_of(campaign.terms),
     }
-    request = _request(state, campaign.id, "campaign", campaign.name, asked, campaign.user, why, parts, [])
+    request = _request(
+        state, campaign.id, "campaign", campaign.name, asked, campaign.user, why, parts, [], campaign.terms
+    )
     return events if request is None else [request]
 
 
