@@ -19,7 +19,7 @@ def command(behalf: str, home: str | None) -> None:
 
     \b
     labos user add helper --service --role submitter
-    labos token create --user helper
+    labos token create --for helper "the agent"
     LABOS_URL=https://lab:8710 LABOS_TOKEN=… labos mcp --behalf ada
     """
     from labos.cli._remote import lab_of

@@ -113,7 +113,7 @@ BY_ITSELF: Mapping[str, Role | Literal["nobody"]] = {
     "record_heartbeat": "submitter",
     "stop_modules": "submitter",
     "trace_wires": "operator",
-    "check_run": "viewer",
+    "check_run": "submitter",
 }
 """What operations need that change something without a command. A viewer does it with passwords, tokens and
 names of their own; an admin with those of others."""

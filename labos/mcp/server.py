@@ -48,7 +48,7 @@ def sign_in(url: str, home: str | None, *, behalf: str = "", token: str = "") ->
         raise BadInput(
             f"An agent signs in as a service account, and this would be {name}.",
             remedy="Make one (labos user add NAME --service) and a token for it (labos token create "
-            "--user NAME), and set LABOS_TOKEN to that.",
+            "--for NAME), and set LABOS_TOKEN to that.",
         )
     if who["how"] == "open" and behalf:
         raise BadInput("This lab has no users on whose behalf an agent could act.", remedy="Leave it out.")

@@ -472,7 +472,7 @@ def _answered(
 
 
 def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
-    """An operator is asked. An earlier question about the same is not asked any more."""
+    """An operator is asked, and an earlier question about the same is withdrawn."""
     for question in _questions(state, event.subject):
         yield InterventionResolved(question.id, "withdrawn", "labos", "it was changed, and is asked anew")
     what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())

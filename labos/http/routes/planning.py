@@ -109,6 +109,7 @@ async def list_actions(call: Call, path: OfModule) -> Actions:
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
     """Nothing is submitted, nothing is kept."""
     service, state = call.service, call.kernel.state
+    service.expect_role(body.user, "submitter")  # before anything is planned
     compiled = await service.compile(
         body.workflow, body.payload, body.workcell, body.place, body.user, keep=False
     )
@@ -167,7 +168,7 @@ OPERATIONS = (
         handler=check_run,
         summary="What a run of a workflow would be, without submitting it",
         tag="runs",
-        needs="viewer",
+        needs="submitter",
         problems=("not_found", "refused", "spec_error", "spec_errors"),
         example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
         largest_body=LARGEST_BODY,

@@ -212,3 +212,14 @@ def test_what_a_run_would_be_is_told_without_submitting_it(people: People, lab: 
     with pytest.raises(BadInput, match="time"):
         people["bob"].check({"text": SEAL, "name": "s.yaml"})
     assert lab.runtime.kernel.state.position == before
+
+
+def test_a_terminal_obeys_nothing_that_was_proposed(people: People) -> None:
+    before = people.seal("agent")
+    people["olga"].approve(before, "", people["olga"].approval_of(before)["proposal"]["digest"])
+    evil = SEAL + "# \u202e clears your screen\n"
+    run = people.seal("agent", evil)
+    shown = people.labos("olga", "approvals", run).output
+    assert "clears your screen" in shown
+    assert not any(char in shown for char in ("\u202e", "\x1b"))
+    people["olga"].refuse(run, "")
