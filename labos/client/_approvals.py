@@ -10,13 +10,21 @@ from urllib.parse import quote
 from labos.client._calls import Calls
 from labos.client._files import workflow_text
 
+PAGE = 500
+
 
 class ApprovalCalls(Calls):
     """Proposals, and the policy that says what is one."""
 
     def approvals(self) -> list[dict[str, Any]]:
         """What waits for an approval, the oldest first: ``subject``, ``digest``, ``why`` and the like."""
-        found: list[dict[str, Any]] = self._get("/approvals")["approvals"]
+        found: list[dict[str, Any]] = []
+        more = True
+        while more:
+            after = found[-1]["subject"] if found else ""
+            page = self._get("/approvals", after=after, limit=PAGE)
+            found += page["approvals"]
+            more = page["more"] and bool(page["approvals"])
         return found
 
     def approval_of(self, subject: str) -> dict[str, Any]:

@@ -126,7 +126,7 @@ def _reasons(state: LabState, asked: Submission, actor: str) -> Iterator[Why]:
         yield Why("asked", f"{actor} asks for it")
     if actor == LABOS or "/" in actor:
         return
-    service = _service(state, actor)
+    service = service_of(state, actor)
     if service and policy.programs and service not in policy.trusted:
         yield Why("program", f"it was made by a program ({service})")
     operates = (
@@ -150,7 +150,7 @@ def _reasons(state: LabState, asked: Submission, actor: str) -> Iterator[Why]:
         yield Why("deadline", "it has a deadline, for which others wait")
 
 
-def _service(state: LabState, actor: str) -> str:
+def service_of(state: LabState, actor: str) -> str:
     """The service account that acts, by itself or for a person; empty if none does."""
     name, _, person = actor.rpartition(ON_BEHALF)
     user = state.users.known.get(name or person)

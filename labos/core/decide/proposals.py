@@ -41,7 +41,14 @@ from labos.core.decide.campaigns import (
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.control import CancelExperiment, cancel_experiment
 from labos.core.decide.experiments import StartExperiment
-from labos.core.decide.holding_back import Submission, dangers_of, demand_of, reasons_for, too_high
+from labos.core.decide.holding_back import (
+    Submission,
+    dangers_of,
+    demand_of,
+    reasons_for,
+    service_of,
+    too_high,
+)
 from labos.core.decide.runs import SubmitRun
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
 from labos.core.ids import CampaignId, ExperimentId, RunId
@@ -108,6 +115,8 @@ def considered(state: LabState, command: Command, decision: Decision, actor: str
     """What is decided of a submission of ``actor``, with the request for an approval if it takes one."""
     if not isinstance(command, _CONSIDERED) or isinstance(decision, Rejection):
         return decision
+    if isinstance(command, ApplyPolicy):
+        return _not_by_program(state, actor) or decision
     events = list(decision)
     if not events:
         return events  # it is known already
@@ -128,7 +137,15 @@ def considered(state: LabState, command: Command, decision: Decision, actor: str
     return [*events, *([request] if request is not None else [])]
 
 
-_CONSIDERED = (SubmitRun, SubmitCampaign, StartExperiment, AmendCampaign, SubmitRow)
+_CONSIDERED = (ApplyPolicy, SubmitRun, SubmitCampaign, StartExperiment, AmendCampaign, SubmitRow)
+
+
+def _not_by_program(state: LabState, actor: str) -> Rejection | None:
+    """Why a policy is not changed: no program lets its own submissions go on."""
+    service = service_of(state, actor)
+    if not service:
+        return None
+    return Rejection("no_person", f"{service} is a program, and changes no policy.", "Ask an admin to do it.")
 
 
 def _of_run(state: LabState, command: SubmitRun, events: list[Event], actor: str) -> ApprovalRequested | None:

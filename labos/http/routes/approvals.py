@@ -18,6 +18,7 @@ from labos.http.bodies import Amendment, Amounts, Limit
 from labos.http.campaigns import amended
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.operation import Call, Operation
+from labos.http.tail import PAGE
 from labos.services.proposals import Difference, differences, sentence
 from labos.spec.policy import parse_policy
 
@@ -51,8 +52,16 @@ class ProposalView(msgspec.Struct, frozen=True):
     terms: Terms | None
 
 
+class ProposalsQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    after: Annotated[Name, says("only what waits behind this one; if it waits no more, all")] = ""
+    limit: Annotated[int, msgspec.Meta(ge=1, le=PAGE), says("so many; 100 if left out")] = 100
+
+
 class Proposals(msgspec.Struct, frozen=True):
+    """A page of proposals; there are ``more`` behind the last one."""
+
     approvals: list[ProposalView]
+    more: bool
 
 
 class ProposalDetail(msgspec.Struct, frozen=True):
@@ -111,12 +120,16 @@ class PolicyReference(msgspec.Struct, frozen=True):
     digest: str
 
 
-async def list_approvals(call: Call) -> Proposals:
-    """The oldest first."""
+async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
+    """The oldest first, a page of them: ask again with `after` = the last `subject` while there are
+    `more`."""
     state = call.kernel.state
-    found = [_view(state, proposal) for proposal in state.approvals.open.values()]
+    names = list(state.approvals.open)
+    begin = names.index(query.after) + 1 if query.after in state.approvals.open else 0
+    shown = names[begin : begin + query.limit]
+    found = [_view(state, state.approvals.open[name]) for name in shown]
     await call.kernel.written()
-    return Proposals(found)
+    return Proposals(found, begin + query.limit < len(names))
 
 
 async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:

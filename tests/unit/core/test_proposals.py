@@ -128,6 +128,9 @@ def test_a_program_cannot_have_more_rights_than_that() -> None:
     question = lab.question("approval")
     assert lab.refused(ResolveIntervention(question.id, "approve", acting), acting).code == "no_person"
     assert lab.refused(ApplyPolicy("q", Policy(programs=False)), "robot").code == "no_right"
+    lab.do(GrantRole("user:robot", "admin"), "root-1")
+    assert lab.refused(ApplyPolicy("q", Policy(trusted=("robot",))), "robot").code == "no_person"
+    assert lab.refused(ResolveIntervention(question.id, "approve", "bo"), "bo").code == "no_right"
     assert lab.pump() == []
 
 
