@@ -20,6 +20,7 @@ from labos.core.decide.campaigns import (
     SubmitCampaign,
 )
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.considering import ApplyPolicy
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
 from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
@@ -28,7 +29,7 @@ from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.labware import NameBarcode, RegisterSamples
 from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.observation import ObserveStation
-from labos.core.decide.proposals import ApplyPolicy, ApproveProposal, RefuseProposal
+from labos.core.decide.proposals import ApproveProposal, RefuseProposal
 from labos.core.decide.rights import RIGHTS
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.shares import ApplyShares

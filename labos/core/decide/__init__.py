@@ -32,8 +32,8 @@ from labos.core.decide import (
     work,
 )
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
+from labos.core.decide.considering import attributed, considered
 from labos.core.decide.limits import bare_report, cut_report, misfit
-from labos.core.decide.proposals import attributed, considered
 from labos.core.decide.reactions import REACTIONS
 from labos.core.decide.rights import Denied, denied
 from labos.core.registry import Event

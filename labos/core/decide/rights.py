@@ -17,6 +17,7 @@ from labos.core.decide import (
     actions,
     campaigns,
     cancelling,
+    considering,
     control,
     doubts,
     experiments,
@@ -254,7 +255,7 @@ RIGHTS: dict[type[Command], Right] = {
     ),
     # people
     shares.ApplyShares: Right("admin", _ADMIN, targets.in_lab("admin")),
-    proposals.ApplyPolicy: Right("admin", _ADMIN, targets.in_lab("admin")),
+    considering.ApplyPolicy: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.AddUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.DisableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.EnableUser: Right("admin", _ADMIN, targets.in_lab("admin")),

@@ -20,11 +20,12 @@ from labos.core.decide.campaigns import (
     SubmitRow,
 )
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.considering import ApplyPolicy, more_than
 from labos.core.decide.control import CancelExperiment
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.proposals import ApplyPolicy, ApproveProposal, RefuseProposal, more_than
+from labos.core.decide.proposals import ApproveProposal, RefuseProposal
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shares import ApplyShares
 from labos.core.decide.users import GrantRole
