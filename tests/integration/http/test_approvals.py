@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -169,6 +170,32 @@ def test_an_experiment_of_a_program_waits(people: People) -> None:
     assert people["agent"].approval == ""
     people["agent"].cancel(run)
     people["agent"].cancel(other)
+    people["agent"].end_experiment(name)
+
+
+def test_another_file_that_a_workflow_uses_is_another_workflow(people: People) -> None:
+    """Its own text is the same, and so may be its name."""
+    outer = "labos: 1\nname: outer\nsteps:\n  - {name: inside, use: inner.yaml}\n"
+
+    def propose(temperature: str, experiment: str) -> str:
+        inner = SEAL.replace("175", temperature)
+        text = {"text": outer, "name": "o.yaml", "files": {"inner.yaml": b64encode(inner.encode()).decode()}}
+        return people["agent"].submit(text, {"time": 3}, user="", experiment=experiment)
+
+    name = people["agent"].start_experiment("files", "")
+    people.labos("olga", "approve", name)
+    first = propose("175", name)
+    people.labos("olga", "approve", first, "--alike")
+    again = propose("175", name)
+    assert people["agent"].approval == ""
+    other = propose("180", name)
+    assert "waits for approval" in people["agent"].approval
+    (changed,) = people["olga"].approval_of(other)["differences"]
+    assert changed["part"] == "file:inner.yaml"
+    assert any("175" in line and line.startswith("-") for line in changed["lines"])
+    people.labos("olga", "refuse", other)
+    for run in (first, again):
+        people["agent"].cancel(run)
     people["agent"].end_experiment(name)
 
 
