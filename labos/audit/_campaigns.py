@@ -37,16 +37,16 @@ def on_submitted(rows: Rows, event: c.CampaignSubmitted, head: Envelope, at: flo
             "ended_position": None,
         },
     )
-    _agree(row, event.terms)
+    agree(row, event.terms)
 
 
 def on_amended(rows: Rows, event: c.CampaignAmended, head: Envelope, at: float) -> None:
     row = rows.change(CAMPAIGNS, event.campaign)
     if row is not None:
-        _agree(row, event.terms)
+        agree(row, event.terms)
 
 
-def _agree(row: Row, terms: c.Terms) -> None:
+def agree(row: Row, terms: c.Terms) -> None:
     """The campaign goes on under these terms."""
     row["priority"], row["tags"] = terms.priority, list(terms.tags)
     row["deadline_s"] = seconds(terms.deadline) if terms.deadline else None

@@ -17,15 +17,22 @@ from labos.audit.query import Asker
 Found = Iterator[tuple[Link, int]]
 Rule = Callable[[Asker, Entity, int], Found]
 
+_APPROVED = (
+    "SELECT answered_by, answered_position FROM approvals WHERE subject IN (?, ?, ?) "
+    "AND answer = 'approved' AND subject <> '' AND answered_position <= ? ORDER BY answered_position"
+)
+
 
 def of_run(asker: Asker, entity: Entity, upto: int) -> Found:
-    for user, experiment, plan, position in asker.fetch(
-        "SELECT user_id, experiment, plan, submitted_position FROM runs WHERE run = ?", entity.name
+    for user, experiment, campaign, plan, position in asker.fetch(
+        "SELECT user_id, experiment, campaign, plan, submitted_position FROM runs WHERE run = ?", entity.name
     ):
         yield Link(entity, "asked for by", Entity("user", user), position), position
         yield Link(entity, "follows", Entity("workflow", plan), position), position
         if experiment:
             yield Link(entity, "part of", Entity("experiment", experiment), position), position
+        for who, at in asker.fetch(_APPROVED, entity.name, campaign, experiment, upto):
+            yield Link(entity, "approved by", Entity("user", who), at), at
 
 
 def of_experiment(asker: Asker, entity: Entity, upto: int) -> Found:

@@ -250,7 +250,7 @@ CAMPAIGNS = Table(
         text("workflow", "The workflow's name."),
         text("workcell", "Where its runs are carried out."),
         whole("rows", "How many rows its table has."),
-        text("status", "open, paused, stopped (by its own rules), cancelled or completed."),
+        text("status", "proposed, open, paused, stopped (by its own rules), cancelled or completed."),
         whole("priority", "Of the runs that are submitted from now on."),
         time("deadline", "Until when it should have ended; null if no time was set."),
         json("tags", "Its tags."),
@@ -310,7 +310,42 @@ PRESENT = Table(
     (MODULE, whole("position", "Where it joined.")),
 )
 
+APPROVALS = Table(
+    "approval",
+    "Every approval that was asked for, by the lab's policy or of a second person, and its answer.",
+    ("requested_position",),
+    (
+        whole("requested_position", "Where it was asked for in the log."),
+        text("subject", "The run, campaign or experiment."),
+        text("kind", "run, campaign, experiment, amendment (of a campaign) or second person."),
+        text("name", "The name of its workflow, campaign or application."),
+        text("user_id", "Whose it is."),
+        text("asked_by", "Who handed it in: the user, or a service account for the user."),
+        text("digest", "Of all that was to be approved; of a second person's approval that of the plan."),
+        json("why", "Why it took an approval."),
+        json("parts", "The digest of each of its parts."),
+        text("before", "What was approved last of the same name; empty if nothing was."),
+        json("changed", "The parts that were others then."),
+        time("requested_at", "When it was asked for."),
+        text("answer", "approved, refused or changed (asked for anew); empty while it waits."),
+        text("answered_by", "Who answered."),
+        text("comment", "What they said about it."),
+        json("changes", "What the answer changed: priority, terms; null if nothing."),
+        time("answered_at", "When it was answered; null before."),
+        whole("answered_position", "Where the answer stands in the log; null before."),
+    ),
+    view="approvals",
+    indexes=(("subject",),),
+)
+
+WAITING = Table(
+    "waiting_approval",
+    "What was asked for last of each subject, for the projector's own use.",
+    ("subject",),
+    (text("subject", "The run, campaign or experiment."), whole("position", "Where it was asked for.")),
+)
+
 WORK_TABLES = (
     *(EVENTS, RUNS, STEPS, ACTIONS, RESULTS, FILES),
-    *(INTERVENTIONS, USERS, EXPERIMENTS, CAMPAIGNS, NODES, PLANS, PRESENT),
+    *(INTERVENTIONS, USERS, EXPERIMENTS, CAMPAIGNS, NODES, PLANS, PRESENT, APPROVALS, WAITING),
 )

@@ -76,6 +76,9 @@ def json_option_saying(about: str) -> Callable[[F], F]:
 
 
 json_option = json_option_saying("JSON, for programs.")
+propose_option = click.option(
+    "--propose", is_flag=True, help="It waits for an operator's approval, whatever the policy says."
+)
 user_option = click.option(
     "--user", envvar="LABOS_USER", metavar="NAME", help="Who asks (LABOS_USER; your login if not given)."
 )

@@ -11,7 +11,7 @@ import msgspec
 
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
-from labos.cli._options import home_option, json_option, user_option, who, why_option
+from labos.cli._options import home_option, json_option, propose_option, user_option, who, why_option
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._query import Where, log_options, open_log
 from labos.services.campaigns import (
@@ -44,18 +44,21 @@ def command() -> None:
 @click.argument("file")
 @user_option
 @click.option("--request", default="", metavar="KEY", help="The same key twice is one campaign.")
+@propose_option
 @home_option
 @json_option
-def submit(file: str, user: str | None, request: str, home: str | None, as_json: bool) -> None:
+def submit(file: str, user: str | None, request: str, propose: bool, home: str | None, as_json: bool) -> None:
     """Check the campaign FILE, row by row, submit it, and print its id. If a row cannot be carried out,
     nothing is submitted."""
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        told = client.submit_campaign(file, user=who(user), request=request)
+        told = client.submit_campaign(file, user=who(user), request=request, propose=propose)
     if as_json:
         show_json(told)
         return
+    if told["approval"]:
+        click.echo(f"labos: {told['approval']}", err=True)
     click.echo(told["campaign"])
 
 
@@ -253,16 +256,18 @@ def amend(
         except ValueError as error:
             raise click.BadParameter(f"{error}.", param_hint="--lab-time") from None
     if consumables:
-        told["consumables"] = dict(map(_amount, consumables))
+        told["consumables"] = dict(map(amount_of, consumables))
     if tags:
         told["tags"] = list(tags)
     with need_lab(home) as client:
         terms = client.amend_campaign(campaign, who(user), **told)
+        if client.approval:
+            click.echo(f"labos: {client.approval}", err=True)
     if as_json:
         show_json(terms)
 
 
-def _amount(text: str) -> tuple[str, float]:
+def amount_of(text: str) -> tuple[str, float]:
     kind, _, amount = text.partition("=")
     try:
         return kind, float(amount)

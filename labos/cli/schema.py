@@ -6,11 +6,11 @@ import json
 
 import click
 
+KINDS = ("workcell", "workflow", "labware", "description", "campaign", "shares", "policy")
+
 
 @click.command("schema")
-@click.argument(
-    "kind", type=click.Choice(["workcell", "workflow", "labware", "description", "campaign", "shares"])
-)
+@click.argument("kind", type=click.Choice(KINDS))
 def command(kind: str) -> None:
     """Print the JSON Schema of a KIND of file: each key, what it means, and what it takes.
 

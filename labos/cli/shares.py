@@ -33,7 +33,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
         from labos.cli._lab import need_lab_of
 
         with need_lab_of(where) as client:
-            client.apply_shares(_read(file), file, who(user))
+            client.apply_shares(read_file(file), file, who(user))
     with open_log(where) as store:
         accounts = ledger(fold_to(store, store.head().position), now_ns())
     if as_json:
@@ -63,11 +63,12 @@ def _quota(quota: Quota) -> str:
         f"{quota.queued} waiting" if quota.queued else "",
         f"{quota.lab_hours:g} h a week" if quota.lab_hours else "",
         *(f"{amount:g} {kind} a week" for kind, amount in quota.consumables.items()),
+        "" if quota.priority is None else f"priority {quota.priority} at most",
     ]
     return ", ".join(filter(None, parts))
 
 
-def _read(file: str) -> str:
+def read_file(file: str) -> str:
     try:
         return Path(file).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, json_option, user_option, wait_option, who
+from labos.cli._options import home_option, json_option, propose_option, user_option, wait_option, who
 from labos.cli._payload import payload_option
 
 
@@ -23,6 +23,7 @@ from labos.cli._payload import payload_option
     help="The experiment it belongs to.",
 )
 @click.option("--request", default="", metavar="KEY", help="The same key twice is one run.")
+@propose_option
 @wait_option("Wait for its end; exit code 1 if it does not complete.", default=False)
 @home_option
 @json_option
@@ -34,6 +35,7 @@ def command(
     priority: int,
     experiment: str,
     request: str,
+    propose: bool,
     wait: bool,
     home: str | None,
     as_json: bool,
@@ -58,6 +60,7 @@ def command(
             priority=priority,
             experiment=experiment,
             request=request,
+            propose=propose,
         )
         show_warnings(client)
         if not wait:

@@ -12,6 +12,7 @@ class Calls(ABC):
     """Base of the groups of calls that make up ``LabClient``."""
 
     _ids: Uuid7Ids
+    approval: str
 
     @abstractmethod
     def _get(self, path: str, **params: Any) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,20 @@ class CampaignCalls(Calls):
     """A workflow carried out once for each row of a table, and the ledger of lab time."""
 
     def submit_campaign(
-        self, campaign: str | Path, *, user: str, dry_run: bool = False, request: str = ""
+        self,
+        campaign: str | Path | Mapping[str, Any],
+        *,
+        user: str,
+        dry_run: bool = False,
+        request: str = "",
+        propose: bool = False,
     ) -> dict[str, Any]:
         """Check a campaign file with its table and workflow, row by row, and submit it. Returns its id as
         ``campaign`` (empty if only checked, with ``dry_run``) and what it asks of the lab as ``estimate``.
-        The same ``request`` twice is one campaign."""
-        body = {**campaign_text(campaign), "user": user, "dry_run": dry_run}
+        The same ``request`` twice is one campaign. With ``propose`` it waits for an approval; ``approval`` of
+        the answer says why it does. In place of a file, a mapping has its ``text`` and its ``workflow``."""
+        text = campaign if isinstance(campaign, Mapping) else campaign_text(campaign)
+        body = {**text, "user": user, "dry_run": dry_run, **({"propose": True} if propose else {})}
         return self._post("/campaigns", body, request=request or self._ids.new(), timeout_s=CAMPAIGN_S)
 
     def campaigns(self) -> list[dict[str, Any]]:
@@ -45,9 +54,11 @@ class CampaignCalls(Calls):
         self._post(f"/campaigns/{campaign}/cancel", {"by": by, "why": why, "stay": stay}, repeat=True)
 
     def amend_campaign(self, campaign: str, by: str, **changes: Any) -> dict[str, Any]:
-        """Let a campaign go on under other terms, which are returned. Changes: ``priority``, ``deadline``,
+        """Let a campaign go on under other terms. Returns those that hold: a change that waits for an
+        approval (``approval`` of the client says so) is not among them. Changes: ``priority``, ``deadline``,
         ``runs``, ``lab_time_s``, ``consumables``, ``tags``, ``until``, ``stop_after``."""
         found: dict[str, Any] = self._post(f"/campaigns/{campaign}/amend", {"by": by, **changes}, repeat=True)
+        self.approval = str(found.get("approval", ""))
         return dict(found["terms"])
 
     def shares(self) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ import msgspec
 from labos import errors
 from labos.client._accounts import AccountCalls
 from labos.client._answers import LabUnreachable, answer_of, cannot_write, problem_in
+from labos.client._approvals import ApprovalCalls
 from labos.client._bench import BenchCalls
 from labos.client._campaigns import CampaignCalls
 from labos.client._files import step_text, workflow_text
@@ -41,7 +42,7 @@ NEVER_S = 3.0
 """How long to wait for a lab in a folder in which none has ever run."""
 
 
-class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
+class LabClient(BenchCalls, ApprovalCalls, CampaignCalls, AccountCalls, PeopleCalls):
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
     Requests are repeated while the lab is silent, for ``patience_s`` in all, as when its kernel is
@@ -70,6 +71,8 @@ class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
         self._ids = Uuid7Ids()
         self.warnings: list[str] = []
         """What the lab remarked on the last submission, one sentence each, with its place."""
+        self.approval = ""
+        """Why the last submission waits for an approval; empty if it does not."""
 
     def _open_http(self) -> httpx.Client:
         import httpx
@@ -198,12 +201,13 @@ class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
         experiment: str = "",
         place: Sequence[tuple[str, str] | tuple[str, str, Mapping[str, bool]]] = (),
         request: str = "",
+        propose: bool = False,
     ) -> str:
         """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
         ``step_text`` gave; returns its id. ``place`` are stations and the type of labware that was put
         there for it, with what it is (``{"sealed": True}``), recorded with the run or not at all. The same
-        ``request`` twice is one run."""
-        body = {
+        ``request`` twice is one run. With ``propose`` it waits for an approval, whatever the policy says."""
+        body: dict[str, Any] = {
             "workflow": workflow_text(workflow, payload),
             "payload": dict(payload or {}),
             "user": user,
@@ -211,6 +215,8 @@ class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
             "priority": priority,
             "experiment": experiment,
         }
+        if propose:
+            body["propose"] = True
         if place:
             body["place"] = [
                 dict(zip(("station", "labware", "variables"), entry, strict=False)) for entry in place
@@ -221,7 +227,17 @@ class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
             request=request or self._ids.new(),
         )
         self.warnings = [_remark(finding) for finding in answer.get("warnings", ())]
+        self._note_approval(answer)
         return str(answer["run"])
+
+    def _note_approval(self, answer: Mapping[str, Any]) -> None:
+        self.approval = str(answer.get("approval", ""))
+        self.warnings += [self.approval] if self.approval else []
+
+    def runs(self, *, after: int = 0, ended: int = 0) -> dict[str, Any]:
+        """``runs`` that are alive, a page of them in the order of their submission, behind the last ``ended``
+        ones; ask again with ``after`` = ``position`` while there are ``more``."""
+        return self._get("/runs", after=after, ended=ended)
 
     def do(self, module: str, action: str, args: Mapping[str, Any] | None = None, **options: Any) -> str:
         """Queue one action on one module, as a run of its own; returns the run's id. Options are
@@ -282,6 +298,7 @@ class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
         workcell: str = "",
         priority: int = 0,
         parking: Sequence[str] = (),
+        propose: bool = False,
     ) -> str:
         """Prefer ``Experiment``. An experiment that is not heard of for 30 s is asked about."""
         body = {
@@ -292,8 +309,12 @@ class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
             "workcell": workcell,
             "priority": priority,
             "parking": list(parking),
+            **({"propose": True} if propose else {}),
         }
-        return str(self._post("/experiments", body, request=self._ids.new())["experiment"])
+        answer = self._post("/experiments", body, request=self._ids.new())
+        self.warnings = []
+        self._note_approval(answer)
+        return str(answer["experiment"])
 
     def note(self, experiment: str, kind: str, name: str, facts: Mapping[str, Any], user: str = "") -> None:
         body = {"kind": kind, "name": name, "facts": dict(facts)}

@@ -1,9 +1,110 @@
-"""A second person: runs with dangerous steps wait until somebody else than their user has approved them."""
+"""Approvals: submissions that wait until somebody else has looked at them, and what was approved before.
+
+A submission that waits is a *proposal*, with the digest of all that it is made of. What is approved is that
+digest. There are two kinds of approval: by the lab's policy (``ApprovalRequested``), of runs, campaigns,
+experiments and changes of campaigns; and by a second person, of runs with dangerous steps (``RunApproved``).
+"""
 
 from __future__ import annotations
 
-from labos.core.registry import event
-from labos.core.runs import RunEvent, Runs, let_wait_anew
+from typing import Literal
+
+import msgspec
+
+from labos.core.campaigns import (
+    CampaignCancelled,
+    CampaignCompleted,
+    Campaigns,
+    CampaignStatus,
+    CampaignStopped,
+    Terms,
+    note_due,
+)
+from labos.core.canonical import canonical, digest
+from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
+from labos.core.ids import CampaignId, ExperimentId, RunId
+from labos.core.open_experiments import Experiments
+from labos.core.policy import Policy, PolicyApplied
+from labos.core.registry import Event, event
+from labos.core.runs import RunCancelled, RunCompleted, RunEvent, RunFailed, Runs, let_wait_anew
+
+PAST_KEPT = 1_000
+"""So many names are remembered with what was approved last under them."""
+
+Kind = Literal["run", "campaign", "experiment", "amendment"]
+
+
+class Why(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Why something waits for an approval: a ``code`` for programs, a ``text`` for people."""
+
+    code: str
+    text: str
+
+
+class Demand(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a submission asks of the lab by its plan: how many steps; nominal module time in lab seconds, in
+    all and by module; consumables by kind; which steps are dangerous. Of a campaign: of all its ``rows``."""
+
+    steps: int = 0
+    module_time_s: float = 0.0
+    modules: dict[str, float] = {}
+    consumables: dict[str, float] = {}
+    dangers: tuple[str, ...] = ()
+    rows: int = 0
+
+
+class ApprovalEvent(Event, frozen=True):
+    """``subject`` is a run, a campaign or an experiment."""
+
+    subject: str
+
+    def stream(self) -> str:
+        return self.subject
+
+
+@event("approval.requested")
+class ApprovalRequested(ApprovalEvent, frozen=True):
+    """A submission, or a change of a campaign (``amendment``), waits for an approval.
+    ``digest`` is that of all its ``parts``, which are digests by name; ``by`` is who asked. ``before`` is
+    what was approved last of the same name, and ``changed`` are the parts that were others then. ``terms``
+    are those of a campaign."""
+
+    kind: Kind
+    name: str
+    user: str
+    by: str
+    digest: str
+    why: tuple[Why, ...]
+    parts: dict[str, str]
+    demand: Demand = Demand()
+    before: str = ""
+    changed: tuple[str, ...] = ()
+    terms: Terms | None = None
+
+
+@event("approval.given")
+class ApprovalGiven(ApprovalEvent, frozen=True):
+    """An operator lets it go on as it is (``digest``), but for the ``priority`` or the ``terms`` if they are
+    given. With ``alike``, further runs of the same experiment with the same workflow need no approval for
+    being a program's or a newcomer's."""
+
+    kind: Kind
+    digest: str
+    by: str
+    comment: str = ""
+    priority: int | None = None
+    terms: Terms | None = None
+    alike: bool = False
+
+
+@event("approval.refused")
+class ApprovalRefused(ApprovalEvent, frozen=True):
+    """An operator does not let it go on; it is cancelled, or the change of a campaign is not made."""
+
+    kind: Kind
+    digest: str
+    by: str
+    comment: str = ""
 
 
 @event("run.approved")
@@ -13,10 +114,179 @@ class RunApproved(RunEvent, frozen=True):
     by: str
 
 
+class Proposal(msgspec.Struct):
+    """A submission that waits for an approval, as ``ApprovalRequested`` has it."""
+
+    subject: str
+    kind: Kind
+    name: str
+    user: str
+    by: str
+    digest: str
+    why: tuple[Why, ...]
+    parts: dict[str, str]
+    demand: Demand
+    before: str
+    changed: tuple[str, ...]
+    terms: Terms | None
+    requested_at: int
+
+    @property
+    def codes(self) -> set[str]:
+        return {why.code for why in self.why}
+
+
+class Past(msgspec.Struct):
+    """What was approved last under a name; ``terms`` of a campaign, as they were approved."""
+
+    subject: str
+    parts: dict[str, str]
+    terms: Terms | None = None
+
+
+class Approvals(msgspec.Struct):
+    """``open`` are the proposals by subject; ``past`` what was approved last, by kind and name; ``given``
+    counts what was approved of each user's. ``alike`` are, by experiment, the workflows (``alike_of``) of
+    which further runs may go on. ``applied`` is the digest of the policy's file."""
+
+    policy: Policy = Policy()
+    applied: str = ""
+    open: dict[str, Proposal] = {}
+    past: dict[str, Past] = {}
+    given: dict[str, int] = {}
+    alike: dict[str, dict[str, bool]] = {}
+
+    def last(self, kind: Kind, name: str) -> Past | None:
+        """What was approved last of a kind and name."""
+        return self.past.get(f"{kind}:{name}")
+
+
+VALUES = ("plan", "payload")
+"""Parts of a run that differ between runs of one workflow."""
+
+
+def alike_of(parts: dict[str, str]) -> str:
+    """What runs have in common that differ in their values only."""
+    return "\n".join(f"{name}={parts[name]}" for name in sorted(parts) if name not in VALUES)
+
+
+def policy_applied(approvals: Approvals, event: PolicyApplied, at: int) -> None:
+    approvals.policy, approvals.applied = event.policy, event.digest
+
+
+def requested(approvals: Approvals, event: ApprovalRequested, at: int) -> None:
+    approvals.open.pop(event.subject, None)
+    approvals.open[event.subject] = Proposal(**msgspec.structs.asdict(event), requested_at=at)
+
+
+def given(approvals: Approvals, event: ApprovalGiven, at: int) -> None:
+    proposal = approvals.open.pop(event.subject)
+    key = f"{proposal.kind}:{proposal.name}"
+    approvals.past.pop(key, None)
+    terms = event.terms or proposal.terms
+    changed = {"terms": digest(canonical(terms))} if event.terms is not None else {}
+    approvals.past[key] = Past(proposal.subject, proposal.parts | changed, terms)
+    while len(approvals.past) > PAST_KEPT:
+        del approvals.past[next(iter(approvals.past))]
+    approvals.given[proposal.user] = approvals.given.get(proposal.user, 0) + 1
+    experiment = proposal.parts.get("experiment", "")
+    if event.alike and experiment:
+        approvals.alike.setdefault(experiment, {})[alike_of(proposal.parts)] = True
+
+
+def refused(approvals: Approvals, event: ApprovalRefused, at: int) -> None:
+    del approvals.open[event.subject]
+
+
+def run_left(approvals: Approvals, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+    approvals.open.pop(event.run, None)
+
+
+def campaign_left(
+    approvals: Approvals, event: CampaignCancelled | CampaignStopped | CampaignCompleted, at: int
+) -> None:
+    approvals.open.pop(event.campaign, None)
+
+
+def experiment_left(
+    approvals: Approvals, event: ExperimentCancelled | ExperimentClosing | ExperimentEnded, at: int
+) -> None:
+    approvals.open.pop(event.experiment, None)
+    if isinstance(event, ExperimentEnded):
+        approvals.alike.pop(event.experiment, None)
+
+
+HANDLERS = {
+    PolicyApplied: policy_applied,
+    ApprovalRequested: requested,
+    ApprovalGiven: given,
+    ApprovalRefused: refused,
+    RunCompleted: run_left,
+    RunFailed: run_left,
+    RunCancelled: run_left,
+    CampaignCancelled: campaign_left,
+    CampaignStopped: campaign_left,
+    CampaignCompleted: campaign_left,
+    ExperimentCancelled: experiment_left,
+    ExperimentClosing: experiment_left,
+    ExperimentEnded: experiment_left,
+}
+
+# -- what waits ----------------------------------------------------------------------------------
+
+
 def approved(runs: Runs, event: RunApproved, at: int) -> None:
     run = runs.queued[event.run]
     with let_wait_anew(runs, run):
         run.unapproved = False
 
 
-HANDLERS = {RunApproved: approved}
+def run_held(runs: Runs, event: ApprovalRequested, at: int) -> None:
+    if event.kind == "run":
+        run = runs.queued[RunId(event.subject)]
+        with let_wait_anew(runs, run):
+            run.held = True
+
+
+def run_let_go(runs: Runs, event: ApprovalGiven, at: int) -> None:
+    if event.kind != "run":
+        return
+    run = runs.queued[RunId(event.subject)]
+    with let_wait_anew(runs, run):
+        run.held = False
+        run.priority = run.priority if event.priority is None else event.priority
+
+
+RUN_HANDLERS = {RunApproved: approved, ApprovalRequested: run_held, ApprovalGiven: run_let_go}
+
+
+def campaign_held(campaigns: Campaigns, event: ApprovalRequested, at: int) -> None:
+    if event.kind == "campaign":
+        campaigns.open[CampaignId(event.subject)].status = CampaignStatus.PROPOSED
+        campaigns.open[CampaignId(event.subject)].danger_seen = bool(event.demand.dangers)
+
+
+def campaign_let_go(campaigns: Campaigns, event: ApprovalGiven, at: int) -> None:
+    if event.kind == "campaign":
+        campaign = campaigns.open[CampaignId(event.subject)]
+        campaign.status = CampaignStatus.OPEN
+        campaign.terms = event.terms or campaign.terms
+        note_due(campaigns, campaign)
+
+
+CAMPAIGN_HANDLERS = {ApprovalRequested: campaign_held, ApprovalGiven: campaign_let_go}
+
+
+def experiment_held(experiments: Experiments, event: ApprovalRequested, at: int) -> None:
+    if event.kind == "experiment":
+        experiments.open[ExperimentId(event.subject)].held = True
+
+
+def experiment_let_go(experiments: Experiments, event: ApprovalGiven, at: int) -> None:
+    if event.kind == "experiment":
+        experiment = experiments.open[ExperimentId(event.subject)]
+        experiment.held = False
+        experiment.priority = experiment.priority if event.priority is None else event.priority
+
+
+EXPERIMENT_HANDLERS = {ApprovalRequested: experiment_held, ApprovalGiven: experiment_let_go}

@@ -132,20 +132,22 @@ class CampaignCompleted(CampaignEvent, frozen=True):
 
 
 class CampaignStatus(StrEnum):
-    """Rows of one that is ``OPEN`` become runs. One that is ``STOPPED`` by its own rules lets its runs go on,
-    one that is ``CANCELLED`` does not."""
+    """Rows of one that is ``OPEN`` become runs. One that is ``PROPOSED`` waits for an approval. One that is
+    ``STOPPED`` by its own rules lets its runs go on, one that is ``CANCELLED`` does not."""
 
     OPEN = "open"
     PAUSED = "paused"
     STOPPED = "stopped"
     CANCELLED = "cancelled"
+    PROPOSED = "proposed"
 
 
 class Campaign(msgspec.Struct):
     """``next_row`` is the first row that is not submitted yet; ``runs`` are those alive and whether each
     has started. ``spent_ns`` is module time in wall nanoseconds, ``used`` consumables by kind. ``reads``
     and ``results`` of runs alive are for the stop rule, which ``met_by`` has fulfilled;
-    ``first_started_at`` in UTC ns."""
+    ``first_started_at`` in UTC ns. ``danger_seen``: that its rows do what is dangerous was known when it was
+    approved."""
 
     id: CampaignId
     name: str
@@ -171,6 +173,7 @@ class Campaign(msgspec.Struct):
     results: dict[RunId, dict[str, Any]] = {}
     met_by: str = ""
     first_started_at: int = 0
+    danger_seen: bool = False
 
     @property
     def queued(self) -> int:
@@ -267,14 +270,14 @@ def resumed(campaigns: Campaigns, event: CampaignResumed, at: int) -> None:
 def amended(campaigns: Campaigns, event: CampaignAmended, at: int) -> None:
     campaign = campaigns.open[event.campaign]
     campaign.terms = event.terms
-    _note_due(campaigns, campaign)
+    note_due(campaigns, campaign)
 
 
 def row_refused(campaigns: Campaigns, event: CampaignRowRefused, at: int) -> None:
     campaign = campaigns.open[event.campaign]
     campaign.next_row = event.row + 1
     campaign.refused += 1
-    _note_due(campaigns, campaign)
+    note_due(campaigns, campaign)
 
 
 def stopped(campaigns: Campaigns, event: CampaignStopped, at: int) -> None:
@@ -288,7 +291,7 @@ def cancelled(campaigns: Campaigns, event: CampaignCancelled, at: int) -> None:
 def _close(campaigns: Campaigns, event: CampaignStopped | CampaignCancelled, status: CampaignStatus) -> None:
     campaign = campaigns.open[event.campaign]
     campaign.status, campaign.why = status, event.why
-    _note_due(campaigns, campaign)
+    note_due(campaigns, campaign)
 
 
 def completed(campaigns: Campaigns, event: CampaignCompleted, at: int) -> None:
@@ -334,7 +337,7 @@ def run_left(campaigns: Campaigns, event: RunCompleted | RunFailed | RunCancelle
             campaign.failed += 1
         case RunCancelled():
             campaign.cancelled += 1
-    _note_due(campaigns, campaign)
+    note_due(campaigns, campaign)
 
 
 def _meets(campaign: Campaign, results: dict[str, Any]) -> bool:
@@ -386,7 +389,8 @@ def consumed(campaigns: Campaigns, event: ResourceConsumed, at: int) -> None:
         campaign.used[event.resource] = campaign.used.get(event.resource, 0.0) + event.amount
 
 
-def _note_due(campaigns: Campaigns, campaign: Campaign) -> None:
+def note_due(campaigns: Campaigns, campaign: Campaign) -> None:
+    """Remember whether a campaign must be stopped or is over."""
     if must_stop(campaign) or is_over(campaign):
         campaigns.due[campaign.id] = True
     else:

@@ -43,7 +43,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("actions", actions.HANDLERS),
     ("runs", runs.HANDLERS),
     ("runs", steps.HANDLERS),
-    ("runs", approvals.HANDLERS),
+    ("runs", approvals.RUN_HANDLERS),
     ("resources", resources.HANDLERS),
     ("interventions", interventions.HANDLERS),
     ("experiments", open_experiments.HANDLERS),
@@ -51,6 +51,9 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("campaigns", campaigns.HANDLERS),
     ("shorter", shorter.HANDLERS),
     ("users", users.HANDLERS),
+    ("campaigns", approvals.CAMPAIGN_HANDLERS),
+    ("experiments", approvals.EXPERIMENT_HANDLERS),
+    ("approvals", approvals.HANDLERS),
     ("lab", repeated.HANDLERS),
     ("lab", signatures.HANDLERS),
 )

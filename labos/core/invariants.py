@@ -159,6 +159,8 @@ def _runs(state: LabState, runs: Mapping[RunId, RunState]) -> str:
             return f"run {name} has lost its plan"
         if len(run.steps) != len(state.runs.plan_of(run).steps):
             return f"run {name} counts its steps wrongly"
+        if run.held or run.unapproved:
+            return f"run {name} has begun before it was approved"
     return ""
 
 

@@ -310,8 +310,8 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
     request it counts as unknown how the action ended. ``part`` is what the step belongs to: the workflow
     itself (-1), the way out of a cancelled run (-2: some may be left out, so they wait for all that come
     before), or what is done when the step of that index has failed. Only if ``when`` holds is it
-    done, and its result has to be as ``expect`` says. ``dangerous`` is why it takes a second person's
-    approval, if it does."""
+    done, and its result has to be as ``expect`` says. ``hazard`` is what its action says of dangers;
+    ``dangerous`` is the same if it takes a second person's approval."""
 
     key: str
     module: ModuleName
@@ -332,6 +332,7 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
     when: Condition | None = None
     expect: Condition | None = None
     dangerous: str = ""
+    hazard: str = ""
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):

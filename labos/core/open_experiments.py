@@ -21,6 +21,8 @@ class ExperimentStatus(StrEnum):
 
 
 class Experiment(msgspec.Struct):
+    """``held``: it was not approved; nothing of it is carried out."""
+
     id: ExperimentId
     name: str
     user: str
@@ -30,6 +32,7 @@ class Experiment(msgspec.Struct):
     status: ExperimentStatus = ExperimentStatus.OPEN
     runs: dict[RunId, bool] = {}
     parking: tuple[StationName, ...] = ()
+    held: bool = False
 
 
 class Experiments(msgspec.Struct):

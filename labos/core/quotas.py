@@ -22,6 +22,16 @@ def queue_is_full(state: LabState, user: str) -> str:
     return ""
 
 
+def highest_priority(state: LabState, user: str, *, operates: bool) -> tuple[str, int] | None:
+    """Whose limit it is, and the highest priority that a user may give: by quotas, else, for somebody who is
+    no operator, by the lab's policy. None: any."""
+    named = [(whose, q.priority) for whose, q, _ in state.shares.limits(user) if q.priority is not None]
+    if named:
+        return min(named, key=lambda item: item[1])
+    most = state.approvals.policy.priority
+    return None if most is None or operates else ("whoever has no quota for it", most)
+
+
 def within_quota(state: LabState, run: RunState, now: int) -> Wait | None:
     """A run that waits is let in only if its user's quotas, and those of the group, leave room for it; nobody
     waits with it meanwhile. What clears a bench away is never kept out."""

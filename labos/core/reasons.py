@@ -91,6 +91,15 @@ class Unapproved(Reason, frozen=True):
     user: str
 
 
+class NotApproved(Reason, frozen=True):
+    SENTENCE = "run {run} waits for approval, because {why}"
+    REMEDY = "An operator looks at it (labos approvals {run}) and says: labos approve {run}"
+    WAKES = ("run",)
+    URGENCY = PERSON
+    run: str
+    why: str
+
+
 class Halted(Reason, frozen=True):
     SENTENCE = "{by} has paused {target}"
     REMEDY = "Let it go on: labos resume {target}"
@@ -514,6 +523,7 @@ def _who(name: str) -> str:
 AnyReason = (
     Paused
     | Unapproved
+    | NotApproved
     | Halted
     | LogShorter
     | Cancelling

@@ -38,7 +38,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     """The bound effects with which the step may start now, or what it waits for."""
     step = state.runs.plan_of(run).steps[index]
     return (
-        _own_turn(run, step, index)
+        _own_turn(state, run, step, index)
         or log_whole(state, step)
         or halted(state, run, step)
         or no_hands_inside(state, run, step)
@@ -54,9 +54,18 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     )
 
 
-def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
+def held_wait(state: LabState, run: RunState) -> Wait:
+    """What a run waits for that was not approved yet."""
+    proposal = state.approvals.open.get(run.id)
+    why = ", and ".join(why.text for why in proposal.why) if proposal is not None else "its policy says so"
+    return Wait(reasons.NotApproved(run.id, why), (run_key(run.id),), blocked=True)
+
+
+def _own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wait | None:
     if run.unapproved:
         return Wait(reasons.Unapproved(run.user), (run_key(run.id),), blocked=True)
+    if run.held:
+        return held_wait(state, run)
     if run.paused:
         return Wait(reasons.Paused(run.id), (run_key(run.id),), blocked=True)
     if run.status == RunStatus.CANCELLING:

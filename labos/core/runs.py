@@ -179,7 +179,7 @@ class RunStatus(StrEnum):
 class RunState(msgspec.Struct):
     """A run that has not ended. ``steps`` are in the order of its plan; while it waits to be let in they may
     be missing (``statuses_of``). ``asked`` is whether a person was told that it does not begin;
-    ``unapproved`` while it waits for a second person."""
+    ``unapproved`` while it waits for a second person, ``held`` while it waits for an approval."""
 
     id: RunId
     plan: str
@@ -200,6 +200,7 @@ class RunState(msgspec.Struct):
     asked: bool = False
     campaign: CampaignId = CampaignId("")
     unapproved: bool = False
+    held: bool = False
 
     @property
     def has_started(self) -> bool:
@@ -291,8 +292,9 @@ def queue_key(shape: str, run: RunState) -> str:
 
 
 def held_back(run: RunState) -> int:
-    """What keeps a run from being started, by itself: it is paused (1), it is not approved (2)."""
-    return int(run.paused) + 2 * int(run.unapproved)
+    """What keeps a run from being started, by itself: it is paused (1), no second person has approved it (2),
+    it waits for an approval (4)."""
+    return int(run.paused) + 2 * int(run.unapproved) + 4 * int(run.held)
 
 
 def clocks_of(run: RunState) -> tuple[int, ...]:

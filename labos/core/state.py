@@ -8,6 +8,7 @@ from importlib import resources as package_files
 import msgspec
 
 from labos.core.actions import Actions
+from labos.core.approvals import Approvals
 from labos.core.bench import Bench
 from labos.core.campaigns import Campaigns
 from labos.core.interventions import Interventions
@@ -41,6 +42,7 @@ class LabState(msgspec.Struct):
     versions: dict[str, int] = {}
     shorter: Shorter = msgspec.field(default_factory=Shorter)
     users: Users = msgspec.field(default_factory=Users)
+    approvals: Approvals = msgspec.field(default_factory=Approvals)
 
 
 # Tables keep their order: who came first is part of the state.

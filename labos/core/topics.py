@@ -462,6 +462,28 @@ class SecondPerson(Topic, frozen=True, tag="second_person"):
         )
 
 
+class Approval(Topic, frozen=True, tag="approval"):
+    """A submission, or a change of a campaign, waits for an approval: ``about`` it, as it is with this
+    ``digest``. ``what`` is its kind."""
+
+    KIND: ClassVar[str] = "approval"
+    about: str
+    digest: str
+    what: str
+
+    @property
+    def subject(self) -> str:
+        return self.about
+
+    @property
+    def choices(self) -> tuple[Choice, ...]:
+        refused = "The campaign goes on as before." if self.what == "amendment" else "It is cancelled."
+        return (
+            Choice("approve", "It goes on as it is."),
+            Choice("refuse", refused),
+        )
+
+
 AnyTopic = (
     UnknownAction
     | LostLabware
@@ -482,6 +504,7 @@ AnyTopic = (
     | DeviceWaits
     | ClosingWaits
     | SecondPerson
+    | Approval
 )
 
 WhereItStands = LostLabware | LateResult | NotSeen | SeenElsewhere | Unexpected

@@ -26,6 +26,9 @@ NO_ROLE = 0
 """The rank of somebody who was granted none: a user without a role may look, as a viewer may."""
 
 
+LABOS = "labos"
+"""Under this name LabOS itself asks; modules ask under theirs, which have a slash. No user is called so."""
+
 ON_BEHALF = " for "
 """Between a service account and the person for whom it acts."""
 

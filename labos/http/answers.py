@@ -89,10 +89,12 @@ class Runs(msgspec.Struct, frozen=True):
 
 
 class RunSubmission(msgspec.Struct, frozen=True):
-    """The id of the run, and what the workflow's files made the lab remark."""
+    """The id of the run, and what the workflow's files made the lab remark. ``approval`` says why it waits
+    for one, if it does."""
 
     run: str
     warnings: tuple[Finding, ...] = ()
+    approval: str = ""
 
 
 class RunReference(msgspec.Struct, frozen=True):
@@ -104,17 +106,21 @@ class Signatures(msgspec.Struct, frozen=True):
 
 
 class ExperimentReference(msgspec.Struct, frozen=True):
+    """``approval`` says why it waits for one, if it does."""
+
     experiment: str
+    approval: str = ""
 
 
 class CampaignSubmission(msgspec.Struct, frozen=True):
     """The id of the campaign (empty if it was only checked), and what all its rows ask of the lab: how many
     ``rows`` there are and how many of them were ``checked``, ``module_time_s``, by ``modules``, what the
     ``busiest`` of them needs at least (``bounds_s``), and of each of the ``consumables`` what is ``needed``
-    and what is ``left``."""
+    and what is ``left``. ``approval`` says why it waits for one, if it does."""
 
     campaign: str
     estimate: Estimate
+    approval: str = ""
 
 
 class CampaignReference(msgspec.Struct, frozen=True):
@@ -122,10 +128,11 @@ class CampaignReference(msgspec.Struct, frozen=True):
 
 
 class CampaignTerms(msgspec.Struct, frozen=True):
-    """The terms on which it goes on."""
+    """The terms on which it goes on. ``approval`` says why a change waits for one, if it does."""
 
     campaign: str
     terms: Terms
+    approval: str = ""
 
 
 class Campaigns(msgspec.Struct, frozen=True):

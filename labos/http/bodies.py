@@ -37,6 +37,8 @@ Limit = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]
 Amounts = Annotated[dict[Name, Amount], msgspec.Meta(max_length=MOST_ENTRIES)]
 Tags = Annotated[list[Name], msgspec.Meta(max_length=MOST_TAGS)]
 
+WAITS = says("it waits for an approval, whatever the policy says")
+
 
 class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """A run of a workflow."""
@@ -55,6 +57,7 @@ class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         msgspec.Meta(max_length=MOST_ENTRIES),
         says("labware that was put on the bench for it; recorded with the run, or not at all"),
     ] = []
+    propose: Annotated[bool, WAITS] = False
 
 
 class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -71,6 +74,7 @@ class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     payload: Annotated[dict[str, Any], says("values for the closing workflow")] = {}
     workcell: Annotated[Name, says("needed if the lab has several")] = ""
     priority: Annotated[Priority, says("of its runs; 0")] = 0
+    propose: Annotated[bool, WAITS] = False
 
 
 class ExperimentNote(msgspec.Struct, forbid_unknown_fields=True):
@@ -93,6 +97,7 @@ class NewCampaign(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     name: Annotated[FileName, says("what errors call the file")] = "campaign"
     files: Annotated[Files, says("the table that it names, in base64, by the name that it has for it")] = {}
     dry_run: Annotated[bool, says("only check it")] = False
+    propose: Annotated[bool, WAITS] = False
 
 
 class CampaignPause(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):

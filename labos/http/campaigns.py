@@ -11,6 +11,7 @@ import msgspec
 from labos.core.campaigns import Budget, Campaign, Terms
 from labos.core.conditions import read_by
 from labos.core.decide.campaigns import SubmitCampaign, consumption, module_time_s
+from labos.core.decide.holding_back import demand_of
 from labos.core.ids import CampaignId, local
 from labos.core.model import MAIN, Plan
 from labos.core.users import person_of
@@ -55,8 +56,8 @@ class Estimate(msgspec.Struct, frozen=True):
 
 
 class CampaignView(msgspec.Struct, frozen=True):
-    """``status``: open, paused, stopped or cancelled. Of its ``rows``, ``left`` are those that are no
-    runs yet. ``lab_time_s`` is module time, ``used`` are consumables."""
+    """``status``: proposed, open, paused, stopped or cancelled. Of its ``rows``, ``left`` are those that are
+    no runs yet. ``lab_time_s`` is module time, ``used`` are consumables."""
 
     id: str
     name: str
@@ -111,6 +112,8 @@ async def submit_campaign(service: LabService, new: NewCampaign, request: str) -
         definition=await asyncio.to_thread(blobs.put, definition),
         terms=msgspec.structs.replace(told.terms, deadline=deadline),
         request=request,
+        demand=demand_of(checked.plans, len(told.lines) / len(checked.plans)),
+        propose=new.propose,
     )
     known = service.kernel.state.campaigns.requests
     if request in known:

@@ -20,6 +20,7 @@ from labos.core.decide.campaigns import (
     SubmitCampaign,
 )
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.considering import ApplyPolicy
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
 from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
@@ -28,6 +29,7 @@ from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.labware import NameBarcode, RegisterSamples
 from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.observation import ObserveStation
+from labos.core.decide.proposals import ApproveProposal, RefuseProposal
 from labos.core.decide.rights import RIGHTS
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.shares import ApplyShares
@@ -66,6 +68,9 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "cancel_campaign": (CancelCampaign,),
     "amend_campaign": (AmendCampaign,),
     "apply_shares": (ApplyShares,),
+    "approve_proposal": (ApproveProposal,),
+    "refuse_proposal": (RefuseProposal,),
+    "apply_policy": (ApplyPolicy,),
     "take_out_of_service": (TakeOut,),
     "put_in_service": (PutBack,),
     "replenish_resource": (Replenish,),
@@ -111,6 +116,7 @@ BY_ITSELF: Mapping[str, Role | Literal["nobody"]] = {
     "record_heartbeat": "submitter",
     "stop_modules": "submitter",
     "trace_wires": "operator",
+    "check_run": "submitter",
 }
 """What operations need that change something without a command. A viewer does it with passwords, tokens and
 names of their own; an admin with those of others."""
@@ -128,6 +134,9 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "cancel_campaign": ("labos campaign cancel",),
     "amend_campaign": ("labos campaign amend",),
     "apply_shares": ("labos shares",),
+    "approve_proposal": ("labos approve",),
+    "refuse_proposal": ("labos refuse",),
+    "apply_policy": ("labos policy",),
     "take_out_of_service": ("labos out-of-service",),
     "put_in_service": ("labos in-service",),
     "replenish_resource": ("labos replenish",),

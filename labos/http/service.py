@@ -291,8 +291,11 @@ class LabService:
         workcell: str,
         place: Sequence[Placing] = (),
         by: str = LABOS,
+        *,
+        keep: bool = True,
     ) -> Compiled:
-        """``place`` is what ``by`` will have put on the bench when it is submitted. Raises SpecError,
+        """``place`` is what ``by`` will have put on the bench when it is submitted. With ``keep``, files and
+        text are kept for whoever submits it. Raises SpecError,
         SpecErrors, BadInput; NotFound and Refused for what cannot be put there."""
         if not workcell and len(self.kernel.state.lab.workcells) != 1:
             source = await self.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
@@ -309,7 +312,7 @@ class LabService:
                 source, payload, cell, descriptions, simulate=simulated, files=workflow.files, bench=bench
             )
             # Kept before any event speaks of them.
-            for content in (*compiled.files.values(), workflow.text.encode()):
+            for content in (*compiled.files.values(), workflow.text.encode()) if keep else ():
                 self.parts.blobs.put(content)
             return compiled
 
@@ -326,15 +329,24 @@ class LabService:
         experiment: str = "",
         place: Sequence[Placing] = (),
         request: str = "",
+        propose: bool = False,
     ) -> tuple[str, tuple[Finding, ...]]:
         """Queue a run of ``user``, who asks; returns its id and the workflow's warnings. The same ``request``
         twice is one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with
-        it, or not at all."""
+        it, or not at all. With ``propose`` it waits for an approval."""
         self.expect_role(user, "submitter")  # before anything is kept of it
         self._expect_own(experiment, user)
         files = await asyncio.to_thread(_digests, workflow.files)
         asked = digest_of_request(
-            workflow.text, files, payload, user, workcell, priority, experiment, *([place] if place else [])
+            workflow.text,
+            files,
+            payload,
+            user,
+            workcell,
+            priority,
+            experiment,
+            *([place] if place else []),
+            *(["propose"] if propose else []),
         )
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
@@ -350,6 +362,7 @@ class LabService:
             priority,
             {**self.pins_of(workflow, compiled.plan), "request": asked},
             request,
+            propose,
         )
         loads: list[LoadStation] = []
         if place and request not in self.kernel.state.runs.requests:
@@ -426,13 +439,14 @@ class LabService:
         priority: int = 0,
         request: str = "",
         parking: Sequence[str] = (),
+        propose: bool = False,
     ) -> str:
         """An application begins; it must be heard of every ``SILENCE_S`` from now on."""
         self.expect_role(user, "submitter")
         plan = (await self.compile(closing, payload, workcell)).plan if closing is not None else None
         places = tuple(self.station(place) for place in parking)
         command = StartExperiment(
-            name, person_of(user), plan, priority, request or self.kernel.ids.new(), places
+            name, person_of(user), plan, priority, request or self.kernel.ids.new(), places, propose
         )
         events = await self.kernel.execute(command, user)
         experiment = self.kernel.state.experiments.requests[command.request]

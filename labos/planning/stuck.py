@@ -13,7 +13,7 @@ from labos.core.binding import laid_up, unfit, unpromised
 from labos.core.effects import places
 from labos.core.ids import ModuleName, Owner, StationName, run_owner
 from labos.core.model import PlanStep
-from labos.core.rules import halted
+from labos.core.rules import halted, held_wait
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, statuses_of
 from labos.core.state import LabState
 from labos.core.topics import FailedStep
@@ -27,6 +27,8 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
     steps = state.runs.plan_of(run).steps
     if run.unapproved:
         return Wait(reasons.Unapproved(run.user), (run_key(run.id),), blocked=True)
+    if run.held:
+        return held_wait(state, run)
     if run.paused:
         return Wait(reasons.Paused(run.id), (run_key(run.id),), blocked=True)
     if run.has(UNKNOWN):

@@ -11,7 +11,7 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.approvals import RunApproved
+from labos.core.approvals import ApprovalGiven, RunApproved
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
 from labos.core.ids import ExperimentId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
@@ -250,6 +250,9 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
             return (everything,)
         case AccessRequested() | AccessGranted() | AccessEnded():
             return (*all_of(event.name), access_key(event.name))
+        case ApprovalGiven():
+            cell = cell_of_run(state, event.subject)  # others may be safe or not with it
+            return (everything_in(cell), run_key(RunId(event.subject))) if cell else ()
         case RunPaused() | RunResumed() | RunApproved():
             return (everything, run_key(event.run))
         case StartsPaused() | StartsResumed():

@@ -19,10 +19,11 @@ from labos.core import shares as q
 from labos.core import shorter as h
 from labos.core import steps as st
 from labos.core import users as u
-from labos.core.approvals import RunApproved
+from labos.core.approvals import ApprovalGiven, ApprovalRefused, ApprovalRequested, RunApproved
 from labos.core.envelope import Envelope
 from labos.core.ids import local, owner_parts
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
+from labos.core.policy import PolicyApplied
 from labos.core.registry import Event
 from labos.core.repeated import RequestRepeated
 from labos.core.signatures import RunSigned
@@ -300,6 +301,13 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users hold from now on"
     ),
     RunSigned: lambda e, _: f"{e.by} signed {e.run}: {e.meaning}{_if(e.why, f': {e.why}')}",
+    PolicyApplied: lambda e, _: "another policy says what waits for an approval",
+    ApprovalRequested: lambda e, _: (
+        f"{'its change ' if e.kind == 'amendment' else ''}waits for approval: "
+        + "; ".join(why.text for why in e.why)
+    ),
+    ApprovalGiven: lambda e, _: f"approved by {e.by} ({e.digest[:12]}){_if(e.comment, f': {e.comment}')}",
+    ApprovalRefused: lambda e, _: f"{e.by} did not approve it{_if(e.comment, f': {e.comment}')}",
     RunApproved: lambda e, _: f"approved by {e.by}, as a second person",
     u.UserAdded: lambda e, _: f"{e.user} may use the lab ({e.kind})",
     u.UserDisabled: lambda e, _: f"{e.user} may do nothing any more",

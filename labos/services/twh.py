@@ -33,7 +33,7 @@ from labos.core.labware import (
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
-from labos.core.topics import PlannedWork
+from labos.core.topics import Approval, PlannedWork
 from labos.services.catalogue import LEARNT, Catalogue
 from labos.services.log import events
 
@@ -324,6 +324,8 @@ class Meter:
             self._counted.add(head.id)
             for clock in self._clocks(run):
                 clock.note_planned_help(head.recorded_at)
+        elif question is not None and question.kind == Approval.KIND:
+            self._counted.add(head.id)  # to let work begin is as little an intervention as to ask for it
         elif (event.choice != "withdrawn" and _is_person(event.by)) or head.causation in self._seen:
             self._counted.add(head.id)
             if run:

@@ -175,6 +175,7 @@ class Planner:
             when=self.conditions.when(index),
             expect=self.conditions.expect(index),
             dangerous=action.dangerous if module.second_person else "",
+            hazard=action.dangerous,
         )
 
     def _after(self, index: int) -> tuple[int, ...]:

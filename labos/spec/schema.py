@@ -10,9 +10,10 @@ from labos.spec.campaign import CampaignFile
 from labos.spec.description import DescriptionFile
 from labos.spec.findings import near
 from labos.spec.parts import Part
+from labos.spec.policy import PolicyFile
 from labos.spec.shares import SharesFile
 
-SchemaKind = Literal["workcell", "workflow", "labware", "description", "campaign", "shares"]
+SchemaKind = Literal["workcell", "workflow", "labware", "description", "campaign", "shares", "policy"]
 FILES: dict[SchemaKind, type[Part]] = {
     "workcell": models.WorkcellFile,
     "workflow": models.WorkflowFile,
@@ -20,6 +21,7 @@ FILES: dict[SchemaKind, type[Part]] = {
     "description": DescriptionFile,
     "campaign": CampaignFile,
     "shares": SharesFile,
+    "policy": PolicyFile,
 }
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 MODELINE = "# yaml-language-server: $schema="
@@ -370,6 +372,18 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "queued": "runs that wait at a time",
         "lab_hours": "module hours in seven days",
         "consumables": "amounts in seven days by kind, in the unit of each",
+        "priority": "the highest priority that may be given; any, if left out",
+    },
+    "PolicyFile": {
+        "labos": _VERSION,
+        "programs": "whether what service accounts submit waits for an approval",
+        "trusted": "service accounts whose submissions do not",
+        "newcomers": "so many submissions of a user have to be approved before others of theirs do not wait",
+        "dangerous": "whether what does something dangerous waits",
+        "above": "what uses more than this waits",
+        "deadlines": "whether campaigns with a deadline wait",
+        "own": "whether an operator may approve what is the operator's own",
+        "priority": "the highest priority of whoever is no operator and has no quota for it",
     },
     "VariantEntry": {
         "models": "names of models, as in workcell files, that are of this size",

@@ -23,6 +23,7 @@ class QuotaEntry(Part):
     queued: int = Field(default=0, ge=0)
     lab_hours: float = Field(default=0.0, ge=0)
     consumables: dict[Label, Annotated[float, Field(ge=0)]] = {}
+    priority: int | None = Field(default=None, ge=-100_000, le=100_000)
 
 
 class MemberEntry(Part):
@@ -91,4 +92,4 @@ def _member(entry: MemberEntry) -> Member:
 
 
 def _quota(entry: QuotaEntry) -> Quota:
-    return Quota(entry.running, entry.queued, entry.lab_hours, dict(entry.consumables))
+    return Quota(entry.running, entry.queued, entry.lab_hours, dict(entry.consumables), entry.priority)

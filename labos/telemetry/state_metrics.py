@@ -15,6 +15,9 @@ from labos.telemetry.series import GaugeMetric, Labels, MetricGroup
 MODULE_STATES = ("idle", "busy", "error", "gone", "out_of_service")
 RUN_STATES = ("queued", "active", "paused", "cancelling", "leaving")
 
+APPROVALS = ("run", "campaign", "experiment", "amendment")
+"""Kinds of what waits for an approval."""
+
 KINDS_OF_RUNS, USERS_SEEN, WAITS_SEEN = 150, 101, 500
 """So many workflows in workcells, users, and reasons to wait are shown as 0 when nothing is left of them."""
 
@@ -100,6 +103,13 @@ class StateMetrics(MetricGroup):
             "How long the oldest question or task has waited; 0 if none does.",
             cell,
             most=CELLS,
+        )
+        self.approvals = GaugeMetric(
+            "labos_approvals_open",
+            "Submissions that wait for an operator's approval, by the lab's policy; kind is run, campaign, "
+            "experiment, or amendment of a campaign.",
+            ("kind",),
+            most=len(APPROVALS),
         )
         self._seen_runs: dict[Labels, bool] = {}
         self._seen_users: dict[Labels, bool] = {}
@@ -202,6 +212,8 @@ class StateMetrics(MetricGroup):
             oldest[cell] = min(oldest.get(cell, now), question.requested_at)
         self.questions.replace({(cell,): float(n) for cell, n in count.items()})
         self.question_age_s.replace({(cell,): (now - at) / 1e9 for cell, at in oldest.items()})
+        waiting = Counter[str](proposal.kind for proposal in state.approvals.open.values())
+        self.approvals.replace({(kind,): float(waiting[kind]) for kind in APPROVALS})
         self.access.replace({(cell,): float(cell in state.lab.access) for cell in state.lab.workcells})
 
     def _waits(self, state: LabState, scheduler: Scheduler) -> None:

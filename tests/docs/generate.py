@@ -22,7 +22,7 @@ from labos.audit.tables import VIEWS, Table, view_columns
 from labos.cli._exit import CODES
 from labos.cli.app import group
 from labos.cli.schema import schema_text
-from labos.core import campaigns, fold, labware, model, runs, shares, topics
+from labos.core import approvals, campaigns, fold, labware, model, policy, runs, shares, topics
 from labos.core.decide.reactions import REACTIONS
 from labos.core.effects import AnyEffect
 from labos.core.registry import TYPES
@@ -151,6 +151,9 @@ def parts() -> str:
         shares.Group,
         shares.Member,
         shares.Quota,
+        policy.Policy,
+        approvals.Why,
+        approvals.Demand,
         topics.Choice,
         labware.Sample,
     ]

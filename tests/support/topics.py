@@ -6,6 +6,7 @@ from labos.core.effects import Move, Take
 from labos.core.ids import ActionId, ExperimentId, LabwareId, StationName
 from labos.core.topics import (
     AnyTopic,
+    Approval,
     Barcode,
     ClosingWaits,
     DeviceWaits,
@@ -56,4 +57,6 @@ TOPICS: list[AnyTopic] = [
     DeviceWaits(run="R1", module="c/m"),
     ClosingWaits(run="R1", user=""),
     SecondPerson(run="R1", module="c/m"),
+    Approval(run="R1", about="R1", digest="ab" * 32, what="run"),
+    Approval(about="C1", digest="ab" * 32, what="amendment"),
 ]

@@ -94,6 +94,7 @@ WITHOUT_JSON = {
         "labos notifications watch",
         "labos witness",
     ),
+    "labos mcp",  # an agent speaks to it, in a protocol of its own
     "labos schema",  # it is JSON itself
     *("labos db writer", "labos audit reader"),  # once in the life of a database, by a person
 }

@@ -21,6 +21,7 @@ from labos.core.decide import (
     labware,
     nodes,
     observation,
+    proposals,
     runs,
     shares,
     shorter,
@@ -32,11 +33,13 @@ from labos.core.decide import (
     work,
 )
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
+from labos.core.decide.considering import attributed, considered
 from labos.core.decide.limits import bare_report, cut_report, misfit
 from labos.core.decide.reactions import REACTIONS
-from labos.core.decide.rights import LABOS, Denied, denied
+from labos.core.decide.rights import Denied, denied
 from labos.core.registry import Event
 from labos.core.state import LabState
+from labos.core.users import LABOS
 
 __all__ = [
     "LABOS",
@@ -60,6 +63,7 @@ __all__ = [
     "labware",
     "nodes",
     "observation",
+    "proposals",
     "runs",
     "shares",
     "shorter",
@@ -110,12 +114,15 @@ def decide(state: LabState, command: Command, actor: str = LABOS) -> Decision:
         command = cut_report(command)
     elif fault := misfit(command):
         return fault
-    decision = _decide(state, command)
+    decision = _decide(state, command, actor)
     if isinstance(command, Report) and isinstance(decision, Rejection) and decision.code == UNFIT:
-        return _decide(state, bare_report(command))  # what has happened is recorded, if without the words
+        return _decide(
+            state, bare_report(command), actor
+        )  # what has happened is recorded, if without the words
     return decision
 
 
-def _decide(state: LabState, command: Command) -> Decision:
-    decision = DECIDERS[type(command)](state, command)
+def _decide(state: LabState, command: Command, actor: str) -> Decision:
+    command = attributed(command, actor)
+    decision = considered(state, command, DECIDERS[type(command)](state, command), actor)
     return decision if isinstance(decision, Rejection) else recordable(decision)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from labos.core.approvals import RunApproved
+from labos.core.approvals import ApprovalGiven, RunApproved
 from labos.core.decide._base import Decision, Rejection
 from labos.core.decide.endings import ending
 from labos.core.ids import RunId, local
@@ -40,10 +40,12 @@ def answer_approval(state: LabState, topic: SecondPerson, choice: str, by: str) 
 # -- reactions -----------------------------------------------------------------------------------
 
 
-def ask_second_person(state: LabState, event: RunSubmitted) -> Iterator[Event]:
-    """A run with dangerous steps, on modules where these take a second person, waits for an approval."""
-    run = state.runs.queued.get(event.run)
-    if run is None or not run.unapproved:
+def ask_second_person(state: LabState, event: RunSubmitted | ApprovalGiven) -> Iterator[Event]:
+    """A run with dangerous steps, on modules where these take a second person, waits for an approval, unless
+    it waits for another one anyway."""
+    name = event.run if isinstance(event, RunSubmitted) else RunId(event.subject)
+    run = state.runs.queued.get(name)
+    if run is None or not run.unapproved or run.held:
         return
     plan = state.runs.plan_of(run)
     steps = [plan.steps[index] for index in state.runs.plans[run.plan].dangers]

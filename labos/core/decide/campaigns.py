@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from labos.core.approvals import Demand
 from labos.core.campaigns import (
     Campaign,
     CampaignAmended,
@@ -50,7 +51,8 @@ NOT_OPEN = "not_open"
 
 class SubmitCampaign(Command, frozen=True):
     """Carry out a workflow for each row of a table. ``table`` and ``definition`` are digests of blobs;
-    the same ``request`` twice is one campaign."""
+    the same ``request`` twice is one campaign. ``demand`` is what its rows ask of the lab by their plans.
+    ``propose``: it waits for an approval, whatever the policy."""
 
     name: str
     user: str
@@ -61,6 +63,8 @@ class SubmitCampaign(Command, frozen=True):
     definition: str
     terms: Terms = Terms()
     request: str = ""
+    demand: Demand = Demand()
+    propose: bool = False
 
 
 class SubmitRow(Command, frozen=True):
@@ -212,16 +216,24 @@ def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
     campaign = _alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
-    if campaign.status not in (CampaignStatus.OPEN, CampaignStatus.PAUSED):
+    if campaign.is_ended:
         return _no_more(campaign)
-    until, known = command.terms.until, campaign.terms.until
-    if until is not None and campaign.next_row and (known is None or read_by(until) - read_by(known)):
-        return Rejection(
-            "until_reads_more",
-            f"The stop rule {until.text!r} reads results that the runs of {campaign.id} have not kept.",
-            "Name the steps that its stop rule named when it was submitted, or submit another campaign.",
-        )
+    unfit = unfit_terms(campaign, command.terms)
+    if unfit is not None:
+        return unfit
     return [] if command.terms == campaign.terms else [CampaignAmended(campaign.id, command.terms)]
+
+
+def unfit_terms(campaign: Campaign, terms: Terms) -> Rejection | None:
+    """Why a campaign cannot go on under these terms."""
+    until, known = terms.until, campaign.terms.until
+    if until is None or not campaign.next_row or (known is not None and read_by(until) <= read_by(known)):
+        return None
+    return Rejection(
+        "until_reads_more",
+        f"The stop rule {until.text!r} reads results that the runs of {campaign.id} have not kept.",
+        "Name the steps that its stop rule named when it was submitted, or submit another campaign.",
+    )
 
 
 @decides(CancelCampaign)
@@ -335,6 +347,12 @@ def _alive(state: LabState, name: CampaignId) -> Campaign | Rejection:
 
 
 def _no_more(campaign: Campaign) -> Rejection:
+    if campaign.status == CampaignStatus.PROPOSED:
+        return Rejection(
+            NOT_OPEN,
+            f"The campaign {campaign.id} waits for approval.",
+            f"An operator approves it (labos approve {campaign.id}); or cancel it.",
+        )
     return Rejection(
         NOT_OPEN,
         f"The campaign {campaign.id} was {campaign.status} and takes no more rows.",

@@ -31,7 +31,7 @@ from labos.core.topics import ClosingWaits, LostExperiment
 
 class StartExperiment(Command, frozen=True):
     """An application begins; ``closing`` clears away what it parks between its runs, at the stations
-    ``parking`` only, if it names any."""
+    ``parking`` only, if it names any. ``propose``: it waits for an approval, whatever the policy."""
 
     name: str
     user: str
@@ -39,6 +39,7 @@ class StartExperiment(Command, frozen=True):
     priority: int = 0
     request: str = ""
     parking: tuple[StationName, ...] = ()
+    propose: bool = False
 
 
 class NoteExperiment(Command, frozen=True):
@@ -187,12 +188,13 @@ def end_without_closing(state: LabState, name: RunId) -> Iterator[Event]:
 
 
 def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Event]:
-    """Clear away an experiment's labware if it has any and said how; else end it at once."""
+    """Clear away an experiment's labware if it has any and said how; else, or if nobody has approved it, end
+    it at once."""
     experiment = state.experiments.open.get(name)
     if experiment is None or experiment.status == ExperimentStatus.CLOSING:
         return []
     owned = state.bench.owned(experiment_owner(name))
-    if owned and experiment.closing:
+    if owned and experiment.closing and not experiment.held:
         workflow = state.runs.plans[experiment.closing].plan.workflow
         return [
             ExperimentClosing(name, why),

@@ -15,6 +15,7 @@ from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.experiments import close_experiment, end_without_closing
 from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
+from labos.core.decide.proposals import answer_question
 from labos.core.decide.runs import answer_late
 from labos.core.decide.shorter import compared
 from labos.core.decide.steps import answer_failed
@@ -31,6 +32,7 @@ from labos.core.registry import Event
 from labos.core.rules import may_still_act
 from labos.core.state import LabState
 from labos.core.topics import (
+    Approval,
     Barcode,
     ClosingWaits,
     DeviceWaits,
@@ -107,6 +109,8 @@ def _follows(state: LabState, question: Intervention, command: ResolveInterventi
             return answer_late(state, topic, choice)
         case ClosingWaits():
             return end_without_closing(state, RunId(topic.run)) if choice == "end" else []
+        case Approval():
+            return answer_question(state, topic, choice, by, command.note)
         case SecondPerson():
             return answer_approval(state, topic, choice, by)
         case OutrankedNode():

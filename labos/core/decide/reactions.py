@@ -19,14 +19,17 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
+from labos.core.approvals import ApprovalGiven, ApprovalRequested
+from labos.core.campaigns import CampaignCancelled, CampaignCompleted, CampaignStopped
 from labos.core.decide.approvals import ask_second_person
 from labos.core.decide.campaigns import pause_campaigns
 from labos.core.decide.endings import end_recovery, end_run, skip_steps
 from labos.core.decide.experiments import withdraw_experiment_question
+from labos.core.decide.proposals import ask_for_approval, withdraw_approval_question
 from labos.core.decide.steps import check_result, fail_spoilt, handle_failure, retry_step
 from labos.core.decide.waiting import withdraw_action_questions, withdraw_waiting
 from labos.core.decide.windows import withdraw_late_questions, withdraw_run_questions
-from labos.core.experiments import ExperimentClosing, ExperimentEnded
+from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
 from labos.core.modules import NodeLeft, NodeStateChanged
 from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunResumed, RunStarted, RunSubmitted
@@ -61,7 +64,13 @@ REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
     RunCompleted: (withdraw_run_questions,),
     RunFailed: (withdraw_run_questions,),
     RunCancelled: (withdraw_run_questions,),
-    ExperimentClosing: (withdraw_experiment_question,),
-    ExperimentEnded: (withdraw_experiment_question,),
+    ExperimentClosing: (withdraw_experiment_question, withdraw_approval_question),
+    ExperimentEnded: (withdraw_experiment_question, withdraw_approval_question),
     UserDisabled: (pause_campaigns,),
+    ApprovalRequested: (ask_for_approval,),
+    ApprovalGiven: (ask_second_person,),
+    CampaignCancelled: (withdraw_approval_question,),
+    CampaignStopped: (withdraw_approval_question,),
+    CampaignCompleted: (withdraw_approval_question,),
+    ExperimentCancelled: (withdraw_approval_question,),
 }

@@ -17,6 +17,7 @@ from labos.core.decide import (
     actions,
     campaigns,
     cancelling,
+    considering,
     control,
     doubts,
     experiments,
@@ -26,6 +27,7 @@ from labos.core.decide import (
     labware,
     nodes,
     observation,
+    proposals,
     runs,
     shares,
     shorter,
@@ -43,10 +45,7 @@ from labos.core.decide.targets import ANYWHERE, Target
 from labos.core.lab import WHOLE_LAB
 from labos.core.roles import role_in
 from labos.core.state import LabState
-from labos.core.users import ON_BEHALF, ROLES, Role, User, rank
-
-LABOS = "labos"
-"""Under this name LabOS itself asks; modules ask under theirs, which have a slash. No user is called so."""
+from labos.core.users import LABOS, ON_BEHALF, ROLES, Role, User, rank
 
 MOST_NAMED = 5
 """So many people are named who may do what was refused."""
@@ -226,6 +225,10 @@ RIGHTS: dict[type[Command], Right] = {
     signatures.SignRun: Right(
         "viewer", "a person, as themselves, with their password", targets.anywhere("viewer"), "by"
     ),
+    proposals.ApproveProposal: Right(
+        "operator", "an operator; what is one's own only if the policy says so", targets.of_proposal, "by"
+    ),
+    proposals.RefuseProposal: Right("operator", _OPERATOR, targets.of_proposal, "by"),
     # labware
     handover.HandOver: Right("submitter", "its owner; with `force`, an operator", targets.of_handover, "by"),
     labware.RegisterSamples: Right("submitter", "its owner; else an operator", targets.of_plates),
@@ -256,6 +259,7 @@ RIGHTS: dict[type[Command], Right] = {
     ),
     # people
     shares.ApplyShares: Right("admin", _ADMIN, targets.in_lab("admin")),
+    considering.ApplyPolicy: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.AddUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.DisableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.EnableUser: Right("admin", _ADMIN, targets.in_lab("admin")),

@@ -53,7 +53,7 @@ QUOTA = "quota"
 
 class SubmitRun(Command, frozen=True):
     """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
-    one run. ``pins`` are digests by name."""
+    one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy."""
 
     plan: Plan
     user: str
@@ -62,6 +62,7 @@ class SubmitRun(Command, frozen=True):
     priority: int = 0
     pins: dict[str, str] = {}
     request: str = ""
+    propose: bool = False
 
 
 class PauseRun(Command, frozen=True):

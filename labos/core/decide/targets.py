@@ -15,6 +15,7 @@ from labos.core.decide import (
     interventions,
     lab,
     labware,
+    proposals,
     runs,
     shorter,
 )
@@ -32,7 +33,7 @@ from labos.core.ids import (
 from labos.core.lab import WHOLE_LAB
 from labos.core.roles import role_for
 from labos.core.state import LabState
-from labos.core.topics import ClosingWaits, FailedStep, LateStep, LostExperiment
+from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, LostExperiment
 from labos.core.users import Role
 
 ANYWHERE = ""
@@ -192,6 +193,8 @@ def of_question(state: LabState, command: interventions.ResolveIntervention) -> 
         return
     if question.kind == "lost_experiment":
         target = the_experiment(state, question.subject)
+    elif isinstance(question.topic, Approval):
+        target = Target("operator", cells_of(state, question.topic.about))
     elif question.run and state.runs.get(question.run) is not None:
         target = the_run(state, RunId(question.run))
     elif question.module:
@@ -203,6 +206,22 @@ def of_question(state: LabState, command: interventions.ResolveIntervention) -> 
         yield target
     else:
         yield Target("operator", target.cells)
+
+
+def of_proposal(
+    state: LabState, command: proposals.ApproveProposal | proposals.RefuseProposal
+) -> Iterable[Target]:
+    yield Target("operator", cells_of(state, command.subject))
+
+
+def cells_of(state: LabState, subject: str) -> tuple[str, ...]:
+    """Where a run, a campaign or an experiment is."""
+    campaign = state.campaigns.open.get(CampaignId(subject))
+    if campaign is not None:
+        return (campaign.workcell,)
+    if ExperimentId(subject) in state.experiments.open:
+        return the_experiment(state, subject).cells
+    return the_run(state, subject).cells
 
 
 def of_grant(state: LabState, command: Any) -> Iterable[Target]:

@@ -23,7 +23,7 @@ from labos.core.runs import (
     RunState,
 )
 from labos.core.state import LabState
-from labos.core.topics import ClosingWaits, FailedStep, LateStep, SecondPerson, Topic
+from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, SecondPerson, Topic
 
 
 def outer_windows(plan: Plan) -> list[Window]:
@@ -120,5 +120,5 @@ def withdraw_run_questions(
 ) -> Iterator[Event]:
     """The questions about a run that has begun or ended, or about its steps, have answered themselves."""
     why = "the run has begun" if isinstance(event, RunStarted) else "the run has ended"
-    for name in questions_of(state, event.run, LateStep, FailedStep, ClosingWaits, SecondPerson):
+    for name in questions_of(state, event.run, LateStep, FailedStep, ClosingWaits, SecondPerson, Approval):
         yield InterventionResolved(name, "withdrawn", "labos", why)

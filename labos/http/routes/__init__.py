@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.http.operation import Operation
-from labos.http.routes import accounts, bench, campaigns, lab, log, modules, people, runs
+from labos.http.routes import accounts, approvals, bench, campaigns, lab, log, modules, people, planning, runs
 
 PREFIX = "/api/v1"
 
@@ -11,8 +11,10 @@ OPERATIONS: tuple[Operation, ...] = (
     *lab.OPERATIONS,
     *accounts.OPERATIONS,
     *log.OPERATIONS,
+    *planning.OPERATIONS,  # before runs: /runs/check is no run
     *runs.OPERATIONS,
     *campaigns.OPERATIONS,
+    *approvals.OPERATIONS,
     *modules.OPERATIONS,
     *bench.OPERATIONS,
     *people.OPERATIONS,

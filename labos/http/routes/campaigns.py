@@ -23,6 +23,7 @@ from labos.http.campaigns import CampaignView, amended, submit_campaign, view_of
 from labos.http.limits import LARGEST_BODY
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfCampaign
+from labos.services.proposals import sentence
 from labos.services.shares import ledger
 from labos.spec.shares import parse_shares
 
@@ -44,7 +45,8 @@ async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
     """It is checked row by row; if a row cannot be carried out, nothing is submitted, and `details` of the
     problem names each fault with its row."""
     name, estimate = await submit_campaign(call.service, body, call.key)
-    return wire.answer(CampaignSubmission(name, estimate), 200 if body.dry_run else 201)
+    told = CampaignSubmission(name, estimate, sentence(call.kernel.state, name))
+    return wire.answer(told, 200 if body.dry_run else 201)
 
 
 async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> CampaignReference:
@@ -68,11 +70,12 @@ async def cancel_campaign(call: Call, path: OfCampaign, body: CampaignCancel) ->
 
 
 async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> CampaignTerms:
-    """What is left out stays as it is."""
+    """What is left out stays as it is. A change by which it may do more may wait for an approval; until then
+    it goes on under the terms that are answered."""
     campaign = _open_campaign(call, path)
     terms = amended(campaign.terms, body, call.kernel.clock.now_ns())
     await call.kernel.execute(AmendCampaign(campaign.id, terms), body.by)
-    return CampaignTerms(campaign.id, terms)
+    return CampaignTerms(campaign.id, campaign.terms, sentence(call.kernel.state, campaign.id))
 
 
 async def list_shares(call: Call) -> Shares:

@@ -30,6 +30,7 @@ from labos.http.operation import Call, Operation
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.http.signing_runs import sign
 from labos.ports import LogQuery
+from labos.services.proposals import sentence
 from labos.services.signatures import Signature, signatures_of
 
 
@@ -74,8 +75,9 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
         experiment=body.experiment,
         place=body.place,
         request=call.key,
+        propose=body.propose,
     )
-    return RunSubmission(run, findings)
+    return RunSubmission(run, findings, sentence(call.kernel.state, run))
 
 
 async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
@@ -120,8 +122,9 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
         priority=body.priority,
         request=call.key,
         parking=body.parking,
+        propose=body.propose,
     )
-    return ExperimentReference(experiment)
+    return ExperimentReference(experiment, sentence(call.kernel.state, experiment))
 
 
 async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) -> ExperimentReference:

@@ -37,8 +37,9 @@ TYPES = tuple(
 )
 """The events that a notifier reads."""
 
-MILD = ("failed_run", "lost_experiment")
-"""Questions that can wait: what they are about has ended, and holds nothing but its own labware."""
+MILD = ("failed_run", "lost_experiment", "approval")
+"""Questions that can wait: what they are about has ended, and holds nothing but its own labware, or has not
+begun."""
 
 KERNEL = "kernel"
 

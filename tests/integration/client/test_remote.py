@@ -45,6 +45,8 @@ READ = {
     "campaign show C1": "labos campaign show",
     "campaign report C1": "labos campaign report",
     "shares": "labos shares",
+    "approvals": "labos approvals",
+    "policy": "labos policy",
     "whoami": "labos whoami",
     "token list": "labos token list",
     "user list": "labos user list",
@@ -98,6 +100,8 @@ REFUSED_BY_THE_LAB = {
     "node trace pf400": ("labos node trace", "No node answers"),
     "teach pf400 sealer.default --pose 1": ("labos teach", "joints|numbers|pose"),
     "confirm I99": ("labos confirm", "I99"),
+    "approve R99": ("labos approve", "does not wait for an approval"),
+    "refuse R99": ("labos refuse", "does not wait for an approval"),
     "bench round": ("labos bench round", "not known to have lost its end"),
     "estop sealer": ("labos estop", "NOT known to be stopped"),
     "run nothing-like-it": ("labos run", "nothing-like-it"),
@@ -170,7 +174,8 @@ def test_no_command_is_left_out() -> None:
     }
     tried = {*READ.values(), *ACT.values(), *(path for path, _ in REFUSED_BY_THE_LAB.values())}
     tried.add("labos export events")  # it answers in JSON without being told to
-    assert tried | FOLDER | {"labos demo", "labos bus"} == with_a_lab
+    # An agent speaks to `labos mcp`: see tests/integration/http/test_mcp.py.
+    assert tried | FOLDER | {"labos demo", "labos bus", "labos mcp"} == with_a_lab
     assert not tried & FOLDER
 
 

@@ -44,6 +44,7 @@ rows: {list: [{time: 1}, {time: 2}]}
 until: steps.seal.result.x > 1
 """
 TIMED = FLOW.replace("action: seal}", "action: seal, args: {time: payload.time}}")
+POLICY = "labos: 1\ntrusted: [lims]\ndangerous: true\npriority: 100000\n"
 SHARES = "labos: 1\ngroups:\n  chemistry: {weight: 2, members: {ada: {quota: {running: 9}}}}\n"
 TAKE = "labos: 1\nname: t\nsteps:\n  - {name: look, module: arm, action: read_pose}\n"
 
@@ -76,7 +77,9 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "priority": 1,
         "experiment": "E1",
         "place": [{"station": "sealer.default", "labware": "plate96"}],
+        "propose": True,
     },
+    "/runs/check": {"workflow": {"text": FLOW, "name": "f.yaml"}, "user": "ada", "payload": {"a": [1]}},
     "/runs/{run}/cancel": {"by": "ada", "stay": True},
     "/runs/{run}/pause": {"by": "ada", "why": "x"},
     "/runs/{run}/resume": {"by": "ada"},
@@ -114,6 +117,19 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "until": "steps.seal.result.x > 1",
         "stop_after": 3,
     },
+    "/approvals/{subject}/approve": {
+        "by": "bo",
+        "digest": "0123456789abcdef",
+        "comment": "x",
+        "priority": 1,
+        "deadline": "12h",
+        "runs": 2,
+        "lab_time_s": 60.0,
+        "consumables": {"foil": 10.0},
+        "alike": False,
+    },
+    "/approvals/{subject}/refuse": {"by": "bo", "comment": "x"},
+    "/policy": {"text": POLICY, "by": "ada", "name": "p.yaml"},
     "/shares": {"text": SHARES, "by": "ada", "name": "s.yaml"},
     "/interventions/{intervention}": {"choice": "done", "by": "ada", "note": "a\nb", "result": {"a": 1}},
     "/control/pause": {"target": "arm", "by": "ada", "why": "x", "stay": False},

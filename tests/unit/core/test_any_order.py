@@ -79,15 +79,15 @@ class Chaos:
     def submit(self) -> None:
         experiments = ["", *self.lab.state.experiments.open]
         what = some_plan(self.rng)
-        command = SubmitRun(what, self.rng.choice(["ada", "bob"]), experiment=self.rng.choice(experiments))  # type: ignore[arg-type]
-        self.lab.ask(command)
+        user, home = self.rng.choice(["ada", "bob"]), self.rng.choice(experiments)
+        self.lab.ask(SubmitRun(what, user, experiment=home, propose=self.rng.random() < 0.1))  # type: ignore[arg-type]
 
     def experiment(self) -> None:
         lab, rng = self.lab, self.rng
         alive = list(lab.state.experiments.open)
         if len(alive) < 2:
             closing = rng.choice([None, route("hotel", "trash"), route("a", "trash")])
-            lab.do(StartExperiment("app", "ada", closing))
+            lab.do(StartExperiment("app", "ada", closing, propose=rng.random() < 0.2))
         else:
             name = rng.choice(alive)
             lab.ask(rng.choice([EndExperiment(name), LoseExperiment(name, "silence")]))
@@ -238,7 +238,7 @@ class Chaos:
                 if question.kind == "log_shorter":
                     lab.ask(ResolveIntervention(question.id, "checked", "x"))
                     continue
-                choice = next(c for c in ("gone", "removed", "checked", "close") if c in names)
+                choice = next(c for c in ("gone", "removed", "checked", "close", "refuse") if c in names)
                 answer = lab.ask(ResolveIntervention(question.id, choice, "x"))
                 assert not isinstance(answer, Rejection), answer
             for experiment in list(lab.state.experiments.open):
@@ -251,6 +251,7 @@ class Chaos:
 
 def nothing_left(lab: Driver) -> None:
     state = lab.state
+    assert state.approvals.open == state.approvals.alike == {}
     assert state.actions.open == state.bench.reserved == state.bench.haunted == state.bench.searched == {}
     assert all(item.moving == "" and item.maybe == () for item in state.bench.labware.values())
     assert all(place.expected == 0 for place in state.bench.stations.values())
@@ -293,6 +294,7 @@ def test_the_bad_days_see_everything() -> None:
         "labware.observed", "station.observed", "labware.handed_over",
         "run.cancelling", "run.failed", "window.breached", "experiment.closing",
         "experiment.ended", "run.completed", "run.paused", "log.bench_compared", "log.stations_checked",
+        "approval.given", "approval.refused",
     }  # fmt: skip
     assert rare <= seen, rare - seen
 

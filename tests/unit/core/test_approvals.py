@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.considering import ApplyPolicy
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.users import AddUser, GrantRole
 from labos.core.ids import RunId
 from labos.core.interventions import Intervention
 from labos.core.model import Plan
+from labos.core.policy import Policy
 from labos.core.users import on_behalf
 from tests.support.bench import Driver, plan, small, step
 from tests.unit.core.test_rights import peopled
@@ -48,10 +50,14 @@ def test_a_run_waits_until_a_second_person_has_approved_it() -> None:
 
 def test_a_program_is_no_second_person_whoever_it_acts_for() -> None:
     lab = peopled()
+    lab.do(ApplyPolicy("p", Policy(programs=False)))
     lab.do(GrantRole("user:robot", "operator"))
     lab.do(SubmitRun(burning(), "ada"), on_behalf("robot", "ada"))
     for actor in ("robot", on_behalf("robot", "olga")):
         assert lab.refused(answer(lab, "R1", actor), actor).code == "second_person"
+    # Not even if it says no more than the person's name.
+    actor = on_behalf("robot", "olga")
+    assert lab.refused(answer(lab, "R1", "olga"), actor).code == "second_person"
     # Nor is the person for whom it was submitted.
     lab.do(GrantRole("user:ada", "operator"))
     assert lab.refused(answer(lab, "R1", "ada"), "ada").code == "second_person"

@@ -24,7 +24,14 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
-from labos.core.approvals import RunApproved
+from labos.core.approvals import (
+    ApprovalGiven,
+    ApprovalRefused,
+    ApprovalRequested,
+    Demand,
+    RunApproved,
+    Why,
+)
 from labos.core.campaigns import (
     Budget,
     CampaignAmended,
@@ -93,6 +100,7 @@ from labos.core.modules import (
     VariableSet,
 )
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
+from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import TYPES, Event, decode, encode, event
 from labos.core.repeated import RequestRepeated
 from labos.core.resources import LevelSet, ResourceConsumed, ResourceReplenished
@@ -213,6 +221,17 @@ EXAMPLES: list[Event] = [
     RunLeaving("R1", (3, 4)),  # type: ignore[arg-type]
     RunApproved("R1", "bo"),  # type: ignore[arg-type]
     RunSigned("R1", "bo", "reviewed", 37, "d", "password", "checked"),  # type: ignore[arg-type]
+    PolicyApplied("d", Policy(trusted=("robot",), above=Budget(3, 60.0, {"tips": 8.0}), priority=2)),
+    ApprovalRequested(
+        *("C1", "amendment", "screen", "ada", "robot for ada", "d", (Why("program", "by a program"),)),  # type: ignore[arg-type]
+        {"table": "d"},
+        Demand(2, 60.0, {"dev": 60.0}, {"tips": 8.0}, ("burn on dev (laser)",), 5),
+        "C0",
+        ("table",),
+        Terms(3),
+    ),
+    ApprovalGiven("R1", "run", "d", "olga", "fine", 2, Terms(3), True),
+    ApprovalRefused("R1", "run", "d", "olga", "no"),
     RunCompleted("R1", 2),  # type: ignore[arg-type]
     RunFailed("R1", "why", "software"),  # type: ignore[arg-type]
     RunCancelled("R1"),  # type: ignore[arg-type]

@@ -152,6 +152,16 @@ def test_a_withdrawn_question_is_no_intervention() -> None:
     assert minutes(report.runs["R1"].current.worked_ns) == 15
 
 
+def test_to_approve_a_submission_is_no_intervention() -> None:
+    """No more than to submit one."""
+    question = InterventionRequested(
+        InterventionId("I1"), "approval", "R2", "?", (Choice("approve", ""),), run="R2"
+    )
+    approved = InterventionResolved(InterventionId("I1"), "approve", "olga")
+    report = working((5, "labos", question), (6, "olga", approved))
+    assert report.lab.interventions == 0
+
+
 def test_an_answer_about_a_module_concerns_what_is_alive_there() -> None:
     report = working((10, "m/x", asked("I1", module="rpl/sealer")), (15, "bo", answered("I1")), until=20)
     assert report.lab.interventions == report.workcells["rpl"].interventions == 1

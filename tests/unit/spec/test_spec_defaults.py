@@ -166,3 +166,5 @@ def test_what_is_dangerous_takes_a_second_person_where_the_workcell_says_so(
 ) -> None:
     steps = "".join(f"- {{name: {name}, module: cutter, action: {name}}}\n" for name in ("cut", "look"))
     assert [step.dangerous for step in compiled(steps, CUTTER + more).plan.steps] == dangers
+    # What an action says of dangers stands in the plan in any case: a policy may ask for it.
+    assert [step.hazard for step in compiled(steps, CUTTER + more).plan.steps] == ["laser", ""]

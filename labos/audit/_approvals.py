@@ -1,0 +1,113 @@
+"""Approvals as rows: who approved or refused what, as which digest, when, and with which comment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.audit._campaigns import agree
+from labos.audit._rows import Row, Rows
+from labos.audit._work_tables import APPROVALS, CAMPAIGNS, EXPERIMENTS, RUNS, WAITING
+from labos.core import approvals as p
+from labos.core.envelope import Envelope
+
+
+def on_requested(rows: Rows, event: p.ApprovalRequested, head: Envelope, at: float) -> None:
+    _answer(rows, event.subject, "changed", "", "", head, at)
+    rows.put(WAITING, {"subject": event.subject, "position": head.position})
+    rows.put(
+        APPROVALS,
+        {
+            "requested_position": head.position,
+            "subject": event.subject,
+            "kind": event.kind,
+            "name": event.name,
+            "user_id": event.user,
+            "asked_by": event.by,
+            "digest": event.digest,
+            "why": [why.text for why in event.why],
+            "parts": event.parts,
+            "before": event.before,
+            "changed": list(event.changed),
+            "requested_at_s": at,
+            "answer": "",
+            "answered_by": "",
+            "comment": "",
+            "changes": None,
+            "answered_at_s": None,
+            "answered_position": None,
+        },
+    )
+    campaign = rows.change(CAMPAIGNS, event.subject) if event.kind == "campaign" else None
+    if campaign is not None:
+        campaign["status"] = "proposed"
+
+
+def on_given(rows: Rows, event: p.ApprovalGiven, head: Envelope, at: float) -> None:
+    row = _answer(rows, event.subject, "approved", event.by, event.comment, head, at)
+    changes = {"priority": event.priority, "terms": msgspec.to_builtins(event.terms), "alike": event.alike}
+    if row is not None:
+        row["changes"] = {name: value for name, value in changes.items() if value} or None
+    table = {"run": RUNS, "experiment": EXPERIMENTS}.get(event.kind)
+    changed = rows.change(table, event.subject) if table is not None else None
+    if changed is not None and event.priority is not None:
+        changed["priority"] = event.priority
+    campaign = rows.change(CAMPAIGNS, event.subject) if event.kind == "campaign" else None
+    if campaign is not None:
+        campaign["status"] = "open"
+        if event.terms is not None:
+            agree(campaign, event.terms)
+
+
+def on_refused(rows: Rows, event: p.ApprovalRefused, head: Envelope, at: float) -> None:
+    _answer(rows, event.subject, "refused", event.by, event.comment, head, at)
+
+
+def on_second_person(rows: Rows, event: p.RunApproved, head: Envelope, at: float) -> None:
+    """Of a run that nobody had to approve but a second person."""
+    run = rows.get(RUNS, event.run)
+    rows.put(
+        APPROVALS,
+        {
+            "requested_position": head.position,
+            "subject": event.run,
+            "kind": "second person",
+            "name": run["workflow"] if run is not None else "",
+            "user_id": run["user_id"] if run is not None else "",
+            "asked_by": "",
+            "digest": run["plan"] if run is not None else "",
+            "why": ["it does what is dangerous"],
+            "parts": {},
+            "before": "",
+            "changed": [],
+            "requested_at_s": at,
+            "answer": "approved",
+            "answered_by": event.by,
+            "comment": "",
+            "changes": None,
+            "answered_at_s": at,
+            "answered_position": head.position,
+        },
+    )
+
+
+def _answer(
+    rows: Rows, subject: str, answer: str, by: str, comment: str, head: Envelope, at: float
+) -> Row | None:
+    """The row of what waits, with its answer; None if nothing does."""
+    waiting = rows.get(WAITING, subject)
+    row = rows.change(APPROVALS, waiting["position"]) if waiting is not None else None
+    if row is None or row["answer"]:
+        return None
+    row["answer"], row["answered_by"], row["comment"] = answer, by, comment
+    row["answered_at_s"], row["answered_position"] = at, head.position
+    return row
+
+
+HANDLERS: dict[Any, Any] = {
+    p.ApprovalRequested: on_requested,
+    p.ApprovalGiven: on_given,
+    p.ApprovalRefused: on_refused,
+    p.RunApproved: on_second_person,
+}

@@ -1,0 +1,204 @@
+"""``labos approvals``, ``labos approve`` and ``labos refuse``: what waits for an operator's approval."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+from labos.cli._options import home_option, json_option, user_option, who, why_option
+from labos.cli._out import show_json, show_table, tell
+from labos.services.times import show_span, show_time
+
+DIGEST_SHOWN = 12
+
+_subject = click.argument("subject", metavar="ID")
+
+
+@click.command("approvals", short_help="What waits for an approval, and why.")
+@click.argument("subject", metavar="ID", required=False)
+@home_option
+@json_option
+def approvals(subject: str | None, home: str | None, as_json: bool) -> None:
+    """The runs, campaigns and experiments that wait for an approval by the lab's policy, and changes of
+    campaigns. With an ID: what it asks of the lab, and how it differs from what was approved last under its
+    name.
+
+    \b
+    labos approvals
+    labos approvals C3
+    labos approve C3 --runs 20 --why "twenty are enough"
+    labos refuse C3 --why "the reader is booked"
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        told: Any = client.approval_of(subject) if subject else client.approvals()
+    if as_json:
+        show_json(told)
+    elif subject:
+        _show(told)
+    elif not told:
+        click.echo("Nothing waits for an approval.")
+    else:
+        rows = [
+            (p["subject"], p["kind"], p["name"], p["user"], show_time(p["requested_at"]), _why(p))
+            for p in told
+        ]
+        show_table(("id", "kind", "name", "user", "since", "because"), rows)
+        click.echo("Look at one: labos approvals ID; answer: labos approve ID, labos refuse ID")
+
+
+def _why(proposal: dict[str, Any]) -> str:
+    return "; ".join(why["text"] for why in proposal["why"])
+
+
+def _show(told: dict[str, Any]) -> None:
+    proposal = told["proposal"]
+    demand, terms = proposal["demand"], proposal["terms"]
+    lines = {
+        "name": proposal["name"],
+        "kind": proposal["kind"],
+        "user": proposal["user"] if proposal["by"] == proposal["user"] else f"{proposal['by']}",
+        "since": show_time(proposal["requested_at"]),
+        "because": _why(proposal),
+        "rows": str(demand["rows"] or ""),
+        "steps": str(demand["steps"] or ""),
+        "module time": show_span(demand["module_time_s"]) if demand["module_time_s"] else "",
+        "modules": ", ".join(f"{name} {show_span(time)}" for name, time in demand["modules"].items()),
+        "consumables": ", ".join(f"{amount:g} {kind}" for kind, amount in demand["consumables"].items()),
+        "dangerous": ", ".join(demand["dangers"]),
+        **(_terms(terms) if terms else {}),
+        "digest": proposal["digest"][:DIGEST_SHOWN],
+        "approved before": proposal["before"] or "nothing of this name",
+    }
+    show_table(("what", proposal["subject"]), [(what, _plain(text)) for what, text in lines.items() if text])
+    for difference in told["differences"]:
+        click.echo(f"{_plain(difference['part'])} is another one:")
+        for line in difference["lines"]:
+            click.echo(f"  {_plain(line)}")
+
+
+def _terms(terms: dict[str, Any]) -> dict[str, str]:
+    budget = terms["budget"]
+    return {
+        "priority": str(terms["priority"]),
+        "deadline": show_time(terms["deadline"]),
+        "most runs": str(budget["runs"] or ""),
+        "most lab time": show_span(budget["lab_time_s"]) if budget["lab_time_s"] else "",
+        "most consumables": ", ".join(f"{amount:g} {kind}" for kind, amount in budget["consumables"].items()),
+    }
+
+
+def _plain(text: str) -> str:
+    """What somebody else has written, without what a terminal would obey."""
+    return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
+
+
+@click.command("approve")
+@_subject
+@click.option("--digest", metavar="SHA", help="What you looked at; refused if it was changed since.")
+@click.option("--priority", type=int, help="In place of what was asked.")
+@click.option("--deadline", metavar="TIME", help="Of a campaign: 2026-05-04T10:30, 12h, or empty for none.")
+@click.option("--runs", type=click.IntRange(min=0), help="Of a campaign: so many rows at most.")
+@click.option("--lab-time", metavar="TIME", help="Of a campaign: so much module time at most, as `20 h`.")
+@click.option("--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="So much at most.")
+@click.option(
+    "--alike",
+    is_flag=True,
+    help="Of a run in an experiment: further runs of its workflow there, with other values, need none.",
+)
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@why_option("A comment, for the log.")
+@user_option
+@home_option
+@json_option
+def approve(
+    subject: str,
+    digest: str | None,
+    lab_time: str | None,
+    consumables: tuple[str, ...],
+    alike: bool,
+    yes: bool,
+    why: str,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
+    **changes: Any,
+) -> None:
+    """Let the run, campaign or experiment ID go on: as it was proposed, or with changes.
+
+    What was looked at is what runs: if it was changed meanwhile, nothing is approved.
+
+    \b
+    labos approve R7 --why "looked at the protocol"
+    labos approve C3 --runs 20 --lab-time "10 h"
+    """
+    from labos.cli._lab import need_lab
+    from labos.cli.campaign import amount_of
+    from labos.spec.durations import parse_duration
+
+    wanted = {name: value for name, value in changes.items() if value is not None}
+    if lab_time is not None:
+        try:
+            wanted["lab_time_s"] = parse_duration(lab_time)
+        except ValueError as error:
+            raise click.BadParameter(f"{error}.", param_hint="--lab-time") from None
+    if consumables:
+        wanted["consumables"] = dict(map(amount_of, consumables))
+    if alike:
+        wanted["alike"] = True
+    with need_lab(home) as client:
+        if digest is None:
+            told = client.approval_of(subject)
+            digest = str(told["proposal"]["digest"])
+            if not as_json:
+                _show(told)
+            if not yes and sys.stdin.isatty():
+                click.confirm(f"Approve {subject}?", abort=True)
+        approved = client.approve(subject, who(user), digest, comment=why, **wanted)
+    facts = {"subject": subject, "approved": True, "digest": approved}
+    tell(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts, as_json=as_json)
+
+
+@click.command("refuse")
+@_subject
+@why_option("A comment, for the log and for whoever asked.")
+@user_option
+@home_option
+@json_option
+def refuse(subject: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
+    """Do not let the run, campaign or experiment ID go on: it is cancelled. A change of a campaign is not
+    made, and the campaign goes on as before."""
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        refused = client.refuse(subject, who(user), comment=why)
+    facts = {"subject": subject, "approved": False, "digest": refused}
+    tell(f"{subject} is refused.", facts, as_json=as_json)
+
+
+def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What a policy says, in words."""
+    above = policy["above"]
+    budget = [
+        f"{above['runs']} runs" if above["runs"] else "",
+        f"{show_span(above['lab_time_s'])} module time" if above["lab_time_s"] else "",
+        *(f"{amount:g} {kind}" for kind, amount in above["consumables"].items()),
+    ]
+    trusted = f", but not those of {', '.join(policy['trusted'])}" if policy["trusted"] else ""
+    waits = {
+        f"submissions of programs{trusted}": policy["programs"],
+        f"the first {policy['newcomers']} submissions of each user": policy["newcomers"],
+        "what is dangerous": policy["dangerous"],
+        f"more than {', '.join(filter(None, budget))}": any(budget),
+        "campaigns with a deadline": policy["deadlines"],
+    }
+    for what, is_so in waits.items():
+        if is_so:
+            yield "waits for approval", what
+    yield "approves", "an operator, also what is their own" if policy["own"] else "another operator"
+    if policy["priority"] is not None:
+        yield "highest priority", f"{policy['priority']}, of whoever is no operator and has no quota for it"

@@ -1,0 +1,265 @@
+"""At the door: every submission passes here once it is decided, and waits for an approval if it takes one.
+
+It does not matter who hands it in, and by which way. What a plan does to the bench is not judged here: an
+approved run waits for its turn as any other.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.core.approvals import (
+    ApprovalRequested,
+    Demand,
+    Why,
+)
+from labos.core.campaigns import (
+    Terms,
+)
+from labos.core.canonical import canonical, digest
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.campaigns import (
+    AmendCampaign,
+    SubmitCampaign,
+    SubmitRow,
+)
+from labos.core.decide.experiments import StartExperiment
+from labos.core.decide.holding_back import (
+    Submission,
+    dangers_of,
+    demand_of,
+    reasons_for,
+    service_of,
+    too_high,
+)
+from labos.core.decide.runs import SubmitRun
+from labos.core.experiments import ExperimentStarted
+from labos.core.policy import Policy, PolicyApplied
+from labos.core.registry import Event
+from labos.core.runs import RunSubmitted
+from labos.core.state import LabState
+from labos.core.users import ON_BEHALF, person_of
+
+
+class ApplyPolicy(Command, frozen=True):
+    """From now on this policy holds, as a file of that ``digest`` says."""
+
+    digest: str
+    policy: Policy
+
+
+@decides(ApplyPolicy)
+def apply_policy(state: LabState, command: ApplyPolicy) -> Decision:
+    if (state.approvals.applied, state.approvals.policy) == (command.digest, command.policy):
+        return []
+    return [PolicyApplied(command.digest, command.policy)]
+
+
+def attributed(command: Command, actor: str) -> Command:
+    """The command as it is recorded: what a service account says for a person is put down to both, so that
+    nobody takes it for the person's own word."""
+    is_said = ON_BEHALF in actor and getattr(command, "by", "") == person_of(actor)
+    return msgspec.structs.replace(command, by=actor) if is_said else command
+
+
+def considered(state: LabState, command: Command, decision: Decision, actor: str) -> Decision:
+    """What is decided of a submission of ``actor``, with the request for an approval if it takes one."""
+    if not isinstance(command, _CONSIDERED) or isinstance(decision, Rejection):
+        return decision
+    if isinstance(command, ApplyPolicy):
+        return _not_by_program(state, actor) or decision
+    events = list(decision)
+    if not events:
+        return events  # it is known already
+    if isinstance(command, SubmitRow):
+        return _of_row(state, command, events)
+    high = too_high(state, command, actor)
+    if high is not None:
+        return high
+    match command:
+        case SubmitRun():
+            request = _of_run(state, command, events, actor)
+        case SubmitCampaign():
+            request = _of_campaign(state, command, events, actor)
+        case StartExperiment():
+            request = _of_experiment(state, command, events, actor)
+        case AmendCampaign():
+            return _of_amendment(state, command, events, actor)
+    return [*events, *([request] if request is not None else [])]
+
+
+_CONSIDERED = (ApplyPolicy, SubmitRun, SubmitCampaign, StartExperiment, AmendCampaign, SubmitRow)
+
+
+def _not_by_program(state: LabState, actor: str) -> Rejection | None:
+    """Why a policy is not changed: no program lets its own submissions go on."""
+    service = service_of(state, actor)
+    if not service:
+        return None
+    return Rejection("no_person", f"{service} is a program, and changes no policy.", "Ask an admin to do it.")
+
+
+def _of_run(state: LabState, command: SubmitRun, events: list[Event], actor: str) -> ApprovalRequested | None:
+    event = next(event for event in events if isinstance(event, RunSubmitted))
+    pins = {name: value for name, value in event.pins.items() if name != "request"}
+    parts = {
+        **pins,
+        **{f"file:{name}": value for name, value in command.plan.files.items()},
+        "plan": event.plan,
+        "payload": _digest_of(event.payload),
+        **({"experiment": event.experiment} if event.experiment else {}),
+    }
+    asked = Submission(event.user, command.plan.workcell, demand_of([command.plan]), command.propose)
+    why = reasons_for(state, asked, actor, parts=parts)
+    return _request(state, event.run, "run", event.workflow, asked, actor, why, parts, [event.priority])
+
+
+def _of_campaign(
+    state: LabState, command: SubmitCampaign, events: list[Event], actor: str
+) -> ApprovalRequested | None:
+    name = f"C{state.campaigns.named + 1}"
+    demand = msgspec.structs.replace(command.demand, rows=command.rows)
+    asked = Submission(command.user, command.workcell, demand, command.propose, command.terms)
+    why = reasons_for(state, asked, actor)
+    return _of_table(state, name, command, asked, actor, why)
+
+
+def _of_table(
+    state: LabState,
+    name: str,
+    of: SubmitCampaign,
+    asked: Submission,
+    actor: str,
+    why: tuple[Why, ...],
+) -> ApprovalRequested | None:
+    parts = {"workflow": of.definition, "table": of.table, "terms": _digest_of(of.terms)}
+    return _request(state, name, "campaign", of.name, asked, actor, why, parts, [], of.terms)
+
+
+def _of_experiment(
+    state: LabState, command: StartExperiment, events: list[Event], actor: str
+) -> ApprovalRequested | None:
+    event = next(event for event in events if isinstance(event, ExperimentStarted))
+    plan = command.closing
+    demand = demand_of([plan] if plan is not None else [])
+    asked = Submission(command.user, plan.workcell if plan is not None else "", demand, command.propose)
+    why = reasons_for(state, asked, actor)
+    parts = {"closing": event.closing, "parking": digest(canonical(list(event.parking)))}
+    return _request(
+        state, event.experiment, "experiment", event.name, asked, actor, why, parts, [event.priority]
+    )
+
+
+def _of_amendment(state: LabState, command: AmendCampaign, events: list[Event], actor: str) -> Decision:
+    """A campaign that waits for an approval waits anew under its new terms. Of one that goes on, a change by
+    which it may do more waits, and the campaign goes on as before."""
+    campaign = state.campaigns.open[command.campaign]
+    waiting = state.approvals.open.get(campaign.id)
+    if waiting is not None and waiting.kind == "campaign":
+        parts = {**waiting.parts, "terms": _digest_of(command.terms)}
+        asked = Submission(campaign.user, campaign.workcell, waiting.demand)
+        again = _request(
+            *(state, campaign.id, "campaign", campaign.name, asked, waiting.by, waiting.why),
+            *(parts, [], command.terms),
+        )
+        return [*events, *([again] if again is not None else [])]
+    if not more_than(campaign.terms, command.terms):
+        return events
+    demand = Demand(rows=campaign.rows)
+    asked = Submission(campaign.user, campaign.workcell, demand, False, command.terms, campaign.terms)
+    why = reasons_for(state, asked, actor)
+    parts = {
+        "workflow": campaign.definition,
+        "table": campaign.table,
+        "terms": _digest_of(command.terms),
+    }
+    request = _request(
+        state, campaign.id, "amendment", campaign.name, asked, actor, why, parts, [], command.terms
+    )
+    return events if request is None else [request]
+
+
+def _of_row(state: LabState, command: SubmitRow, events: list[Event]) -> list[Event]:
+    """A campaign waits for an approval before a row that does something dangerous, if nobody knew of that
+    when it was submitted, or approved."""
+    campaign = state.campaigns.open[command.campaign]
+    dangers = dangers_of(command.plan)
+    if not dangers or campaign.danger_seen or not any(isinstance(e, RunSubmitted) for e in events):
+        return events
+    demand = Demand(dangers=dangers, rows=campaign.rows)
+    asked = Submission(campaign.user, campaign.workcell, demand, False, campaign.terms)
+    why = tuple(why for why in reasons_for(state, asked, campaign.user) if why.code == "dangerous")
+    parts = {
+        "workflow": campaign.definition,
+        "table": campaign.table,
+        "terms": _digest_of(campaign.terms),
+    }
+    request = _request(
+        state, campaign.id, "campaign", campaign.name, asked, campaign.user, why, parts, [], campaign.terms
+    )
+    return events if request is None else [request]
+
+
+def more_than(old: Terms, new: Terms) -> bool:
+    """Whether a campaign may do more, or go sooner, under new terms than under the old ones."""
+    budget, was = new.budget, old.budget
+    kinds = {*budget.consumables, *was.consumables}
+    none = float("inf")
+    return (
+        (budget.runs or none) > (was.runs or none)
+        or (budget.lab_time_s or none) > (was.lab_time_s or none)
+        or any(budget.consumables.get(k, none) > was.consumables.get(k, none) for k in kinds)
+        or new.priority > old.priority
+        or (new.deadline or none) < (old.deadline or none)
+        or (old.until is not None and new.until != old.until)
+        or (new.stop_after or none) > (old.stop_after or none)
+    )
+
+
+def _request(
+    state: LabState,
+    subject: str,
+    kind: str,
+    name: str,
+    asked: Submission,
+    actor: str,
+    why: tuple[Why, ...],
+    parts: dict[str, str],
+    also: list[int],
+    terms: Terms | None = None,
+) -> ApprovalRequested | None:
+    """The event that has a submission wait; None if nothing says that it has to."""
+    if not why:
+        return None
+    past = state.approvals.last("campaign" if kind == "amendment" else kind, name)  # type: ignore[arg-type]
+    was = past.parts if past is not None else {}
+    changed = sorted(
+        part for part in {*parts, *was} if parts.get(part) != was.get(part) and part not in UNCOMPARED
+    )
+    return ApprovalRequested(
+        subject=subject,
+        kind=kind,  # type: ignore[arg-type]
+        name=name,
+        user=asked.user,
+        by=actor,
+        digest=digest(canonical([subject, kind, name, asked.user, parts, also])),
+        why=why,
+        parts=parts,
+        demand=asked.demand,
+        before=past.subject if past is not None else "",
+        changed=tuple(changed) if past is not None else (),
+        terms=terms,
+    )
+
+
+UNCOMPARED = ("plan", "experiment")
+"""Parts that follow from others, or are others each time."""
+
+
+def _digest_of(values: Terms | dict[str, Any]) -> str:
+    try:
+        return digest(canonical(values))
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return ""  # it cannot be recorded, and is refused for that

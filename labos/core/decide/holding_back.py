@@ -1,0 +1,197 @@
+"""What the lab's policy says of a submission: whether it waits for an approval, and its priority."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import msgspec
+
+from labos.core.approvals import Demand, Why, alike_of
+from labos.core.campaigns import Budget, Terms
+from labos.core.decide._base import Command, Rejection
+from labos.core.decide.campaigns import AmendCampaign, SubmitCampaign, consumption, module_time_s
+from labos.core.decide.experiments import StartExperiment
+from labos.core.decide.runs import SubmitRun
+from labos.core.ids import ExperimentId, local
+from labos.core.model import MAIN, Plan
+from labos.core.quotas import highest_priority
+from labos.core.roles import role_in
+from labos.core.state import LabState
+from labos.core.users import LABOS, ON_BEHALF, person_of, rank
+
+COVERED = ("program", "newcomer")
+"""Reasons that do not count for runs like one that was approved with `alike`."""
+
+MOST_DANGERS = 20
+"""So many dangerous steps are named."""
+
+
+class Submission(msgspec.Struct, frozen=True):
+    """What is submitted, as far as the policy asks. ``terms`` of a campaign; ``before`` are those that it has
+    if they are changed."""
+
+    user: str
+    workcell: str
+    demand: Demand
+    propose: bool = False
+    terms: Terms | None = None
+    before: Terms | None = None
+
+
+def demand_of(plans: Iterable[Plan], times: float = 1.0) -> Demand:
+    """What plans ask of the lab, so many ``times``."""
+    steps, time, modules = 0, 0.0, dict[str, float]()
+    consumables, dangers = dict[str, float](), dict[str, bool]()
+    for plan in plans:
+        steps += sum(step.part == MAIN for step in plan.steps)
+        time += module_time_s(plan)
+        for step in plan.steps:
+            if step.part == MAIN:
+                name = local(step.module)
+                modules[name] = modules.get(name, 0.0) + step.duration_s * times
+        for kind, amount in consumption(plan).items():
+            consumables[kind] = consumables.get(kind, 0.0) + amount * times
+        dangers.update(dict.fromkeys(dangers_of(plan), True))
+    named = tuple(dangers)[:MOST_DANGERS]
+    return Demand(round(steps * times), time * times, modules, consumables, named)
+
+
+def dangers_of(plan: Plan) -> tuple[str, ...]:
+    """The dangerous steps of a plan, in words."""
+    found = [f"{step.key} on {local(step.module)} ({step.hazard})" for step in plan.steps if step.hazard]
+    return tuple(found[:MOST_DANGERS])
+
+
+# -- priority ------------------------------------------------------------------------------------
+
+
+def too_high(state: LabState, command: Any, actor: str) -> Rejection | None:
+    """Why a submission may not have the priority that it asks for."""
+    if isinstance(command, SubmitCampaign | AmendCampaign):
+        priority = command.terms.priority
+    else:
+        priority = command.priority
+    if (
+        isinstance(command, AmendCampaign)
+        and priority <= state.campaigns.open[command.campaign].terms.priority
+    ):
+        return None
+    who = person_of(actor) if actor != LABOS else getattr(command, "user", "")
+    operates = not state.users.is_open and role_in(state, who, _cell_of(state, command)) >= rank("operator")
+    found = highest_priority(state, who, operates=operates)
+    if found is None or priority <= found[1]:
+        return None
+    whose, most = found
+    return Rejection(
+        "priority",
+        f"The priority {priority} is above {most}, which is the highest for {whose}.",
+        f"Give {most} or less, or ask an operator to raise it: labos approve and labos campaign amend can.",
+    )
+
+
+def _cell_of(state: LabState, command: Command) -> str:
+    match command:
+        case SubmitRun():
+            return command.plan.workcell
+        case SubmitCampaign():
+            return command.workcell
+        case AmendCampaign():
+            return state.campaigns.open[command.campaign].workcell
+        case StartExperiment():
+            return command.closing.workcell if command.closing is not None else ""
+    return ""
+
+
+# -- approval ------------------------------------------------------------------------------------
+
+
+def reasons_for(
+    state: LabState, asked: Submission, actor: str, parts: dict[str, str] | None = None
+) -> tuple[Why, ...]:
+    """Why a submission of ``actor`` waits for an approval; empty if it does not. ``parts`` of a run."""
+    found = tuple(_reasons(state, asked, actor))
+    experiment = parts.get("experiment", "") if parts is not None else ""
+    if parts is not None and alike_of(parts) in state.approvals.alike.get(experiment, {}):
+        found = tuple(why for why in found if why.code not in COVERED)
+    known = state.experiments.open.get(ExperimentId(experiment))
+    if known is not None and known.held:
+        found = (*found, Why("experiment", f"its experiment {experiment} waits for one"))
+    return found
+
+
+def _reasons(state: LabState, asked: Submission, actor: str) -> Iterator[Why]:
+    policy, person = state.approvals.policy, person_of(actor)
+    if asked.propose:
+        yield Why("asked", f"{actor} asks for it")
+    if actor == LABOS or "/" in actor:
+        return
+    service = service_of(state, actor)
+    if service and policy.programs and service not in policy.trusted:
+        yield Why("program", f"it was made by a program ({service})")
+    operates = (
+        not state.users.is_open and not service and role_in(state, person, asked.workcell) >= rank("operator")
+    )
+    others = asked.before is not None and person != asked.user
+    if operates and (policy.own or others):
+        return  # whoever asks could approve it
+    given = state.approvals.given.get(asked.user, 0)
+    is_vouched_for = operates or asked.user in policy.trusted or state.users.is_open
+    if given < policy.newcomers and not is_vouched_for:
+        count = f"{given} of the first {policy.newcomers} submissions have been approved"
+        yield Why("newcomer", f"{asked.user} is new here: {count}")
+    if policy.dangerous and asked.demand.dangers:
+        yield Why("dangerous", f"it does what is dangerous: {', '.join(asked.demand.dangers)}")
+    beyond = _above(policy.above, asked)
+    if beyond:
+        yield Why("budget", beyond)
+    sooner = asked.terms is not None and _hurries(asked.terms, asked.before)
+    if policy.deadlines and sooner and not operates:
+        yield Why("deadline", "it has a deadline, for which others wait")
+
+
+def service_of(state: LabState, actor: str) -> str:
+    """The service account that acts, by itself or for a person; empty if none does."""
+    name, _, person = actor.rpartition(ON_BEHALF)
+    user = state.users.known.get(name or person)
+    return name or person if user is not None and user.kind == "service" else ""
+
+
+def _hurries(terms: Terms, before: Terms | None) -> bool:
+    was = before.deadline if before is not None else 0
+    return bool(terms.deadline) and (not was or terms.deadline < was)
+
+
+def _above(most: Budget, asked: Submission) -> str:
+    """What a submission may use that takes an approval, in words. A campaign may use what its budget says, or
+    what its rows need by their plans if that is less."""
+    need, budget = asked.demand, asked.terms.budget if asked.terms is not None else Budget()
+    was = asked.before.budget if asked.before is not None else None
+    rows = min(need.rows, budget.runs or need.rows)
+    if most.runs and rows > most.runs and (was is None or rows > (was.runs or need.rows)):
+        return f"it has {rows} runs, and more than {most.runs} take an approval"
+    time = _may_use(budget.lab_time_s or None, need.module_time_s, known=was is None)
+    if most.lab_time_s and time > most.lab_time_s and (was is None or time > (was.lab_time_s or time)):
+        return (
+            f"it may take {_hours(time)} lab time, and more than {_hours(most.lab_time_s)} take an approval"
+        )
+    for kind, limit in most.consumables.items():
+        planned = need.consumables.get(kind, 0.0)
+        amount = _may_use(budget.consumables.get(kind), planned, known=was is None)
+        if amount > limit and (was is None or amount > was.consumables.get(kind, amount)):
+            return f"it may use {_amount(amount)} {kind}, and more than {limit:g} take an approval"
+    return ""
+
+
+def _may_use(limit: float | None, planned: float, *, known: bool) -> float:
+    """What may be used: what is planned, or the limit if that is less; without both, anything."""
+    most = float("inf") if limit is None else limit
+    return min(planned, most) if known else most
+
+
+def _hours(seconds: float) -> str:
+    return "any" if seconds == float("inf") else f"{seconds / 3600:.3g} h"
+
+
+def _amount(amount: float) -> str:
+    return "any number of" if amount == float("inf") else f"{amount:g}"

@@ -1,0 +1,275 @@
+"""The answer to what waits for an operator's approval, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import chain
+
+from labos.core.approvals import (
+    ApprovalGiven,
+    ApprovalRefused,
+    ApprovalRequested,
+    Proposal,
+    RunApproved,
+)
+from labos.core.campaigns import (
+    CampaignAmended,
+    CampaignCancelled,
+    CampaignCompleted,
+    CampaignStopped,
+    Terms,
+)
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.campaigns import (
+    CancelCampaign,
+    cancel_campaign,
+    unfit_terms,
+)
+from labos.core.decide.cancelling import CancelRun, cancel_run
+from labos.core.decide.control import CancelExperiment, cancel_experiment
+from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
+from labos.core.ids import CampaignId, ExperimentId, RunId
+from labos.core.interventions import Intervention, InterventionResolved
+from labos.core.open_experiments import Experiment
+from labos.core.registry import Event
+from labos.core.state import LabState
+from labos.core.topics import Approval
+from labos.core.users import ON_BEHALF, person_of
+
+SHORTEST_DIGEST = 12
+"""Characters of a digest that are enough to say what was looked at."""
+
+
+class ApproveProposal(Command, frozen=True):
+    """Let the run, campaign, experiment or change ``subject`` go on, as it was when it had this ``digest``
+    (or its beginning). ``priority`` of a run or an experiment, ``terms`` of a campaign or its change are in
+    place of what was asked. ``alike``: see ``ApprovalGiven``."""
+
+    subject: str
+    digest: str
+    by: str
+    why: str = ""
+    priority: int | None = None
+    terms: Terms | None = None
+    alike: bool = False
+
+
+class RefuseProposal(Command, frozen=True):
+    """Do not let it go on."""
+
+    subject: str
+    by: str
+    why: str = ""
+
+
+@decides(ApproveProposal)
+def approve_proposal(state: LabState, command: ApproveProposal) -> Decision:
+    proposal = _open(state, command.subject)
+    if isinstance(proposal, Rejection):
+        return proposal
+    wrong = _not_as_seen(proposal, command.digest) or _unfit_changes(state, proposal, command)
+    if wrong is not None:
+        return wrong
+    events = approving(state, proposal, command)
+    if isinstance(events, Rejection):
+        return events
+    return chain(_answered(state, proposal.subject, "approve", command.by, command.why), events)
+
+
+@decides(RefuseProposal)
+def refuse_proposal(state: LabState, command: RefuseProposal) -> Decision:
+    proposal = _open(state, command.subject)
+    if isinstance(proposal, Rejection):
+        return proposal
+    return chain(
+        _answered(state, proposal.subject, "refuse", command.by, command.why),
+        refusing(state, proposal, command),
+    )
+
+
+def answer_question(state: LabState, topic: Approval, choice: str, by: str, note: str) -> Decision:
+    """The same, as the answer to the question about a proposal."""
+    proposal = _open(state, topic.about)
+    if isinstance(proposal, Rejection):
+        return []
+    if choice != "approve":
+        return refusing(state, proposal, RefuseProposal(topic.about, by, note))
+    wrong = _not_as_seen(proposal, topic.digest)
+    return wrong or approving(state, proposal, ApproveProposal(topic.about, topic.digest, by, note))
+
+
+def approving(state: LabState, proposal: Proposal, command: ApproveProposal) -> Decision:
+    wrong = _may_not_approve(state, proposal, command.by) or _experiment_first(state, proposal)
+    return wrong or _approving(state, proposal, command)
+
+
+def _approving(state: LabState, proposal: Proposal, command: ApproveProposal) -> Iterator[Event]:
+    yield ApprovalGiven(
+        subject=proposal.subject,
+        kind=proposal.kind,
+        digest=proposal.digest,
+        by=command.by,
+        comment=command.why,
+        priority=command.priority,
+        terms=command.terms,
+        alike=command.alike,
+    )
+    if proposal.kind == "amendment" and proposal.terms is not None:
+        yield CampaignAmended(CampaignId(proposal.subject), command.terms or proposal.terms)
+    run = state.runs.queued.get(RunId(proposal.subject))
+    if run is not None and run.unapproved and person_of(command.by) != run.user:
+        yield RunApproved(run.id, command.by)
+    if proposal.kind == "experiment":
+        for waiting in list(_waiting_for(state, proposal.subject)):
+            yield from _answered(state, waiting.subject, "approve", command.by, command.why)
+            yield ApprovalGiven(waiting.subject, "run", waiting.digest, command.by, command.why)
+
+
+def refusing(state: LabState, proposal: Proposal, command: RefuseProposal) -> Iterator[Event]:
+    subject, kind = proposal.subject, proposal.kind
+    said = f": {command.why}" if command.why else ""
+    why = f"{command.by} did not approve it{said}"
+    yield ApprovalRefused(subject, kind, proposal.digest, command.by, command.why)
+    follows: Decision = []
+    if kind == "run":
+        follows = cancel_run(state, CancelRun(RunId(subject), False, why))
+    elif kind == "campaign":
+        follows = cancel_campaign(state, CancelCampaign(CampaignId(subject), False, why))
+    elif kind == "experiment":
+        follows = cancel_experiment(
+            state, CancelExperiment(ExperimentId(subject), command.by, False, command.why)
+        )
+    yield from [] if isinstance(follows, Rejection) else follows
+
+
+def _waiting_for(state: LabState, experiment: str) -> Iterator[Proposal]:
+    """The runs of an experiment that wait for nothing but its approval."""
+    known = state.experiments.open[ExperimentId(experiment)]
+    for run in known.runs:
+        proposal = state.approvals.open.get(run)
+        if proposal is not None and proposal.codes == {"experiment"}:
+            yield proposal
+
+
+def _open(state: LabState, subject: str) -> Proposal | Rejection:
+    found = state.approvals.open.get(subject)
+    return found or Rejection(
+        "no_proposal",
+        f"{subject} does not wait for an approval.",
+        "List what does: labos approvals",
+    )
+
+
+def _not_as_seen(proposal: Proposal, seen: str) -> Rejection | None:
+    """Why an answer is not about the proposal as it is now."""
+    if len(seen) >= SHORTEST_DIGEST and proposal.digest.startswith(seen):
+        return None
+    return Rejection(
+        "changed",
+        f"{proposal.subject} is not what was looked at: its digest is {proposal.digest[:SHORTEST_DIGEST]}.",
+        f"Look at it again: labos approvals {proposal.subject}",
+    )
+
+
+def _unfit_changes(state: LabState, proposal: Proposal, command: ApproveProposal) -> Rejection | None:
+    """Why a proposal cannot be approved with these changes."""
+    of_table = proposal.kind in ("campaign", "amendment")
+    wrong = (
+        ("terms" if command.terms is not None and not of_table else "")
+        or ("priority" if command.priority is not None and of_table else "")
+        or ("alike" if command.alike and "experiment" not in proposal.parts else "")
+    )
+    if wrong:
+        return Rejection(
+            "no_such_change",
+            f"{proposal.subject} cannot be approved with `{wrong}`.",
+            "Runs and experiments have a priority, campaigns have terms, and only a run of an experiment has "
+            "others alike.",
+        )
+    if command.terms is None:
+        return None
+    return unfit_terms(state.campaigns.open[CampaignId(proposal.subject)], command.terms)
+
+
+def _may_not_approve(state: LabState, proposal: Proposal, by: str) -> Rejection | None:
+    user = state.users.known.get(by)
+    if ON_BEHALF in by or (user is not None and user.kind == "service"):
+        return Rejection("no_person", f"{by} is no person.", "Ask an operator to look at it.")
+    own = by in (proposal.user, person_of(proposal.by))
+    if own and not state.approvals.policy.own:
+        return Rejection(
+            "own_approval",
+            f"{proposal.subject} is {by}'s own, and the lab's policy wants somebody else to approve it.",
+            "Ask another operator; or an admin allows it: `own: true` in the file of labos policy --apply",
+        )
+    return None
+
+
+def _experiment_first(state: LabState, proposal: Proposal) -> Rejection | None:
+    """Why a run cannot be approved before its experiment is."""
+    experiment = proposal.parts.get("experiment", "") if proposal.kind == "run" else ""
+    known: Experiment | None = state.experiments.open.get(ExperimentId(experiment))
+    if known is None or not known.held:
+        return None
+    return Rejection(
+        "experiment_first",
+        f"The experiment {known.id} of {proposal.subject} waits for an approval itself.",
+        f"Approve that first: labos approve {known.id}",
+    )
+
+
+# -- the question --------------------------------------------------------------------------------
+
+
+def _questions(state: LabState, subject: str) -> list[Intervention]:
+    return [q for q in state.interventions.all_about(subject) if isinstance(q.topic, Approval)]
+
+
+def _answered(
+    state: LabState, subject: str, choice: str, by: str, note: str
+) -> Iterable[InterventionResolved]:
+    """The question about a proposal is answered along with it."""
+    return [InterventionResolved(q.id, choice, by, note) for q in _questions(state, subject)]
+
+
+# -- reactions -----------------------------------------------------------------------------------
+
+
+def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
+    """An operator is asked, and an earlier question about the same is withdrawn."""
+    for question in _questions(state, event.subject):
+        yield InterventionResolved(question.id, "withdrawn", "labos", "it was changed, and is asked anew")
+    what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())
+    why = "; ".join(why.text for why in event.why)
+    text = (
+        f"{what} {event.subject} ({event.name}) of {event.user} waits for approval, because {why}. "
+        f"Look at it: labos approvals {event.subject}"
+    )
+    run = event.subject if event.kind == "run" else ""
+    yield state.interventions.ask(
+        Approval(run=run, about=event.subject, digest=event.digest, what=event.kind), text
+    )
+
+
+def withdraw_approval_question(
+    state: LabState,
+    event: CampaignCancelled
+    | CampaignStopped
+    | CampaignCompleted
+    | ExperimentCancelled
+    | ExperimentClosing
+    | ExperimentEnded,
+) -> Iterator[Event]:
+    """Nobody is asked any more about what has ended."""
+    subject = event.campaign if hasattr(event, "campaign") else event.experiment
+    for question in _questions(state, subject):
+        yield InterventionResolved(question.id, "withdrawn", "labos", "it has ended")
+
+
+__all__ = [
+    "ApproveProposal",
+    "RefuseProposal",
+    "answer_question",
+    "ask_for_approval",
+    "withdraw_approval_question",
+]

@@ -1,0 +1,36 @@
+"""Which submissions wait for an operator's approval, and how high a priority may be."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.campaigns import Budget
+from labos.core.registry import Event, event
+
+
+class Policy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What waits for an approval: what ``programs`` (service accounts that are not ``trusted``) submit; the
+    first ``newcomers`` submissions of a user; what does something ``dangerous``; what is ``above`` a budget;
+    campaigns with ``deadlines``. With ``own``, an operator may approve what is the operator's own.
+    ``priority`` is the highest that somebody may give who is no operator and whose quota names none (null:
+    any)."""
+
+    programs: bool = True
+    trusted: tuple[str, ...] = ()
+    newcomers: int = 0
+    dangerous: bool = False
+    above: Budget = Budget()
+    deadlines: bool = False
+    own: bool = False
+    priority: int | None = None
+
+
+@event("policy.applied")
+class PolicyApplied(Event, frozen=True):
+    """From now on this policy holds, as a file (``digest``) says."""
+
+    digest: str
+    policy: Policy
+
+    def stream(self) -> str:
+        return "policy"

@@ -1,0 +1,287 @@
+"""What waits for an approval, and the policy that says what does."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated
+
+import msgspec
+
+from labos.core.approvals import Demand, Proposal, Why
+from labos.core.campaigns import Terms
+from labos.core.decide.considering import ApplyPolicy
+from labos.core.decide.proposals import ApproveProposal, RefuseProposal
+from labos.core.ids import CampaignId
+from labos.core.policy import Policy
+from labos.core.state import LabState
+from labos.errors import NotFound
+from labos.http.bodies import Amendment, Amounts, Limit
+from labos.http.campaigns import amended
+from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
+from labos.http.operation import Call, Operation
+from labos.http.tail import PAGE
+from labos.services.proposals import Difference, differences, sentence
+from labos.spec.policy import parse_policy
+
+
+class OfProposal(msgspec.Struct, frozen=True):
+    subject: Annotated[
+        Name,
+        msgspec.Meta(description="the run, campaign or experiment that waits", examples=["R1"]),
+    ]
+
+
+class ProposalView(msgspec.Struct, frozen=True):
+    """A run, campaign or experiment (``subject``) that waits for an approval, or a change of a campaign
+    (``amendment``). ``digest`` stands for all its ``parts``, and is what is approved. ``by`` has handed it in
+    for ``user``. ``demand`` is what it asks of the lab by its plan. ``before`` was approved last of the same
+    ``name``, when the parts ``changed`` were others. ``terms`` are a campaign's as they would be."""
+
+    subject: str
+    kind: str
+    name: str
+    user: str
+    by: str
+    digest: str
+    why: tuple[Why, ...]
+    sentence: str
+    requested_at: int
+    demand: Demand
+    parts: dict[str, str]
+    before: str
+    changed: tuple[str, ...]
+    terms: Terms | None
+
+
+class ProposalsQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    after: Annotated[Name, says("only what waits behind this one; if it waits no more, all")] = ""
+    limit: Annotated[int, msgspec.Meta(ge=1, le=PAGE), says("so many; 100 if left out")] = 100
+
+
+class Proposals(msgspec.Struct, frozen=True):
+    """A page of proposals; there are ``more`` behind the last one."""
+
+    approvals: list[ProposalView]
+    more: bool
+
+
+class ProposalDetail(msgspec.Struct, frozen=True):
+    """A proposal, and how it differs from what was approved last of its name."""
+
+    proposal: ProposalView
+    differences: list[Difference]
+
+
+class ProposalAnswer(msgspec.Struct, frozen=True):
+    """What was answered about, and the digest that was approved or refused."""
+
+    subject: str
+    digest: str
+
+
+class PolicyView(msgspec.Struct, frozen=True):
+    """The policy that holds. ``applied`` is the SHA-256 of its file, empty if nobody has applied one."""
+
+    applied: str
+    policy: Policy
+
+
+class Approval(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """What is left out stays as it was asked for. The terms are those of campaigns and of their changes;
+    the priority also that of a run or an experiment."""
+
+    digest: Annotated[Name, says("of the proposal that was looked at; its first 12 characters are enough")]
+    by: Asker = ""
+    comment: Annotated[Line, says("a word about it for the log")] = ""
+    priority: Annotated[Priority | None, says("in place of what was asked")] = None
+    deadline: Annotated[Line | None, says("a time, or how long from now (`12h`); empty for none")] = None
+    runs: Annotated[Limit | None, says("so many runs at most; 0 for no limit")] = None
+    lab_time_s: Annotated[Amount | None, says("so much module time at most; 0 for no limit")] = None
+    consumables: Annotated[Amounts | None, says("so much at most, by kind of consumable")] = None
+    alike: Annotated[
+        bool,
+        says("of a run of an experiment: further runs of its workflow in it, with other values, need none"),
+    ] = False
+
+
+class ApprovalRefusal(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+    comment: Annotated[Line, says("a word about it for the log")] = ""
+
+
+class PolicyText(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    text: Annotated[FileText, says("the file")]
+    by: Asker = ""
+    name: Annotated[FileName, says("what errors call the file")] = "policy"
+
+
+class PolicyReference(msgspec.Struct, frozen=True):
+    """The SHA-256 of the file."""
+
+    digest: str
+
+
+async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
+    """The oldest first, a page of them: ask again with `after` = the last `subject` while there are
+    `more`."""
+    state = call.kernel.state
+    names = list(state.approvals.open)
+    begin = names.index(query.after) + 1 if query.after in state.approvals.open else 0
+    shown = names[begin : begin + query.limit]
+    found = [_view(state, state.approvals.open[name]) for name in shown]
+    await call.kernel.written()
+    return Proposals(found, begin + query.limit < len(names))
+
+
+async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
+    state = call.kernel.state
+    proposal = _proposal(call, path)
+    view = _view(state, proposal)
+    await call.kernel.written()
+    parts = call.service.parts
+    changed = await asyncio.to_thread(differences, parts.store, parts.blobs, state, proposal)
+    return ProposalDetail(view, changed)
+
+
+async def approve_proposal(call: Call, path: OfProposal, body: Approval) -> ProposalAnswer:
+    """Only what bears this digest can be approved: what was changed since it was looked at is refused. An
+    operator approves, who is not the user unless the policy says so, and never a program."""
+    proposal = _proposal(call, path)
+    priority, terms = _changes(call, proposal, body)
+    command = ApproveProposal(
+        subject=proposal.subject,
+        digest=body.digest,
+        by=body.by,
+        why=body.comment,
+        alike=body.alike,
+        priority=priority,
+        terms=terms,
+    )
+    digest = proposal.digest
+    await call.kernel.execute(command, body.by)
+    return ProposalAnswer(proposal.subject, digest)
+
+
+def _changes(call: Call, proposal: Proposal, body: Approval) -> tuple[int | None, Terms | None]:
+    """What the operator wants otherwise than it was asked for. Raises BadInput."""
+    if proposal.kind in ("run", "experiment") and (body.deadline, body.runs, body.lab_time_s) == (None,) * 3:
+        return body.priority, None
+    wanted = Amendment(
+        priority=body.priority,
+        deadline=body.deadline,
+        runs=body.runs,
+        lab_time_s=body.lab_time_s,
+        consumables=body.consumables,
+    )
+    asked = _terms(call.kernel.state, proposal) or Terms()
+    terms = amended(asked, wanted, call.kernel.clock.now_ns())
+    return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None
+
+
+async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -> ProposalAnswer:
+    """It is cancelled. A change of a campaign is not made, and the campaign goes on as before."""
+    proposal = _proposal(call, path)
+    digest = proposal.digest
+    await call.kernel.execute(RefuseProposal(proposal.subject, body.by, body.comment), body.by)
+    return ProposalAnswer(proposal.subject, digest)
+
+
+async def get_policy(call: Call) -> PolicyView:
+    approvals = call.kernel.state.approvals
+    found = PolicyView(approvals.applied, approvals.policy)
+    await call.kernel.written()
+    return found
+
+
+async def apply_policy(call: Call, body: PolicyText) -> PolicyReference:
+    """What waits already goes on waiting."""
+    found = await call.service.beside(len(body.text), parse_policy, body.text, body.name)
+    await call.kernel.execute(ApplyPolicy(found.digest, found.policy), body.by)
+    return PolicyReference(found.digest)
+
+
+def _proposal(call: Call, path: OfProposal) -> Proposal:
+    """Raises NotFound."""
+    found = call.kernel.state.approvals.open.get(path.subject)
+    if found is None:
+        raise NotFound(
+            f"{path.subject} does not wait for an approval.", remedy="List what does: labos approvals"
+        )
+    return found
+
+
+def _view(state: LabState, proposal: Proposal) -> ProposalView:
+    shown = {name: getattr(proposal, name) for name in ProposalView.__struct_fields__ if name in _SHARED}
+    return ProposalView(**shown, sentence=sentence(state, proposal.subject), terms=_terms(state, proposal))
+
+
+_SHARED = frozenset(Proposal.__struct_fields__) - {"terms"}
+
+
+def _terms(state: LabState, proposal: Proposal) -> Terms | None:
+    """The terms of a campaign as they would be; None for what has none."""
+    campaign = state.campaigns.open.get(CampaignId(proposal.subject))
+    return proposal.terms or (campaign.terms if campaign is not None else None)
+
+
+_POLICY = "labos: 1\ntrusted: [lims]\nnewcomers: 3\nabove: {lab_time: 40 h}\n"
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/approvals",
+        handler=list_approvals,
+        summary="What waits for an approval, and why",
+        tag="approvals",
+        needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/approvals/{subject}",
+        handler=get_approval,
+        summary="What waits for an approval, and how it differs from what was approved before",
+        tag="approvals",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/approvals/{subject}/approve",
+        handler=approve_proposal,
+        summary="Let a submission go on, as it is or with changes",
+        tag="approvals",
+        needs="operator",
+        problems=("refused",),
+        example={"by": "olga", "digest": "ab" * 32, "comment": "looked at it", "runs": 20},
+        example_answer={"subject": "C1", "digest": "ab" * 32},
+    ),
+    Operation(
+        method="POST",
+        path="/approvals/{subject}/refuse",
+        handler=refuse_proposal,
+        summary="Do not let a submission go on",
+        tag="approvals",
+        needs="operator",
+        problems=("refused",),
+        example={"by": "olga", "comment": "too many plates"},
+        example_answer={"subject": "C1", "digest": "ab" * 32},
+    ),
+    Operation(
+        method="GET",
+        path="/policy",
+        handler=get_policy,
+        summary="Which submissions wait for an approval, and how high a priority may be",
+        tag="approvals",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/policy",
+        handler=apply_policy,
+        summary="Let the policy be as a file says",
+        tag="approvals",
+        needs="admin",
+        problems=("refused", "spec_error", "spec_errors"),
+        example={"text": _POLICY, "by": "ada", "name": "policy.yaml"},
+        example_answer={"digest": "ab" * 32},
+    ),
+)

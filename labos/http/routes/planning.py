@@ -1,0 +1,176 @@
+"""Before something is submitted: what modules can do, and what a workflow would ask of the lab."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.core.approvals import ApprovalRequested, Demand
+from labos.core.decide import Rejection, decide
+from labos.core.decide.holding_back import demand_of
+from labos.core.decide.runs import SubmitRun
+from labos.core.ids import ExperimentId, local
+from labos.core.model import MAIN
+from labos.core.users import person_of
+from labos.errors import NotFound
+from labos.http.bodies import NewRun
+from labos.http.limits import LARGEST_BODY
+from labos.http.operation import Call, Operation
+from labos.http.queries import OfModule
+from labos.spec.about import described
+from labos.spec.findings import Finding
+
+
+class ArgumentView(msgspec.Struct, frozen=True):
+    """An argument of an action. ``minimum`` and ``maximum`` are in its ``unit``."""
+
+    name: str
+    type: str
+    description: str
+    required: bool
+    default: Any
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[Any, ...]
+
+
+class ActionView(msgspec.Struct, frozen=True):
+    """An action of a module. ``dangerous`` says how, and is empty for most; ``duration_s`` is nominal, in lab
+    seconds."""
+
+    name: str
+    description: str
+    duration_s: float
+    dangerous: str
+    result: str
+    arguments: list[ArgumentView]
+
+
+class Actions(msgspec.Struct, frozen=True):
+    """What a module can do."""
+
+    module: str
+    driver: str
+    description: str
+    actions: list[ActionView]
+
+
+class PlannedStep(msgspec.Struct, frozen=True):
+    """A step of a plan, of which ``after`` are the numbers of those before it. ``dangerous`` says how."""
+
+    key: str
+    module: str
+    action: str
+    args: dict[str, Any]
+    after: tuple[int, ...]
+    duration_s: float
+    dangerous: str
+
+
+class CheckedRun(msgspec.Struct, frozen=True):
+    """What a run would be. ``demand`` is what its plan asks of the lab; ``approval`` says why it would wait
+    for one, and ``refusal`` why it would be refused as things are now (both empty: it would not)."""
+
+    workflow: str
+    workcell: str
+    steps: list[PlannedStep]
+    demand: Demand
+    approval: tuple[str, ...]
+    refusal: str
+    warnings: tuple[Finding, ...]
+
+
+async def list_actions(call: Call, path: OfModule) -> Actions:
+    """Its actions, with the arguments that a step of a workflow gives them."""
+    name = call.service.module(path.module)
+    spec = call.kernel.state.modules.by_name[name].spec
+    found = described(spec, call.service.parts.descriptions)
+    if found is None:
+        raise NotFound(f"Nobody has described what {local(name)} can do.", remedy="Install its driver.")
+    actions = [
+        ActionView(
+            name=action.name,
+            description=action.description,
+            duration_s=action.duration_s,
+            dangerous=action.dangerous,
+            result=action.result,
+            arguments=[
+                ArgumentView(**{field: getattr(arg, field) for field in ArgumentView.__struct_fields__})
+                for arg in action.args
+            ],
+        )
+        for action in sorted(found.actions, key=lambda action: not action.exclusive)
+    ]
+    return Actions(name, spec.driver, found.description, actions)
+
+
+async def check_run(call: Call, body: NewRun) -> CheckedRun:
+    """Nothing is submitted, nothing is kept."""
+    service, state = call.service, call.kernel.state
+    service.expect_role(body.user, "submitter")  # before anything is planned
+    compiled = await service.compile(
+        body.workflow, body.payload, body.workcell, body.place, body.user, keep=False
+    )
+    plan = compiled.plan
+    command = SubmitRun(
+        plan,
+        person_of(body.user),
+        body.payload,
+        ExperimentId(body.experiment),
+        body.priority,
+        service.pins_of(body.workflow, plan),
+        propose=body.propose,
+    )
+    answer = decide(state, command, body.user)
+    refusal = f"{answer.message} {answer.remedy}".strip() if isinstance(answer, Rejection) else ""
+    asked = [] if isinstance(answer, Rejection) else [e for e in answer if isinstance(e, ApprovalRequested)]
+    steps = [
+        PlannedStep(
+            key=step.key,
+            module=local(step.module),
+            action=step.action,
+            args=step.args,
+            after=step.after,
+            duration_s=step.duration_s,
+            dangerous=step.hazard,
+        )
+        for step in plan.steps
+        if step.part == MAIN
+    ]
+    await call.kernel.written()
+    return CheckedRun(
+        workflow=plan.workflow,
+        workcell=plan.workcell,
+        steps=steps,
+        demand=demand_of([plan]),
+        approval=tuple(why.text for event in asked for why in event.why),
+        refusal=refusal,
+        warnings=compiled.findings,
+    )
+
+
+_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/modules/{module}/actions",
+        handler=list_actions,
+        summary="What a module can do",
+        tag="modules",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/runs/check",
+        handler=check_run,
+        summary="What a run of a workflow would be, without submitting it",
+        tag="runs",
+        needs="submitter",
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
+        largest_body=LARGEST_BODY,
+    ),
+)

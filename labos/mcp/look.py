@@ -1,0 +1,168 @@
+"""Tools that look."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.client import LabClient
+from labos.errors import BadInput
+from labos.mcp.pages import LONGEST, cut, page, told
+from labos.services.times import with_iso_times
+
+ENDED = 20
+"""Ended runs that are listed."""
+
+NEWEST = 50
+"""Events that are told of the log's end."""
+
+
+class Look:
+    """What the lab is, holds and does. Changes nothing."""
+
+    def __init__(self, lab: LabClient) -> None:
+        self._lab = lab
+
+    def lab(self) -> str:
+        """Tells which lab this is, which workcells it has, who you are to it and what you may do, which of
+        your submissions need an approval, and how many runs and questions are open."""
+        health, state = self._lab.health(), self._lab.state(waits=False)
+        counts = {name: len(state[name]) for name in ("modules", "runs", "labware", "interventions")}
+        asked = [q["text"] for q in state["interventions"][:20]]
+        return told(
+            {
+                "lab": {name: health[name] for name in ("name", "status", "simulated")},
+                "you": self._lab.identity(),
+                "workcells": list(state["lab"]["workcells"]),
+                "counts": counts,
+                "people_are_asked": cut(asked),
+                "policy": self._lab.policy()["policy"],
+            }
+        )
+
+    def modules(self, after: int = 0) -> str:
+        """Lists the modules (instruments, arms, people) of the lab: what each is, its status and what it does
+        now. `after` is the `next` of the page before."""
+        found = self._lab.state(waits=False)["modules"]
+        kept = ("name", "driver", "status", "problem", "out_of_service", "simulated", "doing")
+        rows = [{name: module[name] for name in kept} for module in found]
+        return page(rows[after:], lambda number: after + number)
+
+    def module_actions(self, module: str, after: int = 0) -> str:
+        """Tells what a module can do: its actions with their arguments, units and ranges, as steps of a
+        workflow give them. `module` is its name; `after` is the `next` of the page before."""
+        found = self._lab.actions(module)
+        actions = found.pop("actions")
+        return page(actions[after:], lambda number: after + number, module=found["module"])
+
+    def bench(self, after: int = 0) -> str:
+        """Lists the stations of the bench: what stands where, and which labware it is. `after` is the `next`
+        of the page before."""
+        state = self._lab.state(waits=False)
+        labware = {item["id"]: item for item in state["labware"]}
+        rows = [
+            {
+                "station": place["name"],
+                "known": place["known"],
+                "stock": place["stock"],
+                "labware": [
+                    {part: labware[name][part] for part in ("id", "type", "owner", "barcode")}
+                    for name in place["labware"]
+                    if name in labware
+                ],
+            }
+            for place in state["stations"]
+        ]
+        return page(rows[after:], lambda number: after + number)
+
+    def inventory(self) -> str:
+        """Tells what is left of consumables, of which lots, and which run will be the first to find too
+        little."""
+        return told(cut(with_iso_times(self._lab.inventory()), LONGEST))
+
+    def runs(self, after: int = 0) -> str:
+        """Lists the runs that wait or are under way, and the last ones that ended. `after` is the `next` of
+        the page before."""
+        found = self._lab.runs(after=after, ended=0 if after else ENDED)
+        rows = [
+            {name: run[name] for name in ("id", "workflow", "user", "status", "why")} for run in found["runs"]
+        ]
+        return told(cut(rows, LONGEST), next=found["position"] if found["more"] else None)
+
+    def run(self, run: str, first_step: int = 0) -> str:
+        """Tells how far a run is and what its steps returned: their results and errors. `run` is its id, as
+        R7. Long runs come in pages: `first_step` is the `next` of the page before."""
+        found = with_iso_times(msgspec.to_builtins(self._lab.status(run)))
+        steps = found.pop("steps", [])
+        return page(steps[first_step:], lambda number: first_step + number, run=cut(found))
+
+    def why_run_waits(self, run: str) -> str:
+        """Tells why a run does not go on: what its next steps wait for, whether it waits for an approval, and
+        what somebody can do. `run` is its id, as R7."""
+        state = self._lab.state()
+        alive = next((found for found in state["runs"] if found["id"] == run), None)
+        if alive is None:
+            over = self._lab.status(run)
+            return told(cut({"run": run, "status": over.status, "why": over.why}))
+        waits = [f"{wait['key']}: {wait['why']}" for wait in alive["waits"]]
+        asked = [q["text"] for q in state["interventions"] if q["run"] == run]
+        return told(cut({"run": run, "status": alive["status"], "waits": waits, "people_are_asked": asked}))
+
+    def campaigns(self, after: int = 0) -> str:
+        """Lists the campaigns that have not ended: how far they are and under which terms. `after` is the
+        `next` of the page before."""
+        found = self._lab.campaigns()
+        return page(with_iso_times(found)[after:], lambda number: after + number)
+
+    def proposals(self, subject: str = "", after: int = 0) -> str:
+        """Lists what waits for an operator's approval and why; with `subject` (R7, C3, E2), that one: what it
+        asks of the lab, and how it differs from what was approved before. `after` is the `next` of the page
+        before."""
+        if subject:
+            return told(cut(with_iso_times(self._lab.approval_of(subject)), LONGEST))
+        found = with_iso_times(self._lab.approvals())
+        return page(found[after:], lambda number: after + number)
+
+    def log(
+        self, after: int = 0, before: int = 0, type: str = "", mentions: str = "", newest: bool = False
+    ) -> str:
+        """Reads the log of events, a page of them, the oldest first. `type` selects a kind of event (as
+        `run.failed`, or `run` for all about runs), `mentions` those that name an id. `after` is the `next` of
+        the page before. With `newest` the last events are told, the newest first; then `before` is the `next`
+        of the page before."""
+        if newest and before == 1:
+            return page([], lambda number: number)
+        last = {"last": NEWEST, "upto": max(before - 1, 0)} if newest else {"after": after}
+        asked = {**last, "type": type, "mentions": mentions}
+        found = msgspec.json.decode(self._lab.page_of_events({k: v for k, v in asked.items() if v}))
+        events = found["events"][::-1] if newest else found["events"]
+        rows = list(map(_event, events))
+        if newest:
+            rest = events[-1]["position"] if len(events) == NEWEST else None
+            return page(rows, lambda number: events[number - 1]["position"], rest=rest)
+        rest = found["position"] if events else None
+        return page(rows, lambda number: events[number]["position"] - 1, rest=rest)
+
+    def provenance(self, subject: str, after: int = 0) -> str:
+        """Tells what the log says of a piece of labware, a run, an experiment or a campaign, from its
+        beginning on: who did what with it and when. `subject` is its id, as P7 or R1; `after` is the `next`
+        of the page before."""
+        if not subject.strip():
+            raise BadInput("Nothing was named.", remedy="Give an id, as P7 or R1.")
+        return self.log(after=after, mentions=subject)
+
+    def read_file(self, sha256: str, first: int = 0) -> str:
+        """Reads a file that a step has returned, if it is text. `sha256` is its digest, as it stands in a
+        result; `first` is the `next` of the page before (bytes)."""
+        size = LONGEST // 2
+        content = self._lab.file(sha256, first=first, last=first + size - 1)
+        try:
+            text = content.decode("utf-8", errors="strict" if len(content) < size else "ignore")
+        except UnicodeDecodeError:
+            raise BadInput(f"The file {sha256[:12]}… is no text.", remedy="Fetch it: labos files") from None
+        return told(text, next=first + len(content) if len(content) == size else None)
+
+
+def _event(event: dict[str, Any]) -> dict[str, Any]:
+    return {name: event[name] for name in ("position", "time", "type", "actor", "stream", "payload")}

@@ -1,0 +1,67 @@
+"""Tools that plan: they check what could be proposed, and change nothing."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Mapping
+from typing import Any
+
+from labos.client import LabClient
+from labos.mcp.pages import LONGEST, cut, told
+
+
+class Plan:
+    """What a workflow or a campaign would ask of the lab."""
+
+    def __init__(self, lab: LabClient, user: str) -> None:
+        self._lab, self._user = lab, user
+
+    def check_workflow(
+        self,
+        workflow: str,
+        payload: dict[str, Any] | None = None,
+        workcell: str = "",
+        priority: int = 0,
+        files: dict[str, str] | None = None,
+    ) -> str:
+        """Checks the text of a workflow (YAML) and tells what a run of it would be: its steps, how long they
+        take, what they use up, which are dangerous, why it would wait for an approval. Nothing is submitted.
+        `payload` are its values; `files` are the texts of files that its arguments name, by name."""
+        checked = self._lab.check(
+            workflow_of(workflow, files),
+            payload=payload or {},
+            user=self._user,
+            workcell=workcell,
+            priority=priority,
+            propose=True,
+        )
+        return told(cut(checked, LONGEST))
+
+    def check_campaign(
+        self,
+        campaign: str,
+        workflow: str,
+        tables: dict[str, str] | None = None,
+        files: dict[str, str] | None = None,
+    ) -> str:
+        """Checks the text of a campaign (YAML) row by row with the text of its workflow, and estimates what
+        all rows need. Nothing is submitted. `tables` are the texts of the tables that it names, by name."""
+        checked = self._lab.submit_campaign(
+            campaign_of(campaign, workflow, tables, files), user=self._user, dry_run=True
+        )
+        return told(cut(checked["estimate"], LONGEST))
+
+
+def workflow_of(text: str, files: Mapping[str, str] | None) -> dict[str, Any]:
+    return {"text": text, "name": "workflow.yaml", "files": _encoded(files)}
+
+
+def campaign_of(
+    text: str, workflow: str, tables: Mapping[str, str] | None, files: Mapping[str, str] | None
+) -> dict[str, Any]:
+    workflow_text = workflow_of(workflow, files)
+    return {"text": text, "name": "campaign.yaml", "workflow": workflow_text, "files": _encoded(tables)}
+
+
+def _encoded(files: Mapping[str, str] | None) -> dict[str, str]:
+    return {name: b64encode(text.encode()).decode() for name, text in (files or {}).items()}

@@ -1,0 +1,125 @@
+"""What waits for an approval, in words, with what has changed since a submission of its name was approved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import unified_diff
+from typing import Any
+
+import msgspec
+
+from labos.core.approvals import Past, Proposal
+from labos.core.ids import CampaignId
+from labos.core.registry import Event
+from labos.core.runs import RunSubmitted
+from labos.core.state import LabState
+from labos.errors import LabosError
+from labos.ports import BlobReader, LogQuery
+from labos.services.log import Log, event_of
+
+MOST_LINES = 200
+"""So many lines of a difference between two texts are shown."""
+
+MOST_VALUES = 200
+"""So many values are compared that differ."""
+
+
+class Difference(msgspec.Struct, frozen=True):
+    """A part that was another one when something of this name was approved last. ``lines`` say how, as far as
+    that can be told: lines of a text that are gone (``-``) and new (``+``), or values with what they were."""
+
+    part: str
+    lines: tuple[str, ...] = ()
+
+
+def sentence(state: LabState, subject: str) -> str:
+    """That a submission waits for an approval, why, and what to do; empty if it does not."""
+    proposal = state.approvals.open.get(subject)
+    if proposal is None:
+        return ""
+    what = {"amendment": f"The change of {subject}"}.get(proposal.kind, subject)
+    why = ", and ".join(why.text for why in proposal.why)
+    return f"{what} waits for approval, because {why}. An operator answers: labos approve {subject}"
+
+
+def differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal) -> list[Difference]:
+    """How a proposal differs from what was approved last of its name. Reads the log and texts that are kept
+    beside it."""
+    if proposal.kind == "amendment":
+        campaign = state.campaigns.open.get(CampaignId(proposal.subject))
+        was = msgspec.to_builtins(campaign.terms) if campaign is not None else {}
+        return [Difference("terms", tuple(compared(was, msgspec.to_builtins(proposal.terms))))]
+    past = state.approvals.past.get(f"{proposal.kind}:{proposal.name}")
+    if past is None:
+        return []
+    return [Difference(part, _lines(log, blobs, proposal, past, part)) for part in proposal.changed]
+
+
+def _lines(log: Log, blobs: BlobReader, proposal: Proposal, past: Past, part: str) -> tuple[str, ...]:
+    was, now = past.parts.get(part, ""), proposal.parts.get(part, "")
+    if part == "payload":
+        old, new = _first(log, past.subject, RunSubmitted), _first(log, proposal.subject, RunSubmitted)
+        if isinstance(old, RunSubmitted) and isinstance(new, RunSubmitted):
+            return tuple(compared(old.payload, new.payload))
+        return ()
+    if part == "terms":
+        return tuple(compared(msgspec.to_builtins(past.terms), msgspec.to_builtins(proposal.terms)))
+    if part == "workflow" or part.startswith("file:"):
+        return tuple(_texts_compared(_text(blobs, was), _text(blobs, now)))
+    return ()
+
+
+def _first(log: Log, stream: str, kind: type[Event]) -> Event | None:
+    record = next(iter(log.select(LogQuery(streams=(stream,), types=(kind.TYPE,)))), None)
+    return event_of(record) if record is not None else None
+
+
+def _text(blobs: BlobReader, digest: str) -> str | None:
+    """A text that is kept beside the log; of a campaign's definition that of its workflow."""
+    try:
+        text = blobs.get(digest).decode() if digest else ""
+    except (LabosError, UnicodeDecodeError, OSError):
+        return None
+    try:
+        whole = msgspec.json.decode(text)
+    except msgspec.MsgspecError:
+        return text
+    return str(whole["text"]) if isinstance(whole, dict) and isinstance(whole.get("text"), str) else text
+
+
+def _texts_compared(old: str | None, new: str | None) -> Iterator[str]:
+    if old is None or new is None:
+        return
+    lines = unified_diff(old.splitlines(), new.splitlines(), "before", "now", lineterm="", n=1)
+    for number, line in enumerate(lines):
+        if number == MOST_LINES:
+            yield "…"
+            return
+        yield line
+
+
+def compared(old: dict[str, Any] | None, new: dict[str, Any] | None) -> Iterator[str]:
+    """The values that differ, each with what it was."""
+    before, now = _flat(old or {}), _flat(new or {})
+    for number, key in enumerate(k for k in {**before, **now} if before.get(k, _NONE) != now.get(k, _NONE)):
+        if number == MOST_VALUES:
+            yield "…"
+            return
+        yield f"{key}: {_shown(before, key)} -> {_shown(now, key)}"
+
+
+_NONE = object()
+
+
+def _shown(values: dict[str, Any], key: str) -> str:
+    return msgspec.json.encode(values[key]).decode() if key in values else "not given"
+
+
+def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, dict) and value:
+            found |= _flat(value, f"{prefix}{key}.")
+        else:
+            found[f"{prefix}{key}"] = value
+    return found

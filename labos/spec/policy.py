@@ -1,0 +1,63 @@
+"""Files that say which submissions wait for an approval, and how high a priority may be."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+from pydantic import Field
+
+from labos.core.campaigns import Budget
+from labos.core.policy import Policy
+from labos.spec.campaign import BudgetEntry
+from labos.spec.findings import Report, SpecErrors
+from labos.spec.parts import Label, Part
+from labos.spec.source import parse
+from labos.spec.validation import validate
+
+
+class PolicyFile(Part):
+    """A policy file. What it does not say is as in a lab without one: only what programs submit waits."""
+
+    labos: Literal[1]
+    programs: bool = True
+    trusted: list[Label] = []
+    newcomers: int = Field(default=0, ge=0, le=1_000)
+    dangerous: bool = False
+    above: BudgetEntry = BudgetEntry()
+    deadlines: bool = False
+    own: bool = False
+    priority: int | None = Field(default=None, ge=-100_000, le=100_000)
+
+
+class CompiledPolicy(msgspec.Struct, frozen=True):
+    """The policy as the core has it; ``digest`` is the file's."""
+
+    digest: str
+    policy: Policy
+
+
+def parse_policy(text: str, name: str = "") -> CompiledPolicy:
+    """Read a policy file given as text. Raises SpecError, SpecErrors."""
+    source = parse(text, name)
+    report = Report(name)
+    file = validate(PolicyFile, source, report)
+    if file is None:
+        raise SpecErrors(report.sorted())
+    if file.trusted and not file.programs:
+        place = source.place(("trusted",), key=True)
+        what = "Programs need no approval, so none of them can be trusted more."
+        report.error(what, place, field="trusted", remedy="Leave it out, or write `programs: true`.")
+    report.raise_if_failed()
+    above = Budget(file.above.runs, file.above.lab_time, dict(file.above.consumables))
+    policy = Policy(
+        programs=file.programs,
+        trusted=tuple(dict.fromkeys(file.trusted)),
+        newcomers=file.newcomers,
+        dangerous=file.dangerous,
+        above=above,
+        deadlines=file.deadlines,
+        own=file.own,
+        priority=file.priority,
+    )
+    return CompiledPolicy(source.digest, policy)
