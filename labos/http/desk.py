@@ -12,7 +12,7 @@ from starlette.types import Message
 from labos.errors import AlreadyDone, LabosError
 from labos.http.idempotency import IdempotentAnswers
 from labos.http.letters import Answer, Headers, Hello, Letters, Recall, Reply, SentOn, Welcome
-from labos.http.notes import notes_of, sent
+from labos.http.notes import notes_of
 from labos.http.operation import ADMITTED
 from labos.http.problems import problem, problem_of
 from labos.http.routes import PREFIX
@@ -50,7 +50,7 @@ class Desk:
         match question:
             case Hello(address):
                 self._note(key.split("/")[3], address)
-                reply: Reply = Welcome(sent(notes_of(self._service)))
+                reply: Reply = Welcome(notes_of(self._service))
             case Recall():
                 reply = await self._recall(question)
             case SentOn():

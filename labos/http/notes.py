@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -26,25 +26,18 @@ class Notes(msgspec.Struct, frozen=True):
     ``suspended`` why nothing is started; ``simulated``: the bench is a simulated one."""
 
     rejected: Mapping[str, str] = {}
-    supervised: Mapping[str, Any] = {}
+    supervised: Mapping[str, ProcessNote] = {}
     suspended: str = ""
     simulated: bool = False
 
 
 def notes_of(service: LabService) -> Notes:
-    """The notes of the kernel's own process."""
+    """What is known in the kernel's own process."""
     parts = service.parts
+    nodes = parts.supervised.nodes if parts.supervised is not None else {}
     return Notes(
         {str(name): why for name, why in parts.registry.rejected.items()},
-        parts.supervised.nodes if parts.supervised is not None else {},
+        {name: ProcessNote(p.state, p.pid, p.starts, p.failures, p.why) for name, p in nodes.items()},
         service.kernel.suspended,
         parts.simulated,
     )
-
-
-def sent(notes: Notes) -> Notes:
-    """The same for another process."""
-    processes = {
-        name: ProcessNote(p.state, p.pid, p.starts, p.failures, p.why) for name, p in notes.supervised.items()
-    }
-    return msgspec.structs.replace(notes, supervised=processes)
