@@ -170,7 +170,7 @@ def test_no_command_is_left_out() -> None:
     }
     tried = {*READ.values(), *ACT.values(), *(path for path, _ in REFUSED_BY_THE_LAB.values())}
     tried.add("labos export events")  # it answers in JSON without being told to
-    assert tried | FOLDER | {"labos demo", "labos bus"} == with_a_lab
+    assert tried | FOLDER | {"labos demo", "labos bus", "labos api"} == with_a_lab
     assert not tried & FOLDER
 
 
