@@ -93,7 +93,7 @@ def issue(
     """Make a certificate and its key, and print the folder that holds them. Copy that folder to the computer
     where it is used, over a way that nobody can read (scp), and keep its rights.
 
-    KIND is node (NAME is WORKCELL/MODULE), kernel, bus, api (NAME is what `labos api --name` says), viewer
+    KIND is node (NAME is WORKCELL/MODULE), kernel, bus, api (NAME is that of an API process), viewer
     (NAME is what you like), or stop: it may stop modules in an emergency (`labos estop --connect ENDPOINT`),
     and nothing else.
 

@@ -123,7 +123,10 @@ class Desk:
             "server": None,
             ADMITTED: asked.who,
         }
-        await self._app(scope, receive, send)
+        try:
+            await self._app(scope, receive, send)
+        except Exception:  # it has told whoever asks; its server would write the rest down, too
+            _log.exception("request_failed", path=asked.path)
         return status, headers, bytes(body)
 
 
