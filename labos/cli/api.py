@@ -26,7 +26,12 @@ if TYPE_CHECKING:
     "where --database is a read-only replica.",
 )
 @click.option(
-    "--name", default="api", show_default=True, help="The name of this process: each of a lab has its own."
+    "--process",
+    "name",
+    default="api",
+    metavar="NAME",
+    show_default=True,
+    help="The name of this process: each API process of a lab has its own.",
 )
 @click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
 @click.option("--host", default="127.0.0.1", show_default=True, help="The address on which it listens.")
@@ -43,7 +48,7 @@ if TYPE_CHECKING:
     "reach its port.",
 )
 @click.option(
-    "--browser-name",
+    "--name",
     "names",
     multiple=True,
     metavar="HOST",
@@ -79,8 +84,8 @@ def command(
 
     \b
     labos api --http-port 8721
-    labos api --name api-2 --http-port 8722
-    labos api --name web --bus tls/kernel.example.org:7447 --cert api.web --host 0.0.0.0 --behind-proxy
+    labos api --process api-2 --http-port 8722
+    labos api --process web --bus tls/kernel.example.org:7447 --cert api.web --host 0.0.0.0 --behind-proxy
     """
     from labos.bootstrap import ApiSettings
     from labos.cli._lab import orderly

@@ -207,9 +207,8 @@ def _authority(where: Where, pki: Path | None) -> Authority:
 
 def _identity(where: Where, kind: Any, name: str, lab: str | None) -> Identity:
     if (kind in ("node", "api", "viewer", "stop")) is not bool(name):
-        raise click.UsageError(
-            f"The kind {kind} needs a name." if not name else f"The kind {kind} has no name."
-        )
+        what = f"An {kind}" if kind == "api" else f"A {kind}"
+        raise click.UsageError(f"{what} needs a name." if not name else f"{what} has no name.")
     if kind == "api" and not PROCESS_NAME.fullmatch(name):
         raise click.UsageError(f"The name of an API process is made of a-z, 0-9 and -, not {name!r}.")
     if kind == "node" and name.count("/") != 1:

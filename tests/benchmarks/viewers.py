@@ -214,7 +214,7 @@ async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, num
         ports = [free_port(), free_port()]
         urls = [f"http://127.0.0.1:{port}" for port in ports]
         for port in ports:
-            argv = ("labos", "api", "--name", f"api-{port}", "--http-port", str(port), *where)
+            argv = ("labos", "api", "--process", f"api-{port}", "--http-port", str(port), *where)
             await stack.enter_async_context(Helper(*argv))
         for _ in range(rounds):
             rates["queued"].append((await rate(lab, steps))[0])

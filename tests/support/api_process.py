@@ -77,7 +77,7 @@ class ApiProcess:
             "-m",
             "labos",
             "api",
-            "--name",
+            "--process",
             name,
             "--http-port",
             str(port),

@@ -254,7 +254,7 @@ def test_a_replica_of_the_log_on_another_computer(
         (folder,) = (lab.up.home / "pki" / "issued").glob("*/api.web")
         bus = next(line.split()[-1] for line in lab.up.said().splitlines() if line.strip().startswith("bus "))
         options = ("--home", str(tmp_path / "elsewhere"), "--bus", bus, "--cert", str(folder))
-        alone = labos("api", "--name", "web", "--database", replica.url_of("lab"), *options)
+        alone = labos("api", "--process", "web", "--database", replica.url_of("lab"), *options)
         assert alone.returncode != 0
         assert "--accounts" in alone.stderr
         both = ("--database", replica.url_of("lab"), "--accounts", url)
