@@ -15,7 +15,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.decide import Command, Rejection, decide
-from labos.core.envelope import GENESIS, seal
+from labos.core.envelope import GENESIS, damage
 from labos.core.fold import evolve
 from labos.core.ids import LabId
 from labos.core.registry import Event, decode
@@ -210,12 +210,9 @@ class FollowedKernel:
         """A page of what is new, each record checked against the one before. Raises LogDamaged."""
         entries = []
         for record in self._store.read(after, min(head.position, after + PAGE)):
-            if seal(before, record.head, record.payload).hash != record.hash:
-                raise LogDamaged(
-                    f"The record at position {record.head.position} does not follow from the one before.",
-                    position=record.head.position,
-                    remedy="See labos verify.",
-                )
+            if fault := damage(before, record):
+                at = record.head.position
+                raise LogDamaged(f"Position {at}: {fault}.", position=at, remedy="See labos verify.")
             before = record.hash
             entries.append(Entry(record, decode(record.head.type, record.head.schema, record.payload)))
         if not entries:
