@@ -12,8 +12,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import AsyncExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AsyncExitStack, contextmanager
 from pathlib import Path
 
 from labos.bootstrap._desk import make_api_key
@@ -73,9 +73,11 @@ async def rate(lab: IdleLab, steps: int) -> tuple[float, float]:
     return done / (time.perf_counter() - began), (time.process_time() - cpu) / done * 1e3
 
 
-OTHERS = ("nice", "-n", "19")
-"""What stands on other computers in an installation that needs API processes takes what the kernel leaves of
-this one's processors."""
+CORES = sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else []
+OURS, THEIRS = CORES[: len(CORES) // 2], CORES[len(CORES) // 2 :]
+OTHERS = ("taskset", "-c", ",".join(map(str, THEIRS))) if OURS else ("nice", "-n", "19")
+"""What stands on other computers in an installation that needs API processes has half of this one's
+processors; the kernel and its nodes have the other half, with and without them."""
 
 
 class Followers:
@@ -189,6 +191,13 @@ class Helper:
 async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, number: int) -> Report:
     """Two API processes of a lab, of which each serves half of the followers."""
     rates: dict[str, list[float]] = {name: [] for name in ("alone", "queued", "all")}
+    cpus: dict[str, list[float]] = {name: [] for name in rates}
+
+    async def note_rate(name: str) -> None:
+        seen, cpu = await rate(lab, steps)
+        rates[name].append(seen)
+        cpus[name].append(cpu)
+
     notes: list[str] = []
     async with idle_lab(folder, 2) as lab, AsyncExitStack() as stack:
         lab.modules = 1  # what is measured; the other one has a queue, and does not work
@@ -206,7 +215,7 @@ async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, num
         lab.keep_plans(steps)
         await rate(lab, 2)
         for _ in range(rounds):
-            rates["alone"].append((await rate(lab, steps))[0])
+            await note_rate("alone")
         for _ in range(queued):
             lab.submit(1, 1)
         await lab.kernel.written()
@@ -217,19 +226,27 @@ async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, num
             argv = ("labos", "api", "--process", f"api-{port}", "--http-port", str(port), *where)
             await stack.enter_async_context(Helper(*argv))
         for _ in range(rounds):
-            rates["queued"].append((await rate(lab, steps))[0])
+            await note_rate("queued")
             before = lab.kernel.durable
             halves = [Followers(url, number // 2, before - 1, elsewhere=True) for url in urls]
             fuzzer = Helper("tests.benchmarks.fuzzer_process", *urls)
             async with halves[0], halves[1], fuzzer:
-                rates["all"].append((await rate(lab, steps))[0])
+                await note_rate("all")
                 written = lab.kernel.durable - before
             got = " and ".join(half.counts for half in halves)
             notes.append(f"of {written} events followers got (least, most) {got}; fuzzer: {fuzzer.said}")
     alone, all_ = median(rates["alone"]), median(rates["all"])
-    notes += [f"steps/s {name}: {', '.join(f'{value:.0f}' for value in of)}" for name, of in rates.items()]
+    for name, of in rates.items():
+        seen, cpu = (
+            ", ".join(f"{value:.{digits}f}" for value in all_of)
+            for all_of, digits in ((of, 0), (cpus[name], 2))
+        )
+        notes.append(f"{name}: {seen} steps/s; {cpu} ms of the kernel's processor time a step")
     notes.append(f"load of the machine afterwards: {os.getloadavg()[0]:.1f}")
-    notes.append(f"API processes and clients: {' '.join(OTHERS)}")
+    notes.append(
+        f"kernel and nodes on the processors {OURS or 'all'}; API processes and clients: {' '.join(OTHERS)}"
+    )
+    notes.append(f"with followers and fuzzer {times(all_ / median(rates['queued']))} of the queue alone")
     figure = Figure(
         f"steps/s behind API processes: {number} followers, {queued} queued runs, a fuzzer",
         f"{all_:.0f}/s",
@@ -242,8 +259,20 @@ async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, num
 
 
 def measure_api(rounds: int = 3, steps: int = 1500, queued: int = 10_000, number: int = 200) -> Report:
-    with scratch("viewers-api") as folder:
+    with scratch("viewers-api") as folder, kept_to(OURS):
         return asyncio.run(measure_api_in(folder, rounds, steps, queued, number))
+
+
+@contextmanager
+def kept_to(cores: Sequence[int]) -> Iterator[None]:
+    """This process, and those that it starts, work on some of the processors."""
+    if cores:
+        os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        if cores:
+            os.sched_setaffinity(0, CORES)
 
 
 def measure(
