@@ -6,6 +6,7 @@ was said to be done.
 
 from __future__ import annotations
 
+import re
 import signal
 import threading
 import time
@@ -14,10 +15,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
+import psycopg
 import pytest
 
 from labos.client import LabClient
 from labos.settings import free_port
+from tests.docs.markdown import ROOT
 from tests.support.api_process import ApiProcess
 from tests.support.lab_process import Up, labos, until
 from tests.support.postgres import PostgresServer
@@ -232,6 +235,13 @@ def test_a_standby_takes_over_behind_api_processes(tmp_path: Path, postgres_url:
         pair.clean_up()
 
 
+def role_in_docs() -> list[bytes]:
+    """What docs/api-processes.md lets an API process do in the database."""
+    page = (ROOT / "docs" / "api-processes.md").read_text()
+    (text,) = re.findall(r"```sql\n(.*?)```", page, re.DOTALL)
+    return [statement.strip().encode() for statement in text.split(";") if statement.strip()]
+
+
 @pytest.mark.full
 @pytest.mark.postgres
 def test_a_replica_of_the_log_on_another_computer(
@@ -254,10 +264,14 @@ def test_a_replica_of_the_log_on_another_computer(
         (folder,) = (lab.up.home / "pki" / "issued").glob("*/api.web")
         bus = next(line.split()[-1] for line in lab.up.said().splitlines() if line.strip().startswith("bus "))
         options = ("--home", str(tmp_path / "elsewhere"), "--bus", bus, "--cert", str(folder))
-        alone = labos("api", "--process", "web", "--database", replica.url_of("lab"), *options)
+        with psycopg.connect(url, autocommit=True) as connection:
+            for statement in role_in_docs():
+                connection.execute(statement)
+        mine, copy = (of.replace("labos@", "lab_api@") for of in (url, replica.url_of("lab")))
+        alone = labos("api", "--process", "web", "--database", copy, *options)
         assert alone.returncode != 0
         assert "--accounts" in alone.stderr
-        both = ("--database", replica.url_of("lab"), "--accounts", url)
+        both = ("--database", copy, "--accounts", mine)
         api = ApiProcess(tmp_path, "web", free_port(), *options, *both).start()
         with api.client(str(token)) as client:
             for _ in range(20):
