@@ -66,7 +66,8 @@ class KernelLink:
         self.is_there = False
         """Whether the kernel answered last time it was asked."""
         self._turn = asyncio.Semaphore(AT_ONCE)
-        self._open: set[asyncio.Task[bytes]] = set()
+        self._gone: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        """Done when the kernel that is there now has gone."""
         self._task: asyncio.Task[None] | None = None
 
     # -- life --------------------------------------------------------------------------------
@@ -84,8 +85,8 @@ class KernelLink:
         """A kernel that is gone answers nobody any more."""
         if not alive:
             self.is_there = False
-            for task in self._open:
-                task.cancel()
+            self._gone.set_result(None)
+            self._gone = asyncio.get_running_loop().create_future()
 
     async def _greet(self) -> None:
         while True:
@@ -186,19 +187,16 @@ class KernelLink:
         """Raises KernelAway."""
         key = Keys(self._kernel.lab).requests_of(self._name, self._kernel.epoch)
         payload, nonce = self._letters.ask(question)
-        task = asyncio.ensure_future(self._bus.query(key, payload, within_s))
-        self._open.add(task)
+        asking = asyncio.ensure_future(self._bus.query(key, payload, within_s))
         try:
-            reply = self._letters.read_reply(await task, nonce)
-        except asyncio.CancelledError:
-            if not task.cancelled():
-                task.cancel()
-                raise  # whoever asks has gone
-            raise self._away("it is gone") from None
+            await asyncio.wait({asking, self._gone}, return_when=asyncio.FIRST_COMPLETED)
+            if not asking.done():
+                raise self._away("it is gone")
+            reply = self._letters.read_reply(asking.result(), nonce)
         except BusError as error:
             raise self._away(error.message) from None
         finally:
-            self._open.discard(task)
+            asking.cancel()
         self.is_there = True
         return reply
 

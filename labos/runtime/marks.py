@@ -22,7 +22,7 @@ PREFIX = "request:"
 MARK: ContextVar[str] = ContextVar("mark", default="")
 """The mark of the request that is being carried out; empty where it needs none."""
 
-LOOKED_AT = 100_000
+LOOKED_AT = 50_000
 """So many of the last records are looked through for marks at a start."""
 
 MOST = 50_000
