@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import structlog
@@ -188,8 +188,9 @@ class KernelLink:
         key = Keys(self._kernel.lab).requests_of(self._name, self._kernel.epoch)
         payload, nonce = self._letters.ask(question)
         asking = asyncio.ensure_future(self._bus.query(key, payload, within_s))
+        either: set[asyncio.Future[Any]] = {asking, self._gone}
         try:
-            await asyncio.wait({asking, self._gone}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
             if not asking.done():
                 raise self._away("it is gone")
             reply = self._letters.read_reply(asking.result(), nonce)

@@ -217,6 +217,7 @@ async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, num
         accounts = Accounts(store, lab.kernel.clock, lambda user: False)
         service = LabService(Parts(lab, folder), Feed())
         http = HttpServer(service, Gate(accounts, lambda: lab.kernel.state.users), Listening())
+        stack.push_async_callback(http.close)
         settings = Settings.of(folder, url)
         desk = Desk(http.app, service, Letters(make_api_key(settings), lab.kernel.clock))
         keys = Keys(lab.kernel.lab).requests_of("*", lab.kernel.epoch)
