@@ -5,6 +5,7 @@ LabosError
 │   ├── SpecError            a file: names file, line, column, field and remedy
 │   ├── Refused              a command that the rules forbid here and now
 │   │   ├── KeyReused        an idempotency key that belongs to another request
+│   │   ├── AlreadyDone      a request that was carried out, whose answer is not known any more
 │   │   └── Forbidden        whoever asks may not
 │   └── NotFound             a name that nobody in this lab bears
 ├── NotSignedIn              nobody knows who asks
@@ -14,6 +15,7 @@ LabosError
 │   ├── LogTooNew            written by a newer LabOS
 │   ├── LogDamaged           a record, its hash or its position is wrong
 │   └── Fenced               another kernel has taken over
+├── KernelAway               the kernel gave no answer (says nothing about whether it was done)
 ├── BusError                 the message bus
 │   ├── NoAnswer             nobody answered (says nothing about whether it was done)
 │   │   └── Unreadable       what was said cannot be read: as good as no answer
@@ -89,6 +91,10 @@ class KeyReused(Refused):
     """The idempotency key belongs to another request."""
 
 
+class AlreadyDone(Refused):
+    """The request with this idempotency key was carried out; what it was answered is not known any more."""
+
+
 class Forbidden(Refused):
     """Whoever asks may not; the remedy says who may."""
 
@@ -119,6 +125,10 @@ class StoreUnavailable(StoreError):
 
 class CommitInDoubt(StoreUnavailable):
     """What was to be written may be on disk, or not: whoever asks for it once more may get it twice."""
+
+
+class KernelAway(LabosError):
+    """The kernel, in another process, gave no answer; whether it was done is not known."""
 
 
 class LogTooNew(StoreError):

@@ -42,8 +42,8 @@ class LogQuery(msgspec.Struct, frozen=True):
 class EventLine(msgspec.Struct, frozen=True):
     """A record of the log, as HTTP sends it and clients read it. ``time`` is ``recorded_at`` (UTC
     nanoseconds) for people; ``version`` counts the events of its ``stream``; ``correlation`` is the run or
-    experiment of which it is a part; ``causation`` the id of the event from which it follows; ``hash``
-    links it to the event before."""
+    experiment of which it is a part; ``causation`` the id of the event from which it follows, or the mark of
+    the request that asked for it (``request:…``); ``hash`` links it to the event before."""
 
     position: int
     time: str

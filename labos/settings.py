@@ -202,6 +202,12 @@ class Settings(msgspec.Struct, frozen=True):
         return self.home / HOME_KEY
 
     @property
+    def api_key(self) -> Path:
+        """By what is in it, API processes on this computer are known to the kernel, where the bus asks for no
+        certificates."""
+        return self.home / "api.key"
+
+    @property
     def providers(self) -> Path:
         """Which identity provider people may sign in with: LABOS_OIDC, else ``oidc.yaml`` in the home."""
         named = os.environ.get(OIDC)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from labos.bootstrap._api import ApiSettings, open_api
     from labos.bootstrap._drivers import (
         Drivers,
         description_path,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from labos.bootstrap._thread import LabThread
 
 _HOME = {
+    "ApiSettings": "_api",
     "Drivers": "_drivers",
     "Guard": "_secure",
     "LabRuntime": "_lab",
@@ -39,6 +41,7 @@ _HOME = {
     "load_driver": "_drivers",
     "load_drivers": "_drivers",
     "module_beside": "_drivers",
+    "open_api": "_api",
     "open_lab": "_lab",
     "own_class": "_node_class",
     "run_node": "_node",
@@ -49,6 +52,7 @@ _HOME = {
 }
 
 __all__ = [
+    "ApiSettings",
     "Drivers",
     "Guard",
     "LabRuntime",
@@ -61,6 +65,7 @@ __all__ = [
     "load_drivers",
     "make_notifier",
     "module_beside",
+    "open_api",
     "open_lab",
     "own_class",
     "run_node",

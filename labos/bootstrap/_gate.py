@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+import structlog
+
 from labos.bootstrap._metrics import LabMetrics
 from labos.clock import Clock
 from labos.core.decide.users import AddUser
 from labos.core.users import UserDisabled
-from labos.errors import BadInput
+from labos.errors import BadInput, StoreError
 from labos.http.door import WAY_BACK
 from labos.http.identity import Gate
+from labos.http.lab_kernel import LabKernel
+from labos.http.operation import Api
 from labos.http.server import Listening, is_own_address
 from labos.private import create_file
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.services.accounts import HOME, Accounts, make_secret
+from labos.services.accounts.accounts import FRESH_S
 from labos.services.accounts.oidc import Provider
 from labos.services.accounts.provider_file import load_provider
 from labos.settings import OIDC, Settings
 from labos.store import open_accounts
+from labos.telemetry.signing import Signing
+
+_log = structlog.get_logger(__name__)
 
 
 def listening(settings: Settings, port: int) -> Listening:
@@ -81,7 +90,7 @@ def _password_in(file: str, user: str) -> str:
         ) from None
 
 
-def expect_users(settings: Settings, kernel: Kernel) -> None:
+def expect_users(settings: Settings, kernel: LabKernel) -> None:
     """Raises BadInput for a lab that other computers reach, and in which everybody may do everything."""
     is_own = is_own_address(settings.host)
     if kernel.state.users.is_open and (not is_own or settings.behind_proxy):
@@ -114,6 +123,35 @@ def opened_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iter
         kernel.listeners.append(_Disabled(accounts))
         metrics.watch_gate(gate)
         yield gate
+
+
+@contextmanager
+def gate_beside(settings: Settings, accounts_url: str, kernel: LabKernel, signing: Signing) -> Iterator[Gate]:
+    """The gate of an API process: the same accounts, and no key of the lab's folder."""
+    store = open_accounts(accounts_url)
+    try:
+        accounts = Accounts(store, kernel.clock, lambda user: kernel.state.users.get(user) is not None)
+        gate = Gate(
+            accounts,
+            lambda: kernel.state.users,
+            secure=listening(settings, 0).is_secure,
+            provider=_provider(settings, kernel.clock),
+        )
+        kernel.listeners.append(_Disabled(accounts))
+        signing.watch(accounts.on_try, gate.on_refusal)
+        yield gate
+    finally:
+        store.close()
+
+
+async def end_streams(api: Api) -> None:
+    """End the streams of those whose token or session was taken back by another process; for ever."""
+    while True:
+        await asyncio.sleep(FRESH_S)
+        try:
+            await api.gate.accounts.check_again(api.ends.followed)
+        except StoreError as error:
+            _log.warning("accounts_not_read", why=str(error))
 
 
 def _provider(settings: Settings, clock: Clock) -> Provider | None:

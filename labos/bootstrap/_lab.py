@@ -15,6 +15,7 @@ from typing import Literal
 import msgspec
 import structlog
 
+from labos.bootstrap._desk import serving_api_processes
 from labos.bootstrap._drivers import load_drivers
 from labos.bootstrap._gate import (
     add_first_user,
@@ -41,6 +42,7 @@ from labos.core.shorter import BenchCompared
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
 from labos.http.campaign_rows import CampaignRows
+from labos.http.desk import Desk
 from labos.http.feed import Feed
 from labos.http.identity import Gate
 from labos.http.server import HttpServer
@@ -61,6 +63,7 @@ from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Entry
 from labos.runtime.log_check import LogCheck
+from labos.runtime.marks import Marks
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.spawning import best_spawner
@@ -121,6 +124,7 @@ class LabRuntime:
     bus_endpoint: str
     gate: Gate
     http: HttpServer
+    desk: Desk
     log_check: LogCheck | None = None
     """The check of the whole log, once it has begun."""
     guard: Guard | None = None
@@ -329,9 +333,14 @@ async def open_lab(
         http_port = _port(settings, settings.http_port, last_ports(settings.home).http)
         lab.gate = stack.enter_context(opened_gate(settings, kernel, lab.metrics))
         await give_first_password(settings, lab.gate.accounts)
+        lab.service.marks = Marks(store)
+        kernel.listeners.append(lab.service.marks)
+        lab.service.marks.begin()
+        stack.push_async_callback(lab.service.marks.close)
         lab.http = HttpServer(lab.service, lab.gate, listening(settings, http_port))
         await lab.http.start()
         stack.push_async_callback(lab.http.close)
+        await stack.enter_async_context(serving_api_processes(settings, lab))
         feeder = Feeder(kernel, CampaignRows(lab.service))
         feeder.start()
         stack.push_async_callback(feeder.close)

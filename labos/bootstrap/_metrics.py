@@ -44,9 +44,7 @@ class LabMetrics:
 
     def watch_gate(self, gate: Gate) -> None:
         """Count who is let in."""
-        signing = self.all.signing
-        gate.accounts.on_try.append(lambda outcome: signing.tries.add((outcome,)))
-        gate.on_refusal.append(lambda reason: signing.refused.add((reason,)))
+        self.all.signing.watch(gate.accounts.on_try, gate.on_refusal)
 
     async def close(self) -> None:
         await self.unattended.close()
@@ -78,6 +76,8 @@ class LabMetrics:
         name = state.lab.name
         kernel = {"targets": [host or f"{lab.settings.host}:{lab.http.port}"]}
         found: list[dict[str, Any]] = [{**kernel, "labels": {"lab": name, "process": "kernel"}}]
+        for process, address in lab.desk.addresses.items():
+            found.append({"targets": [address], "labels": {"lab": name, "process": "api", "api": process}})
         for module, address in lab.registry.metrics.items():
             if module not in state.modules.by_name:
                 continue

@@ -7,6 +7,7 @@ would be allowed. ``**`` never matches a part that begins with ``@``, so those s
 =======  ======================================================================================
 node     answers and publishes for its module, shows its own signs of life, asks the kernel
 kernel   asks the nodes of its lab, hears them, tells them of their modules, announces events
+api      asks the kernel what its users ask for, under its own name
 viewer   hears the states, results and events of its lab
 stop     sees who lives in its lab, and may ask the `admin` operation, which stops modules
 bus      runs the bus; it is never let in as a party
@@ -19,7 +20,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from labos.node.protocol import ANY_KERNEL, Keys
-from labos.pki import Entry, Identity
+from labos.pki import PROCESS_NAME, Entry, Identity
 
 ROUND_TRIP = "labos/@round-trip"
 """What nobody shows: asked for to learn that everything before it has arrived."""
@@ -70,6 +71,9 @@ def _rules(who: Identity) -> Iterator[Rule]:
             yield from _of_node(keys, who.name)
         case "kernel":
             yield from _of_kernel(keys)
+        case "api" if PROCESS_NAME.fullmatch(who.name):
+            yield from _sees(keys.kernel)
+            yield from _asks(keys.requests_of(who.name, "*"))
         case "viewer":
             yield from _hears(f"{keys.root}/**", keys.events("**"))
             yield from _sees(keys.all_alive, ANY_KERNEL)
@@ -90,7 +94,7 @@ def _of_node(keys: Keys, module: str) -> Iterator[Rule]:
 
 def _of_kernel(keys: Keys) -> Iterator[Rule]:
     yield from _asks(keys.operation("*/*", "*"))
-    yield from _answers(keys.all_setups, keys.files)
+    yield from _answers(keys.all_setups, keys.files, keys.requests_of("*", "*"))
     yield (IN,), ("put",), (keys.events("*"),)
     yield from _hears(keys.all_results, keys.all_states)
     yield (IN,), ("liveliness_token",), (keys.kernel,)

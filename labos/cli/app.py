@@ -18,6 +18,7 @@ SECTIONS = {
     "A lab": {
         "demo": "Run the demonstration: two users share a simulated workcell.",
         "up": "Run a lab in the foreground until Ctrl-C.",
+        "api": "Serve the HTTP interface in a process of its own.",
         "bus": "Run the bus by itself, for kernels that take over from each other.",
         "pki": "Certificates for a secure bus.",
         "workcell": "Change a workcell while its lab runs.",

@@ -12,7 +12,7 @@ from labos.cli._options import json_option, pki_option, why_option
 from labos.cli._out import show_json, tell
 from labos.cli._query import Where, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
-from labos.pki import KINDS, Authority, Entry, Identity
+from labos.pki import KINDS, PROCESS_NAME, Authority, Entry, Identity
 from labos.services.times import show_time
 from labos.settings import Settings
 
@@ -93,8 +93,9 @@ def issue(
     """Make a certificate and its key, and print the folder that holds them. Copy that folder to the computer
     where it is used, over a way that nobody can read (scp), and keep its rights.
 
-    KIND is node (NAME is WORKCELL/MODULE), kernel, bus, viewer (NAME is what you like), or stop: it may stop
-    modules in an emergency (`labos estop --connect ENDPOINT`), and nothing else.
+    KIND is node (NAME is WORKCELL/MODULE), kernel, bus, api (NAME is that of an API process), viewer
+    (NAME is what you like), or stop: it may stop modules in an emergency (`labos estop --connect ENDPOINT`),
+    and nothing else.
 
     \b
     labos pki issue node rpl/sealer
@@ -205,8 +206,11 @@ def _authority(where: Where, pki: Path | None) -> Authority:
 
 
 def _identity(where: Where, kind: Any, name: str, lab: str | None) -> Identity:
-    if (kind in ("node", "viewer", "stop")) is not bool(name):
-        raise click.UsageError(f"A {kind} needs a name." if not name else f"A {kind} has no name.")
+    if (kind in ("node", "api", "viewer", "stop")) is not bool(name):
+        what = f"An {kind}" if kind == "api" else f"A {kind}"
+        raise click.UsageError(f"{what} needs a name." if not name else f"{what} has no name.")
+    if kind == "api" and not PROCESS_NAME.fullmatch(name):
+        raise click.UsageError(f"The name of an API process is made of a-z, 0-9 and -, not {name!r}.")
     if kind == "node" and name.count("/") != 1:
         raise click.UsageError(f"A node's name is WORKCELL/MODULE, not {name!r}.")
     return Identity(kind, name, "" if kind == "bus" else lab or _lab_in(where))

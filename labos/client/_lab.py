@@ -37,6 +37,8 @@ API = "/api/v1"
 
 LONG_POLL_S = 20.0
 
+IN_DOUBT = ("commit_in_doubt", "kernel_away")
+"""What was asked may have been done: only what may be done twice is repeated."""
 
 NEVER_S = 3.0
 """How long to wait for a lab in a folder in which none has ever run."""
@@ -390,7 +392,7 @@ class LabClient(BenchCalls, ApprovalCalls, CampaignCalls, AccountCalls, PeopleCa
             else:
                 if response.status_code != 503 or time.monotonic() > deadline:
                     return response
-                if not repeat and problem_in(response.content).code == "commit_in_doubt":
+                if not repeat and problem_in(response.content).code in IN_DOUBT:
                     return response
                 why = cannot_write(response.content)
             if time.monotonic() + pause > deadline:

@@ -35,7 +35,7 @@ def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> 
     """The application over one lab. ``names`` are those under which it is reached, besides this computer's
     own."""
     api = Api(service, gate)
-    return Starlette(
+    app = Starlette(
         routes=[
             *(_route(operation, api) for operation in OPERATIONS),
             *_other_routes(api),
@@ -48,6 +48,8 @@ def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> 
         },
         middleware=[Middleware(Door, names=names)],
     )
+    app.state.api = api
+    return app
 
 
 def _other_routes(api: Api) -> list[Route]:
@@ -59,7 +61,8 @@ def _other_routes(api: Api) -> list[Route]:
         return wire.encoded(_document())
 
     async def probe(request: Request) -> Response:
-        """Whether the kernel works. Probes show nothing, and are told nothing else."""
+        """Whether this process works: the kernel's, or one that serves the API for it. Probes show nothing,
+        and are told nothing else."""
         failed = api.kernel.failed.done()
         return wire.answer({"status": "failed" if failed else "ok"})
 

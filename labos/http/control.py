@@ -17,8 +17,8 @@ from labos.core.repeated import RequestRepeated
 from labos.core.runs import RunCancelled, RunCancelling
 from labos.core.state import LabState
 from labos.errors import NotFound, Refused
+from labos.http.lab_kernel import LabKernel
 from labos.http.limits import Asker, Line, Name, says
-from labos.runtime.kernel import Kernel
 
 VERBS = ("pause", "resume", "cancel")
 
@@ -46,7 +46,7 @@ class ControlResult(msgspec.Struct):
     noted: bool = False
 
 
-async def control(kernel: Kernel, verb: str, asked: ControlRequest) -> ControlResult:
+async def control(kernel: LabKernel, verb: str, asked: ControlRequest) -> ControlResult:
     """Raises NotFound if the target names nothing, Refused if it names several modules."""
     kind, target = meant(kernel.state, asked.target)
     events = await kernel.execute(_command(verb, kind, target, asked), asked.by)

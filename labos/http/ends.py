@@ -43,6 +43,11 @@ class Ends:
         self._here: dict[str, set[End]] = {}
         self._known: dict[str, Credential] = {}
 
+    @property
+    def followed(self) -> frozenset[str]:
+        """The keys of the credentials with which somebody may be following."""
+        return frozenset(self._known)
+
     def lasts_s(self, credential: Credential) -> float:
         """How long a stream may last that begins now; its credential is remembered."""
         now = self._clock.now_ns()

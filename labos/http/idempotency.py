@@ -1,20 +1,23 @@
 """The answers to requests with an idempotency key, kept for whoever asks again.
 
-They are kept in memory: a kernel that was started again knows of none. What the log knows of keys is in
-``repeats``.
+They are kept in memory. A kernel that was started again knows by the log that a request was carried out
+(``runtime.marks``), not what it was answered. What the log knows of keys is in ``repeats``.
 """
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 
 import msgspec
 from starlette.responses import Response
 
-from labos.errors import CommitInDoubt, KeyReused, LabosError
+from labos.core.canonical import digest
+from labos.errors import AlreadyDone, CommitInDoubt, KeyReused, LabosError
 from labos.http.problems import problem_of
 from labos.http.wire import send_problem
+from labos.runtime.marks import MARK, PREFIX, Marks
 
 MOST = 10_000
 """Answers that are kept."""
@@ -46,6 +49,18 @@ class IdempotentAnswers:
         self._most, self._most_bytes = most, most_bytes
         self._requests: dict[tuple[str, str], _Request] = {}
         self._bytes = 0
+        self.marks: Marks | None = None
+        """What the log knows of requests that were carried out before this kernel was started."""
+
+    async def recall(self, path: str, key: str, asked: str, user: str) -> Response | None:
+        """What a request with this key was answered, if it was this one; None if nothing is known of it.
+        Raises AlreadyDone, and what the request raised."""
+        known = self._requests.get((user, key))
+        if known is None and self.marks is not None:
+            await _expect_new(self.marks, mark_of(user, path, key))
+        if known is None or known.asked != asked:
+            return None
+        return (await asyncio.shield(known.answer)).response()
 
     async def once(
         self,
@@ -64,6 +79,8 @@ class IdempotentAnswers:
         mine = user, key
         known = self._requests.get(mine)
         if known is None:
+            if not logs_key and self.marks is not None:
+                work = partial(_marked, self.marks, mark_of(user, path, key), work)
             task = asyncio.get_running_loop().create_task(_carry_out(work, logs_key))
             known = self._requests[mine] = _Request(path, asked, task)
             task.add_done_callback(lambda _: self._keep(mine, known))
@@ -93,6 +110,28 @@ class IdempotentAnswers:
             if old.answer.done():
                 del self._requests[name]
                 self._bytes -= old.size
+
+
+def mark_of(user: str, path: str, key: str) -> str:
+    """The mark of a request in the log; it tells nobody the key."""
+    return PREFIX + digest(msgspec.json.encode((user, path, key)))[:32]
+
+
+async def _marked(marks: Marks, mark: str, work: Callable[[], Awaitable[Response]]) -> Response:
+    """Carry a request out under its mark, unless the log bears it. Raises AlreadyDone."""
+    await _expect_new(marks, mark)
+    MARK.set(mark)
+    return await work()
+
+
+async def _expect_new(marks: Marks, mark: str) -> None:
+    """Raises AlreadyDone."""
+    if position := await marks.find(mark):
+        raise AlreadyDone(
+            f"This request was carried out at position {position}, before the kernel was started again; what "
+            "it was answered is not known any more.",
+            remedy=f"See what it did: labos log --after {position - 1}",
+        )
 
 
 async def _carry_out(work: Callable[[], Awaitable[Response]], logs_key: bool) -> _Answer:

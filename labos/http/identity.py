@@ -103,6 +103,18 @@ class Gate:
             raise
         return who
 
+    def confirm(self, who: Who, need: Need) -> None:
+        """An API process says who asks: whoever could not have signed in is not believed. Raises
+        NotSignedIn, Forbidden."""
+        users = self.users()
+        if who.how == "home" or (who.how == "open") is not users.is_open:
+            raise NotSignedIn("The API process and the kernel disagree on who asks.", remedy="Ask again.")
+        if who.how != "open":
+            if who.credential is None or who.credential.user != who.user or users.get(who.user) is None:
+                raise NotSignedIn(f"The user {who.user[:100]!r} may not act.", remedy=SIGN_IN)
+            self._expect_service(who.behalf, who.user)
+        self._check(who, need, by_home=False)
+
     async def who(self, request: Request) -> Who:
         """Whoever asks, whatever for. Raises NotSignedIn, Forbidden."""
         shown = _bearer(request)
@@ -125,8 +137,13 @@ class Gate:
     def _behalf(self, request: Request, user: str) -> str:
         """The person for whom a program acts. Raises Forbidden."""
         named = request.headers.get(BEHALF, "")
+        self._expect_service(named, user)
+        return named
+
+    def _expect_service(self, named: str, user: str) -> None:
+        """Raises Forbidden if a user cannot act for somebody of that name."""
         if not named:
-            return ""
+            return
         known = self.users().get(user)
         if known is None or known.kind != "service":
             raise Forbidden(
@@ -138,7 +155,6 @@ class Gate:
                 f"There is no user {named[:100]!r} on whose behalf anybody could act.",
                 remedy="List them: labos user list",
             )
-        return named
 
     def _check(self, who: Who, need: Need, by_home: bool) -> None:
         if who.how == "home" and not (self.users().is_open or need == "viewer" or by_home):

@@ -19,11 +19,13 @@ from labos.version import VERSION
 
 REF = "#/components/schemas/{name}"
 
-ALWAYS = ("bad_input", "not_signed_in", "forbidden", "uri_too_long", "internal", "store_unavailable")
+ALWAYS = ("bad_input", "not_signed_in", "forbidden", "uri_too_long", "internal")
 """What may go wrong with every request."""
+AWAY = ("store_unavailable", "kernel_away", "behind")
+"""The same, while something is away: the last two only from an API process."""
 OF_POSTS = (
     *("too_slow", "too_large", "unsupported_media_type", "too_many"),
-    *("commit_in_doubt", "fenced", "internal_fault", "key_reused"),
+    *("commit_in_doubt", "fenced", "internal_fault", "key_reused", "already_done"),
 )
 """And with what changes something."""
 
@@ -56,6 +58,10 @@ HEADERS: dict[str, tuple[str, dict[str, Any]]] = {
     "Range": ("a part of the file, as `bytes=0-1023`", {"type": "string"}),
     "If-Range": ("the `ETag` for which `Range` is meant", {"type": "string"}),
     "If-None-Match": ("an `ETag`; the same file is not sent again", {"type": "string"}),
+    "LabOS-Position": (
+        "the position in the log that the answer has to know of, as an answer has told it",
+        {"type": "integer", "minimum": 0},
+    ),
     "Idempotency-Key": (
         "the same key twice is one request, with the same answer",
         {"type": "string", "maxLength": LONGEST_NAME},
@@ -100,7 +106,7 @@ def document(operations: Iterable[Operation]) -> dict[str, Any]:
 
 def problems_of(operation: Operation) -> dict[int, list[str]]:
     """The codes of what may go wrong with an operation, by their status."""
-    codes = [*ALWAYS, *operation.problems]
+    codes = [*ALWAYS, *AWAY, *operation.problems]
     if operation.shape.path is not None:
         codes.append("not_found")
     if operation.method == "POST":
@@ -127,7 +133,7 @@ def parameters(operation: Operation) -> Iterator[dict[str, Any]]:
             if examples := schema.pop("examples", None):
                 found["example"] = examples[0]
             yield found | {"schema": schema}
-    own = ("Idempotency-Key",) if operation.method == "POST" else ()
+    own = ("LabOS-Position", "Idempotency-Key") if operation.method == "POST" else ("LabOS-Position",)
     for name in (*operation.headers, *own):
         about, schema = HEADERS[name]
         yield {"name": name, "in": "header", "description": about, "schema": schema}

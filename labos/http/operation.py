@@ -25,6 +25,7 @@ from labos.http.ends import Ends
 from labos.http.idempotency import IdempotentAnswers
 from labos.http.identity import Gate, Who
 from labos.http.limits import SMALL_BODY
+from labos.http.notes import Notes, notes_of
 from labos.http.repeats import digest_of_request
 from labos.http.service import LabService
 from labos.http.shared import Shared
@@ -32,6 +33,9 @@ from labos.http.views import lab_view
 from labos.services.accounts import Need
 
 JSON = "application/json"
+
+ADMITTED = "labos.admitted"
+"""Where the scope of a request has who asks, if an API process has let them in."""
 
 
 class Api:
@@ -45,19 +49,25 @@ class Api:
         gate.accounts.on_end.append(self.ends.cut)
         self.arriving = BodyReader()
         self.idempotent = IdempotentAnswers()
+        self.idempotent.marks = service.marks
         self.state = Shared(partial(self._view, waits=True), self._written)
         self.state_without_waits = Shared(partial(self._view, waits=False), self._written)
 
     async def _written(self) -> None:
         await self.kernel.written()
 
+    @property
+    def _notes(self) -> Notes:
+        """What is known of nodes besides the log."""
+        link = self.service.link
+        return link.notes if link is not None else notes_of(self.service)
+
     def _view(self, *, waits: bool) -> bytes:
-        parts = self.service.parts
         view = lab_view(
             self.kernel,
-            simulated=parts.simulated,
-            rejected={str(name): why for name, why in parts.registry.rejected.items()},
-            supervised=parts.supervised.nodes if parts.supervised is not None else {},
+            simulated=self.service.parts.simulated,
+            rejected=self._notes.rejected,
+            supervised=self._notes.supervised,
             waits=waits,
         )
         return msgspec.json.encode(view)
@@ -82,6 +92,17 @@ class Call:
         return wire.key_of(self.request)
 
 
+class Asked(msgspec.Struct, frozen=True):
+    """A request that was let in and read: ``key`` is its idempotency key (empty: none that counts),
+    ``digest`` stands for all that it says."""
+
+    request: Request
+    who: Who
+    told: dict[str, msgspec.Struct]
+    key: str
+    digest: str
+
+
 class Shape(msgspec.Struct, frozen=True, dict=True):
     """The structs that a handler reads and returns."""
 
@@ -104,7 +125,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     ``logs_key``: the log bears the idempotency key, so that a repetition is known after a restart, too.
     ``needs`` is the least role of whoever asks, ``nobody`` for what somebody asks who has not signed in yet;
     ``by_home``: the owner of the lab's folder may do it. ``secret``: the answer is not kept for a
-    repetition."""
+    repetition. ``at_kernel``: only the kernel's process can answer."""
 
     method: Literal["GET", "POST"]
     path: str
@@ -114,6 +135,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     needs: Need | Literal["nobody"]
     by_home: bool = False
     secret: bool = False
+    at_kernel: bool = False
     status: int = 200
     other_statuses: Mapping[int, str] = {}
     problems: tuple[str, ...] = ()
@@ -138,7 +160,11 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     def endpoint(self, api: Api) -> Callable[[Request], Awaitable[Response]]:
         """What Starlette calls: it reads the request, asks the handler, and sends its answer."""
 
+        link = api.service.link
+
         async def serve(request: Request) -> Response:
+            if link is not None:
+                await link.up_to_date(wire.position_of(request))
             who = await self._admit(api, request)
             told = await self._read(api, request, who)
 
@@ -147,17 +173,32 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
                 return found if isinstance(found, Response) else wire.answer(found, self.status)
 
             key = wire.key_of(request) if self.method == "POST" and not self.secret else ""
-            if not key or getattr(told.get("body"), "dry_run", False):  # a check changes nothing
-                return await work()
+            if getattr(told.get("body"), "dry_run", False):
+                key = ""  # a check changes nothing
+            asked = ""
             path = request.url.path
-            asked = digest_of_request(path, who.user or wire.header(request, "labos-user"), told)
-            return await api.idempotent.once(key, path, asked, work, user=who.user, logs_key=self.logs_key)
+            if key:
+                asked = digest_of_request(path, who.user or wire.header(request, "labos-user"), told)
+            if link is not None:
+                found = await link.answer(self, Asked(request, who, told, key, asked), work)
+            elif key:
+                found = await api.idempotent.once(
+                    key, path, asked, work, user=who.user, logs_key=self.logs_key
+                )
+            else:
+                found = await work()
+            found.headers.setdefault(wire.POSITION, str(api.kernel.durable))
+            return found
 
         return serve
 
     async def _admit(self, api: Api, request: Request) -> Who:
         if self.needs == "nobody":
             return Who("open")
+        told = request.scope.get(ADMITTED)
+        if told is not None:
+            api.gate.confirm(told, self.needs)
+            return typing.cast(Who, told)
         try:
             return await api.gate.admit(request, self.needs, by_home=self.by_home)
         except (NotSignedIn, Forbidden):

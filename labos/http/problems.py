@@ -33,6 +33,7 @@ PROBLEMS: dict[str, Kind] = {
     "too_slow": Kind(408, "The body did not come in time"),
     "refused": Kind(409, "The rules forbid this here and now"),
     "key_reused": Kind(409, "The Idempotency-Key belongs to another request"),
+    "already_done": Kind(409, "The request was carried out before, and its answer is not known any more"),
     "too_large": Kind(413, "The request is too large"),
     "uri_too_long": Kind(414, "The path or the query is too long"),
     "unsupported_media_type": Kind(415, "The body is not JSON"),
@@ -56,6 +57,8 @@ PROBLEMS: dict[str, Kind] = {
         503,
         "What was asked may have been done, or not",
     ),
+    "kernel_away": Kind(503, "The kernel gave no answer to this process"),
+    "behind": Kind(503, "This process does not know yet what the asker knows"),
     "too_many": Kind(503, "The lab is being sent too much at once"),
 }
 

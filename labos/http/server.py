@@ -170,8 +170,9 @@ class HttpServer:
         bound = self._socket.getsockname()
         self.url = f"{'https' if tls else 'http'}://{host}:{bound[1]}"
         self.port = int(bound[1])
+        self.app = create_app(service, gate, (host, *listening.names))
         config = uvicorn.Config(
-            create_app(service, gate, (host, *listening.names)),
+            self.app,
             proxy_headers=listening.behind_proxy,
             forwarded_allow_ips="*" if listening.behind_proxy else "",
             http=type("_Limited", (_Protocol,), {"most_connections": _most_connections()}),

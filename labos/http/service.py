@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import msgspec
 
@@ -43,6 +43,7 @@ from labos.core.users import Role, person_of
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.hands import put_right
+from labos.http.lab_kernel import LabKernel
 from labos.http.limits import FileName, Files, FileText
 from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
@@ -52,8 +53,9 @@ from labos.http.viewers import Viewers
 from labos.http.views import Supervised
 from labos.node.world import World
 from labos.ports import BlobStore, Bus
-from labos.runtime.kernel import Kernel, error_of
+from labos.runtime.kernel import error_of
 from labos.runtime.log_check import LogCheck
+from labos.runtime.marks import Marks
 from labos.runtime.registry import Registry
 from labos.runtime.stop import EVERYTHING, StopReport, meant, stop_modules
 from labos.services.interventions import answered
@@ -70,6 +72,9 @@ from labos.spec import (
 from labos.spec.findings import Finding, near
 from labos.spec.labware import packaged_labware, spec_of
 from labos.spec.stations import Stations
+
+if TYPE_CHECKING:
+    from labos.http.link import KernelLink
 
 SILENCE_S = 30.0
 """An application that is not heard of for so long is lost."""
@@ -106,7 +111,7 @@ class Parts(Protocol):
     """What the service stands on."""
 
     @property
-    def kernel(self) -> Kernel: ...
+    def kernel(self) -> LabKernel: ...
 
     @property
     def bus(self) -> Bus: ...
@@ -157,6 +162,10 @@ class LabService:
         self.kernel = parts.kernel
         self.tail = Tail(parts.store, lambda: parts.kernel.durable)
         parts.kernel.listeners.append(self.tail)
+        self.marks: Marks | None = None
+        """What the log knows of requests, where the kernel is in this process."""
+        self.link: KernelLink | None = None
+        """The way to the kernel, where it is in another process."""
         self._heard: dict[ExperimentId, float] = {}
         self._stories: dict[str, RunHistory] = {}
         self._cells: dict[str, Workcell] = {}

@@ -20,8 +20,8 @@ from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, in_play,
 from labos.core.state import LabState
 from labos.core.topics import Choice
 from labos.core.waits import Wait
+from labos.http.lab_kernel import LabKernel
 from labos.planning.obstacle import explained
-from labos.runtime.kernel import Kernel
 from labos.services.interventions import whereabouts
 
 QUEUED_SHOWN = 100
@@ -221,7 +221,7 @@ class LabView(msgspec.Struct, frozen=True):
 
 
 def lab_view(
-    kernel: Kernel,
+    kernel: LabKernel,
     *,
     simulated: bool,
     rejected: Mapping[str, str],
@@ -354,7 +354,7 @@ def station_view(name: str, station: Station) -> StationView:
 
 
 def run_view(
-    kernel: Kernel, run: RunState, now: int, flying: Mapping[tuple[RunId, int], Action], *, waits: bool
+    kernel: LabKernel, run: RunState, now: int, flying: Mapping[tuple[RunId, int], Action], *, waits: bool
 ) -> RunView:
     """A run that is alive. ``flying`` are the open actions by run and step."""
     state = kernel.state
@@ -401,7 +401,7 @@ def _step_view(
     )
 
 
-def waits_view(kernel: Kernel, run: RunState, now: int) -> list[WaitView]:
+def waits_view(kernel: LabKernel, run: RunState, now: int) -> list[WaitView]:
     """Why a run does not go on, in one sentence for each step whose turn it is."""
     plan = kernel.state.runs.plan_of(run)
 

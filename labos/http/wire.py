@@ -32,6 +32,10 @@ SEND = "Send what docs/reference/http.md says."
 OF_STATUS = {403: "forbidden", 404: "not_found", 405: "method_not_allowed"}
 """The problems that the router finds by itself."""
 
+POSITION = "labos-position"
+"""An answer bears the position up to which the log is known where it was given; who asks may say which one is
+needed."""
+
 UNREAD = "labos.unread"
 """Where a request's scope says that its body was not read to its end."""
 
@@ -110,6 +114,14 @@ def asker(request: Request) -> str:
 def key_of(request: Request) -> str:
     """The request's idempotency key; empty if it has none. Raises BadInput."""
     return check_text(header(request, "idempotency-key"), "The header Idempotency-Key", LONGEST_NAME)
+
+
+def position_of(request: Request) -> int:
+    """The position in the log that whoever asks knows of; 0 if none is said. Raises BadInput."""
+    said = request.headers.get(POSITION, "0")
+    if not (said.isascii() and said.isdecimal() and len(said) <= 19):
+        raise BadInput(f"The header LabOS-Position is {said[:40]!r}.", remedy="Write a whole number.")
+    return int(said)
 
 
 def header(request: Request, name: str) -> str:

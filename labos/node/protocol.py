@@ -357,6 +357,10 @@ class Keys:
         """Where the kernel answers FileRequests."""
         return f"{self.root}/@files"
 
+    def requests_of(self, process: str, epoch: int | str) -> str:
+        """Where the kernel of an epoch answers an API process."""
+        return f"{self.root}/@requests/{process}/{epoch}"
+
     def events(self, family: str) -> str:
         return f"{self.root}/@events/{family}"
 

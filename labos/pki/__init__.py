@@ -6,13 +6,14 @@
 
 from labos.pki._authority import CA_KEY, Authority
 from labos.pki._credentials import KEY, MEMBERS, Credentials, read_members
-from labos.pki._party import KINDS, Entry, Identity, Kind, Members, folder_name
+from labos.pki._party import KINDS, PROCESS_NAME, Entry, Identity, Kind, Members, folder_name
 
 __all__ = [
     "CA_KEY",
     "KEY",
     "KINDS",
     "MEMBERS",
+    "PROCESS_NAME",
     "Authority",
     "Credentials",
     "Entry",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Literal, get_args
 from urllib.parse import quote, unquote
 
 import msgspec
 
-Kind = Literal["kernel", "node", "viewer", "stop", "bus"]
+Kind = Literal["kernel", "node", "api", "viewer", "stop", "bus"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 SERVERS = ("kernel", "bus")
 """Who may run a bus, and be connected to."""
@@ -17,10 +18,14 @@ RENEW_PART = 3
 
 URN = "urn:labos:"
 
+PROCESS_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
+"""The name of an API process: a part of keys on the bus."""
+
 
 class Identity(msgspec.Struct, frozen=True):
     """Whom a certificate is for. ``name`` is ``workcell/module`` of a node, and a name that a person chose
-    for a viewer and for who may stop; ``lab`` is the lab's id, empty for a bus, which may serve several."""
+    for an API process, a viewer and who may stop; ``lab`` is the lab's id, empty for a bus, which may serve
+    several."""
 
     kind: Kind
     name: str = ""

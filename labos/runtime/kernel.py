@@ -39,6 +39,7 @@ from labos.runtime.follower import Follower
 from labos.runtime.guard import CircuitBreaker, FaultyCommands
 from labos.runtime.kernel_log import KernelLog, KernelSettings
 from labos.runtime.ledger import Entry
+from labos.runtime.marks import MARK
 from labos.runtime.writer import Writer
 
 VERSION = "0.1.0"
@@ -66,8 +67,9 @@ class _Turn(msgspec.Struct):
 
 
 class Kernel(KernelLog):
-    """Decides and writes for one lab. ``plan_with`` makes the scheduler, once for each reading
-    of the log."""
+    """Decides and writes for one lab. The first event of a command bears its ``causation``, else the mark of
+    the request that is being carried out (``marks``). ``plan_with`` makes the scheduler, once for each
+    reading of the log."""
 
     def __init__(
         self,
@@ -137,7 +139,7 @@ class Kernel(KernelLog):
     async def execute_all(self, commands: Sequence[Command], actor: str, causation: str = "") -> list[Event]:
         """Several commands, one after the other, as one batch: all of them happen, or none. Raises as
         ``execute`` does."""
-        answer = self._turn(commands, actor, causation)
+        answer = self._turn(commands, actor, causation or MARK.get())
         if isinstance(answer, Rejection):
             raise error_of(answer)
         await self.written()
@@ -146,7 +148,7 @@ class Kernel(KernelLog):
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
         """Decide a command without waiting for the disk: for callers that promise nothing to
         anybody on the strength of it."""
-        return self._turn((command,), actor, causation)
+        return self._turn((command,), actor, causation or MARK.get())
 
     def wake(self, keys: Iterable[str] = ()) -> None:
         """Look again at what waits for these keys, or for the time that has come."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 
-from labos.core.ids import LabwareId, ModuleName, StationName, workcell_of
+from labos.core.ids import LabId, LabwareId, ModuleName, StationName, workcell_of
 from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
 from labos.core.texts import cut
@@ -85,7 +85,17 @@ class ObservingListener(ABC, Generic[Name]):
             self._observing[name] = self._tasks.spawn(self._observe(name))
 
 
-async def observe_module(kernel: Kernel, bus: Bus, module: ModuleName, answer_s: float) -> Mapping[str, Any]:
+class Asker(Protocol):
+    """In whose name a node is asked."""
+
+    @property
+    def lab(self) -> LabId: ...
+
+    @property
+    def epoch(self) -> int: ...
+
+
+async def observe_module(kernel: Asker, bus: Bus, module: ModuleName, answer_s: float) -> Mapping[str, Any]:
     """What a module's device sees: variables by name, ``labware`` by station. Raises BusError if its node
     does not say, StoreError."""
     request = AdminRequest(kernel.lab, kernel.epoch, "observe", {})

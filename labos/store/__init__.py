@@ -11,7 +11,7 @@ from labos.store._errors import Door
 from labos.store._event_store import SqlEventStore
 from labos.store._home import HomeFiles, KnownEnd, forget_end
 from labos.store._lease import database_bytes, database_file, lease_holder, shown_url, silent_holder
-from labos.store._migrate import DatabaseStatus, database_status, migrate, migrations_folder
+from labos.store._migrate import DatabaseStatus, database_status, is_replica, migrate, migrations_folder
 from labos.store._objects import Blobs, ObjectBlobs, open_blobs
 from labos.store._open import open_store
 from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
@@ -46,6 +46,7 @@ __all__ = [
     "first_damage",
     "forget_end",
     "grant_writer",
+    "is_replica",
     "key_of",
     "leapt_epoch",
     "lease_holder",

@@ -43,6 +43,21 @@ class DatabaseStatus(msgspec.Struct, frozen=True):
     expected: str = REVISION
 
 
+def is_replica(url: str) -> bool:
+    """Whether a database only follows another one: nothing can be written there. Raises StoreUnavailable."""
+    parsed = parse_url(url)
+    if parsed.get_backend_name() == "sqlite":
+        return False
+    from labos.store._postgres import small_engine
+
+    engine = small_engine(parsed)
+    try:
+        with Door(parsed), engine.connect() as connection:
+            return bool(connection.execute(text("SELECT pg_is_in_recovery()")).scalar())
+    finally:
+        engine.dispose()
+
+
 def migrations_folder() -> Path:
     """The migrations in the installed package, else those of the checkout."""
     here = Path(__file__).resolve()

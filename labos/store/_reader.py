@@ -183,6 +183,15 @@ class LogReader:
                 return
             after = rows[-1].position
 
+    def caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]:
+        """The positions of those of the ``last`` records whose causation begins so, and the causations.
+        Raises StoreUnavailable."""
+        first = select(head.c.position - last).scalar_subquery()
+        wanted = (event.c.position > first, event.c.causation.startswith(prefix, autoescape=True))
+        statement = select(event.c.position, event.c.causation).where(*wanted).order_by(event.c.position)
+        with self._door, self._backend.reading.connect() as connection:
+            return [(row.position, row.causation) for row in connection.execute(statement)]
+
     def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None:
         """(position, hash, data) of the snapshot of this fold, if it bears the seal of this lab's key. One
         that does not is not used, which is said once. Raises StoreUnavailable; LogDamaged if the snapshot

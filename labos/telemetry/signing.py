@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from labos.telemetry.series import CounterMetric, MetricGroup
 
 
@@ -25,3 +27,8 @@ class Signing(MetricGroup):
             self.tries.begin((outcome,))
         for reason in ("not_signed_in", "forbidden"):
             self.refused.begin((reason,))
+
+    def watch(self, on_try: list[Callable[[str], None]], on_refusal: list[Callable[[str], None]]) -> None:
+        """Count what those who let people in tell."""
+        on_try.append(lambda outcome: self.tries.add((outcome,)))
+        on_refusal.append(lambda reason: self.refused.add((reason,)))

@@ -67,9 +67,10 @@ class IdleLab:
         modules: int,
         registry: Registry,
         store: SqlEventStore,
+        endpoint: str = "",
     ) -> None:
         self.kernel, self.bus, self.ends, self.modules = kernel, bus, ends, modules
-        self.registry, self.store = registry, store
+        self.registry, self.store, self.endpoint = registry, store, endpoint
 
     def submit(self, module: int, steps: int) -> RunId:
         """Queue a run of that many actions, one after the other, on one module."""
@@ -130,7 +131,7 @@ async def idle_lab(folder: Path, modules: int, processes: int = 1) -> AsyncItera
             stack.callback(stop_nodes, child)
             first += count
         await ends.until(lambda: all(m.status == "IDLE" for m in kernel.state.modules.by_name.values()))
-        yield IdleLab(kernel, bus, ends, modules, registry, store)
+        yield IdleLab(kernel, bus, ends, modules, registry, store, endpoint)
 
 
 def start_nodes(endpoint: str, lab: str, folder: Path, first: int, count: int) -> subprocess.Popen[bytes]:

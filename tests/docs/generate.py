@@ -32,6 +32,7 @@ from labos.node import protocol
 from labos.spec.describing import load_description, variant
 from labos.spec.description import DescriptionFile
 from labos.spec.schema import FILES
+from labos.telemetry.api import ApiMetrics
 from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.node import NodeMetrics
 from labos.telemetry.series import LabMetric
@@ -329,6 +330,11 @@ def node_metrics() -> str:
     return _metrics(NodeMetrics("", "", simulated=True).families)
 
 
+def api_metrics() -> str:
+    """What an API process shows to Prometheus."""
+    return _metrics(ApiMetrics().registry.families)
+
+
 def _metrics(families: Iterable[LabMetric]) -> str:
     head = ("metric", "kind", "labels", "meaning", "most series")
     rows = [
@@ -364,6 +370,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "routes": partial(rights_page.routes, _table),
     "kernel_metrics": kernel_metrics,
     "node_metrics": node_metrics,
+    "api_metrics": api_metrics,
     "views": views,
 }
 

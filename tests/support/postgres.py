@@ -69,6 +69,21 @@ class PostgresServer:
         log = str(self.folder / "log")
         self._run("pg_ctl", "-w", "-t", "60", "-D", self._data, "-l", log, "-o", options, "start")
 
+    def replica(self) -> PostgresServer:
+        """Another server, started, that follows this one and can only be read (a hot standby)."""
+        made = PostgresServer(self.binaries)
+        made.folder = Path(tempfile.mkdtemp(prefix="labos-pg-", dir="/tmp"))
+        if os.geteuid() == 0:
+            shutil.chown(made.folder, "postgres", "postgres")
+        here = ("-h", "127.0.0.1", "-p", str(self.port), "-U", _USER)
+        self._run("pg_basebackup", "-D", made._data, *here, "-R", "-X", "stream", "-c", "fast", "--no-sync")
+        made.start()
+        return made
+
+    def url_of(self, database: str) -> str:
+        """A database of that name, which is there."""
+        return self._url(database)
+
     def stop(self, *, immediate: bool = False) -> None:
         """Stop the server; ``immediate`` does so without a checkpoint, as a crash would."""
         mode = "immediate" if immediate else "fast"

@@ -88,6 +88,7 @@ WITHOUT_JSON = {
     *(
         "labos demo",
         "labos up",
+        "labos api",
         "labos bus",
         "labos export events",
         "labos node start",

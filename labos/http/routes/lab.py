@@ -90,6 +90,7 @@ OPERATIONS = (
         method="GET",
         path="/health",
         handler=get_health,
+        at_kernel=True,
         summary="Whether the kernel works",
         tag="lab",
         needs="viewer",

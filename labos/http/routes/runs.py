@@ -294,6 +294,7 @@ OPERATIONS = (
         method="POST",
         path="/experiments/{experiment}/heartbeat",
         handler=record_heartbeat,
+        at_kernel=True,
         summary="Say that the application lives",
         tag="experiments",
         needs="submitter",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from functools import partial
 from typing import Literal, TypeVar
 
 import msgspec
@@ -79,8 +80,8 @@ class Accounts:
         if known is None or now >= fresh_until:
             self._known.pop(digest, None)
             known = await self._find(secret, digest)
-            if len(self._known) >= MOST_KNOWN:
-                self._known.clear()
+            while len(self._known) >= MOST_KNOWN:
+                del self._known[next(iter(self._known))]
             self._known[digest] = known, now + FRESH_S
         if known.until <= self._clock.now_ns():
             raise NotSignedIn(f"The {known.how} has expired.", remedy=_again(known.how))
@@ -209,6 +210,20 @@ class Accounts:
     async def link(self, issuer: str, subject: str, user: str) -> None:
         await self._ask(self._store.link, issuer, subject, user)
 
+    async def check_again(self, keys: Collection[str]) -> None:
+        """Ask the database whether the credentials with these keys are still good: another process may have
+        taken them back. Whoever waits for the end of one is told."""
+        for digest, (known, _) in list(self._known.items()):
+            if known.key not in keys:
+                continue
+            if known.how == "session":
+                is_good = await self._ask(self._store.session, digest) is not None
+            else:
+                token = await self._ask(self._store.token, digest)
+                is_good = token is not None and not token.revoked_at
+            if not is_good:
+                self._forget(partial(_has_key, known.key))
+
     # -- inside --------------------------------------------------------------------------------
 
     def end_of_user(self, user: str) -> None:
@@ -229,6 +244,10 @@ class Accounts:
 
     async def _ask(self, work: Callable[..., R], *args: object) -> R:
         return await asyncio.to_thread(work, *args)
+
+
+def _has_key(key: str, credential: Credential) -> bool:
+    return credential.key == key
 
 
 def _key(digest: bytes) -> str:

@@ -41,6 +41,7 @@ STRANGERS = {
     "kernel": Identity("kernel", lab=OTHER_LAB),
     "viewer": Identity("viewer", "wall", LAB),
     "stop": Identity("stop", "door", LAB),
+    "api": Identity("api", "web", LAB),
     "nobody": Identity("node", "cell/away", LAB),
 }
 """The stranger's certificates. That of ``nobody`` is valid and was revoked."""
@@ -83,6 +84,7 @@ class Site:
         self.kernel = await open_bus(connect=[self.endpoint], security=self.security(KERNEL))
         await self.kernel.serve_all(KEYS.all_setups, self._on_setup)
         await self.kernel.serve(KEYS.files, self._on_files)
+        await self.kernel.serve_all(KEYS.requests_of("*", 1), self._on_setup)
         await self.kernel.declare_alive(KEYS.kernel)
         for keys in (KEYS.all_states, KEYS.all_results):
             await self.kernel.subscribe(keys, lambda key, _: self.heard.append(key))
@@ -281,6 +283,24 @@ def test_a_viewer_hears_everything_of_its_lab_and_says_nothing(site: Site) -> No
 def test_who_may_stop_may_only_stop(site: Site) -> None:
     assert site.does("get", "stop", KEYS.operation(SEALER, "admin"), "{}") != []
     assert (site.does("get", "stop", KEYS.operation(SEALER, "action"), "{}") == []) is site.secure
+
+
+def test_an_api_process_asks_the_kernel_under_its_own_name_and_nobody_else(site: Site) -> None:
+    own, other = KEYS.requests_of("web", 1), KEYS.requests_of("office", 1)
+    assert site.does("get", "api", own, "{}") == [own]
+    assert (site.does("get", "api", other, "{}") == []) is site.secure
+    for operation in ("action", "admin", "state", "reset"):
+        assert (site.does("get", "api", KEYS.operation(SEALER, operation), "{}") == []) is site.secure
+    assert (site.does("get", "api", KEYS.setup_of(SEALER), "{}") == []) is site.secure
+    for who in ("peeler", "kernel", "viewer", "stop", "nobody"):
+        assert (site.does("get", who, own, "{}") == []) is site.secure, who
+
+
+def test_nobody_but_the_kernel_answers_api_processes(site: Site) -> None:
+    theirs = KEYS.requests_of("web", 2)
+    for who in ("peeler", "kernel", "viewer", "stop"):
+        site.does("answer", who, theirs)
+    assert (site.does("get", "api", theirs, "{}") == []) is site.secure
 
 
 def test_the_kernel_of_another_lab_has_its_own_keys(site: Site) -> None:

@@ -175,7 +175,7 @@ def test_no_command_is_left_out() -> None:
     tried = {*READ.values(), *ACT.values(), *(path for path, _ in REFUSED_BY_THE_LAB.values())}
     tried.add("labos export events")  # it answers in JSON without being told to
     # An agent speaks to `labos mcp`: see tests/integration/http/test_mcp.py.
-    assert tried | FOLDER | {"labos demo", "labos bus", "labos mcp"} == with_a_lab
+    assert tried | FOLDER | {"labos demo", "labos bus", "labos mcp", "labos api"} == with_a_lab
     assert not tried & FOLDER
 
 

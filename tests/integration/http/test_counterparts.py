@@ -16,13 +16,14 @@ from pathlib import Path
 import httpx
 import pytest
 
-from labos.bootstrap import LabThread, descriptions
+from labos.bootstrap import ApiSettings, LabThread, descriptions
 from labos.client import LabClient
 from labos.http.routes import OPERATIONS, PREFIX
 from labos.settings import Settings
 from labos.spec import parse_workcell
 from tests.foreign.make import ROOT
 from tests.integration.http.test_fuzz import CELL, expect_normal
+from tests.support.api_process import ApiThread
 from tests.support.foreign import python_of
 
 CHECKS = (
@@ -43,12 +44,12 @@ def lab(tmp_path: Path) -> Iterator[LabThread]:
         yield running
 
 
-def ask_everything(lab: LabThread, folder: Path, seed: int, examples: int, phases: str) -> int:
+def ask_everything(url: str, folder: Path, seed: int, examples: int, phases: str) -> int:
     """Let Schemathesis ask every operation but the endless one; returns how many requests it made."""
     program = python_of("schemathesis").with_name("schemathesis")
     done = subprocess.run(
         [
-            *(program, "run", f"{lab.url}{PREFIX}/openapi.json", "--seed", str(seed)),
+            *(program, "run", f"{url}{PREFIX}/openapi.json", "--seed", str(seed)),
             *("--max-examples", str(examples), "--checks", ",".join(CHECKS), "--exclude-path", ENDLESS),
             *("--phases", phases, "--generation-database", "none", "--no-color"),
             *("--request-timeout", "70", "--warnings", "off"),
@@ -69,7 +70,15 @@ def ask_everything(lab: LabThread, folder: Path, seed: int, examples: int, phase
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_nothing_is_answered_that_is_not_described(lab: LabThread, tmp_path: Path) -> None:
-    assert ask_everything(lab, tmp_path, 1, 2, "examples,fuzzing") > 80
+    assert ask_everything(lab.url, tmp_path, 1, 2, "examples,fuzzing") > 80
+    expect_normal(lab, "afterwards")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_nor_by_an_api_process(lab: LabThread, tmp_path: Path) -> None:
+    with ApiThread(ApiSettings(Settings.of(tmp_path / "lab"))) as api:
+        assert ask_everything(api.url, tmp_path, 1, 1, "examples,fuzzing") > 40
     expect_normal(lab, "afterwards")
 
 
@@ -79,7 +88,7 @@ def test_nothing_is_answered_that_is_not_described(lab: LabThread, tmp_path: Pat
 def test_nothing_is_answered_that_is_not_described_to_many_requests(
     lab: LabThread, tmp_path: Path, seed: int
 ) -> None:
-    assert ask_everything(lab, tmp_path, seed, 100, "examples,coverage,fuzzing") > 3000
+    assert ask_everything(lab.url, tmp_path, seed, 100, "examples,coverage,fuzzing") > 3000
     expect_normal(lab, "afterwards")
 
 

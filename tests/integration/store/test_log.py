@@ -32,6 +32,14 @@ class TestAppendAndRead:
         assert store.head() == head
         assert head == Head(LAB, 3, records[-1].hash, 1, records[-1].head.recorded_at)
 
+    def test_what_requests_caused_is_found_among_the_last(self, store: SqlEventStore) -> None:
+        head = store.claim(LAB, "test", LEASE_S)
+        for causation in ("request:a", "", "another", "request:b", "request%", "request:a"):
+            head = store.append(head, batch(head, 1, causation=causation))
+        assert store.caused_by("request:", 100) == [(1, "request:a"), (4, "request:b"), (6, "request:a")]
+        assert store.caused_by("request:", 3) == [(4, "request:b"), (6, "request:a")]
+        assert store.caused_by("request%", 100) == [(5, "request%")]
+
     @pytest.mark.parametrize("sizes", [(1, 1, 1), (19, 20, 21), (1201,)])
     def test_positions_have_no_gap_whatever_the_batches(
         self, store: SqlEventStore, sizes: tuple[int, ...]

@@ -219,11 +219,11 @@ def test_what_is_not_there_is_said(tmp_path: Path, authority: Authority, clock: 
 def test_nothing_is_allowed_that_no_rule_allows(authority: Authority) -> None:
     """A bus is no party; nobody's rule reaches another lab, and no node's another module."""
     authority.issue(Identity("bus"))
-    for kind, name in (("kernel", ""), ("node", "rpl/a"), ("viewer", "v"), ("stop", "s")):
+    for kind, name in (("kernel", ""), ("node", "rpl/a"), ("viewer", "v"), ("stop", "s"), ("api", "w")):
         authority.issue(Identity(kind, name, LAB))  # type: ignore[arg-type]
     found = access_control(authority.members().entries)
     assert found["default_permission"] == "deny"
-    assert len(found["policies"]) == 4
+    assert len(found["policies"]) == 5
     said = {
         key
         for rule in found["rules"]
@@ -233,5 +233,12 @@ def test_nothing_is_allowed_that_no_rule_allows(authority: Authority) -> None:
     root = f"labos/{LAB}"
     assert said == {
         *(f"{root}/{key}" for key in ("rpl/a/**", "@alive/rpl/a/*", "@name/rpl/a/*/*")),
-        *(f"{root}/{key}" for key in ("@setup/*/*", "@files", "@events/*", "@kernel")),
+        *(f"{root}/{key}" for key in ("@setup/*/*", "@files", "@events/*", "@kernel", "@requests/*/*")),
     }
+
+
+def test_the_name_of_an_api_process_is_one_part_of_a_key(authority: Authority) -> None:
+    """Whatever its certificate says, it asks under no other name."""
+    for name in ("*", "a/b", "**", "$*", "@x", ""):
+        authority.issue(Identity("api", name, LAB))
+    assert not [r for r in access_control(authority.members().entries)["rules"] if "query" in r["messages"]]

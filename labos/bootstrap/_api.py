@@ -1,0 +1,213 @@
+"""The HTTP interface in a process of its own: follows the log, and sends the kernel what is asked of it."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos.bootstrap._desk import read_api_key
+from labos.bootstrap._drivers import load_drivers
+from labos.bootstrap._gate import end_streams, expect_tls, expect_users, gate_beside, listening
+from labos.bootstrap._lab import BUS_PATIENCE_S, _join_bus
+from labos.bootstrap._secure import Guard
+from labos.clock import SystemClock, Uuid7Ids
+from labos.core.canonical import digest
+from labos.core.ids import ModuleName
+from labos.core.model import Description
+from labos.errors import BadInput, NotFound
+from labos.http.feed import Feed
+from labos.http.letters import Letters
+from labos.http.link import KernelLink
+from labos.http.server import HttpServer
+from labos.http.service import LabService
+from labos.http.viewers import Viewers
+from labos.node.world import World
+from labos.pki import PROCESS_NAME, Identity
+from labos.ports import BlobStore, Bus
+from labos.runtime.followed import FollowedKernel, SendOn
+from labos.runtime.log_check import LogCheck
+from labos.runtime.registry import Registry
+from labos.settings import Settings, is_alive, last_kernel
+from labos.store import SqlEventStore, is_replica, open_blobs, open_store, shown_url
+from labos.telemetry.api import ApiMetrics, ApiReadings
+
+
+class ApiSettings(msgspec.Struct, frozen=True):
+    """Besides the lab's own: the ``name`` of this process, which no other one of this lab bears, and the
+    database with the ``accounts`` (empty: that of the log)."""
+
+    lab: Settings
+    name: str = "api"
+    accounts: str = ""
+
+
+class ApiRuntime:
+    """An API process that runs: what its operations stand on. Made by ``open_api``."""
+
+    supervised = None
+    log_check: LogCheck | None = None
+    http: HttpServer
+    link: KernelLink
+
+    def __init__(self, settings: ApiSettings, kernel: FollowedKernel, store: SqlEventStore) -> None:
+        self.settings, self.kernel, self.store = settings, kernel, store
+        self.clock = kernel.clock
+        here = last_kernel(settings.lab.home) is not None
+        self.blobs: BlobStore = LookedAtBlobs(open_blobs(settings.lab.blobs), are_all_here=here)
+        drivers = load_drivers()
+        self.descriptions: Mapping[str, Description] = drivers.descriptions()
+        self.broken_drivers: Mapping[str, str] = drivers.broken
+        self.counts = ApiMetrics()
+
+    @property
+    def simulated(self) -> bool:
+        return self.link.notes.simulated
+
+    @property
+    def bus(self) -> Bus:
+        """Nodes are asked by the kernel's process alone."""
+        raise SendOn
+
+    @property
+    def registry(self) -> Registry:
+        raise SendOn
+
+    def world(self, workcell: str) -> World:
+        """A simulated bench is changed by the kernel's process alone."""
+        raise SendOn
+
+    def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None:
+        raise SendOn
+
+    @property
+    def metrics(self) -> ApiRuntime:
+        return self
+
+    def text(self) -> str:
+        """All metrics of this process, in Prometheus' text format."""
+        state, work = self.kernel.state, self.link.work
+        readings = ApiReadings(
+            lab=state.lab.id,
+            name=state.lab.name,
+            process=self.settings.name,
+            position=state.position,
+            recorded_at=state.recorded_at / 1e9,
+            kernel_there=self.link.is_there,
+            here=work.here,
+            by_kernel=work.by_kernel,
+            away=work.away,
+            kernel_s=work.kernel_s,
+        )
+        return self.counts.text(readings)
+
+    def targets(self, host: str) -> list[dict[str, Any]]:
+        """Where the metrics of this process are; the kernel knows of all others."""
+        labels = {"lab": self.kernel.state.lab.name, "process": "api", "api": self.settings.name}
+        return [{"targets": [host], "labels": labels}]
+
+
+class LookedAtBlobs:
+    """The lab's blobs, to which this process adds none: what a request brings along is kept by the kernel's
+    process. ``are_all_here``: what is not found is nowhere."""
+
+    def __init__(self, blobs: BlobStore, *, are_all_here: bool) -> None:
+        self._blobs, self._are_all_here = blobs, are_all_here
+
+    def get(self, digest: str) -> bytes:
+        """Raises as the lab's blobs do, or SendOn."""
+        try:
+            return self._blobs.get(digest)
+        except NotFound:
+            if self._are_all_here:
+                raise
+        raise SendOn
+
+    def put(self, data: bytes) -> str:
+        return digest(data)
+
+
+@asynccontextmanager
+async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
+    """Serve the HTTP interface of a lab as long as the block lasts. Raises BadInput, NotFound, Refused,
+    BusError, StoreError."""
+    if not PROCESS_NAME.fullmatch(told.name):
+        raise BadInput(
+            f"{told.name!r} cannot be the name of an API process.", remedy="Take a-z, 0-9 and -, as in api-2."
+        )
+    settings, accounts = _found(told.lab), told.accounts or told.lab.database
+    expect_tls(settings)
+    if await asyncio.to_thread(is_replica, accounts):
+        raise BadInput(
+            f"{shown_url(accounts)} only follows another database, and who signs in is written down.",
+            remedy="Name the database that it follows with --accounts (LABOS_ACCOUNTS_URL): it is asked for "
+            "tokens and sessions alone.",
+        )
+    async with AsyncExitStack() as stack:
+        store = await asyncio.to_thread(
+            open_store, settings.database, create=False, read_only=True, home=settings.home
+        )
+        stack.callback(store.close)
+        kernel = FollowedKernel(store, SystemClock(), Uuid7Ids())
+        await kernel.open()
+        if not kernel.state.lab.id:
+            raise BadInput(
+                f"There is no lab yet in {shown_url(settings.database)}.", remedy="Start its kernel: labos up"
+            )
+        expect_users(settings, kernel)
+        api = ApiRuntime(msgspec.structs.replace(told, lab=settings), kernel, store)
+        await _link(api, stack)
+        viewers = Viewers(settings.database) if sys.platform != "win32" else None
+        feed = Feed()
+        kernel.listeners.append(feed)
+        service = LabService(api, feed, viewers)
+        service.link = api.link
+        gate = stack.enter_context(gate_beside(settings, accounts, kernel, api.counts.signing))
+        api.http = HttpServer(service, gate, listening(settings, settings.http_port or 0))
+        kernel.follow()
+        stack.push_async_callback(kernel.close)
+        api.link.address = f"{settings.host}:{api.http.port}"
+        await api.link.start()
+        stack.push_async_callback(api.link.close)
+        await api.http.start()
+        stack.push_async_callback(api.http.close)
+        ending = asyncio.get_running_loop().create_task(end_streams(api.http.app.state.api))
+        stack.callback(ending.cancel)
+        yield api
+
+
+def _found(settings: Settings) -> Settings:
+    """With the bus of the kernel that runs in the lab's folder, unless one is named. Raises NotFound."""
+    last = last_kernel(settings.home)
+    if settings.bus:
+        return settings
+    if last is None or not is_alive(last.pid):
+        raise NotFound(
+            f"No kernel runs in {settings.home}, and no bus was named.",
+            remedy="Start the lab (labos up), or name its bus: --bus tcp/HOST:7447.",
+        )
+    secure = last.bus.startswith("tls/") if settings.secure is None else settings.secure
+    return msgspec.structs.replace(settings, bus=(last.bus,), secure=secure)
+
+
+async def _link(api: ApiRuntime, stack: AsyncExitStack) -> None:
+    """Join the bus, and be known to the kernel there."""
+    settings, kernel = api.settings.lab, api.kernel
+    guard = None
+    if settings.is_secure:
+        who = Identity("api", api.settings.name, kernel.lab)
+        own: Path | None = settings.certificate
+        guard = Guard(who, settings, runs_bus=False, own=own)
+    security = await asyncio.to_thread(guard.prepare) if guard is not None else None
+    bus = await _join_bus(settings.bus, BUS_PATIENCE_S, security)
+    stack.push_async_callback(bus.close)
+    if guard is not None:
+        await guard.watch(bus)
+        stack.push_async_callback(guard.close)
+    key = b"" if guard is not None else read_api_key(settings)
+    api.link = KernelLink(kernel, bus, Letters(key, kernel.clock), api.settings.name)

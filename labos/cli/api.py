@@ -1,0 +1,124 @@
+"""``labos api``: the HTTP interface in a process of its own."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from labos.cli._options import cert_option, database_option, home_option, pki_option, without_password
+
+if TYPE_CHECKING:
+    from labos.bootstrap import ApiSettings
+
+
+@click.command("api")
+@home_option
+@database_option
+@click.option(
+    "--accounts",
+    metavar="URL",
+    envvar="LABOS_ACCOUNTS_URL",
+    callback=without_password,
+    help="The database with passwords, tokens and sessions (LABOS_ACCOUNTS_URL; that of the log): needed "
+    "where --database is a read-only replica.",
+)
+@click.option(
+    "--process",
+    "name",
+    default="api",
+    metavar="NAME",
+    show_default=True,
+    help="The name of this process: each API process of a lab has its own.",
+)
+@click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
+@click.option("--host", default="127.0.0.1", show_default=True, help="The address on which it listens.")
+@click.option(
+    "--tls-cert",
+    type=click.Path(dir_okay=False),
+    help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
+)
+@click.option("--tls-key", type=click.Path(dir_okay=False), help="Its key, a PEM file.")
+@click.option(
+    "--behind-proxy",
+    is_flag=True,
+    help="Another program speaks TLS for this process, and says for whom (X-Forwarded-For): nobody else may "
+    "reach its port.",
+)
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    metavar="HOST",
+    help="A name under which browsers reach it, such as lab.example.org; may be given several times.",
+)
+@click.option(
+    "--bus", multiple=True, metavar="ENDPOINT", help="The lab's bus (that of the kernel that runs in --home)."
+)
+@cert_option
+@pki_option
+def command(
+    home: str | None,
+    database: str | None,
+    accounts: str | None,
+    name: str,
+    http_port: int | None,
+    host: str,
+    tls_cert: str | None,
+    tls_key: str | None,
+    behind_proxy: bool,
+    names: tuple[str, ...],
+    bus: tuple[str, ...],
+    cert: Path | None,
+    pki: Path | None,
+) -> None:
+    """Serve the HTTP interface of a running lab until Ctrl-C, beside the kernel's own.
+
+    It follows the log and answers from it, lets users in, and sends the kernel what it has to decide. Any
+    number of them may run, each with a name and a port of its own: viewers, programs and a proxy then
+    leave the kernel in peace. On the kernel's computer --home is enough. On another one the log has to be on
+    PostgreSQL (--database may be a read-only replica, with --accounts), and the bus a secure one (`labos pki
+    issue api NAME`, then --cert and --bus). See docs/api-processes.md.
+
+    \b
+    labos api --http-port 8721
+    labos api --process api-2 --http-port 8722
+    labos api --process web --bus tls/kernel.example.org:7447 --cert api.web --host 0.0.0.0 --behind-proxy
+    """
+    from labos.bootstrap import ApiSettings
+    from labos.cli._lab import orderly
+    from labos.settings import Settings, keep_private
+    from labos.telemetry.logs import configure_logs
+
+    configure_logs("warning")
+    keep_private()
+    settings = Settings.of(
+        home,
+        database,
+        http_port=http_port,
+        host=host,
+        names=names,
+        tls_certificate=tls_cert or "",
+        tls_key=tls_key or "",
+        behind_proxy=behind_proxy,
+        bus=bus,
+        secure=True if cert is not None else None,
+        certificate=cert.absolute() if cert is not None else None,
+        authority=pki,
+    )
+    with orderly():
+        try:
+            asyncio.run(_serve(ApiSettings(settings, name, accounts or "")))
+        except KeyboardInterrupt:
+            click.echo("The API process is closed.")
+
+
+async def _serve(settings: ApiSettings) -> None:
+    from labos.bootstrap import open_api
+
+    async with open_api(settings) as api:
+        click.echo(f"The API process {settings.name} serves the lab {api.kernel.lab}.")
+        click.echo(f"  http  {api.http.url}\nCtrl-C closes it.")
+        await asyncio.Event().wait()

@@ -1,0 +1,135 @@
+"""Where the kernel's process answers API processes, on the bus."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import structlog
+from starlette.applications import Starlette
+from starlette.types import Message
+
+from labos.errors import AlreadyDone, LabosError
+from labos.http.idempotency import IdempotentAnswers
+from labos.http.letters import Answer, Headers, Hello, Letters, Recall, Reply, SentOn, Welcome
+from labos.http.notes import notes_of
+from labos.http.operation import ADMITTED
+from labos.http.problems import problem, problem_of
+from labos.http.routes import PREFIX
+from labos.http.service import LabService
+from labos.http.wire import send_problem
+
+LONGEST_S = 65.0
+AT_ONCE = 64
+"""Requests of all API processes that are worked on at once."""
+LIVES_S = 15.0
+"""An API process that has said nothing for so long is gone."""
+MOST_PROCESSES = 100
+STREAM = f"{PREFIX}/events/stream"
+
+_log = structlog.get_logger(__name__)
+
+
+class Desk:
+    """Answers the questions of API processes with the kernel's own application."""
+
+    def __init__(self, app: Starlette, service: LabService, letters: Letters) -> None:
+        self._app, self._service, self._letters = app, service, letters
+        self._working = 0
+        self._heard: dict[str, tuple[str, float]] = {}
+
+    @property
+    def addresses(self) -> dict[str, str]:
+        """Where the metrics of living API processes are, by their names."""
+        now = self._service.kernel.clock.monotonic()
+        return {name: at for name, (at, heard) in self._heard.items() if at and now - heard < LIVES_S}
+
+    async def on_question(self, key: str, payload: bytes) -> bytes:
+        """Answer a question. Raises Unreadable for one that is not believed."""
+        question, nonce = self._letters.read_question(payload)
+        match question:
+            case Hello(address):
+                self._note(key.split("/")[3], address)
+                reply: Reply = Welcome(notes_of(self._service))
+            case Recall():
+                reply = await self._recall(question)
+            case SentOn():
+                reply = await self._carry_out(question)
+        return self._letters.reply(nonce, reply)
+
+    def _note(self, name: str, address: str) -> None:
+        if name in self._heard or len(self._heard) < MOST_PROCESSES:
+            self._heard[name] = address[:100], self._service.kernel.clock.monotonic()
+
+    async def _recall(self, asked: Recall) -> Answer:
+        idempotent: IdempotentAnswers = self._app.state.api.idempotent
+        try:
+            found = await idempotent.recall(asked.path, asked.key, asked.digest, asked.user)
+        except AlreadyDone as error:
+            found = send_problem(problem_of(error))
+        except LabosError:
+            found = None  # it was refused, and is not remembered
+        if found is None:
+            return Answer(0)
+        return Answer(found.status_code, tuple(found.raw_headers), bytes(found.body), self._durable)
+
+    @property
+    def _durable(self) -> int:
+        return self._service.kernel.durable
+
+    async def _carry_out(self, asked: SentOn) -> Answer:
+        if self._working >= AT_ONCE or asked.path == STREAM or not asked.path.startswith(f"{PREFIX}/"):
+            return _refusal("The kernel is asked for too much at once.")
+        self._working += 1
+        try:
+            async with asyncio.timeout(LONGEST_S):
+                status, headers, body = await self._call(asked)
+        except TimeoutError:
+            return _refusal(f"This took the kernel longer than {LONGEST_S:g} s.")
+        finally:
+            self._working -= 1
+        return Answer(status, headers, body, self._durable)
+
+    async def _call(self, asked: SentOn) -> tuple[int, Headers, bytes]:
+        """Ask the application as its server would."""
+        arriving: list[Message] = [{"type": "http.request", "body": asked.body, "more_body": False}]
+        status, headers, body = 500, (), bytearray()
+
+        async def receive() -> Message:
+            if arriving:
+                return arriving.pop()
+            await asyncio.Event().wait()  # whoever asks stays until the answer is there
+            raise AssertionError
+
+        async def send(message: Message) -> None:
+            nonlocal status, headers
+            if message["type"] == "http.response.start":
+                status, headers = message["status"], tuple(message["headers"])
+            else:
+                body.extend(message.get("body", b""))
+
+        scope: dict[str, Any] = {
+            "type": "http",
+            "asgi": {"version": "3.0"},
+            "http_version": "1.1",
+            "method": asked.method,
+            "scheme": "http",
+            "path": asked.path,
+            "raw_path": b"",
+            "query_string": asked.query,
+            "root_path": "",
+            "headers": list(asked.headers),
+            "client": (asked.address, 0),
+            "server": None,
+            ADMITTED: asked.who,
+        }
+        try:
+            await self._app(scope, receive, send)
+        except Exception:  # it has told whoever asks; its server would write the rest down, too
+            _log.exception("request_failed", path=asked.path)
+        return status, headers, bytes(body)
+
+
+def _refusal(why: str) -> Answer:
+    found = send_problem(problem("too_many", why, "Ask again in a moment."))
+    return Answer(found.status_code, tuple(found.raw_headers), bytes(found.body))

@@ -1,0 +1,148 @@
+"""What an API process and the kernel say to each other on the bus.
+
+On a secure bus a certificate says who may ask, and the key under which is asked names the process. Elsewhere
+both sides show that they know the key in the lab's folder; a question is good for a minute, and once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+from collections import OrderedDict
+from typing import TypeVar
+
+import msgspec
+
+from labos.clock import Clock
+from labos.errors import Unreadable
+from labos.http.identity import Who
+from labos.http.notes import Notes
+
+GOOD_NS = 60 * 10**9
+MOST_SEEN = 100_000
+
+Headers = tuple[tuple[bytes, bytes], ...]
+
+
+class SentOn(msgspec.Struct, frozen=True, tag="request"):
+    """A request of somebody whom the API process has let in."""
+
+    method: str
+    path: str
+    query: bytes
+    headers: Headers
+    body: bytes
+    who: Who
+    address: str = ""
+
+
+class Recall(msgspec.Struct, frozen=True, tag="recall"):
+    """What was a request of a user answered, which bore this idempotency key and said what this digest stands
+    for?"""
+
+    path: str
+    key: str
+    digest: str
+    user: str
+
+
+class Hello(msgspec.Struct, frozen=True, tag="hello"):
+    """An API process lives, and would like to know what the log does not say. ``address`` is where its
+    metrics are (``host:port``)."""
+
+    address: str
+
+
+class Answer(msgspec.Struct, frozen=True, tag="answer"):
+    """An answer of the kernel's process; ``status`` 0: nothing is known. ``position`` is how far its log was
+    on disk."""
+
+    status: int
+    headers: Headers = ()
+    body: bytes = b""
+    position: int = 0
+
+
+class Welcome(msgspec.Struct, frozen=True, tag="welcome"):
+    notes: Notes
+
+
+Question = SentOn | Recall | Hello
+Reply = Answer | Welcome
+
+
+class _Sealed(msgspec.Struct, frozen=True):
+    """``mac`` is over time, nonce and message; a reply has the nonce of its question."""
+
+    at_ns: int
+    nonce: bytes
+    mac: bytes
+    message: bytes
+
+
+T = TypeVar("T")
+_encode = msgspec.msgpack.Encoder().encode
+_sealed = msgspec.msgpack.Decoder(_Sealed)
+_question: msgspec.msgpack.Decoder[Question] = msgspec.msgpack.Decoder(Question)
+_reply: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply)
+
+
+class Letters:
+    """Seals and opens. ``key`` is the one in the lab's folder, empty on a secure bus."""
+
+    def __init__(self, key: bytes, clock: Clock) -> None:
+        self._key, self._clock = key, clock
+        self._seen: OrderedDict[bytes, int] = OrderedDict()
+
+    def ask(self, question: Question) -> tuple[bytes, bytes]:
+        """A question as it is sent, and the nonce that its reply has to bear."""
+        nonce = os.urandom(16)
+        return self._seal(b"ask", nonce, question), nonce
+
+    def reply(self, nonce: bytes, reply: Reply) -> bytes:
+        return self._seal(b"reply", nonce, reply)
+
+    def read_question(self, payload: bytes) -> tuple[Question, bytes]:
+        """A question, and its nonce. Raises Unreadable for one that nobody may ask, or that was asked
+        before."""
+        sealed = self._open(b"ask", payload)
+        now = self._clock.now_ns()
+        while self._seen and (
+            len(self._seen) > MOST_SEEN or now - next(iter(self._seen.values())) > 2 * GOOD_NS
+        ):
+            self._seen.popitem(last=False)
+        if abs(now - sealed.at_ns) > GOOD_NS or sealed.nonce in self._seen:
+            raise Unreadable("The question of an API process was asked before, or its clock is wrong.")
+        self._seen[sealed.nonce] = now
+        return _decoded(_question, sealed.message), sealed.nonce
+
+    def read_reply(self, payload: bytes, nonce: bytes) -> Reply:
+        """Raises Unreadable for one that is not the kernel's, or answers another question."""
+        sealed = self._open(b"reply", payload)
+        if sealed.nonce != nonce:
+            raise Unreadable("The reply answers another question.")
+        return _decoded(_reply, sealed.message)
+
+    def _seal(self, way: bytes, nonce: bytes, said: Question | Reply) -> bytes:
+        message, at_ns = _encode(said), self._clock.now_ns()
+        return _encode(_Sealed(at_ns, nonce, self._mac(way, at_ns, nonce, message), message))
+
+    def _open(self, way: bytes, payload: bytes) -> _Sealed:
+        sealed = _decoded(_sealed, payload)
+        if not hmac.compare_digest(sealed.mac, self._mac(way, sealed.at_ns, sealed.nonce, sealed.message)):
+            raise Unreadable("An API process and the kernel do not have the same key.")
+        return sealed
+
+    def _mac(self, way: bytes, at_ns: int, nonce: bytes, message: bytes) -> bytes:
+        if not self._key:
+            return b""
+        whole = b"%b %d %d %b%b" % (way, at_ns, len(nonce), nonce, message)
+        return hmac.digest(self._key, whole, hashlib.sha256)
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[T], data: bytes) -> T:
+    try:
+        return decoder.decode(data)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise Unreadable(f"A message of an API process or to one cannot be read: {error}.") from None

@@ -1,0 +1,252 @@
+"""A lab whose kernel is another process: its log is followed here, and nothing is decided.
+
+It stands where the kernel stands in the kernel's own process. What is read of it is the folded log; a command
+is judged by the rules, and then goes to the kernel (``SendOn``). The log is read beside the event loop and
+folded in it, so that nobody sees the state in the midst of an event.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Sequence
+
+import structlog
+
+from labos.clock import Clock, Ids
+from labos.core.decide import Command, Rejection, decide
+from labos.core.envelope import GENESIS, damage
+from labos.core.fold import evolve
+from labos.core.ids import LabId
+from labos.core.registry import Event, decode
+from labos.core.state import LabState
+from labos.errors import LabosError, LogDamaged, StoreError, StoreUnavailable
+from labos.planning.scheduler import Scheduler
+from labos.ports import EventStore, Head
+from labos.runtime.kernel import error_of
+from labos.runtime.kernel_log import Listener
+from labos.runtime.ledger import Entry, load
+
+POLL_S = 0.05
+"""How often it is looked whether the log has grown, while nobody asks."""
+
+CHUNK = 500
+"""Events that are folded without a pause."""
+
+PAGE = 5_000
+"""Records that are read at once."""
+
+BEHIND_S = 3.0
+"""How long a reader waits for a position of which it was told."""
+
+LOST_PAUSE_S = 0.5
+"""Between two tries to read a log that cannot be read."""
+
+_log = structlog.get_logger(__name__)
+
+
+class SendOn(Exception):
+    """Only the kernel's process can go on from here."""
+
+
+class Behind(StoreUnavailable):
+    """This process does not know yet what the asker knows."""
+
+
+class FollowedKernel:
+    """Follows one log. ``open`` reads it; ``follow`` keeps step with it."""
+
+    def __init__(self, store: EventStore, clock: Clock, ids: Ids) -> None:
+        self.clock, self.ids = clock, ids
+        self.listeners: list[Listener] = []
+        self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
+        self.suspended = ""
+        """Why the kernel starts nothing, as it has said last."""
+        self.state = LabState()
+        self._store = store
+        self._hash = GENESIS
+        self._scheduler = Scheduler(), -1
+        self._looking = asyncio.Event()
+        self._waiting: list[asyncio.Future[None]] = []
+        self._grown: list[tuple[int, asyncio.Future[None]]] = []
+        self._task: asyncio.Task[None] | None = None
+
+    # -- what is read of a kernel ------------------------------------------------------------
+
+    @property
+    def durable(self) -> int:
+        """All that is known here is on disk."""
+        return self.state.position
+
+    @property
+    def lab(self) -> LabId:
+        return LabId(self.state.lab.id)
+
+    @property
+    def epoch(self) -> int:
+        return self.state.lab.epoch
+
+    @property
+    def scheduler(self) -> Scheduler:
+        """One that explains why runs wait; it starts none."""
+        if self._scheduler[1] != self.state.position:
+            self._scheduler = Scheduler(), self.state.position
+        return self._scheduler[0]
+
+    async def written(self) -> None:
+        """All that is known here is on disk."""
+
+    # -- commands ----------------------------------------------------------------------------
+
+    async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
+        """Raises what a kernel would raise, or SendOn if nothing speaks against the command."""
+        return await self.execute_all((command,), actor, causation)
+
+    async def execute_all(self, commands: Sequence[Command], actor: str, causation: str = "") -> list[Event]:
+        """The same for several; the first is judged, since the others may build on it."""
+        answer = self.submit(commands[0], actor, causation)
+        if isinstance(answer, Rejection):
+            raise error_of(answer)
+        return answer
+
+    def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
+        """The rejection of a command. Raises SendOn if there is none."""
+        answer = decide(self.state, command, actor)
+        if isinstance(answer, Rejection):
+            return answer
+        raise SendOn
+
+    # -- the log -----------------------------------------------------------------------------
+
+    async def open(self) -> None:
+        """Read the log as far as it is. Raises StoreError."""
+
+        def read() -> tuple[LabState, bytes]:
+            state, _ = load(self._store)
+            return state, self._hash_at(state.position)
+
+        self.state, self._hash = await asyncio.to_thread(read)
+
+    def follow(self) -> None:
+        """Keep step with the log until closed."""
+        self._task = asyncio.get_running_loop().create_task(self._follow())
+
+    async def close(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.wait({self._task})
+        self._tell_waiting(self._waiting, StoreUnavailable("This process is ending.", remedy="Ask again."))
+
+    async def up_to_date(self, at_least: int = 0) -> None:
+        """Wait until all is known here that was on disk when this was called, and until ``at_least`` this
+        position is. Raises StoreUnavailable, Behind if that is not so within a few seconds."""
+        loop = asyncio.get_running_loop()
+        looked: asyncio.Future[None] = loop.create_future()
+        self._waiting.append(looked)
+        self._looking.set()
+        await looked
+        if at_least <= self.durable:
+            return
+        grown: asyncio.Future[None] = loop.create_future()
+        self._grown.append((at_least, grown))
+        try:
+            await asyncio.wait_for(grown, BEHIND_S)
+        except TimeoutError:
+            raise Behind(
+                f"This process knows the log up to position {self.durable}, not yet up to {at_least}.",
+                remedy="Ask again in a moment; if it stays so, its copy of the database does not follow.",
+            ) from None
+        finally:
+            self._grown = [pair for pair in self._grown if pair[1] is not grown]
+
+    async def _follow(self) -> None:
+        told = ""
+        while True:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._looking.wait(), POLL_S)
+            self._looking.clear()
+            asked, self._waiting = self._waiting, []
+            try:
+                await self._catch_up()
+            except StoreError as error:
+                if str(error) != told:
+                    _log.warning("log_not_read", why=str(error))
+                told = str(error)
+                self._tell_waiting(asked, error)
+                await asyncio.sleep(LOST_PAUSE_S)
+            except Exception as error:  # the next look may go well, and nobody may wait for ever
+                _log.exception("log_not_followed")
+                self._tell_waiting(asked, StoreUnavailable(f"The log could not be followed: {error!r}."))
+                await asyncio.sleep(LOST_PAUSE_S)
+            else:
+                told = ""
+                self._tell_waiting(asked)
+
+    @staticmethod
+    def _tell_waiting(asked: Sequence[asyncio.Future[None]], error: LabosError | None = None) -> None:
+        for future in asked:
+            if future.done():
+                continue
+            if error is None:
+                future.set_result(None)
+            else:
+                future.set_exception(error)
+
+    async def _catch_up(self) -> None:
+        head = await asyncio.to_thread(self._store.head)
+        while head.position > self.durable:
+            try:
+                entries = await asyncio.to_thread(self._read, self.durable, self._hash, head)
+            except LogDamaged:
+                if await asyncio.to_thread(self._is_same_log):
+                    raise
+                await self._begin_anew()
+                return
+            await self._fold(entries)
+        if head.position < self.durable or (head.position == self.durable and head.hash != self._hash):
+            await self._begin_anew()
+
+    def _read(self, after: int, before: bytes, head: Head) -> list[Entry]:
+        """A page of what is new, each record checked against the one before. Raises LogDamaged."""
+        entries = []
+        for record in self._store.read(after, min(head.position, after + PAGE)):
+            if fault := damage(before, record):
+                at = record.head.position
+                raise LogDamaged(f"Position {at}: {fault}.", position=at, remedy="See labos verify.")
+            before = record.hash
+            entries.append(Entry(record, decode(record.head.type, record.head.schema, record.payload)))
+        if not entries:
+            raise StoreUnavailable("The log has a head that its records do not reach.")
+        return entries
+
+    async def _fold(self, entries: Sequence[Entry]) -> None:
+        for begin in range(0, len(entries), CHUNK):
+            chunk = entries[begin : begin + CHUNK]
+            for entry in chunk:
+                head = entry.record.head
+                evolve(self.state, entry.event, head.position, head.recorded_at)
+            self._hash = chunk[-1].record.hash
+            for listener in self.listeners:
+                listener.committed(chunk)
+            for position, grown in self._grown:
+                if position <= self.durable and not grown.done():
+                    grown.set_result(None)
+            await asyncio.sleep(0)
+
+    def _is_same_log(self) -> bool:
+        """Whether the log still bears what was read of it."""
+        return self._hash_at(self.durable) == self._hash
+
+    def _hash_at(self, position: int) -> bytes:
+        """The hash that the log bears at a position; empty if it does not reach so far."""
+        if not position:
+            return GENESIS
+        found = next(iter(self._store.read(position - 1, position)), None)
+        return found.hash if found is not None else b""
+
+    async def _begin_anew(self) -> None:
+        """The log is another one than it was: a backup was put back."""
+        _log.warning("log_is_another", position=self.durable)
+        await self.open()
+        for listener in self.listeners:
+            listener.reopened()

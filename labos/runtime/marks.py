@@ -1,0 +1,83 @@
+"""Which requests the log knows: the first event of each bears the request's mark as its causation.
+
+A client that heard no answer asks again with the same Idempotency-Key. While the kernel lives, it remembers
+the answer. A kernel that was started since has only the log to ask whether the request was carried out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Sequence
+from contextvars import ContextVar
+from typing import Protocol
+
+import structlog
+
+from labos.runtime.ledger import Entry
+
+PREFIX = "request:"
+"""No event's id begins so."""
+
+MARK: ContextVar[str] = ContextVar("mark", default="")
+"""The mark of the request that is being carried out; empty where it needs none."""
+
+LOOKED_AT = 50_000
+"""So many of the last records are looked through for marks at a start."""
+
+MOST = 50_000
+"""Marks that are known."""
+
+_log = structlog.get_logger(__name__)
+
+
+class MarkedLog(Protocol):
+    """A log that finds records by the beginning of their causation."""
+
+    def caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]: ...
+
+
+class Marks:
+    """A kernel's listener; ``begin`` looks at what earlier kernels have written."""
+
+    def __init__(self, log: MarkedLog) -> None:
+        self._log = log
+        self._known: OrderedDict[str, int] = OrderedDict()
+        self._reading: asyncio.Task[None] | None = None
+
+    def begin(self) -> None:
+        """Read the marks of the last records, beside everything else."""
+        self._reading = asyncio.get_running_loop().create_task(self._read())
+
+    async def find(self, mark: str) -> int:
+        """The position of the first event of a request; 0 if it was not carried out. Raises
+        StoreUnavailable."""
+        while self._reading is not None:
+            reading = self._reading
+            await asyncio.shield(reading)  # what cannot be read is not known: the asker hears of it
+            if self._reading is reading:
+                self._reading = None
+        return self._known.get(mark, 0)
+
+    async def close(self) -> None:
+        if self._reading is not None:
+            self._reading.cancel()
+            await asyncio.wait({self._reading})
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        for entry in entries:
+            if entry.record.head.causation.startswith(PREFIX):
+                self._note(entry.record.head.causation, entry.position)
+
+    def reopened(self) -> None:
+        """Something may be in the log that was not known to be on disk."""
+        self.begin()
+
+    async def _read(self) -> None:
+        for position, mark in await asyncio.to_thread(self._log.caused_by, PREFIX, LOOKED_AT):
+            self._note(mark, position)
+
+    def _note(self, mark: str, position: int) -> None:
+        self._known.setdefault(mark, position)
+        while len(self._known) > MOST:
+            self._known.popitem(last=False)

@@ -1,0 +1,86 @@
+"""The metrics of an API process."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import msgspec
+from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector, generate_latest
+
+from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup, MetricRegistry
+from labos.telemetry.signing import Signing
+
+
+class ApiReadings(msgspec.Struct, frozen=True):
+    """How an API process stands. ``here``, ``by_kernel`` and ``away`` count requests by who answered them;
+    ``kernel_s`` is how long the kernel took for its own, in all."""
+
+    lab: str
+    name: str
+    process: str
+    position: int
+    recorded_at: float
+    kernel_there: bool
+    here: int
+    by_kernel: int
+    away: int
+    kernel_s: float
+
+
+class ApiMetrics:
+    """Updated by whoever asks."""
+
+    def __init__(self) -> None:
+        self.of_process = _ApiGroup()
+        self.signing = Signing()
+        self.registry = MetricRegistry([*self.of_process.families, *self.signing.families])
+
+    @cached_property
+    def process(self) -> CollectorRegistry:
+        """What the system says of this process."""
+        registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        PlatformCollector(registry=registry)
+        return registry
+
+    def text(self, now: ApiReadings) -> str:
+        """Everything, in Prometheus' text format."""
+        self.of_process.update(now)
+        return self.registry.text() + generate_latest(self.process).decode()
+
+
+class _ApiGroup(MetricGroup):
+    def __init__(self) -> None:
+        self.info = GaugeMetric(
+            "labos_api_info",
+            "1; the labels say which lab and API process it is.",
+            ("id", "name", "api"),
+        )
+        self.position = GaugeMetric(
+            "labos_api_log_position", "The last position of the log that this API process knows."
+        )
+        self.recorded = GaugeMetric(
+            "labos_api_log_time_seconds", "When that was recorded (UNIX time, by the clock of the kernel)."
+        )
+        self.kernel = GaugeMetric(
+            "labos_api_kernel_available", "1 while the kernel answers this API process, else 0."
+        )
+        self.requests = ComputedCounter(
+            "labos_api_requests_total",
+            "Requests of users to this API process; answered_by is api, kernel, or nobody while the kernel "
+            "is away.",
+            ("answered_by",),
+        )
+        self.kernel_s = ComputedCounter(
+            "labos_api_kernel_seconds_total", "How long the kernel took for the requests that it answered."
+        )
+
+    def update(self, now: ApiReadings) -> None:
+        self.info.set(1, (now.lab, now.name, now.process))
+        self.position.set(now.position)
+        self.recorded.set(now.recorded_at)
+        self.kernel.set(int(now.kernel_there))
+        self.requests.set(now.here, ("api",))
+        self.requests.set(now.by_kernel, ("kernel",))
+        self.requests.set(now.away, ("nobody",))
+        self.kernel_s.set(now.kernel_s)
