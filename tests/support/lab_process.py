@@ -61,10 +61,14 @@ class Up:
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self, *workcells: str) -> Up:
-        """Start it and wait until it can be talked to."""
+        """Start it and wait until it can be talked to. One that does not come so far is killed."""
         self.launch(*workcells)
-        until(lambda: self.is_there() or self.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
-        assert self.is_there(), self.said()
+        try:
+            until(lambda: self.is_there() or self.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
+            assert self.is_there(), self.said()
+        except BaseException:
+            self.clean_up()
+            raise
         return self
 
     def launch(self, *workcells: str) -> None:

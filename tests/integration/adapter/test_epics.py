@@ -14,8 +14,9 @@ from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play, shaker
 from tests.integration.bus.contract import until
 from tests.support.ioc import CaLine, Ioc, PvaLine
+from tests.support.needed import need
 
-pytest.importorskip("aioca", reason="needs labos-sdl[epics]")
+need("aioca", "epics")
 
 run = partial(play, limit_s=110.0)
 DESCRIPTION = shaker("epics_node")

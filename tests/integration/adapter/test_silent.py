@@ -18,9 +18,10 @@ from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node import Setup
 from labos.node.node import Node, current_action
+from tests.support.needed import need
 from tests.support.silent import SilentServer
 
-pytest.importorskip("asyncua", reason="needs labos-sdl[opcua]")
+need("asyncua", "opcua")
 pytest.importorskip("grpc", reason="needs labos-sdl[sila]")
 pytest.importorskip("zmq", reason="needs labos-sdl[zmq]")
 
