@@ -21,6 +21,7 @@ from labos.runtime.ledger import fold
 from labos.services.truth import differences
 from labos.settings import Settings, find_kernel
 from labos.store import open_store
+from tests.support.cells import rpl_with
 
 PATIENCE_S = 60.0
 
@@ -70,6 +71,10 @@ class Up:
             self.clean_up()
             raise
         return self
+
+    def start_with(self, *modules: str) -> Up:
+        """Start it with these modules of the paper's workcell only: each has a process."""
+        return self.start(str(rpl_with(modules, self.home.with_suffix(".yaml"))))
 
     def launch(self, *workcells: str) -> None:
         """Start it and do not wait."""

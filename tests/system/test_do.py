@@ -74,7 +74,7 @@ def test_one_action_in_a_lab_of_its_own(tmp_path: Path) -> None:
 
 def test_an_emergency_stop_is_recorded_and_ended_by_a_reset(lab: Up) -> None:
     lab.options = ("--simulate", "--speed", "1")
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home), "--user", "ada")
     with lab.client() as client:
         until(lambda: is_idle(client, "sciclops"), "the crane is there")
@@ -105,7 +105,7 @@ def test_an_emergency_stop_is_recorded_and_ended_by_a_reset(lab: Up) -> None:
 
 
 def test_an_emergency_stop_past_the_kernel_is_recorded_too(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     info = find_kernel(lab.home)
     assert info is not None
     with lab.client() as client:
@@ -118,7 +118,7 @@ def test_an_emergency_stop_past_the_kernel_is_recorded_too(lab: Up) -> None:
         until(lambda: not is_idle(client, "pf400"), "it is in error")
         everything = labos("estop", "--all", "--json", "--home", str(lab.home), "--user", "bo")
         assert everything.returncode == 0, everything.stderr
-        assert len(json.loads(everything.stdout)["stopped"]) == 14
+        assert len(json.loads(everything.stdout)["stopped"]) == 3
     assert labos("estop", "nobody", "--home", str(lab.home)).returncode == 1
     assert labos("estop", "--home", str(lab.home)).returncode == 2
     assert lab.interrupt() == 0
@@ -127,7 +127,7 @@ def test_an_emergency_stop_past_the_kernel_is_recorded_too(lab: Up) -> None:
 
 
 def test_out_of_service_and_back(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home), "--user", "ada")
     with lab.client() as client:
         until(lambda: is_idle(client, "sciclops"), "the crane is there")
@@ -150,7 +150,7 @@ def test_a_reset_whose_node_is_killed_is_asked_about_and_not_repeated(lab: Up) -
     """The arm's driver needs a while for its reset here: nobody can say how far it came."""
     slow = Path(__file__).parents[1] / "support" / "slow_reset"
     lab.environment = {"PYTHONPATH": str(slow)}
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home), "--user", "ada")
     with lab.client() as client:
         until(lambda: is_idle(client, "pf400"), "the arm is there")
