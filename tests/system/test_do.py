@@ -13,6 +13,7 @@ import pytest
 
 from labos.client import LabClient
 from labos.settings import find_kernel
+from tests.support.cells import rpl_with
 from tests.support.lab_process import Up, labos, until
 
 
@@ -46,12 +47,12 @@ def payloads(lab: Up, kind: str, **holds: Any) -> list[dict[str, Any]]:
 def test_one_action_in_a_lab_of_its_own(tmp_path: Path) -> None:
     up = Up(tmp_path / "lab")
     home = ("--home", str(up.home))
-    refused = labos("do", "sealer", "seal", "time=1000", "--simulate", *home)
+    cell = rpl_with(("sciclops", "pf400", "sealer", "hidex"), tmp_path / "rpl.yaml")
+    new = ("--simulate", "--workcell", str(cell), *home)
+    refused = labos("do", "sealer", "seal", "time=1000", *new)
     assert (refused.returncode, "do sealer.seal" in refused.stderr) == (1, True), refused.stderr
     assert not up.home.exists(), "nothing is half-done"
-    done = labos(
-        "do", "sciclops", "get_plate", "loc=tower1", "--simulate", "--speed", "2000", *home, "--user", "ada"
-    )
+    done = labos("do", "sciclops", "get_plate", "loc=tower1", "--speed", "2000", "--user", "ada", *new)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "R1 (do sciclops.get_plate) completed; 1 of 1 steps" in done.stdout
     # What it left is the user's: the next one may carry it on, as any run of the user may.
