@@ -120,7 +120,7 @@ def test_an_answer_that_comes_byte_by_byte_ends(
     interface: str, begins: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It never falls silent, and never says anything."""
-    monkeypatch.setattr(_http, "CONNECT_S", 0.3)
+    monkeypatch.setattr(_http, "CONNECT_S", 1.0)
     with SilentServer(begins) as server:
         where = f"127.0.0.1:{server.port}"
 
