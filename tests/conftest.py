@@ -39,6 +39,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
+    if [Path(arg).resolve() for arg in session.config.args] != [HERE]:
+        return
     worker = getattr(session.config, "workerinput", None)
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if worker is not None:
@@ -48,8 +50,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def _import_share(number: int, of: int) -> None:
-    """Import every so manieth file of tests, and so leave its bytecode to the other processes: where all
-    of them collect in the same order, each compiles every file."""
+    """Import every so manieth file of tests, and leave its bytecode to the other processes: they collect in
+    the same order, and each would compile every file."""
     files = sorted(path for path in HERE.rglob("test_*.py") if (path.parent / "__init__.py").exists())
     for path in files[number::of]:
         module = ".".join((HERE.name, *path.relative_to(HERE).with_suffix("").parts))
