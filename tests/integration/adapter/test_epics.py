@@ -139,6 +139,7 @@ def test_a_put_that_is_never_answered_is_unknown(ioc: Ioc, tmp_path: Path) -> No
     run(tmp_path, scenario)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["ca", "pva"])
 def test_texts_in_arrays_of_characters_and_labels(ioc: Ioc, tmp_path: Path, protocol: str) -> None:
     story = "The motor of the shaker has been switched off, for its temperature is 81 °C."
