@@ -291,10 +291,10 @@ def test_another_device_on_the_bus(drive: DriveOnSlcan, monkeypatch: pytest.Monk
         drive._node.data_store[profile.DEVICE_TYPE] = {0: (401).to_bytes(4, "little")}
         with pytest.raises(WrongDevice, match="a device of the profile 401 answers"):
             await node_at(drive).connect()
+        monkeypatch.setattr(objects, "ANSWER_S", 0.2)
         with pytest.raises(NotConnected, match="does not say who it is"):
             await node_at(drive, node=7).connect()
 
-    monkeypatch.setattr(objects, "ANSWER_S", 0.2)
     run(body)
 
 

@@ -210,7 +210,7 @@ def test_a_peel_is_taken_up_by_what_the_device_says_of_its_last_motion(world: Wo
         assert [error.value.effects for error in told] == ["none", "partial", "unknown"]
         await again.close()
 
-    with powered(PeelerOnWire, "peeler", world, port, pace=10) as device:
+    with powered(PeelerOnWire, "peeler", world, port, pace=20) as device:
         run(lambda: body(device))
     assert len(world.motions("peel")) == 1
 

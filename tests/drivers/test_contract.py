@@ -197,7 +197,7 @@ async def served(lab: Lab, package: str) -> NodeServer:
     setup = Setup("arm", "cell", told.settings, poses=told.poses, regrip=told.regrip, world=lab.world)
     journal = await Journal.open(FileJournalFile(lab.folder / package), Uuid7Ids())
     bus = await lab.bus()
-    server = NodeServer(kind(setup), bus, LAB, journal, SystemClock(), Uuid7Ids())
+    server = NodeServer(kind(setup), bus, LAB, journal, SystemClock(), Uuid7Ids(), settle_s=0.02)
     await server.start()
     lab.kernel.journal = journal.id
     return server

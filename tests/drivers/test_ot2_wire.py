@@ -527,7 +527,7 @@ def test_slips_in_the_configuration_of_the_deck(
     run(body)
 
 
-@pytest.mark.parametrize("how", ["paused", "door", "error"])
+@pytest.mark.parametrize("how", ["paused", "door", pytest.param("error", marks=pytest.mark.slow)])
 def test_a_run_that_waits_for_a_person_says_so_and_is_resumed(world: World, file: str, how: str) -> None:
     """Unseen, it would wait for ever."""
     world.stock("ot2.deck2", "plate")

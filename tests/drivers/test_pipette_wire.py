@@ -270,7 +270,8 @@ def test_at_the_tool_port_of_an_arm(world: World) -> None:
         device.close()
 
 
-def test_nobody_answers(port: Path) -> None:
+def test_nobody_answers(port: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipette_driver, "ANSWER_S", 0.2)
     with answering(PtyEnd(port), {}, stop=b"\r"), pytest.raises(NotConnected, match="does not say who it is"):
         run(at_port(Pipette, "pipette", port).connect)
 

@@ -307,16 +307,16 @@ def test_garbled_and_late_answers_are_no_answers(arm: UROnWire, monkeypatch: pyt
 
 
 def test_who_does_not_greet_is_no_dashboard(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ur_driver, "ANSWER_S", 0.2)
     silent, other = TcpEnd(), TcpEnd(greeting=b"220 mail.example.org\n")
 
     async def body() -> None:
-        with pytest.raises(NotConnected, match="does not say who it is"):
-            await at_port(UR, "ur5", silent.address, key="host").connect()
         work = asyncio.create_task(at_port(UR, "ur5", other.address, key="host").connect())
         await asyncio.to_thread(other.read, 2.0)
         with pytest.raises(WrongDevice, match="mail"):
             await work
+        monkeypatch.setattr(ur_driver, "ANSWER_S", 0.2)
+        with pytest.raises(NotConnected, match="does not say who it is"):
+            await at_port(UR, "ur5", silent.address, key="host").connect()
 
     run(body)
     silent.close()

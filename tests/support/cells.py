@@ -9,6 +9,9 @@ import yaml
 
 from labos.spec import find_spec
 
+PCR = ("sciclops", "pf400", "ot2_pcr_alpha", "sealer", "biometra", "peeler", "camera_module")
+"""The modules that the paper's PCR uses."""
+
 
 def rpl_with(modules: Iterable[str], path: Path) -> Path:
     """The workcell of the paper with these modules only: fewer processes to start."""

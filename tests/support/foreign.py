@@ -104,6 +104,7 @@ class ForeignProcess:
         until = time.monotonic() + 60
         while not self._ready():
             if self.process.poll() is not None or time.monotonic() > until:
+                self.kill()
                 raise AssertionError((self.folder / "node.log").read_text()[-3000:])
             time.sleep(0.05)
         return self

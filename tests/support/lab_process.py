@@ -21,6 +21,7 @@ from labos.runtime.ledger import fold
 from labos.services.truth import differences
 from labos.settings import Settings, find_kernel
 from labos.store import open_store
+from tests.support.cells import rpl_with
 
 PATIENCE_S = 60.0
 
@@ -61,11 +62,19 @@ class Up:
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self, *workcells: str) -> Up:
-        """Start it and wait until it can be talked to."""
+        """Start it and wait until it can be talked to. One that does not come so far is killed."""
         self.launch(*workcells)
-        until(lambda: self.is_there() or self.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
-        assert self.is_there(), self.said()
+        try:
+            until(lambda: self.is_there() or self.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
+            assert self.is_there(), self.said()
+        except BaseException:
+            self.clean_up()
+            raise
         return self
+
+    def start_with(self, *modules: str) -> Up:
+        """Start it with these modules of the paper's workcell only: each has a process."""
+        return self.start(str(rpl_with(modules, self.home.with_suffix(".yaml"))))
 
     def launch(self, *workcells: str) -> None:
         """Start it and do not wait."""

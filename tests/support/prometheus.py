@@ -38,6 +38,7 @@ class Prometheus:
     """A server that scrapes what its configuration says, until ``stop``."""
 
     def __init__(self, folder: Path, config: str) -> None:
+        program = need("prometheus")
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.url = f"http://127.0.0.1:{probe.getsockname()[1]}"
@@ -45,7 +46,7 @@ class Prometheus:
         self._log = (folder / "prometheus.log").open("wb")
         self._process = subprocess.Popen(
             [
-                need("prometheus"),
+                program,
                 f"--config.file={folder / 'prometheus.yml'}",
                 f"--storage.tsdb.path={folder / 'data'}",
                 f"--web.listen-address={self.url.removeprefix('http://')}",

@@ -112,7 +112,7 @@ def stands(lab: Up, *places: str) -> list[list[str]]:
 def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
     lab: Up, terminal: Callable[..., Terminal]
 ) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer", "hidex", "camera_module")
     home = ("--home", str(lab.home))
     for place in ("sealer.default", "camera_module.plate_station", "hidex.default"):
         assert labos("place", place, "plate96", *home).returncode == 0
@@ -161,7 +161,7 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
 
 
 def test_without_a_terminal_it_says_that_nothing_was_told(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400")
     home = ("--home", str(lab.home))
     assert labos("access", "rpl", "--no-park", "--json", *home).returncode == 0
     done = labos("access", "rpl", "--done", *home)

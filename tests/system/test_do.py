@@ -13,6 +13,7 @@ import pytest
 
 from labos.client import LabClient
 from labos.settings import find_kernel
+from tests.support.cells import rpl_with
 from tests.support.lab_process import Up, labos, until
 
 
@@ -46,12 +47,12 @@ def payloads(lab: Up, kind: str, **holds: Any) -> list[dict[str, Any]]:
 def test_one_action_in_a_lab_of_its_own(tmp_path: Path) -> None:
     up = Up(tmp_path / "lab")
     home = ("--home", str(up.home))
-    refused = labos("do", "sealer", "seal", "time=1000", "--simulate", *home)
+    cell = rpl_with(("sciclops", "pf400", "sealer", "hidex"), tmp_path / "rpl.yaml")
+    new = ("--simulate", "--workcell", str(cell), *home)
+    refused = labos("do", "sealer", "seal", "time=1000", *new)
     assert (refused.returncode, "do sealer.seal" in refused.stderr) == (1, True), refused.stderr
     assert not up.home.exists(), "nothing is half-done"
-    done = labos(
-        "do", "sciclops", "get_plate", "loc=tower1", "--simulate", "--speed", "2000", *home, "--user", "ada"
-    )
+    done = labos("do", "sciclops", "get_plate", "loc=tower1", "--speed", "2000", "--user", "ada", *new)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "R1 (do sciclops.get_plate) completed; 1 of 1 steps" in done.stdout
     # What it left is the user's: the next one may carry it on, as any run of the user may.
@@ -74,7 +75,7 @@ def test_one_action_in_a_lab_of_its_own(tmp_path: Path) -> None:
 
 def test_an_emergency_stop_is_recorded_and_ended_by_a_reset(lab: Up) -> None:
     lab.options = ("--simulate", "--speed", "1")
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home), "--user", "ada")
     with lab.client() as client:
         until(lambda: is_idle(client, "sciclops"), "the crane is there")
@@ -105,7 +106,7 @@ def test_an_emergency_stop_is_recorded_and_ended_by_a_reset(lab: Up) -> None:
 
 
 def test_an_emergency_stop_past_the_kernel_is_recorded_too(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     info = find_kernel(lab.home)
     assert info is not None
     with lab.client() as client:
@@ -118,7 +119,7 @@ def test_an_emergency_stop_past_the_kernel_is_recorded_too(lab: Up) -> None:
         until(lambda: not is_idle(client, "pf400"), "it is in error")
         everything = labos("estop", "--all", "--json", "--home", str(lab.home), "--user", "bo")
         assert everything.returncode == 0, everything.stderr
-        assert len(json.loads(everything.stdout)["stopped"]) == 14
+        assert len(json.loads(everything.stdout)["stopped"]) == 3
     assert labos("estop", "nobody", "--home", str(lab.home)).returncode == 1
     assert labos("estop", "--home", str(lab.home)).returncode == 2
     assert lab.interrupt() == 0
@@ -127,7 +128,7 @@ def test_an_emergency_stop_past_the_kernel_is_recorded_too(lab: Up) -> None:
 
 
 def test_out_of_service_and_back(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home), "--user", "ada")
     with lab.client() as client:
         until(lambda: is_idle(client, "sciclops"), "the crane is there")
@@ -150,7 +151,7 @@ def test_a_reset_whose_node_is_killed_is_asked_about_and_not_repeated(lab: Up) -
     """The arm's driver needs a while for its reset here: nobody can say how far it came."""
     slow = Path(__file__).parents[1] / "support" / "slow_reset"
     lab.environment = {"PYTHONPATH": str(slow)}
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home), "--user", "ada")
     with lab.client() as client:
         until(lambda: is_idle(client, "pf400"), "the arm is there")

@@ -16,6 +16,7 @@ from labos.clock import SystemClock
 from labos.runtime.spawning import PYTHON, ForkServer
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.settings import is_alive
+from tests.support.processes import running
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="nodes are forks on Linux only")
 
@@ -137,12 +138,8 @@ def test_the_server_ends_with_its_kernel(tmp_path: Path) -> None:
         "asyncio.run(main())"
     )
     argv = waiting_node(tmp_path, "a").argv
-    kernel = subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path / "log"), *argv], stdout=subprocess.PIPE, text=True
-    )
-    assert kernel.stdout is not None
-    server, node = map(int, kernel.stdout.readline().split())
-    kernel.kill()
-    kernel.wait()
-    kernel.stdout.close()
+    argv = [sys.executable, "-c", code, str(tmp_path / "log"), *argv]
+    with running(argv, stdout=subprocess.PIPE, text=True) as kernel:
+        assert kernel.stdout is not None
+        server, node = map(int, kernel.stdout.readline().split())
     asyncio.run(until(lambda: not is_alive(server) and not is_alive(node)))

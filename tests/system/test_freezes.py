@@ -28,6 +28,7 @@ from labos.services.truth import differences
 from labos.settings import free_port
 from labos.store import open_store
 from tests.support.cable import Cable
+from tests.support.cells import PCR
 from tests.support.lab_process import Up, labos, statuses, until
 from tests.support.postgres import PostgresServer
 from tests.system.test_kills import KERNEL_POINTS, NODE_POINTS, Lab, submitted_twice
@@ -289,7 +290,7 @@ def test_a_kernel_frozen_longer_than_its_lease_goes_on_alone(tmp_path: Path, pos
     """Nobody else has taken the lab meanwhile: its lease has run out, and it may take it again."""
     lab = Up(tmp_path / "lab", "--simulate", "--speed", "800", "--quiet", "--database", postgres_url)
     try:
-        lab.start("rpl")
+        lab.start_with(*PCR, "hidex")
         with lab.client() as client:
             runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
             until(lambda: lab.types().count("labware.moved") >= 2, "the runs are on their way")
@@ -316,7 +317,7 @@ def heard(lab: Up) -> str:
 def under_way(lab: Up, url: str, *options: str) -> list[str]:
     """A lab on this database with two PCRs on their way; returns these."""
     lab.options = ("--simulate", "--speed", "800", "--quiet", "--database", url, *options)
-    lab.start("rpl")
+    lab.start_with(*PCR, "hidex")
     with lab.client() as client:
         runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
     until(lambda: lab.types().count("action.succeeded") >= 3, "the runs are on their way")

@@ -28,6 +28,7 @@ from labos.settings import find_kernel
 from labos.spec import find_spec
 from labos.store import open_store
 from labos.testing.person import look
+from tests.support.cells import PCR, rpl_with
 
 KERNEL_POINTS = (
     "before_commit",
@@ -110,9 +111,9 @@ class Lab:
         self.kills = 0
         self.resets = 0
         self.questions: list[str] = []
-        self.workcell = "rpl"
         self.options = ["--speed", "1500"]
         home.mkdir(parents=True, exist_ok=True)
+        self.workcell = str(rpl_with(PCR, home.parent / "rpl.yaml"))
         self.environment = {
             **os.environ,
             "PYTHONPATH": str(SITE),

@@ -20,6 +20,7 @@ from labos.errors import LabosError, Refused
 from labos.node.world import World
 from labos.runtime.ledger import fold
 from labos.testing.person import look
+from tests.support.cells import PCR
 from tests.support.lab_process import Up, statuses, until
 
 
@@ -48,7 +49,7 @@ def crashes(lab: Up) -> list[str]:
 def cut(lab: Up, tmp_path: Path, after: int, more: int) -> str:
     """A PCR is under way; the lab is closed in order, and its log has lost what came behind ``after`` steps.
     Returns the run."""
-    lab.start("rpl")
+    lab.start_with(*PCR)
     copy = tmp_path / "copy.db"
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
@@ -101,7 +102,7 @@ def test_nothing_moves_before_the_bench_was_compared(lab: Up, tmp_path: Path, af
 @pytest.mark.full
 def test_a_flipped_byte_in_the_write_ahead_log_of_a_lab_that_was_killed(lab: Up) -> None:
     """SQLite drops what follows it, without a word."""
-    lab.start("rpl")
+    lab.start_with(*PCR)
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
         until(lambda: done(lab) >= 9, "the run is on its way")

@@ -14,6 +14,7 @@ import pytest
 
 from tests.integration.notify.servers import Hook, web_server
 from tests.support.lab_process import Up, labos, until
+from tests.support.processes import running
 
 
 @pytest.fixture
@@ -43,13 +44,11 @@ def test_a_killed_kernel_is_told_by_who_watches(lab: Up) -> None:
         write(lab, url)
         lab.start("rpl")
         argv = [sys.executable, "-m", "labos", "notifications", "watch", "--home", str(lab.home)]
-        watcher = subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        try:
+        with running(argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as watcher:
             lab.kill()
             until(lambda: hook.bodies, "the watcher tells of it")
             sent = [("duty", "sent")]
             until(lambda: [(d["contact"], d["state"]) for d in listed(lab)] == sent, "it is noted as sent")
-        finally:
             watcher.send_signal(signal.SIGINT)
             assert watcher.wait(60) == 0
         assert [body["title"] for body in hook.bodies] == ["the kernel has stopped"]

@@ -12,6 +12,7 @@ import pytest
 
 from labos.node.world import World
 from tests.simulation.test_people import PERSON, RPL
+from tests.support.cells import PCR
 from tests.support.lab_process import Up, labos, statuses, until
 
 WORKFLOW = """
@@ -112,7 +113,7 @@ def test_what_cannot_be_done_ends_the_run(lab: Up, tmp_path: Path) -> None:
 
 
 def test_a_person_reaches_in_and_the_lab_goes_on(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with(*PCR)
     home = ("--home", str(lab.home))
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
@@ -204,7 +205,7 @@ def test_a_workcell_is_changed_while_its_lab_runs(lab: Up, tmp_path: Path) -> No
 
 
 def test_an_arm_is_taught_a_station(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home))
     with lab.client() as client:
 

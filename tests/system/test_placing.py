@@ -25,7 +25,7 @@ UNKNOWN = PICTURE.replace("camera_module", "camara_module")
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[Up]:
     up = Up(tmp_path / "lab", "--simulate", "--speed", "2000")
-    yield up.start("rpl")
+    yield up.start_with("sciclops", "pf400", "sealer", "peeler", "hidex", "camera_module")
     up.clean_up()
 
 

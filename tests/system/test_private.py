@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.cells import PCR
 from tests.support.lab_process import Up, labos, until
 
 MARKER = "hunter2marker"
@@ -43,7 +44,7 @@ def children_of(parent: int) -> set[int]:
 
 
 def test_files_and_folders_are_the_owners(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with(*PCR)
     with lab.client() as client:
         until(lambda: all(m["status"] == "IDLE" for m in client.state()["modules"]), "all nodes are there")
         run = client.submit("pcr", user="ada")
@@ -81,7 +82,7 @@ def test_no_process_shows_the_databases_password(lab: Up, postgres_url: str) -> 
     assert "LABOS_DATABASE_URL" in told.stderr
     assert MARKER not in told.stderr + told.stdout
     lab.environment = {"LABOS_DATABASE_URL": url}
-    lab.start("rpl")
+    lab.start_with(*PCR)
     assert lab.process is not None
     with lab.client() as client:
         until(lambda: all(m["status"] == "IDLE" for m in client.state()["modules"]), "all nodes are there")

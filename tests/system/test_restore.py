@@ -22,6 +22,7 @@ from labos.node.world import World
 from labos.runtime.ledger import fold
 from labos.store import open_store
 from labos.testing.person import look
+from tests.support.cells import PCR
 from tests.support.lab_process import Up, statuses, until
 
 
@@ -52,7 +53,7 @@ def succeeded(lab: Up, database: str) -> int:
 
 def half_done(lab: Up, database: str, copy: Any) -> None:
     """A PCR runs to its end; in the middle of it ``copy`` is called."""
-    lab.start("rpl")
+    lab.start_with(*PCR)
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
         until(lambda: succeeded(lab, database) >= 3, "three steps are done")
@@ -166,7 +167,7 @@ def test_a_database_put_back_by_hand(lab: Up, tmp_path: Path, lives: int) -> Non
 def test_one_file_is_the_whole_log_of_a_lab_that_was_closed(lab: Up, tmp_path: Path) -> None:
     """Somebody reads on while it closes; and where that file is missing, nothing begins anew unasked."""
     file = lab.home / "labos.db"
-    lab.start("rpl")
+    lab.start_with(*PCR)
     reader = open_store(f"sqlite:///{file}", create=False, read_only=True)
     try:
         with lab.client() as client:

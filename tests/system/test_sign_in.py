@@ -31,7 +31,7 @@ def lab(folder: Path) -> Iterator[Up]:
     up = Up(folder / "lab", "--simulate", "--speed", "200")
     up.environment = {"LABOS_LOG": "debug"}
     try:
-        yield up.start("rpl")
+        yield up.start_with("sciclops", "pf400", "sealer")
     finally:
         up.clean_up()
 

@@ -62,7 +62,11 @@ class Pair:
         self.bus_options = ("--secure", "--home", str(self.home)) if secure else ()
         self.start_bus()
         if secure:
-            until((self.home / "pki" / "members.json").exists, "the bus has an authority")
+            try:
+                until((self.home / "pki" / "members.json").exists, "the bus has an authority")
+            except BaseException:
+                self.bus.kill()
+                raise
         common = ("--database", database, "--bus", self.endpoint, "--detach-nodes")
         self.first = Up(self.home, "--simulate", "--speed", str(speed), *common)
         self.second = Up(self.home, "--standby", *common)

@@ -29,7 +29,7 @@ def stack(inventory: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def test_stacks_are_loaded_and_unloaded_and_resources_refilled(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home))
     user = (*home, "--user", "ada")
 
@@ -80,7 +80,7 @@ def test_stacks_are_loaded_and_unloaded_and_resources_refilled(lab: Up) -> None:
 
 
 def test_a_hotel_is_loaded_from_its_lowest_free_shelf(lab: Up) -> None:
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400", "sealer")
     home = ("--home", str(lab.home))
     user = (*home, "--user", "ada")
     assert labos("place", "wc.output.2", "plate96", *user).stdout == "P1 stands at wc.output.2.\n"

@@ -25,6 +25,7 @@ from labos.errors import LabosError
 from labos.store import open_store
 from tests.integration.store.records import batch, filled
 from tests.support.bad_disk import BadDisk
+from tests.support.cells import PCR
 from tests.support.lab_process import Up, statuses, until
 from tests.support.postgres import PostgresServer
 
@@ -98,7 +99,7 @@ def fill(disk: Path) -> None:
 def outlive(lab: Up, database: str, then: str, fail: Callable[[], None], mend: Callable[[], None]) -> None:
     """Two PCRs under a disk that fails, until it is mended."""
     lab.options = (*SPEED, "--database", database, "--on-database-loss", then)
-    lab.start("rpl")
+    lab.start_with(*PCR, "hidex")
     with lab.client() as client:
         runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
         until(lambda: count(lab, "action.succeeded") >= 3, "the runs are on their way")
@@ -157,7 +158,7 @@ def test_a_server_that_crashes_under_load(
     server = own_postgres()
     url = server.create_database("lab")
     lab.options = (*SPEED, "--database", url, "--on-database-loss", then)
-    lab.start("rpl")
+    lab.start_with(*PCR, "hidex")
     process = lab.process
     assert process is not None
     with lab.client() as client:
@@ -230,7 +231,7 @@ def test_a_truncated_write_ahead_log_is_found_by_its_last_position_and_the_nodes
     lab: Up, tmp_path: Path
 ) -> None:
     """A power cut that took what was said to be synced: the disk lied."""
-    lab.start("rpl")
+    lab.start_with(*PCR, "hidex")
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
         assert statuses(client, [run]) == ["completed"]

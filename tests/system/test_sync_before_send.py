@@ -51,11 +51,15 @@ def traced_run(home: Path, trace: Path) -> None:
     finally:
         for node in nodes:
             node.terminate()
-            node.wait(30)
         info = find_kernel(home)
         if info is not None:
             os.kill(info.pid, signal.SIGINT)  # strace itself does not pass signals on
-        lab.wait(60)
+        try:
+            for process in (*nodes, lab):
+                process.wait(60)
+        finally:
+            for process in (*nodes, lab):
+                process.kill()
 
 
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed (package strace)")

@@ -14,6 +14,7 @@ import pytest
 
 from labos.core.canonical import digest
 from labos.settings import find_kernel
+from tests.support.cells import PCR
 from tests.support.lab_process import Up, labos, statuses, until
 
 SPECS = Path(__file__).parents[2] / "specs"
@@ -40,7 +41,7 @@ def cycling(lab: Up) -> bool:
 @pytest.mark.smoke
 def test_interrupted_it_goes_on_where_it_was(lab: Up) -> None:
     lab.options = ("--simulate", "--speed", "5000")
-    lab.start("rpl")
+    lab.start_with(*PCR)
     with lab.client() as client:
         runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
         until(lambda: cycling(lab), "the thermocycler works")
@@ -72,7 +73,7 @@ def test_interrupted_it_goes_on_where_it_was(lab: Up) -> None:
 )
 def test_killed_it_goes_on_where_it_was(lab: Up, detach: tuple[str, ...]) -> None:
     lab.options = ("--simulate", "--speed", "3000", *detach)
-    lab.start("rpl")
+    lab.start_with(*PCR)
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
         until(lambda: cycling(lab), "the thermocycler works")
@@ -126,7 +127,7 @@ def test_a_second_kernel_from_another_folder_leaves_nothing_there(lab: Up, tmp_p
 
 def test_what_is_cut_short_by_closing_is_said(lab: Up) -> None:
     lab.options = ("--simulate", "--speed", "1")
-    lab.start("rpl")
+    lab.start_with("sciclops", "pf400")
     (lab.home / "wf.yaml").write_text(HOME)
     with lab.client() as client:
         run = client.submit(lab.home / "wf.yaml", user="ada")

@@ -16,6 +16,7 @@ from labos.node import World
 from labos.settings import Settings
 from labos.spec import load_workcell
 from tests.support.lab_process import Up, labos, statuses, until
+from tests.support.processes import running
 
 SPECS = Path(__file__).parents[2] / "specs"
 
@@ -72,7 +73,7 @@ def test_pcr_and_color_picker_behind_their_wires(tmp_path: Path) -> None:
     app = [sys.executable, str(SPECS / "apps" / "color_picker.py"), "--home", str(up.home)]
     try:
         up.start("rpl")
-        with up.client() as client, subprocess.Popen(app, stdout=subprocess.PIPE, text=True) as picker:
+        with up.client() as client, running(app, stdout=subprocess.PIPE, text=True) as picker:
             pcr = client.submit("pcr", user="ada")
             assert picker.wait(600) == 0, up.said()
             until(lambda: statuses(client, [pcr]) == ["completed"], "the PCR is done", 600)

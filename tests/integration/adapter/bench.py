@@ -72,7 +72,7 @@ class Bench:
     async def process(
         self, interface: str, description: Description, **config: Any
     ) -> subprocess.Popen[bytes]:
-        """An adapter in a process of its own, ready for work."""
+        """An adapter in a process of its own, which answers; `idle` waits until its device is connected."""
         told = msgspec.json.encode([interface, msgspec.to_builtins(description), {**QUICK, **config}])
         command = [
             sys.executable,

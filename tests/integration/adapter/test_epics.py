@@ -14,8 +14,9 @@ from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play, shaker
 from tests.integration.bus.contract import until
 from tests.support.ioc import CaLine, Ioc, PvaLine
+from tests.support.needed import need
 
-pytest.importorskip("aioca", reason="needs labos-sdl[epics]")
+need("aioca", "epics")
 
 run = partial(play, limit_s=110.0)
 DESCRIPTION = shaker("epics_node")
@@ -138,6 +139,7 @@ def test_a_put_that_is_never_answered_is_unknown(ioc: Ioc, tmp_path: Path) -> No
     run(tmp_path, scenario)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["ca", "pva"])
 def test_texts_in_arrays_of_characters_and_labels(ioc: Ioc, tmp_path: Path, protocol: str) -> None:
     story = "The motor of the shaker has been switched off, for its temperature is 81 °C."

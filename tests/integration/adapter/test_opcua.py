@@ -17,8 +17,9 @@ from tests.integration.adapter.scenario import play, shaker
 from tests.integration.bus.contract import until
 from tests.support.cable import Cable
 from tests.support.foreign import ForeignProcess
+from tests.support.needed import need
 
-pytest.importorskip("asyncua", reason="needs labos-sdl[opcua]")
+need("asyncua", "opcua")
 
 run = partial(play, limit_s=100.0)
 DESCRIPTION = shaker("opcua_node")

@@ -17,8 +17,9 @@ from labos.errors import DeviceError
 from labos.node import Setup
 from labos.settings import free_port
 from tests.integration.adapter.test_opcua import OpcuaProcess
+from tests.support.needed import need
 
-pytest.importorskip("asyncua", reason="needs labos-sdl[opcua]")
+need("asyncua", "opcua")
 
 ANY = Arg(name="value", type="any")
 NAMES = ("mode", "modes", "recipe", "rpm", "pump", "pump2")

@@ -161,6 +161,7 @@ def test_a_device_that_stays_mute_is_not_waited_for_for_ever(sealer: Sealer, tmp
     run(tmp_path, scenario)
 
 
+@pytest.mark.slow
 def test_a_device_that_says_that_it_works_is_waited_for(sealer: Sealer, tmp_path: Path) -> None:
     async def scenario(here: Bench) -> None:
         await adapter(here, sealer.url, PAPER, patience_s=0.2)
@@ -191,6 +192,7 @@ def test_a_status_that_the_mapping_does_not_name_is_no_end(sealer: Sealer, tmp_p
     run(tmp_path, scenario)
 
 
+@pytest.mark.slow
 def test_a_status_that_stays_unknown_leaves_the_outcome_unknown(sealer: Sealer, tmp_path: Path) -> None:
     async def scenario(here: Bench) -> None:
         await adapter(here, sealer.url, JOBS, patience_s=0.2)

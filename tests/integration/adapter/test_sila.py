@@ -148,6 +148,7 @@ async def recovered(here: Bench) -> None:
     await here.idle()
 
 
+@pytest.mark.slow
 def test_labos_node_about_prints_the_module(server: SilaProcess, tmp_path: Path) -> None:
     where = f"127.0.0.1:{server.port}"
     said = labos("node", "about", "sila_node", where, "--config", "sila_insecure=true")

@@ -18,9 +18,10 @@ from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node import Setup
 from labos.node.node import Node, current_action
+from tests.support.needed import need
 from tests.support.silent import SilentServer
 
-pytest.importorskip("asyncua", reason="needs labos-sdl[opcua]")
+need("asyncua", "opcua")
 pytest.importorskip("grpc", reason="needs labos-sdl[sila]")
 pytest.importorskip("zmq", reason="needs labos-sdl[zmq]")
 
@@ -107,6 +108,11 @@ def test_questions_to_a_server_that_says_nothing_end(interface: str) -> None:
         assert server.heard.is_set()
 
 
+def slowly(interface: str) -> Any:
+    """An interface that waits as long as another one of these that goes the same way: it is a slow test."""
+    return pytest.param(interface, marks=pytest.mark.slow)
+
+
 DRIPS = {
     "in its header": b"HTTP/1.1 200 OK\r\nX-Long:",
     "in its body": b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: 999999\r\n\r\n{",
@@ -114,12 +120,12 @@ DRIPS = {
 
 
 @pytest.mark.parametrize("begins", DRIPS.values(), ids=list(DRIPS))
-@pytest.mark.parametrize("interface", ["wei_rest_node", "madsci_rest_node", "rest_node"])
+@pytest.mark.parametrize("interface", [slowly("wei_rest_node"), "madsci_rest_node", "rest_node"])
 def test_an_answer_that_comes_byte_by_byte_ends(
     interface: str, begins: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It never falls silent, and never says anything."""
-    monkeypatch.setattr(_http, "CONNECT_S", 0.3)
+    monkeypatch.setattr(_http, "CONNECT_S", 1.0)
     with SilentServer(begins) as server:
         where = f"127.0.0.1:{server.port}"
 
@@ -135,7 +141,9 @@ def test_an_answer_that_comes_byte_by_byte_ends(
         with_node(interface, reached(interface, server.port), use)
 
 
-@pytest.mark.parametrize("interface", ["wei_rest_node", "rest_node", "wei_tcp_node", "tcp_node"])
+@pytest.mark.parametrize(
+    "interface", [slowly("wei_rest_node"), "rest_node", "wei_tcp_node", slowly("tcp_node")]
+)
 def test_an_action_that_was_sent_and_is_never_answered_is_unknown(interface: str) -> None:
     with SilentServer() as server:
 

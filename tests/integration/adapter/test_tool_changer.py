@@ -24,8 +24,9 @@ from tests.drivers.wires import at_port, powered
 from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play
 from tests.support.ioc import Ioc
+from tests.support.needed import need
 
-pytest.importorskip("aioca", reason="needs labos-sdl[epics]")
+need("aioca", "epics")
 
 run = partial(play, limit_s=110.0)
 (PAGE,) = (b for b in blocks((DOCS / "drivers" / "ur.md").read_text("utf-8")) if b.title == "pendant.yaml")

@@ -27,6 +27,7 @@ from tests.foreign.make import ROOT
 from tests.integration.audit.logs import GrowingLog, project
 from tests.support.audited import MEASURED, PLATE, audited_lab, finish_with
 from tests.support.foreign import python_of
+from tests.support.processes import running
 from tests.unit.services.logbook import Logbook, save
 
 SOURCE = b"# the workflow as somebody wrote it\n"
@@ -319,22 +320,19 @@ def test_an_export_follows_the_log(tmp_path: Path) -> None:
         "--home",
         home,
     ]
-    with subprocess.Popen(
+    with running(
         command,
         stdout=subprocess.PIPE,
         # A shell that runs the tests in the background has Ctrl-C ignored.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     ) as process:
-        try:
-            assert process.stdout is not None
-            assert json.loads(process.stdout.readline())["position"] == str(known)
-            book.write([SamplesRegistered(PLATE, "", "5" * 64, 1, ())], "ada")
-            store = open_store(url, home=home)
-            head = store.claim(LabId("lab-1"), "test", 30.0)
-            store.append(head, book.records[known:])
-            store.close()
-            assert json.loads(process.stdout.readline())["type"] == "labos.labware.samples_registered"
-            process.send_signal(signal.SIGINT)
-            assert process.wait(20) == 0
-        finally:
-            process.kill()
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["position"] == str(known)
+        book.write([SamplesRegistered(PLATE, "", "5" * 64, 1, ())], "ada")
+        store = open_store(url, home=home)
+        head = store.claim(LabId("lab-1"), "test", 30.0)
+        store.append(head, book.records[known:])
+        store.close()
+        assert json.loads(process.stdout.readline())["type"] == "labos.labware.samples_registered"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, AbstractContextManager, asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -19,6 +19,7 @@ from labos.errors import BusError, NoAnswer
 from labos.ports import Bus
 from tests.integration.bus.contract import KEY, BusContract, echo, until
 from tests.integration.ports import free_endpoint
+from tests.support.processes import running
 
 
 class TestTwoClients(BusContract):
@@ -181,12 +182,9 @@ def test_a_process_that_dies_or_freezes_is_noticed(how: str, within_s: float) ->
         async with router(endpoint) as hub:
             await hub.watch_alive("labos/lab/@alive/**", lambda key, living: seen.append(living))
             with python(LIVING, endpoint) as process:
-                try:
-                    await until(lambda: seen == [True], 10.0)
-                    os.kill(process.pid, getattr(signal, how))
-                    await until(lambda: seen == [True, False], within_s)
-                finally:
-                    process.kill()
+                await until(lambda: seen == [True], 10.0)
+                os.kill(process.pid, getattr(signal, how))
+                await until(lambda: seen == [True, False], within_s)
 
     asyncio.run(main())
 
@@ -211,6 +209,6 @@ def test_a_bus_that_nobody_closed_does_not_keep_the_process() -> None:
         assert process.wait(10.0) == 7
 
 
-def python(code: str, *args: str) -> subprocess.Popen[bytes]:
+def python(code: str, *args: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
     here = Path(__file__).parents[3]
-    return subprocess.Popen([sys.executable, "-c", code, *args], cwd=here)
+    return running([sys.executable, "-c", code, *args], cwd=here)

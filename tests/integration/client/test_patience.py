@@ -46,6 +46,7 @@ class Lab:
                         caller.sendall(ANSWER)
 
 
+@pytest.mark.slow
 def test_a_lab_that_keeps_breaking_off_is_not_silent() -> None:
     """Each of two long questions lasts longer than the patience with a silent lab."""
     lab = Lab(2)

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from labos.clock import Uuid7Ids
 from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
@@ -118,6 +120,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.slow
 def test_a_journal_whose_process_is_killed_while_it_writes(tmp_path: Path) -> None:
     """What was answered for before the kill is there after it, compactions included."""
     path = tmp_path / "killed.journal"

@@ -61,6 +61,7 @@ def test_a_node_that_takes_the_place_of_another_is_no_impostor(tmp_path: Path) -
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_a_second_node_that_obeys_a_later_kernel_takes_nothing_out_of_service(tmp_path: Path) -> None:
     """Whoever of the two is asked who it is."""
 

@@ -132,6 +132,7 @@ def test_a_silent_database_is_given_up_once_and_nothing_of_it_comes_late(
     run(server, scenario)
 
 
+@pytest.mark.slow
 @pytest.mark.postgres
 def test_a_writer_is_closed_although_its_database_is_silent(
     own_postgres: Callable[[], PostgresServer],

@@ -78,6 +78,7 @@ def test_whoever_waits_for_a_frozen_server_can_be_helped_out(
     assert first_damage(store) is None
 
 
+@pytest.mark.slow
 def test_a_store_is_closed_under_whoever_waits_for_it(server: PostgresServer, opened: Open) -> None:
     store = opened(server.create_database("lab"))
     head = filled(store, 3)

@@ -29,6 +29,7 @@ from labos.services.trust.tree import TREE_FILE, grow, read_tree
 from labos.services.trust.witness import Witness, encode_request, parse_request
 from labos.store import open_store
 from tests.integration.trust.conftest import NAME, Lab, chained_anew, run_openssl, serving
+from tests.support.processes import running
 from tests.unit.services.logbook import two_users
 
 RECORDS = two_users().records
@@ -250,12 +251,10 @@ def test_a_witness_runs_as_a_command(lab: Lab, tmp_path: Path) -> None:
         "--home",
         str(home),
     ]
-    process = subprocess.Popen(argv, stdout=subprocess.PIPE, text=True)
-    try:
+    with running(argv, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         url = process.stdout.readline().split()[-1].rstrip(".")
         said = lab.ask("checkpoint", "--witness", url, "--witness-key", key.text, "--json")
-    finally:
         process.terminate()
         process.communicate(timeout=20)
     assert json.loads(said)["signatures"] == [NAME, "w.example.org"]
@@ -347,9 +346,9 @@ def test_a_checkpoint_follows_each_so_many_events(lab: Lab) -> None:
     shutil.rmtree(lab.home / "checkpoints")
     (lab.home / TREE_FILE).unlink()
     argv = [sys.executable, "-m", "labos", "checkpoint", "--follow", "--every", "3", "--to", str(lab.safe)]
-    process = subprocess.Popen([*argv, "--home", str(lab.home), "--json"], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    try:
+    argv += ["--home", str(lab.home), "--json"]
+    with running(argv, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
         sizes = [next_size(process.stdout)]
         store = open_store(f"sqlite:///{lab.home / 'labos.db'}", home=lab.home)
         try:
@@ -360,7 +359,6 @@ def test_a_checkpoint_follows_each_so_many_events(lab: Lab) -> None:
             store.release(head.epoch)
         finally:
             store.close()
-    finally:
         process.terminate()
         process.communicate(timeout=20)
     assert process.returncode == 0

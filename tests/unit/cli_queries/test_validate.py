@@ -106,7 +106,7 @@ def lab_that_says(home: Path, modules: Any) -> Iterator[None]:
             pass
 
     with HTTPServer(("127.0.0.1", 0), Answer) as server:
-        thread = threading.Thread(target=server.serve_forever)
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
         thread.start()
         url = f"http://127.0.0.1:{server.server_port}"
         announce(home, KernelInfo(os.getpid(), url, "", "lab", "sqlite:///none.db"))

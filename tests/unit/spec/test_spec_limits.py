@@ -2,35 +2,64 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.support.processes import running
 
 MEMORY_MB = 768
 """Address space that the reading process gets; Python with LabOS' models takes some 200 MB."""
 
 TIMEOUT_S = 110
 
-READ = """\
-import resource, sys
-resource.setrlimit(resource.RLIMIT_AS, ({memory}, {memory}))
+READER = """\
+import json, os, resource, signal, sys, traceback
 from labos.errors import SpecError
 from labos.spec import read_workflow, validate_workcell, validate_workflow
 from labos.spec.findings import finding_of
 from labos.core.model import Workcell
-try:
-    source = read_workflow(sys.argv[1])
-    found = validate_workflow(source, {{}}, Workcell("w", "", (), ()), {{}})
-    found += validate_workcell(source, {{}})
-except SpecError as error:
-    found = [finding_of(error)]
-assert any(finding.severity == "error" for finding in found), found
-assert all(finding.remedy and len(str(finding)) < 5000 for finding in found), found
-assert len(found) <= 1000, len(found)
-print(found[0].message)
+
+def read(path):
+    try:
+        source = read_workflow(path)
+        found = validate_workflow(source, {{}}, Workcell("w", "", (), ()), {{}})
+        found += validate_workcell(source, {{}})
+    except SpecError as error:
+        found = [finding_of(error)]
+    assert any(finding.severity == "error" for finding in found), found
+    assert all(finding.remedy and len(str(finding)) < 5000 for finding in found), found
+    assert len(found) <= 1000, len(found)
+    return found[0].message
+
+for line in sys.stdin:
+    child = os.fork()
+    if child == 0:
+        resource.setrlimit(resource.RLIMIT_AS, ({memory}, {memory}))
+        signal.alarm({timeout_s})
+        try:
+            told = {{"says": read(line.removesuffix("\\n"))}}
+        except BaseException:
+            told = {{"fault": traceback.format_exc()[-2000:]}}
+        print(json.dumps(told), flush=True)
+        os._exit(0)
+    status = os.waitpid(child, 0)[1]
+    if status:
+        print(json.dumps({{"fault": f"the reader ended with {{status}}"}}), flush=True)
 """
+"""Reads each file in a process of its own, which has inherited what it needs."""
+
+
+@pytest.fixture(scope="module")
+def reader() -> Iterator[subprocess.Popen[str]]:
+    code = READER.format(memory=MEMORY_MB * 1024 * 1024, timeout_s=TIMEOUT_S)
+    pipe = subprocess.PIPE
+    with running([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True) as process:
+        yield process
 
 
 def huge(path: Path) -> None:
@@ -110,20 +139,18 @@ HOSTILE = {
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limits")
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_files_are_refused_within_bounds(name: str, tmp_path: Path) -> None:
+def test_hostile_files_are_refused_within_bounds(
+    name: str, reader: subprocess.Popen[str], tmp_path: Path
+) -> None:
     make, says = HOSTILE[name]
     path = tmp_path / "hostile.yaml"
     make(path)  # type: ignore[operator]
-    code = READ.format(memory=MEMORY_MB * 1024 * 1024)
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(path)],
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert says in done.stdout
+    assert reader.stdin is not None
+    assert reader.stdout is not None
+    print(path, file=reader.stdin, flush=True)
+    told = json.loads(reader.stdout.readline())
+    assert "fault" not in told, told["fault"]
+    assert says in told["says"]
 
 
 def test_a_file_that_is_no_file_is_refused(tmp_path: Path) -> None:
