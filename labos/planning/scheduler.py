@@ -26,6 +26,7 @@ from labos.core.rules import examine
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait
+from labos.planning import booked
 from labos.planning.aside import better_here
 from labos.planning.deadlines import Deadlines
 from labos.planning.obstacle import obstacle
@@ -36,6 +37,7 @@ from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import asked, stuck_on
 from labos.planning.touch import (
     BENCH,
+    BOOKING,
     EVERYTHING,
     OVER,
     STANDING,
@@ -112,9 +114,10 @@ class Scheduler:
         found = examine(state, run, step, now)
         if isinstance(found, Wait):
             return found
-        reserved = self.reservations.against(state, run, step, now, self.safety)
-        if reserved is not None:
-            return reserved
+        wait = booked.against(state, run, step, now) if state.bookings.open else None
+        wait = wait or self.reservations.against(state, run, step, now, self.safety)
+        if wait is not None:
+            return wait
         queued = not run.has_started
         if queued:
             stuck = stuck_on(state, run)
@@ -198,6 +201,8 @@ class Scheduler:
         named = _by_kind(full)
         for cell in named.get(BENCH, ()):
             self.safety.forget(state, cell)
+            self.room.refill(state, cell)
+        for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
         over = named.get(OVER, ())
         for name in [*over, *self.room.emptied()]:
