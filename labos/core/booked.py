@@ -107,10 +107,11 @@ def not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait
     """Whether nobody else has booked a module that a step needs, from now until it should be over."""
     if not state.bookings.open or is_exempt(state, run, step):
         return None
-    ends = now + max(1, int(step.duration_s * 1e9 / state.lab.pace))
+    length = max(1, int(step.duration_s * 1e9 / state.lab.pace))
     for module, clears in contacts(state, step).items():
-        for span in blocked(state, run.user, module, now, ends, clears=clears):
-            return waits_for(state, module, span, step.key, now)
+        for span in blocked(state, run.user, module, now, now + length, clears=clears):
+            never = no_gap(state, run.user, module, length, now, clears=clears)
+            return never or waits_for(state, module, span, step.key, now)
     return None
 
 
@@ -169,8 +170,10 @@ def no_gap(
         return None
     own = _own(state, user, module)
     key = tuple(_key(booking) for booking in others), tuple(_key(booking) for booking in own)
-    longest = _longest_gap(key, _Unhashed(others, own), now // DAY_NS)
-    if longest >= length:
+    if any(
+        ends - max(begins, now) >= length
+        for begins, ends in _gaps(key, _Unhashed(others, own), now // DAY_NS)
+    ):
         return None
     minutes = -(-length // 60_000_000_000)
     reason = reasons.NoGap(module, f"{minutes} min", str(HORIZON_DAYS), ", ".join(b.id for b in others))
@@ -200,11 +203,14 @@ class _Unhashed:
 
 
 @lru_cache(maxsize=4096)
-def _longest_gap(key: tuple[tuple[_Key, ...], tuple[_Key, ...]], bookings: _Unhashed, day: int) -> int:
-    """The longest time between bookings of the days to come, today included (ns)."""
+def _gaps(
+    key: tuple[tuple[_Key, ...], tuple[_Key, ...]], bookings: _Unhashed, day: int
+) -> tuple[tuple[int, int], ...]:
+    """The times between bookings (UTC ns) of the days to come, today included."""
     time, end = day * DAY_NS, (day + HORIZON_DAYS + 1) * DAY_NS
-    longest = 0
+    found: list[tuple[int, int]] = []
     for span in _spans(bookings.others, bookings.own, time, end):
-        longest = max(longest, span.begins - time)
+        if span.begins > time:
+            found.append((time, span.begins))
         time = max(time, span.ends)
-    return max(longest, end - time)
+    return (*found, (time, end)) if time < end else tuple(found)

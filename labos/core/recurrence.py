@@ -8,8 +8,9 @@ and stands in no state.
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime, tzinfo
 from functools import lru_cache
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -55,20 +56,21 @@ def fault_of_rule(rule: str, zone: str, first: int) -> str:
     """What is wrong with a rule whose first time is ``first`` (UTC ns), as a sentence; empty: nothing."""
     if len(rule) > LONGEST_RULE:
         return f"A rule has at most {LONGEST_RULE} characters."
-    told = dict(part.partition("=")[::2] for part in rule.split(";"))
+    told = _parts(rule)
     for part in told:
         if part not in PARTS:
             return f"A rule says {', '.join(PARTS)}, and not {part!r}."
     if told.get("FREQ") not in FREQUENCIES:
         return f"A rule begins with FREQ= and one of {', '.join(FREQUENCIES)}."
+    for part in ("INTERVAL", "COUNT"):
+        if not re.fullmatch(r"[1-9]\d{0,4}", told.get(part, "1")):
+            return f"{part} is a number from 1 to 99999."
     try:
-        times = _times(rule, zone, first)
-        begins = times.until(min(first + 370 * DAY_NS, LATEST))
+        local = _local(first, zone_of(zone))
+        begins = next(iter(_read(told, local, local)), None)
     except (ValueError, TypeError, OverflowError) as error:
         return f"{rule!r} is no rule of iCalendar ({str(error).rstrip('.')})."
-    if not begins or begins[0] != first:
-        return "The first time does not follow the rule."
-    return ""
+    return "" if begins == local else "The first time does not follow the rule."
 
 
 def times_between(rule: str, zone: str, first: int, after: int, before: int) -> list[int]:
@@ -77,23 +79,40 @@ def times_between(rule: str, zone: str, first: int, after: int, before: int) -> 
     return found[bisect_left(found, after) : bisect_left(found, before)]
 
 
+def _parts(rule: str) -> dict[str, str]:
+    return dict(part.partition("=")[::2] for part in rule.split(";"))
+
+
+def _local(at: int, zone: tzinfo) -> datetime:
+    """What a clock on the wall shows."""
+    return datetime.fromtimestamp(at // SECOND_NS, zone).replace(tzinfo=None)
+
+
+def _read(told: Mapping[str, str], first: datetime, last: datetime) -> rrule:
+    """A rule up to a last time. It is counted elsewhere: a rule that never comes true would not end."""
+    parts = [f"{part}={value}" for part, value in told.items() if part != "COUNT"]
+    found = rrulestr(";".join([*parts, f"UNTIL={last:%Y%m%dT%H%M%S}"]), dtstart=first, ignoretz=True)
+    if not isinstance(found, rrule):
+        raise ValueError("it is more than one rule")
+    return found
+
+
 class _Times:
     """The times of a rule, worked out as far as anybody has asked."""
 
     def __init__(self, rule: str, zone: str, first: int) -> None:
         self._zone, self._rest = zone_of(zone), first % SECOND_NS
-        local = datetime.fromtimestamp(first // SECOND_NS, self._zone).replace(tzinfo=None)
-        found = rrulestr(rule, dtstart=local, ignoretz=True)
-        if not isinstance(found, rrule):
-            raise ValueError("it is more than one rule")
-        self._more: Iterator[datetime] = iter(found)
+        told = _parts(rule)
+        self._most = min(int(told.get("COUNT", MOST_TIMES)), MOST_TIMES)
+        end = _local(LATEST, self._zone)
+        self._more: Iterator[datetime] = iter(_read(told, _local(first, self._zone), end))
         self._known: list[int] = []
         self._over = False
 
     def until(self, time: int) -> list[int]:
         while not self._over and (not self._known or self._known[-1] < time):
             local = next(self._more, None)
-            if local is None or len(self._known) >= MOST_TIMES:
+            if local is None or len(self._known) >= self._most:
                 self._over = True
                 break
             at = int(local.replace(tzinfo=self._zone).timestamp()) * SECOND_NS + self._rest

@@ -367,6 +367,8 @@ class Scheduler:
                 continue  # it waits for a person: nobody has to wait with it
             if self._stands_out(state, elder):
                 continue  # a later step of it does, or what it waits for no run inside moves away
+            if state.bookings.open and booked.against(state, elder, first, now) is not None:
+                continue  # it waits until somebody else's booking is over
             if not plan.windowed and self._reserved(state, elder, first, now):
                 continue  # it waits for a time: who reserves nothing does not put it off
             return str(elder.id)

@@ -7,6 +7,7 @@ from labos.core.ids import ActionId, ExperimentId, LabwareId, StationName
 from labos.core.topics import (
     AnyTopic,
     Barcode,
+    BookedPlace,
     ClosingWaits,
     DeviceWaits,
     DiscoveredAction,
@@ -56,4 +57,6 @@ TOPICS: list[AnyTopic] = [
     DeviceWaits(run="R1", module="c/m"),
     ClosingWaits(run="R1", user=""),
     SecondPerson(run="R1", module="c/m"),
+    BookedPlace(module="c/m", booking="B3", labware=(P1,)),
+    BookedPlace(module="c/m", booking="B3", action=ACTION),
 ]

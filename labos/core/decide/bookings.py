@@ -21,6 +21,7 @@ from labos.core.bookings import (
     Span,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.limits import BAD_TEXT, fault_of
 from labos.core.ids import SHARED, ModuleName, local, owner_parts, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.recurrence import DAY_NS, LATEST, fault_of_rule, in_zone, zone_of
@@ -229,6 +230,9 @@ def _over(
 
 
 def _unfit(state: LabState, target: str, terms: NewTerms, now: int) -> Rejection | None:
+    for field in ("user", "group", "why", "zone", "rule"):
+        if fault := fault_of(getattr(terms, field), field):
+            return Rejection(BAD_TEXT, fault, "Shorten it.")
     if target not in state.lab.workcells and ModuleName(target) not in state.modules.by_name:
         return Rejection("no_target", f"There is no module or workcell {target!r}.", "List them: labos nodes")
     if terms.ends <= terms.begins:
@@ -316,7 +320,7 @@ def _conflicts(
             over.append(other.id)
             continue
         return _refused(other, met, force=command.force)
-    return tuple(over)
+    return tuple(sorted(over))
 
 
 def _refused(other: Booking, met: Span, *, force: bool) -> Rejection:
