@@ -111,10 +111,10 @@ class Span(msgspec.Struct, frozen=True, order=True):
 
 
 class Booking(msgspec.Struct):
-    """``made`` counts all bookings and changes: of two that overlap the later one counts. ``skipped`` are
-    begins that fall out. ``handled`` is up to when its times are over, ``neared`` and ``began`` are the
-    begins of the time that comes soon and of the one that it is now (0: none), ``until`` is when that ends
-    (all UTC ns)."""
+    """``made`` counts all bookings and changes: of two that overlap the later one counts. It was made or
+    changed last at ``made_at``. ``skipped`` are begins that fall out. ``handled`` is up to when its times are
+    over, ``neared`` and ``began`` are the begins of the time that comes soon and of the one that it is now
+    (0: none), ``until`` is when that ends (all UTC ns)."""
 
     id: str
     target: str
@@ -129,6 +129,7 @@ class Booking(msgspec.Struct):
     rule: str
     last: int
     made: int
+    made_at: int = 0
     skipped: tuple[int, ...] = ()
     handled: int = 0
     neared: int = 0
@@ -227,13 +228,13 @@ def made(bookings: Bookings, event: BookingMade, at: int) -> None:
     if event.booking in bookings.open:
         raise ValueError(f"{event.booking} is open already")
     bookings.named += 1
-    _write(bookings, event)
+    _write(bookings, event, at)
 
 
 def changed(bookings: Bookings, event: BookingChanged, at: int) -> None:
     before = bookings.open[event.booking]
     _drop(bookings, event.booking)
-    _write(bookings, event)
+    _write(bookings, event, at)
     after = bookings.open[event.booking]
     if (before.rule, before.begins, before.zone) == (after.rule, after.begins, after.zone):
         after.skipped = before.skipped
@@ -269,11 +270,10 @@ def ended(bookings: Bookings, event: BookingEnded, at: int) -> None:
     booking = bookings.open[event.booking]
     booking.began = booking.until = 0
     booking.handled = event.ends
-    booking.skipped = tuple(begins for begins in booking.skipped if begins >= event.ends)
     bookings.now.pop(event.booking, None)
 
 
-def _write(bookings: Bookings, event: BookingMade | BookingChanged) -> None:
+def _write(bookings: Bookings, event: BookingMade | BookingChanged, at: int) -> None:
     bookings.made += 1
     bookings.open[event.booking] = Booking(
         event.booking,
@@ -289,6 +289,7 @@ def _write(bookings: Bookings, event: BookingMade | BookingChanged) -> None:
         event.rule,
         event.last,
         bookings.made,
+        at,
     )
     bookings.on.setdefault(event.target, {})[event.booking] = True
 

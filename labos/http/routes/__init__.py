@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.http.operation import Operation
-from labos.http.routes import accounts, bench, campaigns, lab, log, modules, people, runs
+from labos.http.routes import accounts, bench, bookings, campaigns, lab, log, modules, people, runs
 
 PREFIX = "/api/v1"
 
@@ -14,6 +14,7 @@ OPERATIONS: tuple[Operation, ...] = (
     *runs.OPERATIONS,
     *campaigns.OPERATIONS,
     *modules.OPERATIONS,
+    *bookings.OPERATIONS,
     *bench.OPERATIONS,
     *people.OPERATIONS,
 )
