@@ -8,12 +8,13 @@ from typing import Any
 
 from labos.cli._out import show_table
 from labos.core.ids import local
-from labos.core.recurrence import DAY_NS, SECOND_NS, in_zone, zone_of
+from labos.core.recurrence import SECOND_NS, in_zone, zone_of
 
 WIDTH = 80
 BAR = 24
 """Columns of a day: one an hour."""
-NAME = 18
+NAME = 17
+DAY = 11
 HOURS = "0     6     12    18    "
 
 
@@ -54,7 +55,7 @@ def show_bookings(bookings: Sequence[Mapping[str, Any]]) -> None:
 def week(times: Sequence[Mapping[str, Any]], first_day: datetime, days: int, zone: str) -> Iterator[str]:
     """Each day, and each time that is booked on it: a bar of its hours (``#``, ``m`` for maintenance), then
     its clock and for whom it is. No line is wider than 80 columns."""
-    yield f"{f'{first_day:%G week %V}, {zone}'[: 10 + NAME]:<{10 + NAME}}{HOURS}".rstrip()
+    yield f"{f'{first_day:%G week %V}, {zone}'[: DAY + NAME - 1]:<{DAY + NAME}}{HOURS}".rstrip()
     for number in range(days):
         day = first_day + timedelta(days=number)
         begin = _ns(datetime(day.year, day.month, day.day, tzinfo=zone_of(zone)))
@@ -63,7 +64,7 @@ def week(times: Sequence[Mapping[str, Any]], first_day: datetime, days: int, zon
         name = f"{day:%a %d %b}"
         here = [time for time in times if time["begins_at"] < end and time["ends_at"] > begin]
         if not here:
-            yield f"{name:<10}-"
+            yield f"{name:<{DAY}}-"
         for time in here:
             yield _line(name, time, begin, end, zone)[:WIDTH].rstrip()
             name = ""
@@ -75,7 +76,7 @@ def _line(name: str, time: Mapping[str, Any], begin: int, end: int, zone: str) -
     target = local(time["target"])
     target = target if len(target) < NAME else f"{target[: NAME - 2]}…"
     bar = _bar(time, begin, end)
-    return f"{name:<10}{target:<{NAME}}{bar} {clock} {time['booking']} {whom(time)}"
+    return f"{name:<{DAY}}{target:<{NAME}}{bar} {clock} {time['booking']} {whom(time)}"
 
 
 def _bar(time: Mapping[str, Any], begin: int, end: int) -> str:
@@ -91,6 +92,3 @@ def _clock(at: int, zone: str) -> str:
 
 def _ns(at: datetime) -> int:
     return int(at.timestamp()) * SECOND_NS
-
-
-__all__ = ["DAY_NS", "in_words", "show_bookings", "week", "whom"]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from datetime import UTC, datetime
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 
 from icalendar import Calendar, Event, vRecur
 
@@ -15,7 +15,11 @@ from labos.core.state import LabState
 MEDIA_TYPE = "text/calendar"
 
 
-def ical(state: LabState, bookings: Iterable[Booking]) -> bytes:
+YEARS = 30
+"""For so long after the latest booking a time zone is described."""
+
+
+def ical(state: LabState, bookings: Sequence[Booking]) -> bytes:
     """A calendar of these bookings. It is the same as long as they are."""
     calendar = Calendar()
     calendar.add("prodid", "-//LabOS//bookings//EN")
@@ -25,7 +29,11 @@ def ical(state: LabState, bookings: Iterable[Booking]) -> bytes:
     calendar.add("x-published-ttl", "PT15M")
     for booking in bookings:
         calendar.add_component(_event(state, booking))
-    calendar.add_missing_timezones()
+    begins = [booking.begins for booking in bookings]
+    calendar.add_missing_timezones(
+        _at(min(begins, default=0), "UTC").date() - timedelta(days=366),
+        _at(max(begins, default=0), "UTC").date() + timedelta(days=366 * YEARS),
+    )
     return bytes(calendar.to_ical())
 
 

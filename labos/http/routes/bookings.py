@@ -31,8 +31,9 @@ from labos.services.ical import MEDIA_TYPE, ical
 
 
 async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
-    """Those that are not over, in the order in which they were made."""
-    found = BookingList([view(booking) for booking in bookings_of(call.service, query.target)])
+    """Those that are not over, in the order of their next times."""
+    views = [view(booking) for booking in bookings_of(call.service, query.target)]
+    found = BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
     await call.kernel.written()
     return found
 
