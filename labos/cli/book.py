@@ -31,10 +31,12 @@ _why = click.option("--why", metavar="TEXT", help="What for.")
 class _Booking(Suggesting):
     """What is no command is what is to be booked: ``labos book ot2``."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and args[0] not in self.commands:
             args = ["add", *args]
-        return super().parse_args(ctx, args)
+        return super().resolve_command(ctx, args)
 
 
 @click.group("book", cls=_Booking, short_help="Book a module or a workcell for a while.")

@@ -20,14 +20,14 @@ LONGEST_CALENDAR_DAYS = 400
 MOST_TIMES = 5_000
 """Times that a calendar shows at once."""
 
-Begins = Annotated[Time, says("when it begins (UTC nanoseconds)")]
-Ends = Annotated[Time, says("when it ends (UTC nanoseconds)")]
-Whom = Annotated[
-    Name, says("for whom: a group or a user, `group:NAME` or `user:ID` where both are called so")
-]
-Zone = Annotated[Name, says("the time zone by whose clock it is shown and repeated, as `Europe/Zurich`")]
-Rule = Annotated[Name, says("how often it comes again, as in iCalendar: `FREQ=WEEKLY;BYDAY=MO,TH`")]
-Last = Annotated[Time, says("the latest begin of one that is repeated (UTC nanoseconds); 0: without end")]
+BEGINS = "when it begins (UTC nanoseconds)"
+ENDS = "when it ends (UTC nanoseconds)"
+WHOM = "for whom: a group or a user; `group:NAME` or `user:ID` where both are called so"
+NOBODY = "for maintenance: nobody's runs"
+WHY = "what for"
+ZONE = "the time zone by whose clock it is shown and repeated, as `Europe/Zurich`"
+RULE = "how often it comes again, as in iCalendar: `FREQ=WEEKLY;BYDAY=MO,TH`; empty: once"
+LAST = "the latest begin of one that is repeated (UTC nanoseconds); 0: without end"
 Force = Annotated[bool, says("also where others have booked; it needs an admin")]
 
 
@@ -35,28 +35,28 @@ class NewBooking(By, forbid_unknown_fields=True, kw_only=True):
     """A module or a workcell for somebody alone."""
 
     target: Annotated[Name, says("a module or a workcell")]
-    begins_at: Begins
-    ends_at: Ends
-    whom: Annotated[Whom, says("for whom: a group or a user; whoever asks if left out")] = ""
-    maintenance: Annotated[bool, says("for maintenance: nobody's runs")] = False
-    why: Annotated[Line, says("what for")] = ""
-    zone: Zone = "UTC"
-    rule: Rule = ""
-    last_at: Last = 0
+    begins_at: Annotated[Time, says(BEGINS)]
+    ends_at: Annotated[Time, says(ENDS)]
+    whom: Annotated[Name, says(WHOM + "; left out: whoever asks")] = ""
+    maintenance: Annotated[bool, says(NOBODY)] = False
+    why: Annotated[Line, says(WHY)] = ""
+    zone: Annotated[Name, says(ZONE)] = "UTC"
+    rule: Annotated[Name, says(RULE)] = ""
+    last_at: Annotated[Time, says(LAST)] = 0
     force: Force = False
 
 
 class BookingChange(By, forbid_unknown_fields=True, kw_only=True):
     """What is left out stays as it is."""
 
-    begins_at: Begins | None = None
-    ends_at: Ends | None = None
-    whom: Whom | None = None
-    maintenance: Annotated[bool | None, says("for maintenance: nobody's runs")] = None
-    why: Annotated[Line | None, says("what for")] = None
-    zone: Zone | None = None
-    rule: Rule | None = None
-    last_at: Last | None = None
+    begins_at: Annotated[Time | None, says(BEGINS + "; without an end, that moves along")] = None
+    ends_at: Annotated[Time | None, says(ENDS)] = None
+    whom: Annotated[Name | None, says(WHOM)] = None
+    maintenance: Annotated[bool | None, says(NOBODY)] = None
+    why: Annotated[Line | None, says(WHY)] = None
+    zone: Annotated[Name | None, says(ZONE)] = None
+    rule: Annotated[Name | None, says(RULE)] = None
+    last_at: Annotated[Time | None, says(LAST)] = None
     force: Force = False
 
 
