@@ -19,7 +19,7 @@ from labos.core.bookings import Bookings, Span
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
 from labos.core.effects import Carrying, Sets, carried
-from labos.core.ids import ModuleName, StationName
+from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.rules import lab_ns
 from labos.core.runs import PENDING, RunState, statuses_of
@@ -58,6 +58,22 @@ def against(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
             return _room_for(state, run, plan, every, now)
     together = {step, *chained(run, plan, [step])}
     return _room_for(state, run, plan, list(_stays(state, plan, times, together)), now)
+
+
+def room_ends(state: LabState, name: RunId, now: int) -> int | None:
+    """When a run that waits would first run into a booking that it does not now (UTC ns); None if there is
+    no such time within the days that are looked at."""
+    run = state.runs.queued[name]
+    plan = state.runs.plan_of(run)
+    times = _times(state, run, plan, 0, now)
+    found = (
+        span.begins - stay.ends + 1
+        for stay in _stays(state, plan, times, times)
+        for span in blocked(
+            state, run.user, stay.module, now + stay.begins, now + HORIZON_NS, clears=stay.clears
+        )
+    )
+    return min((at for at in found if at > now), default=None)
 
 
 def without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
@@ -228,4 +244,4 @@ class BookingTimes:
                     yield EndBooking(booking.id, now)
 
 
-__all__ = ["BookingTimes", "against", "without_gap"]
+__all__ = ["BookingTimes", "against", "room_ends", "without_gap"]

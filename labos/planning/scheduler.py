@@ -131,7 +131,9 @@ class Scheduler:
             if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
                 elder = self._protected(state, run, now)
                 if elder:
-                    return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),))
+                    # It protects nothing any more once it has to wait for a booking.
+                    until = booked.room_ends(state, RunId(elder), now) if state.bookings.open else None
+                    return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
                 inside = self.patience.keeps_out(state, run, self.sleepers)
                 if inside is not None:
                     return Wait(reasons.AfterElder(inside), (near_key(plan.workcell),))

@@ -5,17 +5,29 @@ from __future__ import annotations
 
 import heapq
 import random
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
 import pytest
 
-from labos.core.decide import Rejection
+from labos.core.actions import ActionRequested
+from labos.core.bookings import BookingMade
+from labos.core.decide import Command, Rejection
 from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking, NewTerms
 from labos.core.decide.shares import ApplyShares
+from labos.core.envelope import Record
 from labos.core.ids import ActionId, local
 from labos.core.model import Plan, Workcell
+from labos.core.registry import decode
+from labos.core.runs import RunSubmitted
 from labos.core.shares import Group, Member
+from labos.core.state import state_hash
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import SimulatedLab
+from labos.testing.stand import Meddle
+from tests.simulation.invariants import folded_again
+from tests.simulation.mixes import mix, pcr, stand
 from tests.support.bench import SECOND, Driver, move, plan, sets, small_cell, step, take, workcell
 
 MINUTE, DAY = 60 * SECOND, 86_400 * SECOND
@@ -222,15 +234,108 @@ def live_through(seed: int, runs: int) -> Day:
 @pytest.mark.parametrize(
     "seeds",
     [
-        pytest.param(range(6), id="few"),
+        pytest.param((*range(6), 192), id="few"),
         pytest.param(range(6, 60), marks=pytest.mark.slow, id="many"),
         pytest.param(range(60, 1000), marks=pytest.mark.full, id="all"),
     ],
 )
-def test_nothing_runs_into_a_booking_and_everything_ends(seeds: range) -> None:
+def test_nothing_runs_into_a_booking_and_everything_ends(seeds: Sequence[int]) -> None:
     begun = 0
     for seed in seeds:
         day = live_through(seed, 25)
         begun += day.types().count("booking.began")
         day.check_log()
     assert begun > len(seeds), "bookings made no difference"
+
+
+# -- whole labs ------------------------------------------------------------------------------------
+
+
+class Intent(NamedTuple):
+    """A booking that somebody makes: on what, from when to when (s from then), for whom."""
+
+    target: str
+    begins_s: float
+    ends_s: float
+    user: str
+
+
+def planned(seed: int) -> list[Intent]:
+    """Bookings one after the other, so that none is refused for another."""
+    rng = random.Random(f"bookings/{seed}")
+    names = [spec.name for spec in stand().workcell.modules]
+    found, time = [], 60.0
+    for _ in range(6):
+        begins = time + rng.uniform(0, 1800)
+        time = begins + rng.uniform(600, 3600)
+        target = rng.choice([*names, stand().workcell.name])
+        found.append(Intent(target, begins, time, rng.choice(["ada", "bo", ""])))
+    return found
+
+
+def lived_with_bookings(seed: int, rates: FaultRates) -> int:
+    """A mix of jobs while bookings come and go; how many began."""
+    lab = SimulatedLab(stand(), seed, rates, meddles=[Meddle("j0/0", 0, lambda run: deeds())])
+
+    def deeds() -> list[tuple[float, Command | str]]:
+        assert lab.kernel is not None
+        now = lab.kernel.clock.now_ns()
+        return [
+            (
+                0.0,
+                MakeBooking(
+                    intent.target,
+                    NewTerms(
+                        begins=now + int(intent.begins_s * SECOND),
+                        ends=now + int(intent.ends_s * SECOND),
+                        user=intent.user,
+                        maintenance=not intent.user,
+                    ),
+                    "op",
+                    now,
+                    True,
+                ),
+            )
+            for intent in planned(seed)
+        ]
+
+    try:
+        state = lab.run([pcr("j0", "ada"), *mix(seed, largest=4)[1:]], limit_s=5 * 86_400.0)
+        assert lab.differences(state) == [], f"seed {seed}"
+        assert state_hash(folded_again(lab.store.records)) == state_hash(state)
+        return _held_against_the_log(lab.store.records)
+    finally:
+        lab.close()
+
+
+def _held_against_the_log(records: Sequence[Record]) -> int:
+    """Nothing was asked of a module while it was somebody else's; how many bookings began."""
+    booked: dict[str, BookingMade] = {}
+    users: dict[str, str] = {}
+    begun = 0
+    for record in records:
+        event, at = decode(record.head.type, record.head.schema, record.payload), record.head.recorded_at
+        if isinstance(event, BookingMade):
+            booked[event.booking] = event
+        elif isinstance(event, RunSubmitted):
+            users[event.run] = event.user
+        elif isinstance(event, ActionRequested) and event.attempt == 1 and event.exclusive:
+            for other in booked.values():
+                theirs = other.maintenance or other.user != users[event.run]
+                here = other.target in (event.module, event.module.partition("/")[0])
+                meets = other.begins <= at < other.ends
+                assert not (theirs and here and meets) or event.name == "reset", (event, other)
+        begun += record.head.type == "booking.began"
+    return begun
+
+
+@pytest.mark.slow
+def test_whole_labs_with_bookings_lose_nothing_and_end() -> None:
+    assert lived_with_bookings(1, QUIET) > 0
+    assert lived_with_bookings(2, STORMY) > 0
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(3, 30))
+def test_many_storms_with_bookings(seed: int) -> None:
+    lived_with_bookings(seed, STORMY)
