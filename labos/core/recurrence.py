@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
+from calendar import monthrange
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime, tzinfo
 from functools import lru_cache
@@ -20,6 +21,8 @@ from dateutil.rrule import rrule, rrulestr
 SECOND_NS = 1_000_000_000
 DAY_NS = 86_400 * SECOND_NS
 
+WEEK = ("MO", "TU", "WE", "TH", "FR", "SA", "SU")
+_DAY = rf"([+-]?[1-5])?({'|'.join(WEEK)})"
 FREQUENCIES = ("DAILY", "WEEKLY", "MONTHLY", "YEARLY")
 PARTS = ("FREQ", "INTERVAL", "BYDAY", "BYMONTHDAY", "BYMONTH", "BYSETPOS", "WKST", "COUNT")
 """What a rule may say. Its end is said beside it; hours and minutes are those of the first time."""
@@ -62,12 +65,20 @@ def fault_of_rule(rule: str, zone: str, first: int) -> str:
             return f"A rule says {', '.join(PARTS)}, and not {part!r}."
     if told.get("FREQ") not in FREQUENCIES:
         return f"A rule begins with FREQ= and one of {', '.join(FREQUENCIES)}."
+    if "BYSETPOS" in told and (
+        told["FREQ"] in FREQUENCIES[:2] or not re.fullmatch(r"-?[1-5]", told["BYSETPOS"])
+    ):
+        return "BYSETPOS is a number from -5 to 5, and of months or years."
+    if not re.fullmatch(f"{_DAY}(,{_DAY})*", told.get("BYDAY", "MO")):
+        return "BYDAY names days like MO or TH, or of months and years also like 1MO (the first) or -1FR."
     for part in ("INTERVAL", "COUNT"):
         if not re.fullmatch(r"[1-9]\d{0,4}", told.get(part, "1")):
             return f"{part} is a number from 1 to 99999."
     try:
         local = _local(first, zone_of(zone))
-        begins = next(iter(_read(told, local, local)), None)
+        found = _read(told, local, local)
+        # A rule that never comes true is looked for until the year 9999.
+        begins = next(iter(found), None) if _may_be_on(told, local) else None
     except (ValueError, TypeError, OverflowError) as error:
         return f"{rule!r} is no rule of iCalendar ({str(error).rstrip('.')})."
     return "" if begins == local else "The first time does not follow the rule."
@@ -81,6 +92,18 @@ def times_between(rule: str, zone: str, first: int, after: int, before: int) -> 
 
 def _parts(rule: str) -> dict[str, str]:
     return dict(part.partition("=")[::2] for part in rule.split(";"))
+
+
+def _may_be_on(told: Mapping[str, str], day: datetime) -> bool:
+    """Whether the month, the day of the month and the day of the week are among those that a rule names."""
+    last = monthrange(day.year, day.month)[1]
+    days = {str(day.day), f"+{day.day}", str(day.day - last - 1)}
+    week = {part[-2:] for part in told.get("BYDAY", "").split(",")}
+    return (
+        str(day.month) in told.get("BYMONTH", str(day.month)).split(",")
+        and bool(days & set(told.get("BYMONTHDAY", str(day.day)).split(",")))
+        and ("BYDAY" not in told or WEEK[day.weekday()] in week)
+    )
 
 
 def _local(at: int, zone: tzinfo) -> datetime:

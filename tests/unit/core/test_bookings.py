@@ -134,6 +134,9 @@ def test_a_lab_that_was_down_takes_note_of_what_it_missed_once() -> None:
         (MakeBooking(DEV, terms(rule="FREQ=DAILY;BYDAY=XX"), "op", START), "bad_rule"),
         (MakeBooking(DEV, terms(rule="FREQ=DAILY;BYMONTH=2;BYMONTHDAY=30"), "op", START), "bad_rule"),
         (MakeBooking(DEV, terms(rule="FREQ=DAILY;COUNT=0"), "op", START), "bad_rule"),
+        (MakeBooking(DEV, terms(rule="FREQ=DAILY;BYSETPOS=5"), "op", START), "bad_rule"),
+        (MakeBooking(DEV, terms(rule="FREQ=MONTHLY;BYDAY=TU;BYSETPOS=77"), "op", START), "bad_rule"),
+        (MakeBooking(DEV, terms(rule="FREQ=MONTHLY;BYDAY=6TU"), "op", START), "bad_rule"),
         (MakeBooking(DEV, terms(why="x" * 2_000), "op", START), "bad_text"),
         (MakeBooking(DEV, terms(1, 30, rule="FREQ=DAILY"), "op", START), "bad_rule"),
         (MakeBooking(DEV, terms(last=START + DAY_NS), "op", START), "bad_rule"),
@@ -228,6 +231,10 @@ def test_rules_of_every_kind() -> None:
         ("FREQ=WEEKLY;INTERVAL=2", 26),
         ("FREQ=MONTHLY;BYDAY=1MO", 12),
         ("FREQ=DAILY;COUNT=10", 10),
+        ("FREQ=MONTHLY;BYMONTHDAY=5", 12),
+        ("FREQ=MONTHLY;BYMONTHDAY=-27", 12),
+        ("FREQ=MONTHLY;BYDAY=MO;BYSETPOS=1", 12),
+        ("FREQ=YEARLY;BYMONTH=1;BYDAY=1MO", 1),
     ]:
         assert fault_of_rule(rule, ZURICH, begins) == "", rule
         times = times_between(rule, ZURICH, begins, begins, local_ns("2027-01-05T09:00"))
