@@ -125,7 +125,7 @@ def waits_for(
     if span.begins > now:
         why = reasons.BookedSoon(module, booking.whom, begins, ends, booking.id, step)
     on = (booking_key(workcell_of(module)),)
-    return Wait(why, on, until=max(until or span.ends, now + 1), blocked=True)
+    return Wait(why, on, until=max(until or span.ends, now + 1))
 
 
 def booked_now(state: LabState, run: RunState, steps: Iterable[PlanStep]) -> Wait | None:

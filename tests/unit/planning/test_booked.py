@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from labos.core.decide.bookings import CancelBooking, MakeBooking, NewTerms
 from labos.core.decide.shares import ApplyShares
 from labos.core.model import Window
@@ -228,11 +230,13 @@ def test_others_are_looked_at_apart_though_their_runs_are_alike() -> None:
     assert started == [f"{names[1]}#0", f"{names[3]}#0"]
 
 
-def test_what_is_booked_does_not_keep_younger_ones_out() -> None:
+@pytest.mark.parametrize("begins_min", [0, 5])
+def test_what_is_booked_does_not_keep_younger_ones_out(begins_min: float) -> None:
     """An elder that waits for a booking protects nothing."""
     lab = small()
-    lab.submit(visit(60))  # type: ignore[arg-type]
-    book(lab, "dev", 5, 600)
+    elder = lab.submit(visit(60))  # type: ignore[arg-type]
+    book(lab, "dev", begins_min, 600)
+    assert not wait_of(lab, elder).blocked, "it passes by itself"
     done = 0
     for _ in range(20):
         lab.submit(plan(step("arm", duration_s=1.0)), user="cy")
