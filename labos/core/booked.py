@@ -133,18 +133,20 @@ def booked_now(state: LabState, run: RunState, steps: Iterable[PlanStep]) -> Wai
     gap that is long enough: what waits for it stands still, as if the module were out of service."""
     if not state.bookings.open:
         return None
+    longest: dict[tuple[ModuleName, bool], PlanStep] = {}
     for step in steps:
-        if is_exempt(state, run, step):
-            continue
-        for module, clears in contacts(state, step).items():
-            found = begun(state, run.user, module, clears=clears)
-            if found is not None:
-                span = Span(found.began, found.until, found.id)
-                return waits_for(state, module, span, step.key, found.began)
-            length = int(step.duration_s * 1e9 / state.lab.pace)
-            wait = no_gap(state, run.user, module, length, state.recorded_at, clears=clears)
-            if wait is not None:
-                return wait
+        for key in contacts(state, step).items() if not is_exempt(state, run, step) else ():
+            if key not in longest or step.duration_s > longest[key].duration_s:
+                longest[key] = step
+    for (module, clears), step in longest.items():
+        found = begun(state, run.user, module, clears=clears)
+        if found is not None:
+            span = Span(found.began, found.until, found.id)
+            return waits_for(state, module, span, step.key, found.began)
+        length = int(step.duration_s * 1e9 / state.lab.pace)
+        wait = no_gap(state, run.user, module, length, state.recorded_at, clears=clears)
+        if wait is not None:
+            return wait
     return None
 
 

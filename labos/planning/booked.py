@@ -50,10 +50,8 @@ def against(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
     times = _times(state, run, plan, step, now)
     if not run.has_started:
         every = list(_stays(state, plan, times, times))
-        for stay in every:
-            wait = no_gap(state, run.user, stay.module, stay.ends - stay.begins, now, clears=stay.clears)
-            if wait is not None:
-                return wait
+        for wait in _without_gap(state, run, every, now):
+            return wait
         if _first_fit(state, run.user, every, now) is not None:
             return _room_for(state, run, plan, every, now)
     together = {step, *chained(run, plan, [step])}
@@ -82,9 +80,19 @@ def without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
     if not state.bookings.in_cell(plan.workcell):
         return []
     times = _times(state, run, plan, 0, now)
-    stays = _stays(state, plan, times, times)
-    found = (no_gap(state, run.user, s.module, s.ends - s.begins, now, clears=s.clears) for s in stays)
-    return [wait for wait in found if wait is not None]
+    return list(_without_gap(state, run, _stays(state, plan, times, times), now))
+
+
+def _without_gap(state: LabState, run: RunState, stays: Iterable[Stay], now: int) -> Iterator[Wait]:
+    """The waits for modules on which the longest of these stays has no room."""
+    longest: dict[tuple[ModuleName, bool], int] = {}
+    for stay in stays:
+        key = (stay.module, stay.clears)
+        longest[key] = max(longest.get(key, 0), stay.ends - stay.begins)
+    for (module, clears), length in longest.items():
+        wait = no_gap(state, run.user, module, length, now, clears=clears)
+        if wait is not None:
+            yield wait
 
 
 def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[Stay], now: int) -> Wait | None:
@@ -93,10 +101,8 @@ def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[Stay], now
     if met is None:
         return None
     stay, span = met
-    for one in stays:
-        wait = no_gap(state, run.user, one.module, one.ends - one.begins, now, clears=one.clears)
-        if wait is not None:
-            return wait
+    for wait in _without_gap(state, run, stays, now):
+        return wait
     return waits_for(
         state, stay.module, span, plan.steps[stay.step].key, now, _first_fit(state, run.user, stays, now)
     )
@@ -128,18 +134,26 @@ def _times(state: LabState, run: RunState, plan: Plan, first: int, now: int) -> 
     were in its way (ns from now on)."""
     known: dict[int, int] = {}
     found: dict[int, tuple[int, int]] = {}
-    pending = [i for i, status in enumerate(statuses_of(plan, run)) if status == PENDING]
-    left = {i for i in pending if run.has_started or plan.steps[i].part == MAIN}
+    statuses = statuses_of(plan, run)
+    left = {
+        i
+        for i, status in enumerate(statuses)
+        if status == PENDING and (run.has_started or plan.steps[i].part == MAIN)
+    }
     while left:
-        ready = [i for i in sorted(left) if left.isdisjoint(plan.steps[i].after)]
-        for index in ready or sorted(left):
+        before_pass = len(left)
+        for index in sorted(left):
             step = plan.steps[index]
-            begins = max(now, *(known.get(before, now) for before in step.after), now)
+            if not left.isdisjoint(step.after):
+                continue
+            begins = max([now, *(known.get(before, now) for before in step.after)])
             if index != first:
                 begins = max(begins, earliest(state, run, index, known))
             known[index] = begins + lab_ns(state, step.duration_s)
             found[index] = (begins - now, known[index] - now)
             left.discard(index)
+        if len(left) == before_pass:
+            break  # they wait for one another
     return found
 
 
@@ -147,13 +161,14 @@ def _stays(
     state: LabState, plan: Plan, times: dict[int, tuple[int, int]], steps: Iterable[int]
 ) -> Iterator[Stay]:
     """The stays that these steps begin, each as long as it lasts."""
+    in_time = sorted(times, key=lambda index: times[index])
     for index in sorted(steps):
         if index not in times or plan.steps[index].recovers:
             continue
         begins, ends = times[index]
         step = plan.steps[index]
         for module, clears in contacts(state, step).items():
-            last = ends if clears else max([ends, *_leaves(state, plan, times, index, module)])
+            last = ends if clears else max([ends, *_leaves(state, plan, times, in_time, index, module)])
             yield Stay(module, begins, last, index, clears)
         for hold in plan.holds:
             if hold.first == index and hold.last in times:
@@ -161,15 +176,21 @@ def _stays(
 
 
 def _leaves(
-    state: LabState, plan: Plan, times: dict[int, tuple[int, int]], index: int, module: ModuleName
+    state: LabState,
+    plan: Plan,
+    times: dict[int, tuple[int, int]],
+    in_time: list[int],
+    index: int,
+    module: ModuleName,
 ) -> Iterator[int]:
     """When what a step brings into a module, or leaves shut or open there, is over (ns from now on). What
     stays behind at the run's end counts up to the last step that has to do with the module: longer than that
     nobody knows, and a person is told of it."""
     step = plan.steps[index]
-    later = [
-        i for i in sorted(times, key=lambda i: times[i]) if times[i][0] >= times[index][1] and i != index
-    ]
+    if not any(isinstance(effect, Carrying | Sets) for effect in step.effects):
+        return
+    ends = times[index][1]
+    later = [i for i in in_time if times[i][0] >= ends and i != index]
     for what in carried(step.effects):
         place = what.filled
         if place and _is_inside(state, place, module):
