@@ -27,6 +27,10 @@ MEANT = {
     "why": "explain",
     "plates": "labware",
     "campaigns": "campaign",
+    "reserve": "book",
+    "reservations": "bookings",
+    "schedule": "calendar",
+    "maintenance": "book",
     "convert": "import",
 }
 """Words of other programs, and the command of ours that does it."""

@@ -65,6 +65,9 @@ SECTIONS = {
         "in-service": "Put a module back in service.",
         "teach": "Say where an arm finds a station.",
         "locations": "Where an arm finds its stations, and since which version.",
+        "book": "Book a module or a workcell for a while.",
+        "bookings": "Which bookings there are.",
+        "calendar": "When what is booked.",
     },
     "The bench": {
         "bench": "Say what stands on the bench at the first start.",

@@ -16,6 +16,7 @@ from labos.client._accounts import AccountCalls
 from labos.client._answers import LabUnreachable, answer_of, cannot_write, problem_in
 from labos.client._approvals import ApprovalCalls
 from labos.client._bench import BenchCalls
+from labos.client._bookings import BookingCalls
 from labos.client._campaigns import CampaignCalls
 from labos.client._files import step_text, workflow_text
 from labos.client._people import PeopleCalls
@@ -44,7 +45,7 @@ NEVER_S = 3.0
 """How long to wait for a lab in a folder in which none has ever run."""
 
 
-class LabClient(BenchCalls, ApprovalCalls, CampaignCalls, AccountCalls, PeopleCalls):
+class LabClient(BenchCalls, BookingCalls, ApprovalCalls, CampaignCalls, AccountCalls, PeopleCalls):
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
     Requests are repeated while the lab is silent, for ``patience_s`` in all, as when its kernel is
@@ -332,6 +333,12 @@ class LabClient(BenchCalls, ApprovalCalls, CampaignCalls, AccountCalls, PeopleCa
 
     def _get(self, path: str, **params: Any) -> dict[str, Any]:
         return self._ask("GET", path, params=params, repeat=True)
+
+    def _fetch(self, path: str, **params: Any) -> bytes:
+        response = self._request("GET", path, repeat=True, params=params)
+        if response.status_code >= 400:
+            answer_of(response.status_code, response.content)
+        return bytes(response.content)
 
     def _post(
         self,

@@ -9,6 +9,7 @@ from labos.core import (
     actions,
     approvals,
     bench,
+    bookings,
     campaigns,
     failures,
     interventions,
@@ -25,6 +26,7 @@ from labos.core import (
     users,
 )
 from labos.core.actions import ActionRequested
+from labos.core.bookings import BookingCancelled
 from labos.core.campaigns import CampaignCompleted
 from labos.core.experiments import ExperimentEnded
 from labos.core.interventions import InterventionResolved
@@ -54,6 +56,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("campaigns", approvals.CAMPAIGN_HANDLERS),
     ("experiments", approvals.EXPERIMENT_HANDLERS),
     ("approvals", approvals.HANDLERS),
+    ("bookings", bookings.HANDLERS),
     ("lab", repeated.HANDLERS),
     ("lab", signatures.HANDLERS),
 )
@@ -95,6 +98,6 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
     versions[stream] = versions.get(stream, 0) + 1
     if kind in _STREAM_ENDS:
         versions.pop(getattr(event, _STREAM_ENDS[kind]), None)
-    elif kind is InterventionResolved:
+    elif kind in (InterventionResolved, BookingCancelled) or getattr(event, "over", None) is True:
         del versions[stream]
     state.position, state.recorded_at = position, recorded_at

@@ -276,6 +276,42 @@ class ZoneBarred(Reason, frozen=True):
     zone: str
 
 
+class Booked(Reason, frozen=True):
+    SENTENCE = "{module} is booked for {whom} until {until} ({booking})"
+    REMEDY = "It goes on by itself then. To give the time back: labos book cancel {booking}"
+    WAKES = ("booking",)
+    module: str
+    whom: str
+    until: str
+    booking: str
+
+
+class BookedSoon(Reason, frozen=True):
+    SENTENCE = (
+        "{module} is booked for {whom} from {begins} until {until} ({booking}), "
+        "and {step!r} would not be over before that"
+    )
+    REMEDY = "It goes on by itself after that. To give the time back: labos book cancel {booking}"
+    WAKES = ("booking",)
+    module: str
+    whom: str
+    begins: str
+    until: str
+    booking: str
+    step: str
+
+
+class NoGap(Reason, frozen=True):
+    SENTENCE = "the bookings of {module} ({bookings}) leave no gap of {length} in the next {days} days"
+    REMEDY = "Change or cancel one of them: labos bookings {module}"
+    WAKES = ("booking",)
+    URGENCY = PERSON
+    module: str
+    length: str
+    days: str
+    bookings: str
+
+
 class HandFull(Reason, frozen=True):
     SENTENCE = "the hand of {module} holds {what}"
     REMEDY = "It goes on when a run puts that down."
@@ -546,6 +582,9 @@ AnyReason = (
     | Setpoint
     | ZoneBusy
     | ZoneBarred
+    | Booked
+    | BookedSoon
+    | NoGap
     | HandFull
     | ReachedInto
     | Requires

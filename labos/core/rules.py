@@ -10,6 +10,7 @@ from labos.core import reasons
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Station
 from labos.core.binding import bind, laid_up, unpromised
+from labos.core.booked import not_booked
 from labos.core.effects import AnyEffect, places
 from labos.core.expiry import in_date
 from labos.core.holding import held_by_other
@@ -45,6 +46,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
         or within_quota(state, run, now)
         or _in_window(state, run, step, now)
         or _rested(state, run, step, index, now)
+        or not_booked(state, run, step, now)
         or module_free(state, run, step)
         or unwatched(state, (step,))
         or zones_free(state, step)

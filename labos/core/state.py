@@ -10,6 +10,7 @@ import msgspec
 from labos.core.actions import Actions
 from labos.core.approvals import Approvals
 from labos.core.bench import Bench
+from labos.core.bookings import Bookings
 from labos.core.campaigns import Campaigns
 from labos.core.interventions import Interventions
 from labos.core.lab import Lab
@@ -43,6 +44,7 @@ class LabState(msgspec.Struct):
     shorter: Shorter = msgspec.field(default_factory=Shorter)
     users: Users = msgspec.field(default_factory=Users)
     approvals: Approvals = msgspec.field(default_factory=Approvals)
+    bookings: Bookings = msgspec.field(default_factory=Bookings)
 
 
 # Tables keep their order: who came first is part of the state.

@@ -484,6 +484,23 @@ class Approval(Topic, frozen=True, tag="approval"):
         )
 
 
+class BookedPlace(Topic, frozen=True, tag="booked_place"):
+    """Where somebody has booked, labware of others stands, or an ``action`` of others is under way."""
+
+    KIND: ClassVar[str] = "booked_place"
+    booking: str
+    labware: tuple[LabwareId, ...] = ()
+    action: ActionId = ActionId("")
+
+    @property
+    def subject(self) -> str:
+        return f"booking:{self.booking}"
+
+    @property
+    def choices(self) -> tuple[Choice, ...]:
+        return (Choice("noted", "Somebody sees to it. When the booking begins this is asked once more."),)
+
+
 AnyTopic = (
     UnknownAction
     | LostLabware
@@ -505,6 +522,7 @@ AnyTopic = (
     | ClosingWaits
     | SecondPerson
     | Approval
+    | BookedPlace
 )
 
 WhereItStands = LostLabware | LateResult | NotSeen | SeenElsewhere | Unexpected

@@ -23,6 +23,8 @@ BEHALF = "labos-on-behalf-of"
 
 SIGN_IN = "Sign in with `labos login`, or show a token (LABOS_TOKEN)."
 
+IN_LINK = "Make one for it: labos token create --scope viewer"
+
 _log = structlog.get_logger(__name__)
 
 
@@ -91,11 +93,14 @@ class Gate:
     def cookie(self) -> str:
         return SECURE_COOKIE if self.secure else COOKIE
 
-    async def admit(self, request: Request, need: Need, *, by_home: bool = False) -> Who:
-        """Whoever sends a request that needs so much. ``by_home``: the owner of the lab's folder may do it.
-        Raises NotSignedIn, Forbidden."""
+    async def admit(
+        self, request: Request, need: Need, *, by_home: bool = False, by_link: bool = False
+    ) -> Who:
+        """Whoever sends a request that needs so much. ``by_home``: the owner of the lab's folder may do it;
+        ``by_link``: a token may stand in the address, if it is good for looking only. Raises NotSignedIn,
+        Forbidden."""
         try:
-            who = await self.who(request)
+            who = await (self._by_link(request) if by_link else self.who(request))
             self._check(who, need, by_home)
         except LabosError as error:
             if isinstance(error, NotSignedIn | Forbidden):
@@ -114,6 +119,19 @@ class Gate:
                 raise NotSignedIn(f"The user {who.user[:100]!r} may not act.", remedy=SIGN_IN)
             self._expect_service(who.behalf, who.user)
         self._check(who, need, by_home=False)
+
+    async def _by_link(self, request: Request) -> Who:
+        """Whoever asks by an address that holds a token: such an address is kept in many places. Raises
+        NotSignedIn, Forbidden."""
+        shown = request.query_params.get("token", "")[:200]
+        if not shown or request.headers.get("authorization"):
+            return await self.who(request)
+        if shown.startswith(HOME):
+            raise NotSignedIn("The key in the lab's folder does not belong into an address.", remedy=IN_LINK)
+        credential = await self.accounts.of(shown)
+        if credential.how != "token" or credential.scope != "viewer":
+            raise Forbidden("Only a token of scope viewer may stand in an address.", remedy=IN_LINK)
+        return Who("token", credential.user, "", credential)
 
     async def who(self, request: Request) -> Who:
         """Whoever asks, whatever for. Raises NotSignedIn, Forbidden."""

@@ -38,6 +38,7 @@ TAGS = {
     "campaigns": "Campaigns: a workflow for each row of a table; who may have how much of the lab",
     "modules": "Modules: service, resources, poses",
     "workcells": "Workcells, and who reaches into them",
+    "bookings": "Bookings: who has a module or a workcell to themselves, and when",
     "bench": "What stands where, and what the lab asks people",
     "people": "Users, groups and roles: who may do what",
 }

@@ -124,8 +124,9 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     ``media`` are the content types of the answer. ``headers`` are those that it reads of its own.
     ``logs_key``: the log bears the idempotency key, so that a repetition is known after a restart, too.
     ``needs`` is the least role of whoever asks, ``nobody`` for what somebody asks who has not signed in yet;
-    ``by_home``: the owner of the lab's folder may do it. ``secret``: the answer is not kept for a
-    repetition. ``at_kernel``: only the kernel's process can answer."""
+    ``by_home``: the owner of the lab's folder may do it; ``by_link``: a token of scope viewer may stand in
+    the address. ``secret``: the answer is not kept for a repetition. ``at_kernel``: only the kernel's
+    process can answer."""
 
     method: Literal["GET", "POST"]
     path: str
@@ -134,6 +135,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     tag: str
     needs: Need | Literal["nobody"]
     by_home: bool = False
+    by_link: bool = False
     secret: bool = False
     at_kernel: bool = False
     status: int = 200
@@ -200,7 +202,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             api.gate.confirm(told, self.needs)
             return typing.cast(Who, told)
         try:
-            return await api.gate.admit(request, self.needs, by_home=self.by_home)
+            return await api.gate.admit(request, self.needs, by_home=self.by_home, by_link=self.by_link)
         except (NotSignedIn, Forbidden):
             request.scope[wire.UNREAD] = True
             await drain(request.stream())

@@ -12,6 +12,7 @@ from typing import Literal
 
 from labos.core.decide import Command
 from labos.core.decide.access import EndAccess, RequestAccess
+from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking
 from labos.core.decide.campaigns import (
     AmendCampaign,
     CancelCampaign,
@@ -78,6 +79,9 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "change_workcell": (ApplyWorkcell, DeclareStation),
     "request_workcell_access": (RequestAccess, SubmitRun),
     "end_workcell_access": (EndAccess,),
+    "make_booking": (MakeBooking,),
+    "change_booking": (ChangeBooking,),
+    "cancel_booking": (CancelBooking,),
     "answer_intervention": (ResolveIntervention,),
     "place_labware": (LoadStation,),
     "load_station": (LoadStation,),
@@ -144,6 +148,9 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "change_workcell": ("labos workcell apply",),
     "request_workcell_access": ("labos access",),
     "end_workcell_access": ("labos access",),
+    "make_booking": ("labos book add",),
+    "change_booking": ("labos book change",),
+    "cancel_booking": ("labos book cancel",),
     "answer_intervention": ("labos resolve", "labos confirm"),
     "place_labware": ("labos place",),
     "load_station": ("labos load",),

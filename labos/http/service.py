@@ -52,6 +52,7 @@ from labos.http.tail import Tail
 from labos.http.viewers import Viewers
 from labos.http.views import Supervised
 from labos.node.world import World
+from labos.planning.booked import without_gap
 from labos.ports import BlobStore, Bus
 from labos.runtime.kernel import error_of
 from labos.runtime.log_check import LogCheck
@@ -383,7 +384,17 @@ class LabService:
         if run is None:
             run = self.kernel.state.runs.requests[request]
             await asyncio.to_thread(expect_same_run, self.parts.store, request, run, asked)
-        return str(run), compiled.findings
+        return str(run), (*compiled.findings, *self._without_gap(run))
+
+    def _without_gap(self, run: RunId) -> list[Finding]:
+        """The bookings of others that leave a run no room, as warnings: it would wait for a person."""
+        state = self.kernel.state
+        known = state.runs.queued.get(run) if state.bookings.open else None
+        waits = without_gap(state, known, self.kernel.clock.now_ns()) if known is not None else []
+        told = {wait.reason.sentence: wait.reason.remedy for wait in waits}
+        return [
+            Finding("warning", f"{said[0].upper()}{said[1:]}.", remedy=todo) for said, todo in told.items()
+        ]
 
     def _expect_own(self, experiment: str, user: str) -> None:
         """Raises Refused for a run that would use somebody else's experiment, and with it their labware."""

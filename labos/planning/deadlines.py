@@ -18,6 +18,7 @@ from labos.core.rules import closes_late_at, due_at, lab_ns, missed_at, stuck_at
 from labos.core.runs import anchored_at
 from labos.core.state import LabState
 from labos.planning.alarms import Alarms
+from labos.planning.booked import BookingTimes
 from labos.planning.forecast import is_pending
 from labos.planning.touch import EVERYTHING
 
@@ -30,6 +31,7 @@ class Deadlines:
         self._closings: Alarms[RunId] = Alarms()
         self._actions: Alarms[ActionId] = Alarms()
         self._questions: Alarms[InterventionId] = Alarms()
+        self._bookings = BookingTimes()
         self._filled = False
 
     def heed(self, state: LabState, keys: Iterable[str]) -> None:
@@ -63,6 +65,7 @@ class Deadlines:
         for module, back_at in list(state.modules.back_at.items()):
             if back_at <= now:
                 yield EndOutage(module, now)
+        yield from self._bookings.due(state.bookings, now)
         for run in self._closings.due(now):
             self._note_closing(state, run)  # somebody may have been told since
         for run in self._closings.due(now):
@@ -81,7 +84,7 @@ class Deadlines:
                 break
             self._actions.set(action, due)
         alarms = (self._windows.first(), self._closings.first(), at, self._questions.first())
-        times = [*alarms, *state.modules.back_at.values()]
+        times = [*alarms, *state.modules.back_at.values(), self._bookings.first(state.bookings)]
         return min((time for time in times if time is not None), default=None)
 
     # -- working out -------------------------------------------------------------------------

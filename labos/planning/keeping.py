@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator
 import msgspec
 
 from labos.core import reasons
+from labos.core.booked import booked_now
 from labos.core.ids import ModuleName, RunId
 from labos.core.rules import examine, lab_ns
 from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, held_back
@@ -358,7 +359,9 @@ def _obliged(state: LabState, cell: str) -> Iterator[RunState]:
             continue
         plan = state.runs.plan_of(run)
         chain = chained(run, plan, ())
-        if chain and not any(down(state, plan.steps[step].module) for step in chain):
+        if not chain or any(down(state, plan.steps[step].module) for step in chain):
+            continue
+        if booked_now(state, run, [plan.steps[step] for step in chain]) is None:
             yield run
 
 

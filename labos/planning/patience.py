@@ -24,6 +24,8 @@ from labos.planning.waiting import PATIENCE
 NOT_OVERTAKEN = (
     reasons.TooEarly,
     reasons.RetryLater,
+    reasons.Booked,
+    reasons.BookedSoon,
     reasons.After,
     reasons.Cancelling,
     reasons.NotPending,

@@ -21,6 +21,7 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.actions import Action
+from labos.core.booked import booked_now
 from labos.core.ids import RunId
 from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, held_back
@@ -292,6 +293,8 @@ def _reservation(
         over = {before for step in foreseen for before in pending_before(run, plan, step)}
         chain = [step for step in chain if step not in over]
     if any(down(state, plan.steps[step].module) for step in chain):
+        return None
+    if booked_now(state, run, [plan.steps[step] for step in chain]) is not None:
         return None
     latest = dict.fromkeys(chain, end)
     for follower in reversed(chain):

@@ -24,6 +24,7 @@ from typing import Any
 
 import msgspec
 
+from labos.core.booked import begun
 from labos.core.ids import (
     SHARED,
     ExperimentId,
@@ -276,7 +277,8 @@ class Safety:
             path = self.path(state, experiment.closing)
             own, lost = standing(state, (owner,))
             reached = [place for motion in path.motions for place in (motion.source, motion.target)]
-            dead = any(down(state, module) for _, module in path.modules) or any(
+            modules = [module for _, module in path.modules]
+            dead = any(down(state, m) or begun(state, experiment.user, m) for m in modules) or any(
                 module.cut_off and reaches_into(state, module.spec.name, reached)
                 for _, module in state.modules.within(cell)
             )

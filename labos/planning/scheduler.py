@@ -26,6 +26,7 @@ from labos.core.rules import examine
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait
+from labos.planning import booked
 from labos.planning.aside import better_here
 from labos.planning.deadlines import Deadlines
 from labos.planning.obstacle import obstacle
@@ -36,6 +37,7 @@ from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import asked, stuck_on
 from labos.planning.touch import (
     BENCH,
+    BOOKING,
     EVERYTHING,
     OVER,
     STANDING,
@@ -112,9 +114,10 @@ class Scheduler:
         found = examine(state, run, step, now)
         if isinstance(found, Wait):
             return found
-        reserved = self.reservations.against(state, run, step, now, self.safety)
-        if reserved is not None:
-            return reserved
+        wait = booked.against(state, run, step, now) if state.bookings.open else None
+        wait = wait or self.reservations.against(state, run, step, now, self.safety)
+        if wait is not None:
+            return wait
         queued = not run.has_started
         if queued:
             stuck = stuck_on(state, run)
@@ -128,7 +131,9 @@ class Scheduler:
             if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
                 elder = self._protected(state, run, now)
                 if elder:
-                    return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),))
+                    # It protects nothing any more once it has to wait for a booking.
+                    until = booked.room_ends(state, RunId(elder), now) if state.bookings.open else None
+                    return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
                 inside = self.patience.keeps_out(state, run, self.sleepers)
                 if inside is not None:
                     return Wait(reasons.AfterElder(inside), (near_key(plan.workcell),))
@@ -198,6 +203,8 @@ class Scheduler:
         named = _by_kind(full)
         for cell in named.get(BENCH, ()):
             self.safety.forget(state, cell)
+            self.room.refill(state, cell)
+        for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
         over = named.get(OVER, ())
         for name in [*over, *self.room.emptied()]:
@@ -362,6 +369,8 @@ class Scheduler:
                 continue  # it waits for a person: nobody has to wait with it
             if self._stands_out(state, elder):
                 continue  # a later step of it does, or what it waits for no run inside moves away
+            if state.bookings.open and booked.against(state, elder, first, now) is not None:
+                continue  # it waits until somebody else's booking is over
             if not plan.windowed and self._reserved(state, elder, first, now):
                 continue  # it waits for a time: who reserves nothing does not put it off
             return str(elder.id)

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 
 from labos.core import reasons
 from labos.core.binding import laid_up, unfit, unpromised
+from labos.core.booked import booked_now
 from labos.core.effects import places
 from labos.core.ids import ModuleName, Owner, StationName, run_owner
 from labos.core.model import PlanStep
@@ -42,6 +43,7 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
         _halted(state, run, left)
         or _lost(state, (run_owner(run.id),))
         or _down(state, left)
+        or booked_now(state, run, left)
         or _cut_off(state, run, left)
         or _barred(state, run, left)
         or unwatched(state, left)

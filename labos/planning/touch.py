@@ -12,6 +12,8 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.approvals import ApprovalGiven, RunApproved
+from labos.core.booked import booking_key
+from labos.core.bookings import BookingEvent, BookingNeared, Terms
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
 from labos.core.ids import ExperimentId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
@@ -74,7 +76,7 @@ EVERYTHING = "*"
 """The key of rare events after which every wait is looked at again."""
 
 
-BENCH, STANDING, OVER = "bench", "standing", "over"
+BENCH, STANDING, OVER, BOOKING = "bench", "standing", "over", "booking"
 """Kinds of keys, which stand before the colon."""
 
 
@@ -262,6 +264,8 @@ def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
             return _of_experiment(state, event.experiment)
         case ExperimentEnded():
             return (over_key(event.experiment),)
+        case BookingEvent():
+            return _of_booking(state, event)
         case WorkcellApplied() | StationsApplied():
             return (bench_key(event.name), everything, access_key(event.name))
         case _:
@@ -272,6 +276,16 @@ def _of_target(state: LabState, target: str) -> tuple[str, ...]:
     """Where starts are paused: on a module, in a workcell; else everywhere."""
     cell = workcell_of(ModuleName(target))
     return all_of(cell) if cell in state.lab.workcells else (EVERYTHING,)
+
+
+def _of_booking(state: LabState, event: BookingEvent) -> tuple[str, ...]:
+    """The workcell in which something is booked; everywhere, where the booking is not known any more."""
+    if isinstance(event, BookingNeared):
+        return ()
+    known = state.bookings.open.get(event.booking)
+    target = event.target if isinstance(event, Terms) else known.target if known is not None else ""
+    cells = [workcell_of(ModuleName(target))] if target else list(state.lab.workcells)
+    return tuple(key for cell in cells for key in (*all_of(cell), booking_key(cell)))
 
 
 def _of_experiment(state: LabState, name: ExperimentId) -> tuple[str, ...]:

@@ -3,8 +3,8 @@
 Runs of one *class* (same priority, shape, user, experiment and campaign) differ in nothing but age. Classes
 of one *bundle* may start under the same conditions: they have the same priority and shape, no
 clock runs for one and not for the others, neither their user nor their experiment has anything on the
-bench where it would make a difference, and their user has no quota. So one look serves for a whole
-bundle, and only when somebody of it may start does it matter who.
+bench where it would make a difference, their user has no quota, and the same is booked for them. So one look
+serves for a whole bundle, and only when somebody of it may start does it matter who.
 """
 
 from __future__ import annotations
@@ -236,6 +236,9 @@ class WaitingRoom:
         if closing:
             interest |= self._interest(state, closing, state.runs.plans[closing].plan)
         stake = [owner for owner in owners if interest & present.get(owner, frozenset())]
+        booked = _booked_for(state, run, cell) if state.bookings.open else ""
+        if booked:
+            stake.append(Owner(f"booked:{booked}"))
         if state.shares.limits(run.user):
             stake.append(Owner(f"quota:{run.user}"))
         if run.experiment and not self._somewhere[experiment]:
@@ -287,6 +290,12 @@ class WaitingRoom:
 def head_of(state: LabState, group: str) -> RunState:
     """The oldest run of a waiting class."""
     return state.runs.queued[next(iter(state.runs.queue[group]))]
+
+
+def _booked_for(state: LabState, run: RunState, cell: str) -> str:
+    """The bookings in a workcell that are for a run's user."""
+    group = state.shares.group_of.get(run.user, "")
+    return ",".join(b.id for b in state.bookings.in_cell(cell) if b.is_for(run.user, group))
 
 
 def _starts(plan: PlanState) -> bytes:

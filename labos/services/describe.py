@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from labos.core import actions as a
+from labos.core import bookings as k
 from labos.core import campaigns as c
 from labos.core import experiments as x
 from labos.core import interventions as i
@@ -134,6 +135,18 @@ def _sight(event: b.StationObserved) -> str:
 
 
 _DONE = {"all": "it was done", "none": "it was not done"}
+
+
+def _booked(event: k.Terms) -> str:
+    whom = "maintenance" if event.maintenance else _if(event.group, f"the group {event.group}") or event.user
+    times = f"from {show_time(event.begins)} until {show_time(event.ends)}"
+    more = f"{_if(event.rule, f', {event.rule}')}{_if(event.why, f': {event.why}')}"
+    return f"{local(event.target)} for {whom} {times}{more}"
+
+
+def _list(names: tuple[str, ...]) -> str:
+    return ", ".join(names)
+
 
 SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     a.ActionRequested: lambda e, _: f"{local(e.module)}.{e.name} requested (attempt {e.attempt})",
@@ -318,6 +331,15 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     u.MemberRemoved: lambda e, _: f"{e.user} is no longer in the group {e.group}",
     u.RoleGranted: lambda e, _: f"{owner_name(e.subject)} is {e.role} {_there(e.scope)} now",
     u.RoleRevoked: lambda e, _: f"{owner_name(e.subject)} has no role {_there(e.scope)} any more",
+    k.BookingMade: lambda e, _: f"{e.by} booked {_booked(e)}{_if(e.over, f', over {_list(e.over)}')}",
+    k.BookingChanged: lambda e, _: f"{e.by} changed it: {_booked(e)}{_if(e.over, f', over {_list(e.over)}')}",
+    k.BookingCancelled: lambda e, _: f"{e.by} cancelled it{_if(e.why, f': {e.why}')}",
+    k.BookingSkipped: lambda e, _: (
+        f"{e.by} left out the time from {show_time(e.begins)}{_if(e.why, f': {e.why}')}"
+    ),
+    k.BookingNeared: lambda e, _: f"begins at {show_time(e.begins)}",
+    k.BookingBegan: lambda e, _: f"has begun, until {show_time(e.ends)}",
+    k.BookingEnded: lambda e, _: "is over" + _if(e.over, ", and does not come again"),
     x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
     x.ExperimentCancelled: lambda e, _: f"{e.why}: it takes no more runs",
     x.ExperimentClosing: lambda e, _: f"closing: {e.why}",

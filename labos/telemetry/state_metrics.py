@@ -121,6 +121,13 @@ class StateMetrics(MetricGroup):
             "labos_starts_paused", "How many things have their starts paused by somebody: 0 is normal."
         )
 
+        self.bookings = GaugeMetric(
+            "labos_bookings",
+            "Bookings that are not over; when is now for those that have begun, else later.",
+            ("when",),
+            most=2,
+        )
+
     def update(self, state: LabState, scheduler: Scheduler, now: int) -> None:
         """Take the figures from a state at ``now`` (UTC ns)."""
         self._runs(state, now)
@@ -138,6 +145,8 @@ class StateMetrics(MetricGroup):
         names = ("requested", "accepted", "reported", "unknown")
         self.actions.replace({(name,): float(flying[name]) for name in names})
         self.starts_paused.set(len(state.lab.paused))
+        begun = len(state.bookings.now)
+        self.bookings.replace({("now",): float(begun), ("later",): float(len(state.bookings.open) - begun)})
 
     def _runs(self, state: LabState, now: int) -> None:
         runs: Counter[Labels] = Counter(dict.fromkeys(self._seen_runs, 0))

@@ -8,6 +8,7 @@ from labos.core.topics import (
     AnyTopic,
     Approval,
     Barcode,
+    BookedPlace,
     ClosingWaits,
     DeviceWaits,
     DiscoveredAction,
@@ -59,4 +60,6 @@ TOPICS: list[AnyTopic] = [
     SecondPerson(run="R1", module="c/m"),
     Approval(run="R1", about="R1", digest="ab" * 32, what="run"),
     Approval(about="C1", digest="ab" * 32, what="amendment"),
+    BookedPlace(module="c/m", booking="B3", labware=(P1,)),
+    BookedPlace(module="c/m", booking="B3", action=ACTION),
 ]

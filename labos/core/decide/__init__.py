@@ -10,6 +10,7 @@ from collections.abc import Callable
 from labos.core.decide import (
     access,
     actions,
+    bookings,
     campaigns,
     cancelling,
     control,
@@ -50,6 +51,7 @@ __all__ = [
     "Rejection",
     "access",
     "actions",
+    "bookings",
     "campaigns",
     "cancelling",
     "carry_out",

@@ -34,6 +34,7 @@ from labos.core.state import LabState
 from labos.core.topics import (
     Approval,
     Barcode,
+    BookedPlace,
     ClosingWaits,
     DeviceWaits,
     DiscoveredAction,
@@ -119,7 +120,7 @@ def _follows(state: LabState, question: Intervention, command: ResolveInterventi
             return compared(state, by, command.note)
         case LostExperiment():
             return _closed(state, topic) if choice == "close" else []
-        case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | None:
+        case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | BookedPlace() | None:
             return []  # nothing but that somebody has seen to it
         case _:
             assert_never(topic)

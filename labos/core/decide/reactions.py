@@ -20,8 +20,22 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.approvals import ApprovalGiven, ApprovalRequested
+from labos.core.bookings import (
+    BookingBegan,
+    BookingCancelled,
+    BookingChanged,
+    BookingEnded,
+    BookingNeared,
+    BookingSkipped,
+)
 from labos.core.campaigns import CampaignCancelled, CampaignCompleted, CampaignStopped
 from labos.core.decide.approvals import ask_second_person
+from labos.core.decide.bookings import (
+    tell_who_overruns,
+    tell_who_stands_there,
+    withdraw_booking_questions,
+    withdraw_what_was_cleared,
+)
 from labos.core.decide.campaigns import pause_campaigns
 from labos.core.decide.endings import end_recovery, end_run, skip_steps
 from labos.core.decide.experiments import withdraw_experiment_question
@@ -30,6 +44,7 @@ from labos.core.decide.steps import check_result, fail_spoilt, handle_failure, r
 from labos.core.decide.waiting import withdraw_action_questions, withdraw_waiting
 from labos.core.decide.windows import withdraw_late_questions, withdraw_run_questions
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
+from labos.core.labware import LabwareMoved, LabwareRemoved
 from labos.core.modules import NodeLeft, NodeStateChanged
 from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunResumed, RunStarted, RunSubmitted
@@ -52,8 +67,15 @@ REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
         end_recovery,
         skip_steps,
         end_run,
+        withdraw_what_was_cleared,
     ),
-    ActionFailed: (withdraw_action_questions, withdraw_waiting, retry_step, handle_failure),
+    ActionFailed: (
+        withdraw_action_questions,
+        withdraw_waiting,
+        retry_step,
+        handle_failure,
+        withdraw_what_was_cleared,
+    ),
     ActionUnknown: (withdraw_waiting,),
     ActionReconciled: (fail_spoilt, end_recovery, skip_steps, end_run),
     StepSkipped: (skip_steps, end_run),
@@ -73,4 +95,12 @@ REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
     CampaignStopped: (withdraw_approval_question,),
     CampaignCompleted: (withdraw_approval_question,),
     ExperimentCancelled: (withdraw_approval_question,),
+    BookingNeared: (tell_who_stands_there,),
+    BookingBegan: (tell_who_overruns,),
+    BookingChanged: (withdraw_booking_questions,),
+    BookingCancelled: (withdraw_booking_questions,),
+    BookingSkipped: (withdraw_booking_questions,),
+    BookingEnded: (withdraw_booking_questions,),
+    LabwareMoved: (withdraw_what_was_cleared,),
+    LabwareRemoved: (withdraw_what_was_cleared,),
 }

@@ -15,6 +15,7 @@ import msgspec
 from labos.core.decide import (
     access,
     actions,
+    bookings,
     campaigns,
     cancelling,
     considering,
@@ -257,6 +258,20 @@ RIGHTS: dict[type[Command], Right] = {
     lab.ApplyWorkcell: Right(
         "admin", "an admin of the workcell; for a new one, of the whole lab", targets.of_file
     ),
+    # bookings
+    bookings.MakeBooking: Right(
+        "submitter",
+        "for oneself or the own group, within a quota: a submitter; else an operator; by force: an admin",
+        targets.of_new_booking,
+        "by",
+    ),
+    bookings.ChangeBooking: Right(
+        "submitter",
+        "its owner, within the same limits; else an operator; by force: an admin",
+        targets.of_changed_booking,
+        "by",
+    ),
+    bookings.CancelBooking: Right("submitter", _OWN, targets.of_booking, "by"),
     # people
     shares.ApplyShares: Right("admin", _ADMIN, targets.in_lab("admin")),
     considering.ApplyPolicy: Right("admin", _ADMIN, targets.in_lab("admin")),
@@ -277,6 +292,9 @@ RIGHTS: dict[type[Command], Right] = {
     actions.RefuseAction: _INSIDE,
     actions.ResendAction: _INSIDE,
     actions.StartStep: _INSIDE,
+    bookings.BeginBooking: _INSIDE,
+    bookings.EndBooking: _INSIDE,
+    bookings.NearBooking: _INSIDE,
     campaigns.ConcludeCampaign: _INSIDE,
     campaigns.RefuseRow: _INSIDE,
     campaigns.SubmitRow: _INSIDE,

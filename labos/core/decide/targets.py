@@ -9,6 +9,7 @@ import msgspec
 
 from labos.core.bench import Labware
 from labos.core.decide import (
+    bookings,
     campaigns,
     experiments,
     handover,
@@ -34,7 +35,7 @@ from labos.core.lab import WHOLE_LAB
 from labos.core.roles import role_for
 from labos.core.state import LabState
 from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, LostExperiment
-from labos.core.users import Role
+from labos.core.users import Role, person_of
 
 ANYWHERE = ""
 """In place of a workcell: a role in any of them is enough."""
@@ -222,6 +223,35 @@ def cells_of(state: LabState, subject: str) -> tuple[str, ...]:
     if ExperimentId(subject) in state.experiments.open:
         return the_experiment(state, subject).cells
     return the_run(state, subject).cells
+
+
+def of_new_booking(state: LabState, command: bookings.MakeBooking) -> Iterable[Target]:
+    yield Target(_needed_to_book(state, command), (workcell_of(ModuleName(command.target)),))
+
+
+def of_changed_booking(state: LabState, command: bookings.ChangeBooking) -> Iterable[Target]:
+    for target in of_booking(state, command):
+        yield target
+        yield Target(_needed_to_book(state, command), target.cells)
+
+
+def _needed_to_book(state: LabState, command: bookings.MakeBooking | bookings.ChangeBooking) -> Role:
+    """For others, for maintenance, and again and again only an operator books; an admin also where others
+    have booked."""
+    terms, who = command.terms, person_of(command.by)
+    group = state.shares.group_of.get(who, "")
+    own = (terms.user == who) if terms.user else bool(terms.group) and terms.group == group
+    if command.force:
+        return "admin"
+    return "submitter" if own and not terms.rule and not terms.maintenance else "operator"
+
+
+def of_booking(state: LabState, command: Any) -> Iterable[Target]:
+    booking = state.bookings.open.get(command.booking)
+    if booking is None:
+        return (Target("submitter", (ANYWHERE,)),)
+    owner = booking.user or person_of(booking.by)
+    return (Target("submitter", (booking.cell,), owner, f"The booking {booking.id}"),)
 
 
 def of_grant(state: LabState, command: Any) -> Iterable[Target]:

@@ -3,7 +3,19 @@
 from __future__ import annotations
 
 from labos.http.operation import Operation
-from labos.http.routes import accounts, approvals, bench, campaigns, lab, log, modules, people, planning, runs
+from labos.http.routes import (
+    accounts,
+    approvals,
+    bench,
+    bookings,
+    campaigns,
+    lab,
+    log,
+    modules,
+    people,
+    planning,
+    runs,
+)
 
 PREFIX = "/api/v1"
 
@@ -16,6 +28,7 @@ OPERATIONS: tuple[Operation, ...] = (
     *campaigns.OPERATIONS,
     *approvals.OPERATIONS,
     *modules.OPERATIONS,
+    *bookings.OPERATIONS,
     *bench.OPERATIONS,
     *people.OPERATIONS,
 )

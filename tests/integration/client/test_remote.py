@@ -51,6 +51,8 @@ READ = {
     "token list": "labos token list",
     "user list": "labos user list",
     "group list": "labos group list",
+    "bookings": "labos bookings",
+    "calendar": "labos calendar",
     "role list": "labos role list",
 }
 """Questions whose answers in JSON are the same by the address as from the folder."""
@@ -90,6 +92,10 @@ ACT = {
     "campaign cancel C1": "labos campaign cancel",
     "shares --apply shares.yaml": "labos shares",
     "logout": "labos logout",
+    "book hidex --from now --to +1h --maintenance": "labos book add",
+    "book show B1": "labos book show",
+    "book change B1 --to +2h": "labos book change",
+    "book cancel B1": "labos book cancel",
     "group add chemistry": "labos group add",
     "group remove chemistry": "labos group remove",
 }

@@ -170,11 +170,20 @@ def test_what_is_answered_is_what_is_described(lab: LabThread, raw: httpx.Client
         run = client.submit("pcr", user="ada")
         campaign = client.submit_campaign(screen, user="ada")["campaign"]
         waits = client.submit("pcr", user="ada", propose=True)
+        day = 86_400_000_000_000
+        booking = client.book("hidex", 20_000 * day, 20_001 * day, "ada", rule="FREQ=WEEKLY")["id"]
     for operation in OPERATIONS:
         if operation.id == "get_user":
             continue  # there is none in an open lab: see test_people
         if operation.method == "GET" and operation.media == ("application/json",):
-            path = operation.path.format(run=run, campaign=campaign, module="pf400", subject=waits)
+            names = {
+                "run": run,
+                "campaign": campaign,
+                "booking": booking,
+                "module": "pf400",
+                "subject": waits,
+            }
+            path = operation.path.format(**names)
             answer = raw.get(PREFIX + path)
             assert answer.status_code == operation.status, (path, answer.text)
             found = msgspec.json.decode(answer.content, type=operation.shape.answer)

@@ -131,6 +131,32 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "/approvals/{subject}/refuse": {"by": "bo", "comment": "x"},
     "/policy": {"text": POLICY, "by": "ada", "name": "p.yaml"},
     "/shares": {"text": SHARES, "by": "ada", "name": "s.yaml"},
+    "/bookings": {
+        "target": "arm",
+        "begins_at": 4_000_000_000_000_000_000,
+        "ends_at": 4_000_003_600_000_000_000,
+        "whom": "ada",
+        "maintenance": False,
+        "why": "x",
+        "zone": "Europe/Zurich",
+        "rule": "FREQ=WEEKLY",
+        "last_at": 0,
+        "force": True,
+        "by": "ada",
+    },
+    "/bookings/{booking}/change": {
+        "begins_at": 4_000_000_000_000_000_000,
+        "ends_at": 4_000_003_600_000_000_000,
+        "whom": "ada",
+        "maintenance": None,
+        "why": "x",
+        "zone": "UTC",
+        "rule": "",
+        "last_at": 0,
+        "force": False,
+        "by": "ada",
+    },
+    "/bookings/{booking}/cancel": {"begins_at": 0, "why": "x", "by": "ada"},
     "/interventions/{intervention}": {"choice": "done", "by": "ada", "note": "a\nb", "result": {"a": 1}},
     "/control/pause": {"target": "arm", "by": "ada", "why": "x", "stay": False},
     "/control/resume": {"target": "arm", "by": "ada"},
@@ -412,6 +438,8 @@ def expect_normal(lab: LabThread, name: str) -> None:
         assert client.health()["status"] == "ok"
         state = client.state()
         assert state["lab"]["id"]
+        for booking in client.bookings():
+            client.cancel_booking(booking["id"], "ada")
         for target in ("lab", *(m["name"] for m in state["modules"])):
             client.control("resume", target, "ada")
         client.apply_workcell(CELL.format(name=name), f"{name}.yaml", "ada")

@@ -32,6 +32,15 @@ from labos.core.approvals import (
     RunApproved,
     Why,
 )
+from labos.core.bookings import (
+    BookingBegan,
+    BookingCancelled,
+    BookingChanged,
+    BookingEnded,
+    BookingMade,
+    BookingNeared,
+    BookingSkipped,
+)
 from labos.core.campaigns import (
     Budget,
     CampaignAmended,
@@ -290,6 +299,13 @@ EXAMPLES: list[Event] = [
     MemberRemoved("chemistry", "ada"),
     RoleGranted("group:chemistry", "operator", "rpl"),
     RoleRevoked("user:ada"),
+    BookingMade("B1", "c/m", 5, 7, "ada", "", "chemistry", False, "demo", "UTC", "FREQ=DAILY", 9, ("B0",)),
+    BookingChanged("B1", "c/m", 5, 8, "ada", "bo", "", False, "demo", "UTC", "", 0, ()),
+    BookingSkipped("B1", 5, "ada", "holiday"),
+    BookingCancelled("B1", "ada", "not needed"),
+    BookingNeared("B1", 5, 7),
+    BookingBegan("B1", 5, 7),
+    BookingEnded("B1", 5, 7, True),
 ]
 
 

@@ -10,9 +10,12 @@ import pytest
 from labos.core.canonical import canonical
 from labos.core.interventions import Interventions
 from labos.core.registry import decode, encode
-from labos.core.topics import AnyTopic, Approval, LostLabware
+from labos.core.topics import AnyTopic, Approval, BookedPlace, LostLabware
 from labos.errors import LogTooNew
 from tests.support.topics import TOPICS
+
+WITHOUT_TOPIC = [topic for topic in TOPICS if not isinstance(topic, Approval | BookedPlace)]
+"""Of types that were asked when questions had none yet."""
 
 
 def asked_before(topic: AnyTopic) -> dict[str, Any]:
@@ -26,11 +29,7 @@ def test_every_type_is_among_the_examples() -> None:
     assert {type(topic) for topic in TOPICS} == set(get_args(AnyTopic))
 
 
-BEFORE = [topic for topic in TOPICS if not isinstance(topic, Approval)]
-"""Nobody was asked for an approval before questions had topics."""
-
-
-@pytest.mark.parametrize("topic", BEFORE, ids=lambda topic: type(topic).__name__)
+@pytest.mark.parametrize("topic", WITHOUT_TOPIC, ids=lambda topic: type(topic).__name__)
 def test_a_question_of_before_is_about_the_same(topic: AnyTopic) -> None:
     event: Any = decode("intervention.requested", 1, canonical(asked_before(topic)))
     assert event.topic == topic

@@ -1,0 +1,252 @@
+"""``labos book``: a module or a workcell for somebody alone, for a while."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from labos.cli._bookings import in_words, show_bookings
+from labos.cli._complete import completes
+from labos.cli._group import Suggesting
+from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._out import show_json, tell
+from labos.errors import BadInput
+
+_booking = click.argument("booking", metavar="BOOKING")
+_from = click.option("--from", "begins", metavar="TIME", help="When it begins: 'tomorrow 09:00', 'mon 9:00'.")
+_to = click.option("--to", "ends", metavar="TIME", help="When it ends: 17:00, +2h.")
+_for = click.option("--for", "whom", metavar="NAME", help="For this group or user; you if not given.")
+_maintenance = click.option("--maintenance", is_flag=True, help="For maintenance: nobody's runs.")
+_every = click.option("--every", metavar="TIME", help="Again every day, week, weekday, month, '2 weeks'.")
+_rule = click.option("--rule", metavar="RULE", help="Again by a rule of iCalendar: FREQ=WEEKLY;BYDAY=MO,TH.")
+_last = click.option("--until", "last", metavar="TIME", help="The latest time that it comes again.")
+_zone = click.option(
+    "--zone", metavar="NAME", help="The time zone of these times; this computer's if not given."
+)
+_force = click.option("--force", is_flag=True, help="Also where others have booked; only an admin can.")
+_why = click.option("--why", metavar="TEXT", help="What for.")
+
+
+class _Booking(Suggesting):
+    """What is no command is what is to be booked: ``labos book ot2``."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and not args[0].startswith("-") and args[0] not in self.commands:
+            args = ["add", *args]
+        return super().resolve_command(ctx, args)
+
+
+@click.group("book", cls=_Booking, short_help="Book a module or a workcell for a while.")
+def command() -> None:
+    """Book a module or a workcell: for a group, for a user, or for maintenance.
+
+    Runs of others do not start what would still be there then; those that are under way wait and go on
+    afterwards. Nothing is interrupted. `labos bookings` lists them, `labos calendar` shows the week.
+
+    \b
+    labos book ot2_pcr_alpha --from "tomorrow 09:00" --to 12:00 --for chemistry
+    labos book rpl --from "mon 08:00" --to +1h --maintenance --every week
+    labos book change B3 --to 13:00
+    labos book cancel B3
+    """
+
+
+@command.command("add", short_help="Book a module or a workcell.")
+@click.argument("target", shell_complete=completes("module"))
+@_from
+@_to
+@_for
+@_maintenance
+@_every
+@_rule
+@_last
+@_zone
+@_why
+@_force
+@user_option
+@home_option
+@json_option
+def add(
+    target: str,
+    begins: str | None,
+    ends: str | None,
+    whom: str | None,
+    maintenance: bool,
+    every: str | None,
+    rule: str | None,
+    last: str | None,
+    zone: str | None,
+    why: str | None,
+    force: bool,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
+) -> None:
+    """Book TARGET, a module or a workcell; `add` may be left out.
+
+    What is repeated keeps its time by the clock of its time zone when clocks are changed.
+
+    \b
+    labos book ot2_pcr_alpha --from "2026-11-26 09:00" --to 17:00 --for chemistry
+    labos book hidex --from "tue 14:00" --to +2h --every week --until 2027-03-31
+    """
+    from labos.cli._lab import need_lab
+    from labos.cli._query import now_ns
+    from labos.cli._when import expect_zone, parse_when, rule_of
+
+    if begins is None or ends is None:
+        raise BadInput(
+            f"{target} is booked from when to when?",
+            remedy=f'labos book {target} --from "tomorrow 09:00" --to 12:00',
+        )
+    where, now = expect_zone(zone), now_ns()
+    begin = parse_when(begins, now, where)
+    with need_lab(home) as client:
+        found = client.book(
+            target,
+            begin,
+            parse_when(ends, now, where, after=begin),
+            who(user),
+            whom=whom or "",
+            maintenance=maintenance,
+            why=why or "",
+            zone=where,
+            rule=rule_of(every, rule),
+            last_at=parse_when(last, now, where) if last else 0,
+            force=force,
+        )
+    _tell(found, as_json)
+
+
+@command.command("change", short_help="Change when or for whom a booking is.")
+@_booking
+@_from
+@_to
+@_for
+@_maintenance
+@_every
+@_rule
+@_last
+@_zone
+@_why
+@_force
+@user_option
+@home_option
+@json_option
+def change(
+    booking: str,
+    begins: str | None,
+    ends: str | None,
+    whom: str | None,
+    maintenance: bool,
+    every: str | None,
+    rule: str | None,
+    last: str | None,
+    zone: str | None,
+    why: str | None,
+    force: bool,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
+) -> None:
+    """Change BOOKING; what is left out stays. A new begin alone moves its end along.
+
+    \b
+    labos book change B3 --from "fri 09:00"
+    labos book change B3 --to now
+    """
+    from labos.cli._lab import need_lab
+    from labos.cli._query import now_ns
+    from labos.cli._when import expect_zone, parse_when, rule_of
+
+    now = now_ns()
+    with need_lab(home) as client:
+        known = client.booking(booking)
+        where = expect_zone(zone) if zone is not None else known["zone"]
+        changes: dict[str, Any] = {"force": force, "whom": whom, "why": why, "zone": zone}
+        if begins is not None:
+            changes["begins_at"] = parse_when(begins, now, where)
+        if ends is not None:
+            after = changes.get("begins_at", known["begins_at"])
+            changes["ends_at"] = parse_when(ends, now, where, after=after)
+        if maintenance:
+            changes["maintenance"] = True
+        if every is not None or rule is not None:
+            changes["rule"] = rule_of(every, rule)
+        if last is not None:
+            changes["last_at"] = parse_when(last, now, where)
+        told = {name: value for name, value in changes.items() if value is not None}
+        found = client.change_booking(booking, who(user), **told)
+    _tell(found, as_json)
+
+
+@command.command("cancel", short_help="Give a booking back, or one time of it.")
+@_booking
+@click.option("--on", metavar="DAY", help="Only the time that begins on this day.")
+@_why
+@user_option
+@home_option
+@json_option
+def cancel(
+    booking: str, on: str | None, why: str | None, user: str | None, home: str | None, as_json: bool
+) -> None:
+    """Give BOOKING back: the time is everybody's again. Of one that is repeated, all that is to come, or
+    with --on one time of it.
+
+    \b
+    labos book cancel B3
+    labos book cancel B3 --on 2026-12-24 --why holiday
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        begins_at = _time_on(client, booking, on) if on else 0
+        client.cancel_booking(booking, who(user), begins_at=begins_at, why=why or "")
+    told = f"{booking} is cancelled{f' on {on}' if on else ''}."
+    tell(told, {"booking": booking, "begins_at": begins_at, "cancelled": True}, as_json=as_json)
+
+
+@command.command("show")
+@_booking
+@home_option
+@json_option
+def show(booking: str, home: str | None, as_json: bool) -> None:
+    """When and for whom BOOKING is.
+
+    \b
+    labos book show B3
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        found = client.booking(booking)
+    if as_json:
+        show_json(found)
+    else:
+        show_bookings([found])
+
+
+def _time_on(client: Any, booking: str, on: str) -> int:
+    """When a booking begins on a day (UTC ns). Raises BadInput."""
+    from labos.cli._query import now_ns
+    from labos.cli._when import parse_when
+    from labos.core.recurrence import DAY_NS
+
+    known = client.booking(booking)
+    day = parse_when(on, now_ns(), known["zone"])
+    found = client.calendar(day, day + DAY_NS, known["target"])["times"]
+    times = [time["begins_at"] for time in found if time["booking"] == booking and time["begins_at"] >= day]
+    if not times:
+        raise BadInput(
+            f"{booking} has no time that begins on {on}.",
+            remedy=f"Its times: labos calendar --target {known['target']}",
+        )
+    return int(times[0])
+
+
+def _tell(found: dict[str, Any], as_json: bool) -> None:
+    over = f" It was made over {', '.join(found['over'])}." if found["over"] else ""
+    tell(f"{found['id']}: {in_words(found)}.{over}", found, as_json=as_json)

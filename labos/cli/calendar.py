@@ -1,0 +1,58 @@
+"""``labos calendar``: what is booked when, as a week or for calendar programs."""
+
+from __future__ import annotations
+
+import click
+
+from labos.cli._complete import completes
+from labos.cli._options import home_option, json_option
+from labos.cli._out import show_json
+
+DAYS = 7
+
+
+@click.command("calendar", short_help="When what is booked.")
+@click.option(
+    "--target", metavar="NAME", default="", help="A module or a workcell.", shell_complete=completes("module")
+)
+@click.option("--week", "day", metavar="DAY", help="The week of this day; this one if not given.")
+@click.option("--days", type=click.IntRange(1, 60), default=DAYS, show_default=True, help="How many days.")
+@click.option("--zone", metavar="NAME", help="The time zone; this computer's if not given.")
+@click.option("--ical", is_flag=True, help="All bookings as iCalendar, for calendar programs.")
+@home_option
+@json_option
+def command(
+    target: str, day: str | None, days: int, zone: str | None, ical: bool, home: str | None, as_json: bool
+) -> None:
+    """The bookings of a week, from Monday on: a bar of 24 hours for each (# booked, m maintenance).
+
+    \b
+    labos calendar
+    labos calendar --target ot2_pcr_alpha --week 2026-12-01
+    labos calendar --ical > lab.ics
+    """
+    from datetime import datetime, timedelta
+
+    from labos.cli._bookings import week
+    from labos.cli._lab import need_lab
+    from labos.cli._query import now_ns
+    from labos.cli._when import expect_zone, parse_when
+    from labos.core.recurrence import SECOND_NS, zone_of
+
+    where, now = expect_zone(zone), now_ns()
+    with need_lab(home) as client:
+        if ical:
+            click.echo(client.calendar_file(target).decode(), nl=False)
+            return
+        meant = datetime.fromtimestamp(
+            (parse_when(day, now, where) if day else now) // SECOND_NS, zone_of(where)
+        )
+        monday = (meant - timedelta(days=meant.weekday())).replace(hour=0, minute=0, second=0)
+        end = monday + timedelta(days=days)
+        since, until = (int(at.timestamp()) * SECOND_NS for at in (monday, end))
+        found = client.calendar(since, until, target)
+    if as_json:
+        show_json(found)
+        return
+    for line in week(found["times"], monday, days, where):
+        click.echo(line)

@@ -1,0 +1,218 @@
+"""Whether a module is booked for others: now, or before a step would be over.
+
+Bookings are like a module that is out of service for some people and for a while. What only carries labware
+out of a module makes room for whoever has booked it, so that may go on; in maintenance nothing may, as
+somebody's hands may be inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+
+import msgspec
+
+from labos.core import reasons
+from labos.core.bookings import Booking, Span
+from labos.core.effects import carried
+from labos.core.ids import ModuleName, workcell_of
+from labos.core.model import PlanStep
+from labos.core.recurrence import DAY_NS, in_zone
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.core.waits import Wait
+
+HORIZON_DAYS = 14
+HORIZON_NS = HORIZON_DAYS * DAY_NS
+"""So far ahead it is looked for a gap between bookings."""
+
+
+def booking_key(cell: str) -> str:
+    """Touched when a booking in a workcell is another one, begins or ends."""
+    return f"booking:{cell}"
+
+
+def contacts(state: LabState, step: PlanStep) -> dict[ModuleName, bool]:
+    """The modules that a step has to itself or reaches into, each with whether it does nothing there but to
+    carry labware out."""
+    found: dict[ModuleName, bool] = {}
+    if step.exclusive:
+        found[step.module] = False
+    for what in carried(step.effects):
+        for place in what.entered:
+            station = state.bench.stations.get(place)
+            if station is None or not station.spec.module or station.spec.stands_apart:
+                continue
+            clears = place == what.emptied and place not in what.room
+            found[station.spec.module] = found.get(station.spec.module, True) and clears
+    return found
+
+
+def is_exempt(state: LabState, run: RunState, step: PlanStep) -> bool:
+    """Whether bookings do not hold a step up: it brings a module back, or arms out of a person's way."""
+    access = state.lab.access.get(workcell_of(step.module))
+    return step.recovers or (access is not None and run.plan in access.parking)
+
+
+def theirs(state: LabState, user: str, module: ModuleName, *, clears: bool = False) -> list[Booking]:
+    """The bookings of a module, or of its workcell, that are for others than a user. With ``clears``, only
+    maintenance."""
+    if not state.bookings.open:
+        return []
+    group = state.shares.group_of.get(user, "")
+    found = (booking for booking in state.bookings.of(module) if not booking.is_for(user, group))
+    return [booking for booking in found if booking.maintenance or not clears]
+
+
+def blocked(
+    state: LabState, user: str, module: ModuleName, since: int, until: int, *, clears: bool = False
+) -> list[Span]:
+    """When a module is booked for others than a user from ``since`` to ``until`` (UTC ns), in order. What was
+    booked for the user later on goes before what others have booked, but for maintenance."""
+    others = theirs(state, user, module, clears=clears)
+    if not others:
+        return []
+    return list(_spans(others, _own(state, user, module), since, until))
+
+
+def _own(state: LabState, user: str, module: ModuleName) -> list[Booking]:
+    group = state.shares.group_of.get(user, "")
+    return [booking for booking in state.bookings.of(module) if booking.is_for(user, group)]
+
+
+def _spans(others: Iterable[Booking], own: Iterable[Booking], since: int, until: int) -> list[Span]:
+    found: list[Span] = []
+    for booking in others:
+        later = [mine for mine in own if mine.made > booking.made and not booking.maintenance]
+        for span in booking.spans(since, until):
+            parts = [span]
+            for cut in (cut for mine in later for cut in mine.spans(span.begins, span.ends)):
+                parts = [rest for part in parts for rest in _without(part, cut)]
+            found += [part for part in parts if part.begins < until and part.ends > since]
+    return sorted(found)
+
+
+def _without(span: Span, cut: Span) -> Iterator[Span]:
+    """What is left of a time when another is cut out."""
+    if cut.ends <= span.begins or cut.begins >= span.ends:
+        yield span
+        return
+    if span.begins < cut.begins:
+        yield msgspec.structs.replace(span, ends=cut.begins)
+    if cut.ends < span.ends:
+        yield msgspec.structs.replace(span, begins=cut.ends)
+
+
+def not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
+    """Whether nobody else has booked a module that a step needs, from now until it should be over."""
+    if not state.bookings.open or is_exempt(state, run, step):
+        return None
+    length = max(1, int(step.duration_s * 1e9 / state.lab.pace))
+    for module, clears in contacts(state, step).items():
+        for span in blocked(state, run.user, module, now, now + length, clears=clears):
+            never = no_gap(state, run.user, module, length, now, clears=clears)
+            return never or waits_for(state, module, span, step.key, now)
+    return None
+
+
+def waits_for(
+    state: LabState, module: ModuleName, span: Span, step: str, now: int, until: int | None = None
+) -> Wait:
+    """The wait of a step for the end of a booking, or until another time at which there is room for it."""
+    booking = state.bookings.open[span.booking]
+    begins, ends = in_zone(span.begins, booking.zone), in_zone(span.ends, booking.zone)
+    why: reasons.Booked | reasons.BookedSoon = reasons.Booked(module, booking.whom, ends, booking.id)
+    if span.begins > now:
+        why = reasons.BookedSoon(module, booking.whom, begins, ends, booking.id, step)
+    on = (booking_key(workcell_of(module)),)
+    return Wait(why, on, until=max(until or span.ends, now + 1))
+
+
+def booked_now(state: LabState, run: RunState, steps: Iterable[PlanStep]) -> Wait | None:
+    """The first of the modules that these steps need whose booking for others has begun, or that leaves no
+    gap that is long enough: what waits for it stands still, as if the module were out of service."""
+    if not state.bookings.open:
+        return None
+    longest: dict[tuple[ModuleName, bool], PlanStep] = {}
+    for step in steps:
+        for key in contacts(state, step).items() if not is_exempt(state, run, step) else ():
+            if key not in longest or step.duration_s > longest[key].duration_s:
+                longest[key] = step
+    for (module, clears), step in longest.items():
+        found = begun(state, run.user, module, clears=clears)
+        if found is not None:
+            span = Span(found.began, found.until, found.id)
+            return waits_for(state, module, span, step.key, found.began)
+        length = int(step.duration_s * 1e9 / state.lab.pace)
+        wait = no_gap(state, run.user, module, length, state.recorded_at, clears=clears)
+        if wait is not None:
+            return wait
+    return None
+
+
+def begun(state: LabState, user: str, module: ModuleName, *, clears: bool = False) -> Booking | None:
+    """The booking of a module for others than a user that has begun and is not over."""
+    if not state.bookings.now:
+        return None
+    mine = [booking.made for booking in _own(state, user, module) if booking.id in state.bookings.now]
+    for booking in theirs(state, user, module, clears=clears):
+        over = not booking.maintenance and any(made > booking.made for made in mine)
+        if booking.id in state.bookings.now and not over:
+            return booking
+    return None
+
+
+def no_gap(
+    state: LabState, user: str, module: ModuleName, length: int, now: int, *, clears: bool = False
+) -> Wait | None:
+    """The wait for a module on which bookings for others leave no room for ``length`` (ns), as far as anybody
+    looks ahead; None if they do."""
+    others = theirs(state, user, module, clears=clears)
+    if not others:
+        return None
+    own = _own(state, user, module)
+    key = tuple(_key(booking) for booking in others), tuple(_key(booking) for booking in own)
+    if any(
+        ends - max(begins, now) >= length
+        for begins, ends in _gaps(key, _Unhashed(others, own), now // DAY_NS)
+    ):
+        return None
+    minutes = -(-length // 60_000_000_000)
+    reason = reasons.NoGap(module, f"{minutes} min", str(HORIZON_DAYS), ", ".join(b.id for b in others))
+    return Wait(reason, (booking_key(workcell_of(module)),), now + DAY_NS, blocked=True)
+
+
+_Key = tuple[str, int, int, str, str, int, tuple[int, ...], int, bool]
+
+
+def _key(booking: Booking) -> _Key:
+    """What the times of a booking depend on."""
+    times = (booking.id, booking.begins, booking.ends, booking.rule, booking.zone, booking.last)
+    return (*times, booking.skipped, booking.made, booking.maintenance)
+
+
+class _Unhashed:
+    """What a function that remembers its answers reads, beside what the answers depend on."""
+
+    def __init__(self, others: list[Booking], own: list[Booking]) -> None:
+        self.others, self.own = others, own
+
+    def __eq__(self, other: object) -> bool:
+        return True
+
+    def __hash__(self) -> int:
+        return 0
+
+
+@lru_cache(maxsize=4096)
+def _gaps(
+    key: tuple[tuple[_Key, ...], tuple[_Key, ...]], bookings: _Unhashed, day: int
+) -> tuple[tuple[int, int], ...]:
+    """The times between bookings (UTC ns) of the days to come, today included."""
+    time, end = day * DAY_NS, (day + HORIZON_DAYS + 1) * DAY_NS
+    found: list[tuple[int, int]] = []
+    for span in _spans(bookings.others, bookings.own, time, end):
+        if span.begins > time:
+            found.append((time, span.begins))
+        time = max(time, span.ends)
+    return (*found, (time, end)) if time < end else tuple(found)

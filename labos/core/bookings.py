@@ -1,0 +1,322 @@
+"""Bookings: who has a module or a workcell to themselves, and when.
+
+A booking is planned time. Its begin and its end come as events of their own, so that what follows from them
+does not depend on when somebody looks, or on the time zones that a computer knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+import msgspec
+
+from labos.core.ids import ModuleName, workcell_of
+from labos.core.recurrence import DAY_NS, times_between
+from labos.core.registry import Event, event
+
+LEAD_NS = 30 * 60 * 1_000_000_000
+"""So long before a booking begins is told who has to clear the place."""
+
+Change = Literal["", "near", "begin", "end"]
+"""What is due of a booking."""
+
+
+class BookingEvent(Event, frozen=True):
+    booking: str
+
+    def stream(self) -> str:
+        return f"booking:{self.booking}"
+
+
+class Terms(BookingEvent, frozen=True):
+    """What is booked: a module or a workcell (``target``), from ``begins`` to ``ends`` (UTC ns). It is for a
+    ``user``, for a ``group``, or for nobody (``maintenance``). With a ``rule`` it is repeated by the clock of
+    the time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end)."""
+
+    target: str
+    begins: int
+    ends: int
+    by: str
+    user: str = ""
+    group: str = ""
+    maintenance: bool = False
+    why: str = ""
+    zone: str = "UTC"
+    rule: str = ""
+    last: int = 0
+
+
+@event("booking.made")
+class BookingMade(Terms, frozen=True):
+    """Somebody booked a module or a workcell. ``over`` are bookings that it was made over, by force."""
+
+    over: tuple[str, ...] = ()
+
+
+@event("booking.changed")
+class BookingChanged(Terms, frozen=True):
+    """A booking is for another time or for somebody else. All of it is said again."""
+
+    over: tuple[str, ...] = ()
+
+
+@event("booking.cancelled")
+class BookingCancelled(BookingEvent, frozen=True):
+    """A booking is no more; of one that is repeated, all that was to come."""
+
+    by: str
+    why: str = ""
+
+
+@event("booking.skipped")
+class BookingSkipped(BookingEvent, frozen=True):
+    """One time of a booking that is repeated falls out: the one that begins at ``begins`` (UTC ns)."""
+
+    begins: int
+    by: str
+    why: str = ""
+
+
+class Occasion(BookingEvent, frozen=True):
+    """One time of a booking, from ``begins`` to ``ends`` (UTC ns)."""
+
+    begins: int
+    ends: int
+
+
+@event("booking.neared")
+class BookingNeared(Occasion, frozen=True):
+    """A booking begins soon: who has to clear the place is told."""
+
+
+@event("booking.began")
+class BookingBegan(Occasion, frozen=True):
+    """The time of a booking has come."""
+
+
+@event("booking.ended")
+class BookingEnded(Occasion, frozen=True):
+    """The time of a booking is over; ``over``: it does not come again."""
+
+    over: bool = False
+
+
+class Span(msgspec.Struct, frozen=True, order=True):
+    """One time of a booking (UTC ns)."""
+
+    begins: int
+    ends: int
+    booking: str
+
+
+class Booking(msgspec.Struct):
+    """``made`` counts all bookings and changes: of two that overlap the later one counts. It was made or
+    changed last at ``made_at``. ``skipped`` are begins that fall out. ``handled`` is up to when its times are
+    over, ``neared`` and ``began`` are the begins of the time that comes soon and of the one that it is now
+    (0: none), ``until`` is when that ends (all UTC ns)."""
+
+    id: str
+    target: str
+    begins: int
+    ends: int
+    by: str
+    user: str
+    group: str
+    maintenance: bool
+    why: str
+    zone: str
+    rule: str
+    last: int
+    made: int
+    made_at: int = 0
+    skipped: tuple[int, ...] = ()
+    handled: int = 0
+    neared: int = 0
+    began: int = 0
+    until: int = 0
+
+    @property
+    def cell(self) -> str:
+        """The workcell that is booked, or in which the module stands."""
+        return workcell_of(ModuleName(self.target))
+
+    @property
+    def whom(self) -> str:
+        """For whom it is, in words."""
+        if self.maintenance:
+            return "maintenance"
+        return f"the group {self.group}" if self.group else self.user
+
+    def is_for(self, user: str, group: str) -> bool:
+        """Whether runs of a user, who is in a group (empty: in none), may go on in it."""
+        if self.maintenance:
+            return False
+        return bool(group) and group == self.group if self.group else user == self.user
+
+    def spans(self, since: int, until: int) -> list[Span]:
+        """Its times that are not over at ``since`` and have begun before ``until``, in order (UTC ns)."""
+        length = self.ends - self.begins
+        if not self.rule:
+            starts = [self.begins]
+        else:
+            before = min(until, self.last + 1) if self.last else until
+            starts = times_between(self.rule, self.zone, self.begins, since - length + 1, before)
+        return [
+            Span(begins, begins + length, self.id)
+            for begins in starts
+            if begins < until and begins + length > since and begins not in self.skipped
+        ]
+
+    def next_span(self, after: int) -> Span | None:
+        """The first of its times that is not over then (UTC ns); None if it does not come again."""
+        for days in (40, 400, 4_000, 40_000) if self.rule else (40_000,):
+            found = self.spans(after, max(after, self.begins) + days * DAY_NS)
+            if found:
+                return found[0]
+        return None
+
+    @property
+    def next_change(self) -> int:
+        """When something of it is due next (UTC ns)."""
+        if self.began:
+            return self.until
+        span = self.next_span(self.handled)
+        if span is None:
+            return self.handled
+        return span.begins if self.neared == span.begins else span.begins - LEAD_NS
+
+    def change_due(self, now: int) -> Change:
+        """What of it is due now."""
+        if self.began:
+            return "end" if now >= self.until else ""
+        span = self.next_span(self.handled)
+        if span is None or now >= span.ends:
+            return "end"
+        if now >= span.begins:
+            return "begin"
+        return "near" if self.neared != span.begins and now >= span.begins - LEAD_NS else ""
+
+
+class Bookings(msgspec.Struct):
+    """``open`` are those that are not over, by id; ``on`` are their ids by what is booked; ``now`` are those
+    whose time it is. ``named`` counts the ids given out, ``made`` bookings and changes, ``events`` all events
+    about bookings."""
+
+    open: dict[str, Booking] = {}
+    on: dict[str, dict[str, bool]] = {}
+    now: dict[str, bool] = {}
+    named: int = 0
+    made: int = 0
+    events: int = 0
+
+    @property
+    def next_id(self) -> str:
+        return f"B{self.named + 1}"
+
+    def of(self, module: ModuleName) -> list[Booking]:
+        """Those of a module and of its workcell."""
+        places = (module, workcell_of(module))
+        return [self.open[name] for place in places for name in self.on.get(place, ())]
+
+    def in_cell(self, cell: str) -> list[Booking]:
+        """Those of a workcell and of its modules."""
+        return [booking for booking in self.open.values() if booking.cell == cell]
+
+
+def made(bookings: Bookings, event: BookingMade, at: int) -> None:
+    if event.booking in bookings.open:
+        raise ValueError(f"{event.booking} is open already")
+    bookings.named += 1
+    _write(bookings, event, at)
+
+
+def changed(bookings: Bookings, event: BookingChanged, at: int) -> None:
+    before = bookings.open[event.booking]
+    _drop(bookings, event.booking)
+    _write(bookings, event, at)
+    after = bookings.open[event.booking]
+    if (before.rule, before.begins, before.zone) == (after.rule, after.begins, after.zone):
+        after.skipped = before.skipped
+    after.handled = before.handled
+
+
+def cancelled(bookings: Bookings, event: BookingCancelled, at: int) -> None:
+    _drop(bookings, event.booking)
+
+
+def skipped(bookings: Bookings, event: BookingSkipped, at: int) -> None:
+    booking = bookings.open[event.booking]
+    booking.skipped = (*booking.skipped, event.begins)
+    if booking.began == event.begins:
+        booking.began = booking.until = 0
+        bookings.now.pop(event.booking, None)
+
+
+def neared(bookings: Bookings, event: BookingNeared, at: int) -> None:
+    bookings.open[event.booking].neared = event.begins
+
+
+def began(bookings: Bookings, event: BookingBegan, at: int) -> None:
+    booking = bookings.open[event.booking]
+    booking.began, booking.until = event.begins, event.ends
+    bookings.now[event.booking] = True
+
+
+def ended(bookings: Bookings, event: BookingEnded, at: int) -> None:
+    if event.over:
+        _drop(bookings, event.booking)
+        return
+    booking = bookings.open[event.booking]
+    booking.began = booking.until = 0
+    booking.handled = event.ends
+    bookings.now.pop(event.booking, None)
+
+
+def _write(bookings: Bookings, event: BookingMade | BookingChanged, at: int) -> None:
+    bookings.made += 1
+    bookings.open[event.booking] = Booking(
+        event.booking,
+        event.target,
+        event.begins,
+        event.ends,
+        event.by,
+        event.user,
+        event.group,
+        event.maintenance,
+        event.why,
+        event.zone,
+        event.rule,
+        event.last,
+        bookings.made,
+        at,
+    )
+    bookings.on.setdefault(event.target, {})[event.booking] = True
+
+
+def _drop(bookings: Bookings, name: str) -> None:
+    booking = bookings.open.pop(name)
+    names = bookings.on[booking.target]
+    del names[name]
+    if not names:
+        del bookings.on[booking.target]
+    bookings.now.pop(name, None)
+
+
+def _counted(handler: Callable[[Bookings, Any, int], None]) -> Callable[[Bookings, Any, int], None]:
+    def count(bookings: Bookings, event: Any, at: int) -> None:
+        bookings.events += 1
+        handler(bookings, event, at)
+
+    return count
+
+
+HANDLERS = {
+    BookingMade: _counted(made),
+    BookingChanged: _counted(changed),
+    BookingCancelled: _counted(cancelled),
+    BookingSkipped: _counted(skipped),
+    BookingNeared: _counted(neared),
+    BookingBegan: _counted(began),
+    BookingEnded: _counted(ended),
+}

@@ -1,0 +1,467 @@
+"""Booking a module or a workcell, and what becomes of a booking."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import msgspec
+
+from labos.core.bench import Labware
+from labos.core.booked import begun, contacts
+from labos.core.bookings import (
+    Booking,
+    BookingBegan,
+    BookingCancelled,
+    BookingChanged,
+    BookingEnded,
+    BookingMade,
+    BookingNeared,
+    BookingSkipped,
+    Span,
+)
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.limits import BAD_TEXT, fault_of
+from labos.core.ids import SHARED, ModuleName, local, owner_parts, workcell_of
+from labos.core.interventions import InterventionResolved
+from labos.core.recurrence import DAY_NS, LATEST, fault_of_rule, in_zone, zone_of
+from labos.core.registry import Event
+from labos.core.roles import role_in
+from labos.core.state import LabState
+from labos.core.topics import BookedPlace
+from labos.core.users import person_of, rank
+
+MOST_HOURS = 24
+"""So many hours that are still to come a submitter may have booked."""
+
+MOST_DAYS_AHEAD = 14
+"""So far ahead a submitter may book."""
+
+LONGEST_DAYS = 366
+"""So long a booking lasts at most."""
+
+CONFLICT_DAYS = 400
+"""So far ahead it is looked whether bookings that are repeated overlap."""
+
+
+class NewTerms(msgspec.Struct, frozen=True, kw_only=True):
+    """When (UTC ns), and for whom: a user, a group, or nobody's runs (``maintenance``). With a ``rule`` it is
+    repeated by the clock of a time zone, at the latest at ``last`` (UTC ns; 0: without end)."""
+
+    begins: int
+    ends: int
+    user: str = ""
+    group: str = ""
+    maintenance: bool = False
+    why: str = ""
+    zone: str = "UTC"
+    rule: str = ""
+    last: int = 0
+
+
+class MakeBooking(Command, frozen=True):
+    """Book a module or a workcell. With ``force``, also where others have booked."""
+
+    target: str
+    terms: NewTerms
+    by: str
+    now: int
+    force: bool = False
+
+
+class ChangeBooking(Command, frozen=True):
+    """Let a booking be for another time, or for somebody else. With ``force``, also where others have
+    booked."""
+
+    booking: str
+    terms: NewTerms
+    by: str
+    now: int
+    force: bool = False
+
+
+class CancelBooking(Command, frozen=True):
+    """Give a booking back; of one that is repeated only the time that begins at ``begins`` (UTC ns), if that
+    is named."""
+
+    booking: str
+    by: str
+    why: str = ""
+    begins: int = 0
+
+
+class NearBooking(Command, frozen=True):
+    """A booking begins soon."""
+
+    booking: str
+    now: int
+
+
+class BeginBooking(Command, frozen=True):
+    """The time of a booking has come."""
+
+    booking: str
+    now: int
+
+
+class EndBooking(Command, frozen=True):
+    """The time of a booking is over."""
+
+    booking: str
+    now: int
+
+
+@decides(MakeBooking)
+def make_booking(state: LabState, command: MakeBooking) -> Decision:
+    over = _over(state, command.target, command, "")
+    if isinstance(over, Rejection):
+        return over
+    return [_event(BookingMade, state.bookings.next_id, command.target, command, over)]
+
+
+@decides(ChangeBooking)
+def change_booking(state: LabState, command: ChangeBooking) -> Decision:
+    booking = state.bookings.open.get(command.booking)
+    if booking is None:
+        return no_booking(command.booking)
+    over = _over(state, booking.target, command, booking.id)
+    if isinstance(over, Rejection):
+        return over
+    return [_event(BookingChanged, booking.id, booking.target, command, over)]
+
+
+@decides(CancelBooking)
+def cancel_booking(state: LabState, command: CancelBooking) -> Decision:
+    booking = state.bookings.open.get(command.booking)
+    if booking is None:
+        return no_booking(command.booking)
+    if not command.begins or not booking.rule:
+        return [BookingCancelled(booking.id, command.by, command.why)]
+    times = booking.spans(command.begins, command.begins + 1)
+    if not any(span.begins == command.begins for span in times):
+        return Rejection(
+            "no_time",
+            f"The booking {booking.id} has no time that begins at {in_zone(command.begins, booking.zone)}.",
+            f"Its times: labos calendar --target {local(booking.target)}",
+        )
+    return [BookingSkipped(booking.id, command.begins, command.by, command.why)]
+
+
+@decides(NearBooking)
+def near_booking(state: LabState, command: NearBooking) -> Decision:
+    booking = state.bookings.open.get(command.booking)
+    if booking is None or booking.change_due(command.now) != "near":
+        return []
+    span = booking.next_span(booking.handled)
+    return [BookingNeared(booking.id, span.begins, span.ends)] if span is not None else []
+
+
+@decides(BeginBooking)
+def begin_booking(state: LabState, command: BeginBooking) -> Decision:
+    booking = state.bookings.open.get(command.booking)
+    if booking is None or booking.change_due(command.now) != "begin":
+        return []
+    span = booking.next_span(booking.handled)
+    return [BookingBegan(booking.id, span.begins, span.ends)] if span is not None else []
+
+
+@decides(EndBooking)
+def end_booking(state: LabState, command: EndBooking) -> Decision:
+    """Times of which nobody took note, as the lab was down, are over together."""
+    booking = state.bookings.open.get(command.booking)
+    if booking is None or booking.change_due(command.now) != "end":
+        return []
+    last = Span(booking.began, booking.until, booking.id)
+    if not booking.began:
+        missed = [span for span in booking.spans(booking.handled, command.now) if span.ends <= command.now]
+        last = missed[-1] if missed else Span(booking.begins, booking.ends, booking.id)
+    over = booking.next_span(max(last.ends, booking.handled)) is None
+    return [BookingEnded(booking.id, last.begins, last.ends, over)]
+
+
+def no_booking(name: str) -> Rejection:
+    return Rejection(
+        "no_booking", f"There is no booking {name} that is not over.", "List them: labos bookings"
+    )
+
+
+def modules_of(state: LabState, target: str) -> list[ModuleName]:
+    """The modules that a booking of a module or a workcell takes."""
+    return [name for name in state.modules.by_name if target in (name, workcell_of(name))]
+
+
+# -- what a booking has to keep --------------------------------------------------------------------
+
+
+def _event(
+    kind: type[BookingMade] | type[BookingChanged],
+    name: str,
+    target: str,
+    command: MakeBooking | ChangeBooking,
+    over: tuple[str, ...],
+) -> Event:
+    terms = command.terms
+    return kind(
+        name,
+        target,
+        terms.begins,
+        terms.ends,
+        command.by,
+        terms.user,
+        terms.group,
+        terms.maintenance,
+        terms.why,
+        terms.zone,
+        terms.rule,
+        terms.last,
+        over,
+    )
+
+
+def _over(
+    state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
+) -> tuple[str, ...] | Rejection:
+    """The bookings that one is made over, or why it is not made. ``name`` is its own, if it has one."""
+    return (
+        _unfit(state, target, command.terms, command.now)
+        or _beyond_quota(state, target, command, name)
+        or _conflicts(state, target, command, name)
+    )
+
+
+def _unfit(state: LabState, target: str, terms: NewTerms, now: int) -> Rejection | None:
+    for field in ("user", "group", "why", "zone", "rule"):
+        if fault := fault_of(getattr(terms, field), field):
+            return Rejection(BAD_TEXT, fault, "Shorten it.")
+    if target not in state.lab.workcells and ModuleName(target) not in state.modules.by_name:
+        return Rejection("no_target", f"There is no module or workcell {target!r}.", "List them: labos nodes")
+    if terms.ends <= terms.begins:
+        return Rejection("bad_time", "A booking ends after it begins.", "Exchange --from and --to.")
+    if terms.ends <= now and not terms.rule:
+        return Rejection("past", "The time that would be booked is over already.", "Choose a later one.")
+    if terms.ends - terms.begins > LONGEST_DAYS * DAY_NS or terms.ends > LATEST:
+        return Rejection("bad_time", f"A booking lasts {LONGEST_DAYS} days at most, and ends before 2100.")
+    return _unfit_rule(terms, now) or _for_nobody(state, terms)
+
+
+def _unfit_rule(terms: NewTerms, now: int) -> Rejection | None:
+    try:
+        zone_of(terms.zone)
+    except ValueError as error:
+        return Rejection("bad_zone", f"{error}.", "Write one like Europe/Zurich, or UTC.")
+    if not terms.rule:
+        if terms.last:
+            return Rejection("bad_rule", "Only a booking that is repeated has a last time.", "Say --every.")
+        return None
+    fault = fault_of_rule(terms.rule, terms.zone, terms.begins)
+    if fault:
+        return Rejection("bad_rule", fault, "Say how often: --every day, week, weekday, '2 weeks' or month.")
+    booking = _as_booking("", "", terms)
+    times = booking.spans(terms.begins, terms.begins + CONFLICT_DAYS * DAY_NS)
+    if any(later.begins < earlier.ends for earlier, later in pairwise(times)):
+        return Rejection("bad_rule", "It lasts longer than until it comes again.", "Book it less often.")
+    if booking.next_span(now) is None:
+        return Rejection("past", "The time that would be booked is over already.", "Choose a later one.")
+    return None
+
+
+def _for_nobody(state: LabState, terms: NewTerms) -> Rejection | None:
+    if (bool(terms.user), bool(terms.group), terms.maintenance).count(True) != 1:
+        return Rejection(
+            "for_whom", "A booking is for one group, for one user, or for maintenance.", "Say --for NAME."
+        )
+    if terms.group and terms.group not in state.shares.groups:
+        return Rejection("no_group", f"There is no group {terms.group!r}.", "List them: labos group list")
+    if terms.user and not state.users.is_open and terms.user not in state.users.known:
+        return Rejection("no_user", f"There is no user {terms.user!r}.", "List them: labos user list")
+    return None
+
+
+def _beyond_quota(
+    state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
+) -> Rejection | None:
+    """Whoever is no operator there books little, and not far ahead."""
+    who, terms, now = person_of(command.by), command.terms, command.now
+    cell = workcell_of(ModuleName(target))
+    if state.users.is_open or role_in(state, who, cell) >= rank("operator"):
+        return None
+    if terms.begins > now + MOST_DAYS_AHEAD * DAY_NS:
+        return Rejection(
+            "too_far", f"{who} may book {MOST_DAYS_AHEAD} days ahead at most.", "Ask an operator to book it."
+        )
+    mine = [b for b in state.bookings.open.values() if person_of(b.by) == who and b.id != name and not b.rule]
+    hours = sum(b.ends - max(b.begins, now) for b in mine) + terms.ends - max(terms.begins, now)
+    if hours > MOST_HOURS * 3_600_000_000_000:
+        return Rejection(
+            "quota",
+            f"{who} would have booked {hours / 3.6e12:.1f} h that are to come, and may have {MOST_HOURS}.",
+            "Give one back (labos book cancel), or ask an operator to book it.",
+        )
+    return None
+
+
+def _conflicts(
+    state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
+) -> tuple[str, ...] | Rejection:
+    mine = _as_booking(name, target, command.terms)
+    whole = target in state.lab.workcells
+    others = state.bookings.in_cell(target) if whole else state.bookings.of(ModuleName(target))
+    since = max(command.now, mine.begins)
+    until = since + CONFLICT_DAYS * DAY_NS if mine.rule else mine.ends
+    times = mine.spans(since, until)
+    over: list[str] = []
+    for other in others:
+        if other.id == name:
+            continue
+        met = _first_overlap(times, other.spans(since, max(until, times[-1].ends if times else 0)))
+        if met is None:
+            continue
+        if command.force and (mine.maintenance or not other.maintenance):
+            over.append(other.id)
+            continue
+        return _refused(other, met, force=command.force)
+    return tuple(sorted(over))
+
+
+def _refused(other: Booking, met: Span, *, force: bool) -> Rejection:
+    begins, ends = in_zone(met.begins, other.zone), in_zone(met.ends, other.zone)
+    what = f"{local(other.target)} is booked for {other.whom} from {begins} until {ends}"
+    remedy = f"Choose another time, or ask {other.by}. An admin can book over it: --force"
+    if force:
+        remedy = f"Nothing is booked over maintenance. Change that first: labos book change {other.id}"
+    return Rejection("booked", f"{what}: {other.id}.", remedy)
+
+
+def _first_overlap(ours: list[Span], others: list[Span]) -> Span | None:
+    """The first of the others' times that one of ours overlaps; both are in order."""
+    index = 0
+    for span in others:
+        while index < len(ours) and ours[index].ends <= span.begins:
+            index += 1
+        if index < len(ours) and ours[index].begins < span.ends:
+            return span
+    return None
+
+
+def _as_booking(name: str, target: str, terms: NewTerms) -> Booking:
+    return Booking(
+        name,
+        target,
+        terms.begins,
+        terms.ends,
+        "",
+        terms.user,
+        terms.group,
+        terms.maintenance,
+        "",
+        terms.zone,
+        terms.rule,
+        terms.last,
+        0,
+    )
+
+
+# -- reactions -------------------------------------------------------------------------------------
+
+
+def tell_who_stands_there(state: LabState, event: BookingNeared) -> Iterator[Event]:
+    """What others have left standing where somebody has booked is for a person to see to, ahead of time."""
+    yield from _ask(state, state.bookings.open[event.booking], event.begins)
+
+
+def tell_who_overruns(state: LabState, event: BookingBegan) -> Iterator[Event]:
+    """What is still under way when a booking begins goes on to its end; a person is told."""
+    booking = state.bookings.open[event.booking]
+    for module in modules_of(state, booking.target):
+        for action in [state.actions.open[name] for name in state.modules.by_name[module].in_flight]:
+            run = state.runs.active.get(action.run)
+            if run is None or begun(state, run.user, module) is not booking:
+                continue
+            plan = state.runs.plan_of(run)
+            step = plan.steps[action.step]
+            if step.recovers or not contacts(state, step):
+                continue
+            yield state.interventions.ask(
+                BookedPlace(module=module, booking=booking.id, action=action.id),
+                f"{local(booking.target)} is booked for {booking.whom} from now until "
+                f"{in_zone(event.ends, booking.zone)} ({booking.id}), and step {step.key!r} of {run.id} "
+                f"({run.user}) is still under way on {local(module)}. It goes on to its end.",
+            )
+    if not any(_stand_asked(state, booking)):
+        yield from _ask(state, booking, event.begins)
+
+
+def _stand_asked(state: LabState, booking: Booking) -> Iterator[bool]:
+    for question in state.interventions.all_about(_subject(booking.id)):
+        yield isinstance(question.topic, BookedPlace) and bool(question.topic.labware)
+
+
+def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:
+    found = [(module, item) for module in modules_of(state, booking.target) for item in _left(state, module)]
+    items = [item for _, item in found if not _is_theirs(state, booking, item)]
+    if not items:
+        return
+    where = next(module for module, item in found if item is items[0])
+    told = ", ".join(f"{i.id} of {_owner(i)} at {local(i.station)}" for i in items)
+    yield state.interventions.ask(
+        BookedPlace(module=where, booking=booking.id, labware=tuple(item.id for item in items)),
+        f"{local(booking.target)} is booked for {booking.whom} from {in_zone(begins, booking.zone)} "
+        f"({booking.id}), and there stands: {told}. What no run takes away before that stays meanwhile: "
+        "carry it away and say so (labos unload), or leave it.",
+    )
+
+
+def _left(state: LabState, module: ModuleName) -> list[Labware]:
+    """What stands in a module, and not in storage that stands apart or in waste."""
+    stations = [state.bench.stations[name] for name in state.bench.by_module.get(module, ())]
+    inside = [station for station in stations if not station.spec.stands_apart]
+    return [state.bench.labware[name] for station in inside for name in station.labware]
+
+
+def _is_theirs(state: LabState, booking: Booking, item: Labware) -> bool:
+    """Whether labware is everybody's, or of those for whom a booking is."""
+    if item.owner == SHARED:
+        return True
+    kind, name = owner_parts(item.owner)
+    user = name if kind == "user" else ""
+    run = state.runs.get(name) if kind == "run" else None
+    experiment = state.experiments.open.get(name) if kind == "experiment" else None  # type: ignore[call-overload]
+    user = run.user if run is not None else experiment.user if experiment is not None else user
+    return bool(user) and booking.is_for(user, state.shares.group_of.get(user, ""))
+
+
+def _owner(item: Labware) -> str:
+    return item.owner.replace(":", " ") or "nobody"
+
+
+def _subject(booking: str) -> str:
+    return BookedPlace(booking=booking).subject
+
+
+def withdraw_booking_questions(
+    state: LabState, event: BookingChanged | BookingCancelled | BookingSkipped | BookingEnded
+) -> Iterator[Event]:
+    """With a booking, the questions about it are over."""
+    for question in state.interventions.all_about(_subject(event.booking)):
+        yield InterventionResolved(question.id, "withdrawn", "labos", "the booking is over, or another one")
+
+
+def withdraw_what_was_cleared(state: LabState, event: Event) -> Iterator[Event]:
+    """What stood in the way of a booking has left, or what overran has ended."""
+    if not state.bookings.open:
+        return
+    for question in state.interventions.open_about(BookedPlace):
+        topic = question.topic
+        if not isinstance(topic, BookedPlace):
+            continue
+        booking = state.bookings.open.get(topic.booking)
+        if booking is None:
+            continue
+        if topic.action:
+            still = topic.action in state.actions.open
+        else:
+            modules = modules_of(state, booking.target)
+            standing = {item.id for module in modules for item in _left(state, module)}
+            still = any(name in standing for name in topic.labware)
+        if not still:
+            yield InterventionResolved(question.id, "withdrawn", "labos", "the place is clear")

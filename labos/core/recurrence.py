@@ -1,0 +1,148 @@
+"""When something that is repeated comes again: a rule as iCalendar has it (RFC 5545), by the clock on the
+wall of a time zone.
+
+A weekly 09:00 stays 09:00 there when clocks are changed; how long it lasts is counted in real time. What
+comes out depends on the time zones that this computer knows, so it is worked out whenever it is asked for
+and stands in no state.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from calendar import monthrange
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime, tzinfo
+from functools import lru_cache
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+from dateutil.rrule import rrule, rrulestr
+
+SECOND_NS = 1_000_000_000
+DAY_NS = 86_400 * SECOND_NS
+
+WEEK = ("MO", "TU", "WE", "TH", "FR", "SA", "SU")
+_DAY = rf"([+-]?[1-5])?({'|'.join(WEEK)})"
+FREQUENCIES = ("DAILY", "WEEKLY", "MONTHLY", "YEARLY")
+PARTS = ("FREQ", "INTERVAL", "BYDAY", "BYMONTHDAY", "BYMONTH", "BYSETPOS", "WKST", "COUNT")
+"""What a rule may say. Its end is said beside it; hours and minutes are those of the first time."""
+
+LONGEST_RULE = 200
+MOST_TIMES = 20_000
+"""After so many times a rule is over: more than 50 years of days."""
+
+LATEST = 4_102_444_800 * SECOND_NS
+"""Until 2100 times are worked out."""
+
+
+def zone_of(name: str) -> tzinfo:
+    """The time zone of that name. Raises ValueError."""
+    if name in ("", "UTC"):
+        return UTC
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise ValueError(f"{name!r} is no time zone") from None
+
+
+def in_zone(at: int, zone: str) -> str:
+    """A time (UTC ns) as a clock on the wall shows it: ``2026-11-26 09:00 CET``. By UTC if this computer
+    does not know the zone."""
+    try:
+        where = zone_of(zone)
+    except ValueError:
+        where = UTC
+    return datetime.fromtimestamp(at // SECOND_NS, where).strftime("%Y-%m-%d %H:%M %Z")
+
+
+def fault_of_rule(rule: str, zone: str, first: int) -> str:
+    """What is wrong with a rule whose first time is ``first`` (UTC ns), as a sentence; empty: nothing."""
+    if len(rule) > LONGEST_RULE:
+        return f"A rule has at most {LONGEST_RULE} characters."
+    told = _parts(rule)
+    for part in told:
+        if part not in PARTS:
+            return f"A rule says {', '.join(PARTS)}, and not {part!r}."
+    if told.get("FREQ") not in FREQUENCIES:
+        return f"A rule begins with FREQ= and one of {', '.join(FREQUENCIES)}."
+    if "BYSETPOS" in told and (
+        told["FREQ"] in FREQUENCIES[:2] or not re.fullmatch(r"-?[1-5]", told["BYSETPOS"])
+    ):
+        return "BYSETPOS is a number from -5 to 5, and of months or years."
+    if not re.fullmatch(f"{_DAY}(,{_DAY})*", told.get("BYDAY", "MO")):
+        return "BYDAY names days like MO or TH, or of months and years also like 1MO (the first) or -1FR."
+    for part in ("INTERVAL", "COUNT"):
+        if not re.fullmatch(r"[1-9]\d{0,4}", told.get(part, "1")):
+            return f"{part} is a number from 1 to 99999."
+    try:
+        local = _local(first, zone_of(zone))
+        found = _read(told, local, local)
+        # A rule that never comes true is looked for until the year 9999.
+        begins = next(iter(found), None) if _may_be_on(told, local) else None
+    except (ValueError, TypeError, OverflowError) as error:
+        return f"{rule!r} is no rule of iCalendar ({str(error).rstrip('.')})."
+    return "" if begins == local else "The first time does not follow the rule."
+
+
+def times_between(rule: str, zone: str, first: int, after: int, before: int) -> list[int]:
+    """The times of a rule at or after ``after`` and before ``before`` (UTC ns), ``first`` among them."""
+    found = _times(rule, zone, first).until(min(before, LATEST))
+    return found[bisect_left(found, after) : bisect_left(found, before)]
+
+
+def _parts(rule: str) -> dict[str, str]:
+    return dict(part.partition("=")[::2] for part in rule.split(";"))
+
+
+def _may_be_on(told: Mapping[str, str], day: datetime) -> bool:
+    """Whether the month, the day of the month and the day of the week are among those that a rule names."""
+    last = monthrange(day.year, day.month)[1]
+    days = {str(day.day), f"+{day.day}", str(day.day - last - 1)}
+    week = {part[-2:] for part in told.get("BYDAY", "").split(",")}
+    return (
+        str(day.month) in told.get("BYMONTH", str(day.month)).split(",")
+        and bool(days & set(told.get("BYMONTHDAY", str(day.day)).split(",")))
+        and ("BYDAY" not in told or WEEK[day.weekday()] in week)
+    )
+
+
+def _local(at: int, zone: tzinfo) -> datetime:
+    """What a clock on the wall shows."""
+    return datetime.fromtimestamp(at // SECOND_NS, zone).replace(tzinfo=None)
+
+
+def _read(told: Mapping[str, str], first: datetime, last: datetime) -> rrule:
+    """A rule up to a last time. It is counted elsewhere: a rule that never comes true would not end."""
+    parts = [f"{part}={value}" for part, value in told.items() if part != "COUNT"]
+    found = rrulestr(";".join([*parts, f"UNTIL={last:%Y%m%dT%H%M%S}"]), dtstart=first, ignoretz=True)
+    if not isinstance(found, rrule):
+        raise ValueError("it is more than one rule")
+    return found
+
+
+class _Times:
+    """The times of a rule, worked out as far as anybody has asked."""
+
+    def __init__(self, rule: str, zone: str, first: int) -> None:
+        self._zone, self._rest = zone_of(zone), first % SECOND_NS
+        told = _parts(rule)
+        self._most = min(int(told.get("COUNT", MOST_TIMES)), MOST_TIMES)
+        end = _local(LATEST, self._zone)
+        self._more: Iterator[datetime] = iter(_read(told, _local(first, self._zone), end))
+        self._known: list[int] = []
+        self._over = False
+
+    def until(self, time: int) -> list[int]:
+        while not self._over and (not self._known or self._known[-1] < time):
+            local = next(self._more, None)
+            if local is None or len(self._known) >= self._most:
+                self._over = True
+                break
+            at = int(local.replace(tzinfo=self._zone).timestamp()) * SECOND_NS + self._rest
+            self._known.append(at)
+        return self._known
+
+
+@lru_cache(maxsize=1024)
+def _times(rule: str, zone: str, first: int) -> _Times:
+    return _Times(rule, zone, first)

@@ -1,0 +1,287 @@
+"""Bookings and the calendar, as requests and answers say them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from labos.core.bookings import Booking, Span
+from labos.core.decide.bookings import NewTerms
+from labos.core.recurrence import DAY_NS
+from labos.core.state import LabState
+from labos.core.users import person_of
+from labos.errors import BadInput, NotFound
+from labos.http.bodies import By
+from labos.http.limits import Line, Name, Time, says
+from labos.http.service import LabService
+
+LONGEST_CALENDAR_DAYS = 400
+MOST_TIMES = 5_000
+"""Times that a calendar shows at once."""
+
+BEGINS = "when it begins (UTC nanoseconds)"
+ENDS = "when it ends (UTC nanoseconds)"
+WHOM = "for whom: a group or a user; `group:NAME` or `user:ID` where both are called so"
+NOBODY = "for maintenance: nobody's runs"
+WHY = "what for"
+ZONE = "the time zone by whose clock it is shown and repeated, as `Europe/Zurich`"
+RULE = "how often it comes again, as in iCalendar: `FREQ=WEEKLY;BYDAY=MO,TH`; empty: once"
+LAST = "the latest begin of one that is repeated (UTC nanoseconds); 0: without end"
+Force = Annotated[bool, says("also where others have booked; it needs an admin")]
+
+
+class NewBooking(By, forbid_unknown_fields=True, kw_only=True):
+    """A module or a workcell for somebody alone."""
+
+    target: Annotated[Name, says("a module or a workcell")]
+    begins_at: Annotated[Time, says(BEGINS)]
+    ends_at: Annotated[Time, says(ENDS)]
+    whom: Annotated[Name, says(WHOM + "; left out: whoever asks")] = ""
+    maintenance: Annotated[bool, says(NOBODY)] = False
+    why: Annotated[Line, says(WHY)] = ""
+    zone: Annotated[Name, says(ZONE)] = "UTC"
+    rule: Annotated[Name, says(RULE)] = ""
+    last_at: Annotated[Time, says(LAST)] = 0
+    force: Force = False
+
+
+class BookingChange(By, forbid_unknown_fields=True, kw_only=True):
+    """What is left out stays as it is."""
+
+    begins_at: Annotated[Time | None, says(BEGINS + "; without an end, that moves along")] = None
+    ends_at: Annotated[Time | None, says(ENDS)] = None
+    whom: Annotated[Name | None, says(WHOM)] = None
+    maintenance: Annotated[bool | None, says(NOBODY)] = None
+    why: Annotated[Line | None, says(WHY)] = None
+    zone: Annotated[Name | None, says(ZONE)] = None
+    rule: Annotated[Name | None, says(RULE)] = None
+    last_at: Annotated[Time | None, says(LAST)] = None
+    force: Force = False
+
+
+class BookingCancel(By, forbid_unknown_fields=True, kw_only=True):
+    begins_at: Annotated[
+        Time, says("only the time that begins then (UTC nanoseconds), of a booking that is repeated")
+    ] = 0
+    why: Annotated[Line, says("the reason")] = ""
+
+
+class OfBooking(msgspec.Struct, frozen=True):
+    booking: Annotated[Name, msgspec.Meta(description="a booking's id", examples=["B3"])]
+
+
+class BookingsQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    target: Annotated[
+        Name, says("only those of this module (its workcell's among them) or of this workcell")
+    ] = ""
+
+
+class CalendarQuery(BookingsQuery, frozen=True, forbid_unknown_fields=True):
+    since: Annotated[Time, says("from then on (UTC nanoseconds); 0: from now on")] = 0
+    until: Annotated[Time, says("up to then (UTC nanoseconds); 0: a week")] = 0
+
+
+class LinkQuery(BookingsQuery, frozen=True, forbid_unknown_fields=True):
+    token: Annotated[
+        Name, says("a token of scope `viewer`, for calendar programs that cannot send it in a header")
+    ] = ""
+
+
+class BookingView(msgspec.Struct, frozen=True):
+    """Its first time, and the one that it is or that comes next (``next_…``, 0: none). Times in UTC
+    nanoseconds. ``now``: it has begun; ``skipped_at`` are begins that fall out; ``over`` are the bookings
+    that it was just made over."""
+
+    id: str
+    target: str
+    begins_at: int
+    ends_at: int
+    user: str
+    group: str
+    maintenance: bool
+    why: str
+    zone: str
+    rule: str
+    last_at: int
+    by: str
+    now: bool
+    next_begins_at: int
+    next_ends_at: int
+    skipped_at: tuple[int, ...] = ()
+    over: tuple[str, ...] = ()
+
+
+class BookingList(msgspec.Struct, frozen=True):
+    bookings: list[BookingView]
+
+
+class BookedTime(msgspec.Struct, frozen=True):
+    """One time of a booking (UTC nanoseconds)."""
+
+    booking: str
+    target: str
+    begins_at: int
+    ends_at: int
+    user: str
+    group: str
+    maintenance: bool
+    why: str
+    now: bool
+
+
+class CalendarView(msgspec.Struct, frozen=True):
+    """The times that are booked ``since`` and ``until`` then, in order."""
+
+    since: int
+    until: int
+    times: list[BookedTime]
+
+
+class BookingCancelled(msgspec.Struct, frozen=True):
+    """``begins_at`` is the one time that falls out; 0: all of it."""
+
+    booking: str
+    begins_at: int
+
+
+def view(booking: Booking, over: tuple[str, ...] = ()) -> BookingView:
+    span = (
+        Span(booking.began, booking.until, booking.id)
+        if booking.began
+        else booking.next_span(booking.handled)
+    )
+    return BookingView(
+        booking.id,
+        booking.target,
+        booking.begins,
+        booking.ends,
+        booking.user,
+        booking.group,
+        booking.maintenance,
+        booking.why,
+        booking.zone,
+        booking.rule,
+        booking.last,
+        booking.by,
+        bool(booking.began),
+        span.begins if span is not None else 0,
+        span.ends if span is not None else 0,
+        booking.skipped,
+        over,
+    )
+
+
+def the_booking(state: LabState, name: str) -> Booking:
+    """Raises NotFound."""
+    found = state.bookings.open.get(name)
+    if found is None:
+        raise NotFound(f"There is no booking {name!r} that is not over.", remedy="List them: labos bookings")
+    return found
+
+
+def bookings_of(service: LabService, target: str) -> list[Booking]:
+    """The bookings of a module or a workcell, or all, in the order in which they were made. Raises
+    NotFound."""
+    state = service.kernel.state
+    if not target:
+        return list(state.bookings.open.values())
+    if target in state.lab.workcells:
+        return state.bookings.in_cell(target)
+    return state.bookings.of(service.module(target))
+
+
+def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarView:
+    """Raises NotFound, BadInput."""
+    since = query.since or now
+    until = query.until or since + 7 * DAY_NS
+    if not since < until <= since + LONGEST_CALENDAR_DAYS * DAY_NS:
+        raise BadInput(
+            f"A calendar shows 1 to {LONGEST_CALENDAR_DAYS} days.", remedy="Ask for a shorter time at once."
+        )
+    found: list[tuple[Span, Booking]] = []
+    for booking in bookings_of(service, query.target):
+        found += [(span, booking) for span in booking.spans(since, until)]
+    found.sort(key=lambda pair: (pair[0].begins, pair[0].ends, pair[1].id))
+    if len(found) > MOST_TIMES:
+        raise BadInput(f"These are more than {MOST_TIMES} times.", remedy="Ask for a shorter time at once.")
+    return CalendarView(since, until, [_time(span, booking) for span, booking in found])
+
+
+def _time(span: Span, booking: Booking) -> BookedTime:
+    return BookedTime(
+        booking.id,
+        booking.target,
+        span.begins,
+        span.ends,
+        booking.user,
+        booking.group,
+        booking.maintenance,
+        booking.why,
+        booking.began == span.begins,
+    )
+
+
+def target_of(service: LabService, name: str) -> str:
+    """A module or a workcell by its name. Raises NotFound."""
+    return name if name in service.kernel.state.lab.workcells else service.module(name)
+
+
+def terms_of(state: LabState, body: NewBooking) -> NewTerms:
+    user, group = _whom(state, body.whom, body.by)
+    if body.maintenance and body.whom:
+        raise BadInput("Maintenance is for nobody's runs.", remedy="Leave out for whom it is.")
+    if body.maintenance:
+        user = group = ""
+    return NewTerms(
+        begins=body.begins_at,
+        ends=body.ends_at,
+        user=user,
+        group=group,
+        maintenance=body.maintenance,
+        why=body.why,
+        zone=body.zone,
+        rule=body.rule,
+        last=body.last_at,
+    )
+
+
+def changed_terms(state: LabState, booking: Booking, body: BookingChange) -> NewTerms:
+    """The terms of a booking with what somebody wants to change. Who moves its begin alone moves its end
+    along."""
+    user, group, maintenance = booking.user, booking.group, booking.maintenance
+    if body.maintenance is not None:
+        maintenance = body.maintenance
+        user, group = ("", "") if maintenance else _whom(state, "", body.by)
+    if body.whom is not None:
+        user, group = _whom(state, body.whom, body.by)
+        maintenance = False
+    begins = booking.begins if body.begins_at is None else body.begins_at
+    ends = begins + booking.ends - booking.begins if body.begins_at is not None else booking.ends
+    rule = booking.rule if body.rule is None else body.rule
+    last = booking.last if body.last_at is None else body.last_at
+    return NewTerms(
+        begins=begins,
+        ends=ends if body.ends_at is None else body.ends_at,
+        user=user,
+        group=group,
+        maintenance=maintenance,
+        why=booking.why if body.why is None else body.why,
+        zone=booking.zone if body.zone is None else body.zone,
+        rule=rule,
+        last=last if rule else 0,
+    )
+
+
+def _whom(state: LabState, said: str, by: str) -> tuple[str, str]:
+    """The user or the group that is meant; whoever asks if nobody is named. Raises BadInput."""
+    kind, colon, name = said.partition(":")
+    if not said:
+        return person_of(by), ""
+    if colon and kind in ("user", "group"):
+        return (name, "") if kind == "user" else ("", name)
+    if said in state.shares.groups:
+        if said in state.users.known:
+            raise BadInput(f"{said!r} is a group and a user.", remedy=f"Say group:{said} or user:{said}.")
+        return "", said
+    return said, ""

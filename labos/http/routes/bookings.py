@@ -1,0 +1,198 @@
+"""Bookings: who has a module or a workcell to themselves, and when."""
+
+from __future__ import annotations
+
+from starlette.responses import Response
+
+from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking
+from labos.core.recurrence import DAY_NS
+from labos.http.bookings import (
+    BookingCancel,
+    BookingCancelled,
+    BookingChange,
+    BookingList,
+    BookingsQuery,
+    BookingView,
+    CalendarQuery,
+    CalendarView,
+    LinkQuery,
+    NewBooking,
+    OfBooking,
+    bookings_of,
+    calendar,
+    changed_terms,
+    target_of,
+    terms_of,
+    the_booking,
+    view,
+)
+from labos.http.operation import Call, Operation
+from labos.services.ical import MEDIA_TYPE, ical
+
+
+async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
+    """Those that are not over, in the order of their next times."""
+    views = [view(booking) for booking in bookings_of(call.service, query.target)]
+    found = BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
+    await call.kernel.written()
+    return found
+
+
+async def get_booking(call: Call, path: OfBooking) -> BookingView:
+    found = view(the_booking(call.kernel.state, path.booking))
+    await call.kernel.written()
+    return found
+
+
+async def make_booking(call: Call, body: NewBooking) -> BookingView:
+    """Runs of others do not start what would still be there then. Where somebody has booked already it is
+    refused, unless an admin forces it; over maintenance it is refused in any case."""
+    state, now = call.kernel.state, call.kernel.clock.now_ns()
+    target, terms = target_of(call.service, body.target), terms_of(state, body)
+    events = await call.kernel.execute(MakeBooking(target, terms, body.by, now, body.force), body.by)
+    return view(the_booking(call.kernel.state, events[0].booking), events[0].over)  # type: ignore[attr-defined]
+
+
+async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> BookingView:
+    """What is left out stays. A new begin alone moves the end along."""
+    booking, now = the_booking(call.kernel.state, path.booking), call.kernel.clock.now_ns()
+    terms = changed_terms(call.kernel.state, booking, body)
+    events = await call.kernel.execute(ChangeBooking(booking.id, terms, body.by, now, body.force), body.by)
+    return view(the_booking(call.kernel.state, booking.id), events[0].over)  # type: ignore[attr-defined]
+
+
+async def cancel_booking(call: Call, path: OfBooking, body: BookingCancel) -> BookingCancelled:
+    """The time is everybody's again, also while it lasts."""
+    the_booking(call.kernel.state, path.booking)
+    await call.kernel.execute(CancelBooking(path.booking, body.by, body.why, body.begins_at), body.by)
+    return BookingCancelled(path.booking, body.begins_at)
+
+
+async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
+    """Each time of each booking, repeated ones too."""
+    found = calendar(call.service, query, call.kernel.clock.now_ns())
+    await call.kernel.written()
+    return found
+
+
+async def export_calendar(call: Call, query: LinkQuery) -> Response:
+    """All bookings as iCalendar (RFC 5545). Calendar programs subscribe to it with a token of scope `viewer`
+    in the address."""
+    found = ical(call.kernel.state, bookings_of(call.service, query.target))
+    await call.kernel.written()
+    headers = {"cache-control": "private, max-age=300"}
+    return Response(found, media_type=MEDIA_TYPE, headers=headers)
+
+
+_AT = 1_764_144_000_000_000_000
+_BOOKING = {
+    "id": "B3",
+    "target": "rpl/ot2_pcr_alpha",
+    "begins_at": _AT,
+    "ends_at": _AT + 7_200_000_000_000,
+    "user": "",
+    "group": "chemistry",
+    "maintenance": False,
+    "why": "course",
+    "zone": "Europe/Zurich",
+    "rule": "FREQ=WEEKLY",
+    "last_at": 0,
+    "by": "ada",
+    "now": False,
+    "next_begins_at": _AT,
+    "next_ends_at": _AT + 7_200_000_000_000,
+    "skipped_at": [],
+    "over": [],
+}
+_TIME = {name: _BOOKING[name] for name in ("target", "begins_at", "ends_at", "user", "group", "why", "now")}
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/bookings",
+        handler=list_bookings,
+        summary="Which bookings there are",
+        tag="bookings",
+        needs="viewer",
+        problems=("not_found",),
+        example_answer={"bookings": [_BOOKING]},
+    ),
+    Operation(
+        method="POST",
+        path="/bookings",
+        handler=make_booking,
+        summary="Book a module or a workcell",
+        tag="bookings",
+        needs="submitter",
+        status=201,
+        problems=("refused", "not_found"),
+        example={
+            "target": "ot2_pcr_alpha",
+            "begins_at": _AT,
+            "ends_at": _AT + 7_200_000_000_000,
+            "whom": "chemistry",
+            "why": "course",
+            "zone": "Europe/Zurich",
+            "rule": "FREQ=WEEKLY",
+            "by": "ada",
+        },
+        example_answer=_BOOKING,
+    ),
+    Operation(
+        method="GET",
+        path="/bookings/{booking}",
+        handler=get_booking,
+        summary="A booking",
+        tag="bookings",
+        needs="viewer",
+        example_answer=_BOOKING,
+    ),
+    Operation(
+        method="POST",
+        path="/bookings/{booking}/change",
+        handler=change_booking,
+        summary="Change when or for whom a booking is",
+        tag="bookings",
+        needs="submitter",
+        problems=("refused",),
+        example={"begins_at": _AT, "ends_at": _AT + 7_200_000_000_000, "by": "ada"},
+        example_answer=_BOOKING,
+    ),
+    Operation(
+        method="POST",
+        path="/bookings/{booking}/cancel",
+        handler=cancel_booking,
+        summary="Give a booking back, or one time of it",
+        tag="bookings",
+        needs="submitter",
+        problems=("refused",),
+        example={"by": "ada", "why": "not needed"},
+        example_answer={"booking": "B3", "begins_at": 0},
+    ),
+    Operation(
+        method="GET",
+        path="/calendar",
+        handler=show_calendar,
+        summary="When what is booked",
+        tag="bookings",
+        needs="viewer",
+        problems=("not_found",),
+        example_answer={
+            "since": _AT,
+            "until": _AT + 7 * DAY_NS,
+            "times": [{"booking": "B3", "maintenance": False, **_TIME}],
+        },
+    ),
+    Operation(
+        method="GET",
+        path="/calendar.ics",
+        handler=export_calendar,
+        answer=bytes,
+        media=(MEDIA_TYPE,),
+        summary="The calendar for calendar programs",
+        tag="bookings",
+        needs="viewer",
+        by_link=True,
+        problems=("not_found",),
+    ),
+)

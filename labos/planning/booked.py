@@ -1,0 +1,268 @@
+"""What would run into a booking is not started: a step, with what it would leave standing, shut or held in a
+module until a later one; and a new run as a whole.
+
+Durations are nominal. A run is let in when all of it has room between the bookings of others, if there is
+such a time within the days that are looked at; else when its first steps have, as long as there is a gap for
+each of its stays somewhere. A run inside goes on as far as there is room, and waits for the end of a booking
+where there is none: by the rules its next step is not possible then, and safety takes the run for stuck while
+a booking has begun, as if the module were out of service.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import msgspec
+
+from labos.core.booked import HORIZON_NS, blocked, contacts, is_exempt, no_gap, waits_for
+from labos.core.bookings import Bookings, Span
+from labos.core.decide import Command
+from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
+from labos.core.effects import Carrying, Sets, carried
+from labos.core.ids import ModuleName, RunId, StationName
+from labos.core.model import MAIN, Plan, PlanStep
+from labos.core.rules import lab_ns
+from labos.core.runs import PENDING, RunState, statuses_of
+from labos.core.state import LabState
+from labos.core.waits import Wait
+from labos.planning.forecast import earliest
+from labos.planning.player import chained
+
+
+class Stay(msgspec.Struct, frozen=True):
+    """When a run has a module, or something of it stands there (ns from now on), from a ``step`` on. Who only
+    ``clears`` is stopped by maintenance alone."""
+
+    module: ModuleName
+    begins: int
+    ends: int
+    step: int
+    clears: bool = False
+
+
+def against(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
+    """What booking a start would run into; None if there is room. The rules must allow it."""
+    if not state.bookings.in_cell(state.runs.plan_of(run).workcell):
+        return None
+    plan = state.runs.plan_of(run)
+    if is_exempt(state, run, plan.steps[step]):
+        return None
+    times = _times(state, run, plan, step, now)
+    if not run.has_started:
+        every = list(_stays(state, plan, times, times))
+        for wait in _without_gap(state, run, every, now):
+            return wait
+        if _first_fit(state, run.user, every, now) is not None:
+            return _room_for(state, run, plan, every, now)
+    together = {step, *chained(run, plan, [step])}
+    return _room_for(state, run, plan, list(_stays(state, plan, times, together)), now)
+
+
+def room_ends(state: LabState, name: RunId, now: int) -> int | None:
+    """When a run that waits would first run into a booking that it does not now (UTC ns); None if there is
+    no such time within the days that are looked at."""
+    run = state.runs.queued[name]
+    plan = state.runs.plan_of(run)
+    times = _times(state, run, plan, 0, now)
+    found = (
+        span.begins - stay.ends + 1
+        for stay in _stays(state, plan, times, times)
+        for span in blocked(
+            state, run.user, stay.module, now + stay.begins, now + HORIZON_NS, clears=stay.clears
+        )
+    )
+    return min((at for at in found if at > now), default=None)
+
+
+def without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
+    """The modules on which bookings of others leave no gap that is long enough for a run that waits."""
+    plan = state.runs.plan_of(run)
+    if not state.bookings.in_cell(plan.workcell):
+        return []
+    times = _times(state, run, plan, 0, now)
+    return list(_without_gap(state, run, _stays(state, plan, times, times), now))
+
+
+def _without_gap(state: LabState, run: RunState, stays: Iterable[Stay], now: int) -> Iterator[Wait]:
+    """The waits for modules on which the longest of these stays has no room."""
+    longest: dict[tuple[ModuleName, bool], int] = {}
+    for stay in stays:
+        key = (stay.module, stay.clears)
+        longest[key] = max(longest.get(key, 0), stay.ends - stay.begins)
+    for (module, clears), length in longest.items():
+        wait = no_gap(state, run.user, module, length, now, clears=clears)
+        if wait is not None:
+            yield wait
+
+
+def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[Stay], now: int) -> Wait | None:
+    """The wait for a time at which there is room for all these stays; None if it is now."""
+    met = _first_met(state, run.user, stays, now)
+    if met is None:
+        return None
+    stay, span = met
+    for wait in _without_gap(state, run, stays, now):
+        return wait
+    return waits_for(
+        state, stay.module, span, plan.steps[stay.step].key, now, _first_fit(state, run.user, stays, now)
+    )
+
+
+def _first_met(state: LabState, user: str, stays: Iterable[Stay], now: int) -> tuple[Stay, Span] | None:
+    for stay in stays:
+        ends = max(stay.ends, stay.begins + 1)
+        for span in blocked(state, user, stay.module, now + stay.begins, now + ends, clears=stay.clears):
+            return stay, span
+    return None
+
+
+def _first_fit(state: LabState, user: str, stays: list[Stay], now: int) -> int | None:
+    """When all stays have room, if they begin together as late as that (UTC ns); None if that is not within
+    the days that are looked at."""
+    time = now
+    while time <= now + HORIZON_NS:
+        met = _first_met(state, user, stays, time)
+        if met is None:
+            return time
+        stay, span = met
+        time = span.ends - stay.begins
+    return None
+
+
+def _times(state: LabState, run: RunState, plan: Plan, first: int, now: int) -> dict[int, tuple[int, int]]:
+    """When each step that is still to come would begin and end if ``first`` started now and nothing else
+    were in its way (ns from now on)."""
+    known: dict[int, int] = {}
+    found: dict[int, tuple[int, int]] = {}
+    statuses = statuses_of(plan, run)
+    left = {
+        i
+        for i, status in enumerate(statuses)
+        if status == PENDING and (run.has_started or plan.steps[i].part == MAIN)
+    }
+    while left:
+        before_pass = len(left)
+        for index in sorted(left):
+            step = plan.steps[index]
+            if not left.isdisjoint(step.after):
+                continue
+            begins = max([now, *(known.get(before, now) for before in step.after)])
+            if index != first:
+                begins = max(begins, earliest(state, run, index, known))
+            known[index] = begins + lab_ns(state, step.duration_s)
+            found[index] = (begins - now, known[index] - now)
+            left.discard(index)
+        if len(left) == before_pass:
+            break  # they wait for one another
+    return found
+
+
+def _stays(
+    state: LabState, plan: Plan, times: dict[int, tuple[int, int]], steps: Iterable[int]
+) -> Iterator[Stay]:
+    """The stays that these steps begin, each as long as it lasts."""
+    in_time = sorted(times, key=lambda index: times[index])
+    for index in sorted(steps):
+        if index not in times or plan.steps[index].recovers:
+            continue
+        begins, ends = times[index]
+        step = plan.steps[index]
+        for module, clears in contacts(state, step).items():
+            last = ends if clears else max([ends, *_leaves(state, plan, times, in_time, index, module)])
+            yield Stay(module, begins, last, index, clears)
+        for hold in plan.holds:
+            if hold.first == index and hold.last in times:
+                yield Stay(hold.module, begins, max(ends, times[hold.last][1]), index)
+
+
+def _leaves(
+    state: LabState,
+    plan: Plan,
+    times: dict[int, tuple[int, int]],
+    in_time: list[int],
+    index: int,
+    module: ModuleName,
+) -> Iterator[int]:
+    """When what a step brings into a module, or leaves shut or open there, is over (ns from now on). What
+    stays behind at the run's end counts up to the last step that has to do with the module: longer than that
+    nobody knows, and a person is told of it."""
+    step = plan.steps[index]
+    if not any(isinstance(effect, Carrying | Sets) for effect in step.effects):
+        return
+    ends = times[index][1]
+    later = [i for i in in_time if times[i][0] >= ends and i != index]
+    for what in carried(step.effects):
+        place = what.filled
+        if place and _is_inside(state, place, module):
+            gone = next((i for i in later if _takes(plan.steps[i], place)), None)
+            if gone is not None:
+                yield times[gone][1]
+            else:
+                yield from (times[i][1] for i in later if module in contacts(state, plan.steps[i]))
+    if step.module == module:
+        yield from _closes(state, plan, times, later, step)
+
+
+def _is_inside(state: LabState, place: StationName, module: ModuleName) -> bool:
+    spec = state.bench.stations[place].spec
+    return spec.module == module and not spec.stands_apart and spec.kind != "waste"
+
+
+def _takes(step: PlanStep, place: StationName) -> bool:
+    return any(isinstance(e, Carrying) and e.emptied == place and not e.stock for e in step.effects)
+
+
+def _closes(
+    state: LabState, plan: Plan, times: dict[int, tuple[int, int]], later: list[int], step: PlanStep
+) -> Iterator[int]:
+    """When a door or lid that a step moves away from rest is at rest again."""
+    known = state.modules.by_name.get(step.module)
+    rest = known.spec.rest if known is not None else {}
+    for effect in step.effects:
+        if not isinstance(effect, Sets) or effect.of != "module" or effect.variable not in rest:
+            continue
+        value = rest[effect.variable]
+        if effect.value == value:
+            continue
+        for i in later:
+            other = plan.steps[i]
+            sets = (e for e in other.effects if isinstance(e, Sets) and e.of == "module")
+            if other.module == step.module and any(
+                (e.variable, e.value) == (effect.variable, value) for e in sets
+            ):
+                yield times[i][1]
+                break
+
+
+class BookingTimes:
+    """When bookings of a state come near, begin and end; worked out anew when one has changed."""
+
+    def __init__(self) -> None:
+        self._seen = -1
+        self._first: int | None = None
+
+    def first(self, bookings: Bookings) -> int | None:
+        """The earliest change that is to come, or is due (UTC ns)."""
+        if not bookings.open:
+            return None
+        if self._seen != bookings.events:
+            self._seen = bookings.events
+            self._first = min(booking.next_change for booking in bookings.open.values())
+        return self._first
+
+    def due(self, bookings: Bookings, now: int) -> Iterator[Command]:
+        """What has become due, one after the other for each booking."""
+        first = self.first(bookings)
+        if first is None or now < first:
+            return
+        for booking in list(bookings.open.values()):
+            match booking.change_due(now):
+                case "near":
+                    yield NearBooking(booking.id, now)
+                case "begin":
+                    yield BeginBooking(booking.id, now)
+                case "end":
+                    yield EndBooking(booking.id, now)
+
+
+__all__ = ["BookingTimes", "against", "room_ends", "without_gap"]

@@ -1,0 +1,70 @@
+"""Bookings as iCalendar (RFC 5545), for calendar programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+
+from icalendar import Calendar, Event, vRecur
+
+from labos.core.bookings import Booking
+from labos.core.ids import local
+from labos.core.recurrence import zone_of
+from labos.core.state import LabState
+
+MEDIA_TYPE = "text/calendar"
+
+
+YEARS = 30
+"""For so long after the latest booking a time zone is described."""
+
+
+def ical(state: LabState, bookings: Sequence[Booking]) -> bytes:
+    """A calendar of these bookings. It is the same as long as they are."""
+    calendar = Calendar()
+    calendar.add("prodid", "-//LabOS//bookings//EN")
+    calendar.add("version", "2.0")
+    calendar.add("method", "PUBLISH")
+    calendar.add("x-wr-calname", f"LabOS: {state.lab.name}")
+    calendar.add("x-published-ttl", "PT15M")
+    for booking in bookings:
+        calendar.add_component(_event(state, booking))
+    begins = [booking.begins for booking in bookings]
+    calendar.add_missing_timezones(
+        _at(min(begins, default=0), "UTC").date() - timedelta(days=366),
+        _at(max(begins, default=0), "UTC").date() + timedelta(days=366 * YEARS),
+    )
+    return bytes(calendar.to_ical())
+
+
+def _event(state: LabState, booking: Booking) -> Event:
+    event = Event()
+    event.add("uid", f"{booking.id}@{state.lab.id}")
+    event.add("sequence", booking.made)
+    event.add("dtstamp", _at(booking.made_at, "UTC"))
+    event.add("dtstart", _at(booking.begins, booking.zone))
+    event.add("dtend", _at(booking.ends, booking.zone))
+    event.add("summary", f"{local(booking.target)}: {booking.whom}")
+    event.add("location", booking.target)
+    why = f": {booking.why}" if booking.why else ""
+    event.add("description", f"{booking.id}, booked by {booking.by}{why}")
+    event.add("categories", ["maintenance" if booking.maintenance else "booking"])
+    if booking.rule:
+        rule = vRecur.from_ical(booking.rule)
+        if booking.last and "COUNT" not in rule:
+            rule["UNTIL"] = [_at(booking.last, "UTC")]
+        event.add("rrule", rule)
+        for begins in booking.skipped:
+            event.add("exdate", _at(begins, booking.zone))
+    return event
+
+
+def _at(at: int, zone: str) -> datetime:
+    try:
+        where = zone_of(zone)
+    except ValueError:  # a zone that this computer does not know
+        where = UTC
+    return datetime.fromtimestamp(at // 1_000_000_000, where)
+
+
+__all__ = ["MEDIA_TYPE", "ical"]
