@@ -134,8 +134,9 @@ class Start:
 
     def labware(self, needs: Needs) -> Wait | None:
         places = [needs.station] if needs.station else self.state.bench.by_module.get(self.step.module, [])
-        found = (usable_at(self.state, self.run, place) for place in places)
-        self.subject = next((item for item in found if item is not None), None)
+        found = [item for p in places if (item := usable_at(self.state, self.run, p)) is not None]
+        owners = party(self.run)
+        self.subject = min(found, key=lambda item: owners.index(item.owner), default=None)
         if self.subject is not None:
             return None
         return nothing_at(self.state, self.run, places[0] if places else StationName(self.step.module))
@@ -317,6 +318,8 @@ def nothing_at(state: LabState, run: RunState, place: StationName) -> Wait:
         labware = state.bench.labware[station.labware[-1]]
         if labware.moving:
             return Wait(reasons.InMotion(labware.id, place), until_left_alone(state, place))
+        if labware.lender in party(run):
+            return Wait(reasons.InUse(labware.id, place, labware.owner), key)
         return Wait(reasons.NotYours(labware.id, place, labware.owner or "nobody"), key, blocked=True)
     if station is not None and not station.known and not station.expected:
         return Wait(reasons.Undeclared(place), key, blocked=True)

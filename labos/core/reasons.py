@@ -352,6 +352,14 @@ class InMotion(Reason, frozen=True):
     place: str
 
 
+class InUse(Reason, frozen=True):
+    SENTENCE = "{owner} works on {labware} at {place} until it ends"
+    WAKES = ("station",)
+    labware: str
+    place: str
+    owner: str
+
+
 class NotYours(Reason, frozen=True):
     SENTENCE = "{labware} at {place} belongs to {owner}"
     REMEDY = "Let a run of its owner move it away."
@@ -546,6 +554,7 @@ AnyReason = (
     | Uncertain
     | Lost
     | InMotion
+    | InUse
     | NotYours
     | Undeclared
     | NothingThere

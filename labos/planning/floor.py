@@ -13,7 +13,7 @@ import msgspec
 from labos.core.algebra import reaching_refused, standing_refused
 from labos.core.bench import Bench, Labware
 from labos.core.binding import laid_up
-from labos.core.effects import AnyEffect, Claims, Releases, Sets, carried, touched
+from labos.core.effects import NOWHERE, AnyEffect, Claims, Releases, Sets, carried, touched
 from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
@@ -63,12 +63,16 @@ class Actor(msgspec.Struct):
         return len(self.motions) + bool(self.forks)
 
 
+Loans = tuple[tuple[StationName, Owner], ...]
+
+
 class Floor(msgspec.Struct):
     """How full the stations are, how much the stacks hold, who claims which deck, what users and
     everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
     ``paths``), whose doors and decks stations are behind (``behind``), whose hands they are (``arms``),
-    and what lies on stacks (``piles``, bottom to top: actors, or owners who are none): of them only the
-    topmost can be had."""
+    what lies on stacks (``piles``, bottom to top: actors, or owners who are none): of them only the
+    topmost can be had; and what is lent to actors until their ends (``lent``: where it stands, whose it
+    is)."""
 
     count: dict[StationName, int] = {}
     capacity: dict[StationName, int] = {}
@@ -81,6 +85,7 @@ class Floor(msgspec.Struct):
     behind: dict[StationName, ModuleName] = {}
     arms: dict[StationName, ModuleName] = {}
     piles: dict[StationName, list[str]] = {}
+    lent: dict[str, Loans] = {}
 
 
 def is_closing(motion: Motion) -> bool:
@@ -195,6 +200,11 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
             if item.owner not in holders and (item.owner == SHARED or item.owner.startswith("user:")):
                 pool = floor.pools.setdefault(item.owner, {})
                 pool[place] = pool.get(place, 0) + 1
+            if item.lender == SHARED or item.lender.startswith("user:"):
+                floor.pools.setdefault(item.lender, {})
+                if item.owner in holders:
+                    who = holders[item.owner]
+                    floor.lent[who] = (*floor.lent.get(who, ()), (place, item.lender))
     for place, pile in floor.piles.items():
         for labware in bench.stations[place].labware:
             standing_there = bench.labware[labware]
@@ -333,8 +343,10 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if motion.back:
         return _may_go_back(floor, actor, motion)
     if not motion.target:
-        return (not motion.uses or may_use(floor, actor, motion.uses)) and all(
-            _may_grab(floor, actor, key, value) for key, value in motion.grabs
+        return (
+            (not motion.uses or may_use(floor, actor, motion.uses))
+            and all(_may_grab(floor, actor, key, value) for key, value in motion.grabs)
+            and all(found_at(floor, actor, places) for places in motion.needs)
         )
     mover = Mover(floor, actor)
     if motion.step <= CLOSING - END and _nothing_to_clear(mover, motion):
@@ -349,6 +361,24 @@ def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     return _open_to(floor, actor, module) and (
         module not in floor.claimed or _claimable(floor, actor, module)
     )
+
+
+def found_at(floor: Floor, actor: Actor, places: Iterable[StationName]) -> StationName:
+    """The first of some places where labware stands that an actor may use: its own first; empty if there is
+    none."""
+    owners = [None, *actor.inputs]
+    found = [(owners.index(owner), place) for place in places for owner in _usable(floor, actor, place)]
+    return min(found, key=lambda pair: pair[0])[1] if found else NOWHERE
+
+
+def _usable(floor: Floor, actor: Actor, place: StationName) -> list[Owner | None]:
+    """Whose labware an actor would use at a place: its own (None), or out of a pool; empty if there is
+    none."""
+    if _has_own(floor, actor, place):
+        return [None]
+    pile = floor.piles.get(place)
+    owners = [o for o in actor.inputs if floor.pools.get(o, {}).get(place) and not (pile and pile[-1] != o)]
+    return [*owners[:1]]
 
 
 def _nothing_to_clear(mover: Mover, motion: Motion) -> bool:
@@ -426,9 +456,19 @@ def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
 
 Counts = dict[StationName, int]
 
-Taken = tuple[Counts, str, Counts | None] | list[tuple[str, bool, Any]]
-"""From which count a motion took its labware, in whose name, and from which pool it took over the plate whose
-lid it carries; or what its actor held before (key, whether, value); for taking it back."""
+
+class Held(msgspec.Struct):
+    """What an actor held before a motion (key, whether, value), what was lent to it, and which plates have
+    become its own (1), or are not any more (-1), out of which pool."""
+
+    keys: list[tuple[str, bool, Any]] = []
+    lent: Loans = ()
+    plates: list[tuple[StationName, Counts, int]] = []
+
+
+Taken = tuple[Counts, str, Counts | None, Loans] | Held
+"""From which count a motion took its labware, in whose name, from which pool it took over the plate whose
+lid it carries, and what was lent to its actor before; for taking it back. Or what its actor held."""
 
 
 def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
@@ -436,13 +476,13 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     source, target = motion.source, motion.target
     if motion.back:
         _go_back(floor, actor, motion, 1)
-        return {}, "", None
+        return {}, "", None, floor.lent.get(actor.name, ())
     if not target:
-        return _hold(floor, actor.name, motion)
+        return _hold(floor, actor, motion)
     if motion.step <= CLOSING - END and _nothing_to_clear(Mover(floor, actor), motion):
         return None
     counts: Counts = {}
-    who = ""
+    who, lent = "", floor.lent.get(actor.name, ())
     if motion.emptied:
         if motion.new:
             counts = floor.stock
@@ -458,27 +498,38 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
         if not motion.new:
             _pile(floor, source, "")
         change_claim(floor, source, who, -1)
+        _keep_loan(floor, actor, source)
     if motion.filled:
         _pile(floor, target, actor.name)
         floor.count[target] = floor.count.get(target, 0) + 1
         if target not in floor.endless:
             actor.own[target] = actor.own.get(target, 0) + 1
             change_claim(floor, target, actor.name, 1)
-    return counts, who, _take_over(floor, actor, motion.plate_at) if motion.plate_at else None
+    pool = None
+    if motion.plate_at:
+        pool = _take_over(floor, actor, motion.plate_at)
+        _keep_loan(floor, actor, motion.plate_at)
+    return counts, who, pool, lent
 
 
 def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -> None:
     """Undo the last motion of an actor."""
     if taken is None:
         return
-    if isinstance(taken, list):
-        for key, before, value in reversed(taken):
+    if isinstance(taken, Held):
+        for key, before, value in reversed(taken.keys):
             if before:
                 floor.held.setdefault(key, {})[actor.name] = value
             else:
                 del floor.held[key][actor.name]
+        for place, whose, sign in reversed(taken.plates):
+            _change_owner(floor, actor, place, whose, -sign)
+        if motion.needs or motion.returns:
+            floor.lent[actor.name] = taken.lent
         return
-    counts, who, pool = taken
+    counts, who, pool, lent = taken
+    if lent:
+        floor.lent[actor.name] = lent
     source, target = motion.source, motion.target
     if pool is not None:
         _change_owner(floor, actor, motion.plate_at, pool, -1)
@@ -524,7 +575,7 @@ def _take_over(floor: Floor, actor: Actor, place: StationName) -> Counts | None:
 
 def _change_owner(floor: Floor, actor: Actor, place: StationName, pool: Counts, sign: int) -> None:
     """One piece out of a pool becomes an actor's (1), or goes back (-1)."""
-    pool[place] -= sign
+    pool[place] = pool.get(place, 0) - sign
     actor.own[place] = actor.own.get(place, 0) + sign
     change_claim(floor, place, OTHERS, -sign)
     change_claim(floor, place, actor.name, sign)
@@ -553,20 +604,50 @@ def _has_own(floor: Floor, actor: Actor, source: StationName) -> bool:
     return pile[-1] == actor.name if pile else bool(actor.own.get(source))
 
 
-def _hold(floor: Floor, who: str, motion: Motion) -> list[tuple[str, bool, Any]] | None:
-    """Let an actor hold what a motion grabs, and let go of what it frees."""
-    if not motion.grabs and not motion.frees:
+def _hold(floor: Floor, actor: Actor, motion: Motion) -> Held | None:
+    """Let an actor hold what a motion grabs, and have what it needs; let go of what it frees, and return what
+    was lent."""
+    if not motion.changes_anything:
         return None
-    before: list[tuple[str, bool, Any]] = []
+    who, before = actor.name, Held(lent=floor.lent.get(actor.name, ()))
     for key, value in motion.grabs:
         holders = floor.held.setdefault(key, {})
-        before.append((key, who in holders, holders.get(who)))
+        before.keys.append((key, who in holders, holders.get(who)))
         holders[who] = value
     for key in motion.frees:
         holders = floor.held.get(key, {})
         if who in holders:
-            before.append((key, True, holders.pop(who)))
+            before.keys.append((key, True, holders.pop(who)))
+    for places in motion.needs:
+        _borrow(floor, actor, found_at(floor, actor, places), before, keeps=motion.keeps)
+    if motion.returns and before.lent:
+        for place, owner in before.lent:
+            pile, pool = floor.piles.get(place), floor.pools[owner]
+            if pile and (pile[-1] != who or pile.count(who) > 1):
+                continue  # of several on a stack it is not known here which one was lent
+            _change_owner(floor, actor, place, pool, -1)
+            before.plates.append((place, pool, -1))
+        floor.lent[who] = ()
     return before
+
+
+def _borrow(floor: Floor, actor: Actor, place: StationName, before: Held, *, keeps: bool) -> None:
+    """What stands at a place is an actor's from now on: until its end, or for good."""
+    owner = next((owner for owner in _usable(floor, actor, place) if owner is not None), None)
+    pool = _take_over(floor, actor, place) if owner is not None else None
+    if keeps:
+        _keep_loan(floor, actor, place)
+    elif owner is not None:
+        floor.lent[actor.name] = (*floor.lent.get(actor.name, ()), (place, owner))
+    if pool is not None:
+        before.plates.append((place, pool, 1))
+
+
+def _keep_loan(floor: Floor, actor: Actor, place: StationName) -> None:
+    """What was lent to an actor at a place stays its own."""
+    lent = floor.lent.get(actor.name)
+    if lent:
+        floor.lent[actor.name] = tuple(loan for loan in lent if loan[0] != place)
 
 
 def change_claim(floor: Floor, station: StationName, who: str, change: int) -> None:

@@ -14,7 +14,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import sentence
-from labos.planning.floor import Actor, Floor, Mover, lay_out, may_move, move
+from labos.planning.floor import Actor, Floor, Mover, found_at, lay_out, may_move, move
 from labos.planning.paths import Motion, door_key, hold_key, kept_by
 from labos.planning.safety import Safety, View, as_seen, closes
 from labos.planning.witness import fresh, greedy
@@ -64,6 +64,9 @@ def _met(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], 
 
 def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]) -> str:
     if not motion.target:
+        for places in motion.needs:
+            if not found_at(floor, walker, places):
+                return f"finds nothing that it may use at {' or '.join(map(local, places))}"
         used = [motion.uses] if motion.uses else []
         grabbed = [key for key, _ in motion.grabs]
         used += [kept_by(key) for key in grabbed if kept_by(key)]

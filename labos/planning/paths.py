@@ -20,10 +20,12 @@ from labos.core.effects import (
     Carrying,
     Claims,
     Lid,
+    Needs,
     Releases,
     Sets,
     arrivals,
     carried,
+    changes_labware,
     hand_of,
 )
 from labos.core.ids import ModuleName, StationName
@@ -39,7 +41,9 @@ class Motion(msgspec.Struct, frozen=True):
     """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``. Or one
     that moves nothing: what the run holds from then on (``grabs``: key and value, None if it can
     be shared with nobody), and what it does not hold any more (``frees``). ``uses`` is the module
-    that nobody else may hold then. ``back``: it is known how something in
+    that nobody else may hold then. ``needs``: labware that it has not brought itself has to stand at one of
+    these places, for each need, and is lent to the run; if it ``keeps`` it, for good. ``returns``: what is
+    lent to the run goes back. ``back``: it is known how something in
     flight ended. It failed, and its labware is at ``target`` (as before on a stack, if ``new``) instead of
     at ``source``; or without a ``target``, ``source`` need not be kept free for it any more.
 
@@ -55,6 +59,9 @@ class Motion(msgspec.Struct, frozen=True):
     uses: ModuleName = ModuleName("")
     grabs: tuple[tuple[str, Any], ...] = ()
     frees: tuple[str, ...] = ()
+    needs: tuple[tuple[StationName, ...], ...] = ()
+    keeps: bool = False
+    returns: bool = False
     lid: Lid = ""
     back: bool = False
     stock: StationName = NOWHERE
@@ -68,8 +75,9 @@ class Motion(msgspec.Struct, frozen=True):
 
     @property
     def changes_anything(self) -> bool:
-        """Whether labware stands elsewhere after it, or somebody holds something else."""
-        return bool(self.target or self.grabs or self.frees)
+        """Whether labware stands elsewhere after it or belongs to somebody else, or somebody holds something
+        else."""
+        return bool(self.target or self.grabs or self.frees or self.needs or self.returns)
 
 
 def carrying(
@@ -136,23 +144,51 @@ def path_of(
     plan: Plan,
     claims: Mapping[StationName, str] = MappingProxyType({}),
     rests: Mapping[ModuleName, Values] = MappingProxyType({}),
+    nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
 ) -> Path:
     """The motions of a plan; steps in an order in which they may run one after the other. ``claims`` says
     which stations hold which claim (empty: none, but they are hands or behind a door), ``rests`` how the
-    modules' doors and lids stand at rest."""
-    found = [(way, motions_of_steps(plan, way.steps, claims, rests)) for way in ways(plan)]
+    modules' doors and lids stand at rest, ``nests`` where they work on labware."""
+    found = [(way, motions_of_steps(plan, way.steps, claims, rests, nests)) for way in ways(plan)]
     modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
     changing = frozenset(motion.step for motion in found[0][1] if motion.changes_anything)
     return Path(found[0][1], modules, changing, tuple(found) if len(found) > 1 else ())
 
 
 class Stand(msgspec.Struct):
-    """How a run stands on the bench before its next motion: how much of its labware holds each claim,
-    how the doors and lids are that it has left, and what it holds by them or by setpoints."""
+    """How a run stands on the bench before its next motion: where it has how much labware, how much of that
+    holds each claim, where what it works on is ``lent`` to it, how the doors and lids are that it has left,
+    and what it holds by them or by setpoints."""
 
+    own: Counter[StationName] = msgspec.field(default_factory=Counter)
+    lent: dict[StationName, bool] = {}
     claims: Counter[str] = msgspec.field(default_factory=Counter)
     doors: dict[ModuleName, dict[str, Any]] = {}
     held: dict[str, bool] = {}
+
+    def carry(self, what: Carrying, claims: Mapping[StationName, str]) -> None:
+        """Something is carried; a plate whose lid is carried belongs to the run too."""
+        self.claims[claims.get(what.emptied, "")] -= 1
+        self.claims[claims.get(what.filled, "")] += 1
+        if self.own[what.emptied]:
+            self.own[what.emptied] -= 1
+        for place in (what.filled, what.plate_at):
+            self.own[place] = max(self.own[place], 1) if place == what.plate_at else self.own[place] + 1
+            self.lent.pop(place, None)
+        self.lent.pop(what.emptied, None)
+
+    def lend(
+        self, places: tuple[StationName, ...], claims: Mapping[StationName, str], *, keeps: bool
+    ) -> None:
+        """Labware at one of these places is lent to the run, or given."""
+        if not keeps:
+            self.lent.update(dict.fromkeys(places, True))
+        if len(places) == 1:
+            if keeps:
+                self.lent.pop(places[0], None)
+            if not self.own[places[0]]:
+                self.own[places[0]] = 1
+                self.claims[claims.get(places[0], "")] += 1
 
 
 def motions_of_steps(
@@ -160,13 +196,14 @@ def motions_of_steps(
     order: Sequence[int],
     claims: Mapping[StationName, str],
     rests: Mapping[ModuleName, Values],
+    nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
     before: Stand | None = None,
 ) -> tuple[Motion, ...]:
     """What steps do to the bench, carried out in this order. Changes how the run stands."""
     motions: list[Motion] = []
     before = Stand() if before is None else before
     standing, values, held = before.claims, before.doors, before.held
-    ever = dict(held)
+    ever, lent = dict(held), bool(before.lent)
     for index in order:
         step = plan.steps[index]
         rest = rests.get(step.module, {})
@@ -179,20 +216,38 @@ def motions_of_steps(
         mine = standing[step.module] or (door_key(step.module) in held and not grabs)
         # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
         user = ModuleName("") if step.recovers else step.module
-        needs = step.exclusive and not moving
-        if grabs or (needs and user and not mine):
-            motions.append(Motion(index, uses=user if needs else ModuleName(""), grabs=grabs))
+        uses = user if step.exclusive and not moving else ModuleName("")
+        needs, keeps = _needs(step, nests, before), changes_labware(step.effects)
+        lent = lent or bool(needs)
+        if grabs or needs or (uses and not mine):
+            motions.append(Motion(index, uses=uses, grabs=grabs, needs=needs, keeps=keeps and bool(needs)))
+        for places in needs:
+            before.lend(places, claims, keeps=keeps)
         motions += carrying(index, *moving, uses=user, hand=hand_of(step.module), guarded=claims)
         for what in moving:
-            standing[claims.get(what.emptied, "")] -= 1
-            standing[claims.get(what.filled, "")] += 1
+            before.carry(what, claims)
         if frees:
             motions.append(Motion(index, frees=frees))
             for key in frees:
                 held.pop(key, None)
-    if ever:  # also of what it has let go of before: steps beside each other may end in another order
-        motions.append(Motion(END, frees=tuple(ever)))
+    if ever or lent:  # also of what it has let go of before: steps beside each other may end in any order
+        motions.append(Motion(END, frees=tuple(ever), returns=lent))
     return tuple(motions)
+
+
+def _needs(
+    step: PlanStep, nests: Mapping[ModuleName, tuple[StationName, ...]], before: Stand
+) -> tuple[tuple[StationName, ...], ...]:
+    """Where a step needs labware that its run has not brought there, or changes what is lent to it."""
+    found: list[tuple[StationName, ...]] = []
+    for effect in step.effects:
+        if isinstance(effect, Needs):
+            places = (effect.station,) if effect.station else nests.get(step.module, ())
+            brought = any(before.own[place] > 0 for place in places)
+            changed = changes_labware(step.effects) and any(place in before.lent for place in places)
+            if places and (changed or not brought):
+                found.append(places)
+    return tuple(found)
 
 
 @cache

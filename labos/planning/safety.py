@@ -362,16 +362,27 @@ def closes(state: LabState, run: RunState) -> bool:
     return experiment is not None and not any(name in state.runs.active for name in experiment.runs)
 
 
-def _rules(state: LabState, cell: str) -> tuple[dict[StationName, str], dict[ModuleName, Mapping[str, Any]]]:
-    """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; and how
-    its modules' doors and lids stand at rest."""
+Rules = tuple[
+    dict[StationName, str],
+    dict[ModuleName, Mapping[str, Any]],
+    dict[ModuleName, tuple[StationName, ...]],
+]
+
+
+def _rules(state: LabState, cell: str) -> Rules:
+    """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; how its
+    modules' doors and lids stand at rest; and which stations are theirs, as plans name them."""
     stations = state.bench.stations
     specs = [stations[name].spec for name in state.bench.in_cell.get(cell, ())]
     claims = {spec.name: spec.claim for spec in specs if spec.claim or spec.access or spec.kind == "gripper"}
     rests: dict[ModuleName, Mapping[str, Any]] = {
         name: module.spec.rest for name, module in state.modules.within(cell) if module.spec.rest
     }
-    return claims, rests
+    nests = {
+        name: tuple(dict.fromkeys(map(state.bench.planned, state.bench.by_module.get(name, ()))))
+        for name, _ in state.modules.within(cell)
+    }
+    return claims, rests, nests
 
 
 def _stuck(actors: Sequence[Actor]) -> frozenset[str]:

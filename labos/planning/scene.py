@@ -24,9 +24,10 @@ from labos.core.effects import (
     Releases,
     Requires,
     Sets,
+    changes_labware,
     hand_of,
 )
-from labos.core.ids import ModuleName, Owner, StationName, run_owner
+from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
 from labos.core.model import PlanStep
 from labos.core.rules import lab_ns
 from labos.core.runs import DONE, SETTLED, RunState
@@ -51,12 +52,15 @@ class Scene:
         self.setpoints: dict[tuple[ModuleName, str], dict[str, tuple[Any, int]]] = {}
         self.flying: list[tuple[int, int, Who, PlanStep, tuple[AnyEffect, ...]]] = []
         self.drawn: dict[StationName, int] = {}
+        self.lent: dict[str, tuple[tuple[StationName, Owner], ...]] = {}
         self.inside = {str(name) for name in state.runs.active}
         bench = state.bench
         for place, station in bench.stations.items():
             for labware in station.labware if not station.spec.hotel else ():
                 item = bench.labware[labware]
                 self.standing.setdefault(place, []).append((item.owner, (_run_of(item.owner), -1)))
+                if item.lender:
+                    self._lend(_run_of(item.owner), place, item.lender)
         for name in state.runs.holders:
             self.held[name] = {str(run): -1 for run in state.runs.holding(name)}
         for name, module in state.modules.by_name.items():
@@ -80,7 +84,7 @@ class Scene:
         other = Scene.__new__(Scene)
         other.state, other.cell, other.now = self.state, self.cell, self.now
         other.busy, other.values, other.flying = dict(self.busy), dict(self.values), list(self.flying)
-        other.inside, other.drawn = set(self.inside), dict(self.drawn)
+        other.inside, other.drawn, other.lent = set(self.inside), dict(self.drawn), dict(self.lent)
         other.reached = {name: dict(who) for name, who in self.reached.items()}
         other.zones = {name: dict(who) for name, who in self.zones.items()}
         other.standing = {name: list(who) for name, who in self.standing.items()}
@@ -190,12 +194,36 @@ class Scene:
                         self.standing.setdefault(place, []).append((owner, who))
                 if effect.stock:
                     self.drawn[effect.stock] = self.drawn.get(effect.stock, 0) + 1
+            elif isinstance(effect, Needs):
+                self._borrow(run, step, effect, who, keeps=changes_labware(effects))
             elif isinstance(effect, Claims):
                 self.setpoints.setdefault((step.module, effect.setpoint), {})[who[0]] = effect.value, index
         for hold in self.state.runs.plan_of(run).holds:
             if hold.first == index:
                 self.held.setdefault(hold.module, {})[who[0]] = index
         heapq.heappush(self.flying, (end, len(self.flying) + index, who, step, effects))
+
+    def places_of(self, step: PlanStep, needs: Needs) -> list[StationName]:
+        """Where the labware may stand that a step needs."""
+        return [needs.station] if needs.station else self.state.bench.by_module.get(step.module, [])
+
+    def _borrow(self, run: RunState, step: PlanStep, needs: Needs, who: Who, *, keeps: bool) -> None:
+        """What a run works on is lent to it until its end, or its own for good."""
+        owners, places = party(run), self.places_of(step, needs)
+        found = [(owners.index(o), p) for p in places for o, _ in self.standing.get(p, ()) if o in owners]
+        if not found:
+            return
+        rank, place = min(found, key=lambda pair: pair[0])
+        there = self.standing[place]
+        number = next(i for i, (owner, _) in enumerate(there) if owner == owners[rank])
+        there[number] = run_owner(run.id), who
+        if keeps:
+            self.lent[run.id] = tuple(loan for loan in self.lent.get(run.id, ()) if loan[0] != place)
+        elif rank:
+            self._lend(run.id, place, owners[rank])
+
+    def _lend(self, name: str, place: StationName, owner: Owner) -> None:
+        self.lent[name] = (*self.lent.get(name, ()), (place, owner))
 
     def _owner_at(self, run: RunState, place: StationName) -> Owner:
         """Whose labware it is that a run carries away."""
@@ -235,7 +263,13 @@ class Scene:
                 return
 
     def _leave(self, name: str) -> None:
-        """The end of a run lets go of all that it held."""
+        """The end of a run lets go of all that it held, and gives back what was lent to it."""
+        mine = run_owner(RunId(name))
+        for place, lender in self.lent.pop(name, ()):
+            there = self.standing.get(place, [])
+            number = next((i for i, (owner, _) in enumerate(there) if owner == mine), None)
+            if number is not None:
+                there[number] = lender, NOBODY
         for holders in self.held.values():
             holders.pop(name, None)
         for setters in self.setpoints.values():
@@ -307,9 +341,7 @@ class Turn:
         return there[0][1] if there else NOBODY
 
     def labware(self, needs: Needs) -> Who | None:
-        places = (
-            [needs.station] if needs.station else self.scene.state.bench.by_module.get(self.step.module, [])
-        )
+        places = self.scene.places_of(self.step, needs)
         there = [owner for place in places for owner, _ in self.scene.standing.get(place, ())]
         return None if any(owner in self.player.party for owner in there) else NOBODY
 

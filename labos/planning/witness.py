@@ -186,6 +186,7 @@ def copy(floor: Floor) -> Floor:
         claimed=claimed,
         pools=pools,
         held={key: dict(holders) for key, holders in floor.held.items()},
+        lent=dict(floor.lent),
         piles={place: list(pile) for place, pile in floor.piles.items()},
     )
 

@@ -185,7 +185,9 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: (
-        f"now belongs to {owner_name(e.owner)}" + _if(e.by, f" (given by {e.by}{_if(e.note, f': {e.note}')})")
+        ("is lent to " if e.lent else "now belongs to ")
+        + owner_name(e.owner)
+        + _if(e.by, f" (given by {e.by}{_if(e.note, f': {e.note}')})")
     ),
     b.StationLoaded: lambda e, _: (
         f"{e.count} × {e.type} loaded at {local(e.station)}{_if(e.lot, f' (lot {e.lot})')}"
