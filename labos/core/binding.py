@@ -290,10 +290,16 @@ def same(actual: Any, wanted: Any) -> bool:
 
 
 def usable_at(
-    state: LabState, run: RunState, place: StationName, but: Collection[LabwareId] = ()
+    state: LabState,
+    run: RunState,
+    place: StationName,
+    but: Collection[LabwareId] = (),
+    *,
+    lent: bool = False,
 ) -> Labware | None:
     """The labware at a station that this run may use and reach, none of ``but``: its own before its
-    experiment's, its user's and what is shared; on a stack only the topmost; no plate whose lid is lost."""
+    experiment's, its user's and what is shared; on a stack only the topmost; no plate whose lid is lost.
+    ``lent``: also what is lent to another run, as if that had ended."""
     station = state.bench.stations.get(place)
     if station is None:
         return None
@@ -303,7 +309,8 @@ def usable_at(
     for owner in party(run):
         for name in reversed(reach):
             item = labware[name]
-            if item.owner == owner and not item.moving and not state.bench.in_doubt(item):
+            whose = item.lender or item.owner if lent else item.owner
+            if whose == owner and not state.bench.in_doubt(item) and (lent or not item.moving):
                 return item
     return None
 

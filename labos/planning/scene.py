@@ -207,15 +207,20 @@ class Scene:
         """Where the labware may stand that a step needs."""
         return [needs.station] if needs.station else self.state.bench.by_module.get(step.module, [])
 
+    def within_reach(self, place: StationName) -> list[Owner]:
+        """Whose labware can be worked on at a place; on a stack that is the topmost piece."""
+        owners = [owner for owner, _ in self.standing.get(place, ())]
+        return owners[-1:] if self.state.bench.stations[place].spec.kind == "stack" else owners
+
     def _borrow(self, run: RunState, step: PlanStep, needs: Needs, who: Who, *, keeps: bool) -> None:
         """What a run works on is lent to it until its end, or its own for good."""
         owners, places = party(run), self.places_of(step, needs)
-        found = [(owners.index(o), p) for p in places for o, _ in self.standing.get(p, ()) if o in owners]
+        found = [(owners.index(o), p) for p in places for o in self.within_reach(p) if o in owners]
         if not found:
             return
         rank, place = min(found, key=lambda pair: pair[0])
         there = self.standing[place]
-        number = next(i for i, (owner, _) in enumerate(there) if owner == owners[rank])
+        number = max(i for i, (owner, _) in enumerate(there) if owner == owners[rank])
         there[number] = run_owner(run.id), who
         if keeps:
             self.lent[run.id] = tuple(loan for loan in self.lent.get(run.id, ()) if loan[0] != place)
@@ -342,7 +347,7 @@ class Turn:
 
     def labware(self, needs: Needs) -> Who | None:
         places = self.scene.places_of(self.step, needs)
-        there = [owner for place in places for owner, _ in self.scene.standing.get(place, ())]
+        there = [owner for place in places for owner in self.scene.within_reach(place)]
         return None if any(owner in self.player.party for owner in there) else NOBODY
 
     def value(self, requires: Requires) -> Who | None:

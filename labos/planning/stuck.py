@@ -7,12 +7,14 @@ one that is not let in yet keeps nobody out.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from labos.core import reasons
-from labos.core.binding import laid_up, unfit, unpromised
-from labos.core.effects import places
-from labos.core.ids import ModuleName, Owner, StationName, run_owner
-from labos.core.model import PlanStep
+from labos.core.bench import Labware, variable_of
+from labos.core.binding import laid_up, same, unfit, unpromised, usable_at
+from labos.core.effects import Carrying, Needs, Requires, Sets, places
+from labos.core.ids import LabwareId, ModuleName, Owner, StationName, run_owner
+from labos.core.model import MAIN, PlanStep
 from labos.core.rules import halted
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, statuses_of
 from labos.core.state import LabState
@@ -129,7 +131,9 @@ def _dry(state: LabState, run: RunState) -> Wait | None:
 def _at_a_loss(state: LabState, run: RunState) -> Wait | None:
     """A step whose turn it is, but whose labware is not as the step or the place needs it: of a type that
     the place does not take or the arm cannot hold, the wrong way round, sealed or lidded."""
-    if not run.has_started or run.has(IN_FLIGHT):
+    if not run.has_started:
+        return _unlike(state, run)
+    if run.has(IN_FLIGHT):
         return None
     steps = state.runs.plan_of(run).steps
     ready = [
@@ -140,3 +144,69 @@ def _at_a_loss(state: LabState, run: RunState) -> Wait | None:
     ]
     waits = [unfit(state, run, step) for step in ready]
     return waits[0] if waits and all(waits) else None
+
+
+def _unlike(state: LabState, run: RunState) -> Wait | None:
+    """Labware that a run will find on the bench once it is let in, and that is not as one of its steps needs
+    it."""
+    way = _OnTheWay(state, run)
+    for step in state.runs.plan_of(run).steps:
+        if step.part == MAIN and step.when is None:
+            wait = way.unlike(step)
+            if wait is not None:
+                return wait
+    return None
+
+
+class _OnTheWay:
+    """The labware that a run will meet, as it stands now and also where it is lent to somebody, and what the
+    run will have changed of it."""
+
+    def __init__(self, state: LabState, run: RunState) -> None:
+        self.state, self.run = state, run
+        self._at: dict[StationName, Labware | None] = {}
+        self._changed: set[tuple[LabwareId, str]] = set()
+
+    def unlike(self, step: PlanStep) -> Wait | None:
+        """What is not as a step needs it; then as the step leaves it."""
+        subject: Labware | None = None
+        for effect in step.effects:
+            match effect:
+                case Carrying():
+                    subject = self._find(effect.plate_at or effect.source) if effect.stands else None
+                    wait = self._refused(subject, "lidded", effect.lid == "off") if effect.lid else None
+                    if wait is not None:
+                        return wait
+                    self._carry(effect, subject)
+                case Needs():
+                    nests = self.state.bench.by_module.get(step.module, [])
+                    places = [effect.station] if effect.station else nests
+                    brought = any(place in self._at and self._at[place] is None for place in places)
+                    found = (self._find(place) for place in places)
+                    subject = None if brought else next(filter(None, found), None)
+                case Requires(of="labware"):
+                    wait = self._refused(subject, effect.variable, effect.value)
+                    if wait is not None:
+                        return wait
+                case Sets(of="labware") if subject is not None:
+                    self._changed.add((subject.id, effect.variable))
+        return None
+
+    def _find(self, place: StationName) -> Labware | None:
+        if place not in self._at:
+            self._at[place] = usable_at(self.state, self.run, place, lent=True)
+        return self._at[place]
+
+    def _carry(self, what: Carrying, subject: Labware | None) -> None:
+        if what.lid:
+            self._changed |= {(subject.id, "lidded")} if subject is not None else set()
+            self._at[what.target if what.lid == "off" else what.source] = None
+            return
+        self._at[what.target], self._at[what.source] = subject, None
+
+    def _refused(self, item: Labware | None, variable: str, wanted: Any) -> Wait | None:
+        if item is None or (item.id, variable) in self._changed or same(variable_of(item, variable), wanted):
+            return None
+        return Wait(
+            reasons.Requires(item.id, variable, str(wanted)), (station_key(item.station),), blocked=True
+        )

@@ -4,13 +4,12 @@ trapped by that."""
 from __future__ import annotations
 
 import random
-from itertools import permutations
 
 import pytest
 
 from labos.core.model import Plan
 from labos.planning.scheduler import Scheduler
-from tests.support.bench import Driver, move, needs, plan, requires, sets, small, step, take, unlid
+from tests.support.bench import Driver, move, needs, plan, small, step, take
 
 
 def thrown_away() -> Plan:
