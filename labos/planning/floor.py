@@ -12,15 +12,15 @@ import msgspec
 
 from labos.core.algebra import reaching_refused, standing_refused
 from labos.core.bench import Bench, Labware
-from labos.core.binding import laid_up
-from labos.core.effects import NOWHERE, AnyEffect, Claims, Releases, Sets, carried, touched
+from labos.core.binding import laid_up, same
+from labos.core.effects import NOWHERE, AnyEffect, Claims, Releases, Sets, carried, is_reported, touched
 from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
 from labos.core.state import LabState
-from labos.planning.paths import END, Motion, door_key, hold_key, kept_by, setpoint_key
+from labos.planning.paths import END, Motion, door_key, hold_key, kept_by, setpoint_key, variable_key
 
 OTHERS = "others"
 """Holder of what belongs to no actor."""
@@ -71,8 +71,8 @@ class Floor(msgspec.Struct):
     everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
     ``paths``), whose doors and decks stations are behind (``behind``), whose hands they are (``arms``),
     what lies on stacks (``piles``, bottom to top: actors, or owners who are none): of them only the
-    topmost can be had; and what is lent to actors until their ends (``lent``: where it stands, whose it
-    is)."""
+    topmost can be had; what is lent to actors until their ends (``lent``: where it stands, whose it
+    is); and how the variables of modules stand that have no rest (``values``, by their keys)."""
 
     count: dict[StationName, int] = {}
     capacity: dict[StationName, int] = {}
@@ -86,6 +86,7 @@ class Floor(msgspec.Struct):
     arms: dict[StationName, ModuleName] = {}
     piles: dict[StationName, list[str]] = {}
     lent: dict[str, Loans] = {}
+    values: dict[str, Any] = {}
 
 
 def is_closing(motion: Motion) -> bool:
@@ -163,7 +164,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
     bench = state.bench
     prefix = f"{cell}/"
-    floor = Floor(held=_held(state, cell))
+    floor = Floor(held=_held(state, cell), values=_values(state, cell))
     for name in bench.in_cell.get(cell, ()):
         station = bench.stations[name]
         spec = station.spec
@@ -262,6 +263,24 @@ def _held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
     return {key: holders for key, holders in held.items() if holders}
 
 
+UNSETTLED = object()
+"""The value of a variable that may be one or the other."""
+
+
+def _values(state: LabState, cell: str) -> dict[str, Any]:
+    """How the variables of modules stand that have no rest, once what is in flight has ended."""
+    values: dict[str, Any] = {}
+    for name, module in state.modules.within(cell):
+        for variable, value in module.values.items():
+            if variable not in module.spec.rest:
+                values[variable_key(name, variable)] = value
+        for action in module.in_flight:
+            for effect in state.actions.open[action].effects:
+                if isinstance(effect, Sets) and effect.of == "module":
+                    values[variable_key(name, effect.variable)] = effect.value
+    return values
+
+
 def _about_to_end(plan: Plan, run: RunState) -> bool:
     """Whether a run has nothing left to start, also if what it has in flight fails; its end lets go of all
     it holds."""
@@ -342,6 +361,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     """Whether the motion is possible on this floor."""
     if motion.back:
         return _may_go_back(floor, actor, motion)
+    if motion.wants and not all(_is_set(floor, key, value) for key, value in motion.wants):
+        return False
     if not motion.target:
         return (
             (not motion.uses or may_use(floor, actor, motion.uses))
@@ -361,6 +382,12 @@ def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     return _open_to(floor, actor, module) and (
         module not in floor.claimed or _claimable(floor, actor, module)
     )
+
+
+def _is_set(floor: Floor, key: str, wanted: Any) -> bool:
+    """Whether a variable has a value, or may have it: what a device will report is not known yet."""
+    value = floor.values.get(key)
+    return value is not UNSETTLED and (is_reported(value) or same(value, wanted))
 
 
 def found_at(floor: Floor, actor: Actor, places: Iterable[StationName]) -> StationName:
@@ -458,10 +485,11 @@ Counts = dict[StationName, int]
 
 
 class Held(msgspec.Struct):
-    """What an actor held before a motion (key, whether, value), what was lent to it, and which plates have
-    become its own (1), or are not any more (-1), out of which pool."""
+    """What an actor held before a motion (key, whether, value), how variables stood, what was lent to it, and
+    which plates have become its own (1), or are not any more (-1), out of which pool."""
 
     keys: list[tuple[str, bool, Any]] = []
+    values: list[tuple[str, Any]] = []
     lent: Loans = ()
     plates: list[tuple[StationName, Counts, int]] = []
 
@@ -522,6 +550,8 @@ def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -
                 floor.held.setdefault(key, {})[actor.name] = value
             else:
                 del floor.held[key][actor.name]
+        for key, value in reversed(taken.values):
+            floor.values[key] = value
         for place, whose, sign in reversed(taken.plates):
             _change_owner(floor, actor, place, whose, -sign)
         if motion.needs or motion.returns:
@@ -618,6 +648,9 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> Held | None:
         holders = floor.held.get(key, {})
         if who in holders:
             before.keys.append((key, True, holders.pop(who)))
+    for key, value in motion.sets:
+        before.values.append((key, floor.values.get(key)))
+        floor.values[key] = value
     for places in motion.needs:
         _borrow(floor, actor, found_at(floor, actor, places), before, keeps=motion.keeps)
     if motion.returns and before.lent:

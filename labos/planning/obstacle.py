@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labos.core.algebra import carrying_refused
+from labos.core.binding import same
 from labos.core.ids import ModuleName, StationName, experiment_owner, local
 from labos.core.runs import RunState
 from labos.core.state import LabState
@@ -63,6 +64,9 @@ def _met(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], 
 
 
 def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]) -> str:
+    for key, value in motion.wants:
+        if not same(floor.values.get(key), value):
+            return f"needs {key.partition('/')[2]} = {value}, which nobody will have set"
     if not motion.target:
         for places in motion.needs:
             if not found_at(floor, walker, places):

@@ -22,6 +22,7 @@ from labos.core.effects import (
     Lid,
     Needs,
     Releases,
+    Requires,
     Sets,
     arrivals,
     carried,
@@ -36,6 +37,9 @@ END = -1
 
 Values = Mapping[str, Any]
 
+Settings = tuple[tuple[str, Any], ...]
+"""Variables of modules, by their keys, and values of them."""
+
 
 class Motion(msgspec.Struct, frozen=True):
     """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``. Or one
@@ -43,9 +47,11 @@ class Motion(msgspec.Struct, frozen=True):
     be shared with nobody), and what it does not hold any more (``frees``). ``uses`` is the module
     that nobody else may hold then. ``needs``: labware that it has not brought itself has to stand at one of
     these places, for each need, and is lent to the run; if it ``keeps`` it, for good. ``returns``: what is
-    lent to the run goes back. ``back``: it is known how something in
-    flight ended. It failed, and its labware is at ``target`` (as before on a stack, if ``new``) instead of
-    at ``source``; or without a ``target``, ``source`` need not be kept free for it any more.
+    lent to the run goes back. ``wants`` are variables of modules and the values that they must have, ``sets``
+    those that they have afterwards; doors and lids, which have a rest, are held instead. ``back``: it is
+    known how something in flight ended. It failed, and its labware is at ``target`` (as before on a stack,
+    if ``new``) instead of at ``source``; or without a ``target``, ``source`` need not be kept free for it any
+    more.
 
     What it needs and does beside is as its effect says (see ``effects.Carrying``). All needs of a step are
     asked before any of it is done, so they stand with its first motion: where it needs labware or room
@@ -62,6 +68,8 @@ class Motion(msgspec.Struct, frozen=True):
     needs: tuple[tuple[StationName, ...], ...] = ()
     keeps: bool = False
     returns: bool = False
+    wants: Settings = ()
+    sets: Settings = ()
     lid: Lid = ""
     back: bool = False
     stock: StationName = NOWHERE
@@ -77,7 +85,7 @@ class Motion(msgspec.Struct, frozen=True):
     def changes_anything(self) -> bool:
         """Whether labware stands elsewhere after it or belongs to somebody else, or somebody holds something
         else."""
-        return bool(self.target or self.grabs or self.frees or self.needs or self.returns)
+        return bool(self.target or self.grabs or self.frees or self.needs or self.returns or self.sets)
 
 
 def carrying(
@@ -86,6 +94,7 @@ def carrying(
     uses: ModuleName,
     hand: StationName,
     guarded: Collection[StationName],
+    wants: Settings = (),
 ) -> list[Motion]:
     """The motions of a step that carries something, by a module with this ``hand``. Only at ``guarded``
     places, hands among them, anybody could be kept from reaching in."""
@@ -110,6 +119,7 @@ def carrying(
                 stands=_stands(effects),
                 entered=tuple(dict.fromkeys(p for each in effects for p in each.entered if p in guarded)),
                 room=tuple(arrivals(effects)),
+                wants=wants,
                 hand=hand if hand in guarded and any(e.source != hand for e in effects) else NOWHERE,
             )
         motions.append(motion)
@@ -219,15 +229,26 @@ def motions_of_steps(
         uses = user if step.exclusive and not moving else ModuleName("")
         needs, keeps = _needs(step, nests, before), changes_labware(step.effects)
         lent = lent or bool(needs)
-        if grabs or needs or (uses and not mine):
-            motions.append(Motion(index, uses=uses, grabs=grabs, needs=needs, keeps=keeps and bool(needs)))
+        wants, sets = _settings(step, rest)
+        if grabs or needs or (wants and not moving) or (uses and not mine):
+            motions.append(
+                Motion(
+                    index,
+                    uses=uses,
+                    grabs=grabs,
+                    needs=needs,
+                    keeps=keeps and bool(needs),
+                    wants=() if moving else wants,
+                )
+            )
         for places in needs:
             before.lend(places, claims, keeps=keeps)
-        motions += carrying(index, *moving, uses=user, hand=hand_of(step.module), guarded=claims)
+        hand = hand_of(step.module)
+        motions += carrying(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
         for what in moving:
             before.carry(what, claims)
-        if frees:
-            motions.append(Motion(index, frees=frees))
+        if frees or sets:
+            motions.append(Motion(index, frees=frees, sets=sets))
             for key in frees:
                 held.pop(key, None)
     if ever or lent:  # also of what it has let go of before: steps beside each other may end in any order
@@ -265,6 +286,11 @@ def hold_key(module: ModuleName) -> str:
 def kept_by(key: str) -> ModuleName:
     """The module that a run keeps by its plan's word if it holds this; empty if it is something else."""
     return ModuleName(key.removeprefix("hold:") if key.startswith("hold:") else "")
+
+
+def variable_key(module: ModuleName, variable: str) -> str:
+    """A variable of a module that stays as the last action has set it."""
+    return f"variable:{module}.{variable}"
 
 
 def setpoint_key(module: ModuleName, setpoint: str) -> str:
@@ -307,3 +333,14 @@ def _doors(step: PlanStep, rest: Values) -> dict[str, Any]:
 
 def _away(values: Values, rest: Values) -> bool:
     return any(rest[name] != value for name, value in values.items())
+
+
+def _settings(step: PlanStep, rest: Values) -> tuple[Settings, Settings]:
+    """The variables of its module, without doors and lids, that a step needs and sets."""
+    wants: list[tuple[str, Any]] = []
+    sets: list[tuple[str, Any]] = []
+    for effect in step.effects:
+        if isinstance(effect, Requires | Sets) and effect.of == "module" and effect.variable not in rest:
+            key = variable_key(step.module, effect.variable)
+            (wants if isinstance(effect, Requires) else sets).append((key, effect.value))
+    return tuple(wants), tuple(sets)

@@ -187,6 +187,7 @@ def copy(floor: Floor) -> Floor:
         pools=pools,
         held={key: dict(holders) for key, holders in floor.held.items()},
         lent=dict(floor.lent),
+        values=dict(floor.values),
         piles={place: list(pile) for place, pile in floor.piles.items()},
     )
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labos.core.actions import ActionReconciled, ActionRejected, ActionSucceeded
-from labos.core.bench import Labware
 from labos.core.conditions import by_key, holds
 from labos.core.experiments import ExperimentEnded
 from labos.core.expressions import ExpressionError
-from labos.core.ids import NOBODY, Owner, experiment_owner, local, owner_parts, run_owner, user_owner
+from labos.core.ids import Owner, experiment_owner, local, run_owner, user_owner
 from labos.core.labware import LabwareHandedOver
 from labos.core.leaving import will_leave
 from labos.core.modules import SetpointReleased
@@ -141,10 +140,9 @@ def ending(
     if experiment is not None and not run.closing:
         heir = experiment_owner(run.experiment)
     in_the_way = []
-    for item in state.bench.owned(run_owner(run.id)):
-        back = _lender(state, item)
-        yield LabwareHandedOver(item.id, run.id, back or Owner(heir))
-        if not back and item.station and not state.bench.stations[item.station].spec.is_storage:
+    for item, lender in [(item, item.lender) for item in state.bench.owned(run_owner(run.id))]:
+        yield LabwareHandedOver(item.id, run.id, lender or Owner(heir))
+        if not lender and item.station and not state.bench.stations[item.station].spec.is_storage:
             in_the_way.append(item)
     cell = state.runs.plan_of(run).workcell
     for name, module in state.modules.within(cell):
@@ -164,9 +162,3 @@ def ending(
         yield LabwareHandedOver(item.id, run.id, heir)
     yield end
     yield ExperimentEnded(run.experiment, experiment.closing)
-
-
-def _lender(state: LabState, item: Labware) -> Owner:
-    """Whose labware is again that a run has only worked on; empty if that is nobody any more."""
-    kind, name = owner_parts(item.lender)
-    return item.lender if kind != "experiment" or name in state.experiments.open else NOBODY

@@ -151,9 +151,11 @@ class Explored:
 
     @staticmethod
     def belongings(lab: Driver) -> Key:
-        """What belongs to no run, and what is lent to one: that may depend on who came first."""
+        """What belongs to no run or is lent to one, and how variables stand: that may depend on who came
+        first."""
         items = [i for i in lab.state.bench.labware.values() if i.lender or not i.owner.startswith("run:")]
-        return tuple(sorted((i.station, i.owner, i.lender, str(i.variables)) for i in items))
+        values = [str(module.values) for module in lab.state.modules.by_name.values()]
+        return (*sorted((i.station, i.owner, i.lender, str(i.variables)) for i in items), *values)
 
     def at(self, key: Key) -> Driver:
         lab = Driver()

@@ -45,7 +45,7 @@ class Sharing:
                 module("arm2"),
                 module("dev", variables=rest, rest=rest),
                 module("cam"),
-                module("heat"),
+                module("heat", variables={"mode": 0}),
             ],
             [
                 station("stack", "stack", 20),
@@ -118,6 +118,16 @@ class Sharing:
 
     def woven(self, steps: list[PlanStep]) -> list[PlanStep]:
         rng = self.rng
+        if rng.random() < 0.3:  # a mode that stays as somebody has set it
+            mode, at = 0, 0
+            for _ in range(rng.randint(1, 3)):
+                at = rng.randint(at, len(steps))
+                if rng.random() < 0.5:
+                    mode = rng.choice([0, 1, 2])
+                    steps.insert(at, step("heat", sets("mode", mode)))
+                else:
+                    steps.insert(at, step("heat", requires("mode", mode)))
+                at += 1
         if rng.random() < 0.3:
             first = rng.randrange(len(steps))
             steps.insert(first, step("heat", claims("t", rng.choice([37, 42]))))

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.nodes import TakeOut
 from labos.core.decide.runs import PauseRun
-from labos.core.ids import ModuleName
+from labos.core.decide.stock import UnloadStation
+from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -115,10 +116,15 @@ def test_the_wait_ends_with_the_step_that_it_was_for() -> None:
 
 
 def test_nothing_is_held_after_the_deadline() -> None:
-    """The windowed step cannot start: nobody puts a plate where it needs one."""
+    """The windowed step cannot start: somebody has taken the plate away that it needs."""
     lab = small()
+    lab.stock("cam.nest", 1)
     window = Window(0, within_s=100.0)
-    waiting(lab, plan(step("dev"), step("cam", needs("cam.nest"), windows=(window,))))
+    reads = lab.submit(plan(step("dev"), step("cam", needs("cam.nest"), windows=(window,))))
+    assert lab.pump() == [f"{reads}#0"]
+    lab.do(UnloadStation(StationName("cell/cam.nest"), by="ada"))
+    lab.finish(lab.flying()[0])
+    assert lab.pump() == []
     run = lab.submit(picture(takes=300.0))
     assert lab.pump() == []
     wait = why(lab, run)
