@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import msgspec
 
@@ -20,10 +20,12 @@ class Urgency(StrEnum):
 
     PASSES = "it passes by itself"
     PERSON = "somebody has to do something"
-    EITHER = "it passes by itself, unless nobody comes who ends it"
 
 
-PASSES, PERSON, EITHER = Urgency.PASSES, Urgency.PERSON, Urgency.EITHER
+PASSES, PERSON = Urgency.PASSES, Urgency.PERSON
+
+Key = Literal["run", "module", "station", "zone", "access", "quota", "cell", "near", "window"]
+"""The kinds of keys whose change may end a wait."""
 
 
 def code_of(name: str) -> str:
@@ -36,7 +38,7 @@ class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=code_of):
 
     SENTENCE: ClassVar[str]
     REMEDY: ClassVar[str] = ""
-    WAKES: ClassVar[tuple[str, ...]] = ()
+    WAKES: ClassVar[tuple[Key, ...]] = ()
     URGENCY: ClassVar[Urgency] = PASSES
 
     @property
@@ -287,8 +289,17 @@ class ReachedInto(Reason, frozen=True):
 class Requires(Reason, frozen=True):
     SENTENCE = "{what} needs {variable} = {value}"
     WAKES = ("module", "station")
-    URGENCY = EITHER
     what: str
+    variable: str
+    value: str
+
+
+class Unfit(Reason, frozen=True):
+    SENTENCE = "{labware} is not as the step needs it: {variable} = {value}"
+    REMEDY = "Let a run of its owner change that, or take it away and say so: labos unload"
+    WAKES = ("station",)
+    URGENCY = PERSON
+    labware: str
     variable: str
     value: str
 
@@ -382,7 +393,13 @@ class NothingThere(Reason, frozen=True):
     SENTENCE = "nothing stands at {place}"
     REMEDY = "Put some there and say so: labos place {place} TYPE"
     WAKES = ("station",)
-    URGENCY = EITHER
+    URGENCY = PERSON
+    place: str
+
+
+class StillToCome(Reason, frozen=True):
+    SENTENCE = "nothing stands at {place} yet"
+    WAKES = ("station",)
     place: str
 
 
@@ -547,6 +564,7 @@ AnyReason = (
     | HandFull
     | ReachedInto
     | Requires
+    | Unfit
     | UsedUp
     | Expired
     | StackEmpty
@@ -558,6 +576,7 @@ AnyReason = (
     | NotYours
     | Undeclared
     | NothingThere
+    | StillToCome
     | NoAccess
     | NotAccepted
     | WrongWay

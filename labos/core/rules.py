@@ -56,9 +56,9 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
 
 def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
     if run.unapproved:
-        return Wait(reasons.Unapproved(run.user), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
     if run.paused:
-        return Wait(reasons.Paused(run.id), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Paused(run.id), (run_key(run.id),))
     if run.status == RunStatus.CANCELLING:
         return Wait(reasons.Cancelling(run.id), (run_key(run.id),))
     if not run.has_started:
@@ -80,7 +80,7 @@ def log_whole(state: LabState, step: PlanStep) -> Wait | None:
         return None
     names = [local(name) for name in shorter.evidence]
     more = [f"{len(names) - 3} more"] if len(names) > 3 else []
-    return Wait(reasons.LogShorter(", ".join([*names[:3], *more]), str(shorter.ended)), blocked=True)
+    return Wait(reasons.LogShorter(", ".join([*names[:3], *more]), str(shorter.ended)))
 
 
 def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
@@ -94,7 +94,7 @@ def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     for target in (run.experiment, step.module, cell, WHOLE_LAB):
         pause = state.lab.paused.get(target)
         if pause is not None:
-            return Wait(reasons.Halted(target, pause.by), blocked=True)
+            return Wait(reasons.Halted(target, pause.by))
     return None
 
 
@@ -104,7 +104,7 @@ def no_hands_inside(state: LabState, run: RunState, step: PlanStep) -> Wait | No
     access = state.lab.access.get(cell)
     if access is None or (not access.granted and run.plan in access.parking):
         return None
-    return Wait(reasons.Access(cell, access.by), (access_key(cell),), blocked=True)
+    return Wait(reasons.Access(cell, access.by), (access_key(cell),))
 
 
 def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
@@ -193,7 +193,7 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     module = state.modules.by_name.get(step.module)
     key = module_key(step.module)
     if module is None:
-        return Wait(reasons.NoModule(step.module), (key,), blocked=True)
+        return Wait(reasons.NoModule(step.module), (key,))
     away = laid_up(module, recovers=step.recovers)
     if away:
         return away
@@ -222,7 +222,7 @@ def zones_free(state: LabState, step: PlanStep) -> Wait | None:
         stopped = "" if step.recovers else stopped_in(state, zone, step.module)
         if stopped:
             keys = (zone_key(zone), module_key(ModuleName(stopped)))
-            return Wait(reasons.ZoneBarred(stopped, zone), keys, blocked=True)
+            return Wait(reasons.ZoneBarred(stopped, zone), keys)
     return None
 
 
@@ -249,7 +249,7 @@ def _supplied(state: LabState, run: RunState) -> Wait | None:
             continue
         left = unpromised(state, module, resource)
         if left is not None and left - _to_come(state, module, resource) < min(amount, level.capacity):
-            return Wait(reasons.UsedUp(module, resource), (module_key(module),), blocked=True)
+            return Wait(reasons.UsedUp(module, resource), (module_key(module),))
     return None
 
 

@@ -47,7 +47,7 @@ def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wa
     if not stands or any(wanted.isdisjoint(kept) for kept in stands):
         return None
     keys = (cell_key(plan.workcell), near_key(plan.workcell), *map(module_key, sorted(dead)))
-    return Wait(reasons.BetterHere(plan.steps[step].key, tuple(sorted(dead))), keys, blocked=True)
+    return Wait(reasons.BetterHere(plan.steps[step].key, tuple(sorted(dead))), keys)
 
 
 def _wanted(state: LabState, run: RunState) -> set[str]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from labos.core.algebra import carrying_refused
 from labos.core.binding import same
 from labos.core.ids import ModuleName, StationName, experiment_owner, local
+from labos.core.reasons import NoWayOut
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -24,7 +25,7 @@ from labos.planning.witness import fresh, greedy
 def explained(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
     """What a wait is for, with the cause where safety found no way out."""
     told = sentence(wait)
-    cause = obstacle(safety, state, run) if wait.code == "no_way_out" else ""
+    cause = obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
     return f"{told}: {cause}" if cause else told
 
 

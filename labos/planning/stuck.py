@@ -28,12 +28,12 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
     """The first thing that a run cannot get past whatever the others do; None if there is nothing."""
     steps = state.runs.plan_of(run).steps
     if run.unapproved:
-        return Wait(reasons.Unapproved(run.user), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
     if run.paused:
-        return Wait(reasons.Paused(run.id), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Paused(run.id), (run_key(run.id),))
     if run.has(UNKNOWN):
         key = steps[run.statuses.index(UNKNOWN)].key
-        return Wait(reasons.Outcome(key), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Outcome(key), (run_key(run.id),))
     for _, wait in asked(state, run):
         return wait
     states = statuses_of(state.runs.plan_of(run), run)
@@ -55,7 +55,7 @@ def asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
     steps = state.runs.plan_of(run).steps
     questions = state.interventions.of_run(run.id)
     indices = [(q.topic.step, q.id) for q in questions if isinstance(q.topic, FailedStep)]
-    return [(index, Wait(reasons.Asked(steps[index].key, name), blocked=True)) for index, name in indices]
+    return [(index, Wait(reasons.Asked(steps[index].key, name))) for index, name in indices]
 
 
 def _halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
@@ -71,7 +71,7 @@ def _lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
         for item in state.bench.owned(owner):
             if item.maybe:
                 keys = tuple(station_key(place) for place in item.maybe)
-                return Wait(reasons.Lost(item.id), keys, blocked=True)
+                return Wait(reasons.Lost(item.id), keys)
     return None
 
 
@@ -80,7 +80,7 @@ def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
     for name in dict.fromkeys(step.module for step in left):
         module = state.modules.by_name.get(name)
         if module is None:
-            return Wait(reasons.NoModule(name), (module_key(name),), blocked=True)
+            return Wait(reasons.NoModule(name), (module_key(name),))
         wait = laid_up(module, recovers=name in recovered)
         if wait is not None:
             return wait
@@ -109,9 +109,7 @@ def _barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | 
             for zone in zones_of(state, step.module, step.effects):
                 other = zones.get(zone, step.module)
                 if other != step.module:
-                    return Wait(
-                        reasons.ZoneBarred(other, zone), (zone_key(zone), module_key(other)), blocked=True
-                    )
+                    return Wait(reasons.ZoneBarred(other, zone), (zone_key(zone), module_key(other)))
     return None
 
 
@@ -124,7 +122,7 @@ def _dry(state: LabState, run: RunState) -> Wait | None:
         if state.resources.of(module, resource) is None:
             continue
         if (unpromised(state, module, resource) or 0.0) < amount:
-            return Wait(reasons.UsedUp(module, resource), (module_key(module),), blocked=True)
+            return Wait(reasons.UsedUp(module, resource), (module_key(module),))
     return None
 
 
@@ -207,6 +205,4 @@ class _OnTheWay:
     def _refused(self, item: Labware | None, variable: str, wanted: Any) -> Wait | None:
         if item is None or (item.id, variable) in self._changed or same(variable_of(item, variable), wanted):
             return None
-        return Wait(
-            reasons.Requires(item.id, variable, str(wanted)), (station_key(item.station),), blocked=True
-        )
+        return Wait(reasons.Unfit(item.id, variable, str(wanted)), (station_key(item.station),))

@@ -107,7 +107,7 @@ def _unknown_outcomes(state: LabState, wait: Wait) -> Wait:
     for action in state.actions.open.values() if busy else ():
         question = state.interventions.about(action.id) if action.module == busy else None
         if question is not None and action.status == ActionStatus.UNKNOWN:
-            return Wait(Unsettled(action.module, question.id), wait.on, blocked=True)
+            return Wait(Unsettled(action.module, question.id), wait.on)
     return wait
 
 

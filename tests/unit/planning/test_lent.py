@@ -200,7 +200,7 @@ def test_who_needs_a_plate_that_is_sealed_is_not_let_in_before_it_is_not() -> No
         plan(step("arm", take("stack", "b")), step("cam", *bare), step("arm", move("b", "trash")))
     )
     assert lab.pump() == []
-    assert lab.scheduler.waits(lab.state, lab.run(run), lab.now)[0][1].code == "requires"
+    assert lab.scheduler.waits(lab.state, lab.run(run), lab.now)[0][1].code == "unfit"
     peels = lab.submit(plan(step("dev", needs("a"), sets("sealed", False, "labware"))))
     assert lab.work(random.Random(0)), lab.stuck()
     assert {run, peels}.isdisjoint(lab.state.runs.active)

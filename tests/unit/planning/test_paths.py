@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from labos.planning.paths import path_of
-from tests.support.bench import move, needs, plan, relid, sets, step, take
+from tests.support.bench import move, needs, plan, relid, step, take
 
 
 def test_what_carries_labware_or_needs_a_module_for_itself_is_a_motion() -> None:
