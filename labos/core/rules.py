@@ -66,8 +66,8 @@ def _own_turn(run: RunState, step: PlanStep, index: int) -> Wait | None:
         return None if first else Wait(reasons.After(), (run_key(run.id),))
     if run.steps[index].status != PENDING:
         return Wait(reasons.NotPending(step.key), (run_key(run.id),))
-    reset = step.retry.reset if step.retry is not None else MAIN
-    for before in (*step.after, reset) if reset != MAIN else step.after:
+    reset = step.retry.reset if step.retry is not None else None
+    for before in (*step.after, reset) if reset is not None else step.after:
         if run.steps[before].status not in SETTLED:
             return Wait(reasons.After(str(before)), (run_key(run.id),))
     return None

@@ -175,7 +175,7 @@ def _clocks(
 ) -> Iterator[tuple[Window, int]]:
     """The windows of a step whose clock runs, and since when (UTC ns)."""
     for window in state.runs.plan_of(run).steps[index].windows:
-        ended = known.get(window.anchor) if not window.of else None
+        ended = known.get(window.anchor) if window.anchor is not None else None
         if ended is None:
             ended = anchored_at(run, window)
         if ended is not None:

@@ -71,7 +71,7 @@ class Reservations:
         self._all: dict[str, list[Reservation]] = {}
         self._urgent: dict[str, dict[tuple[RunId, int], int]] = {}
         self._helpers: dict[tuple[RunId, int], Helpers] = {}
-        self._helpers_at = (-1, -1)
+        self._helpers_at: tuple[int, int] | None = None
 
     def open(self, state: LabState, now: int, cell: str = "") -> list[Reservation]:
         """Those of a workcell (none named: of all) whose window is open, the earliest deadline first."""
@@ -257,7 +257,8 @@ def _first_deadline(found: Reservation) -> tuple[int, int, int]:
 
 def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
     """When the steps that start a step's clocks should end, of those that are in flight."""
-    anchors = {w.anchor for w in state.runs.plan_of(run).steps[index].windows if not w.of}
+    windows = state.runs.plan_of(run).steps[index].windows
+    anchors = {window.anchor for window in windows if window.anchor is not None}
     if not any(run.steps[step].status == IN_FLIGHT for step in anchors if run.has_started):
         return {}
     return {

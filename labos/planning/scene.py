@@ -35,7 +35,7 @@ from labos.core.state import LabState
 from labos.core.waits import party
 from labos.core.zones import zones_of
 from labos.planning.floor import down
-from labos.planning.player import FAR, NOBODY, Player, Who
+from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
 
 class Scene:
@@ -47,10 +47,10 @@ class Scene:
         self.reached: dict[ModuleName, dict[Who, bool]] = {}
         self.zones: dict[str, dict[Who, ModuleName]] = {}
         self.standing: dict[StationName, list[tuple[Owner, Who]]] = {}
-        self.held: dict[ModuleName, dict[str, int]] = {}
+        self.held: dict[ModuleName, dict[str, int | None]] = {}
         self.values: dict[tuple[ModuleName, str], tuple[Any, Who]] = {}
-        self.setpoints: dict[tuple[ModuleName, str], dict[str, tuple[Any, int]]] = {}
-        self.flying: list[tuple[int, int, Who, PlanStep, tuple[AnyEffect, ...]]] = []
+        self.setpoints: dict[tuple[ModuleName, str], dict[str, tuple[Any, int | None]]] = {}
+        self.flying: list[tuple[int, int, Step, PlanStep, tuple[AnyEffect, ...]]] = []
         self.drawn: dict[StationName, int] = {}
         self.lent: dict[str, tuple[tuple[StationName, Owner], ...]] = {}
         self.inside = {str(name) for name in state.runs.active}
@@ -58,18 +58,17 @@ class Scene:
         for place, station in bench.stations.items():
             for labware in station.labware if not station.spec.hotel else ():
                 item = bench.labware[labware]
-                self.standing.setdefault(place, []).append((item.owner, (_run_of(item.owner), -1)))
+                self.standing.setdefault(place, []).append((item.owner, (_run_of(item.owner), None)))
                 if item.lender:
                     self._lend(_run_of(item.owner), place, item.lender)
         for name in state.runs.holders:
-            self.held[name] = {str(run): -1 for run in state.runs.holding(name)}
+            self.held[name] = {str(run): None for run in state.runs.holding(name)}
         for name, module in state.modules.by_name.items():
             if name.startswith(f"{cell}/"):
                 for variable, known in module.variables.items():
-                    self.values[name, variable] = known.value, (known.by, -1)
+                    self.values[name, variable] = known.value, (known.by, None)
                 for setpoint, now_set in module.setpoints.items():
-                    holders = {str(run): (now_set.value, -1) for run in now_set.holders}
-                    self.setpoints[name, setpoint] = holders
+                    self.setpoints[name, setpoint] = {str(r): (now_set.value, None) for r in now_set.holders}
         for action in state.actions.open.values():
             run = state.runs.active.get(action.run)
             if run is None or not action.module.startswith(f"{cell}/"):
@@ -235,7 +234,7 @@ class Scene:
         there = [owner for owner, _ in self.standing.get(place, ())]
         return next((owner for owner in party(run) if owner in there), run_owner(run.id))
 
-    def let_go(self, player: Player | None, run: RunState, who: Who, step: PlanStep, effects: Any) -> None:
+    def let_go(self, player: Player | None, run: RunState, who: Step, step: PlanStep, effects: Any) -> None:
         """A step has ended: what it took and what it leaves is there for others."""
         if self.busy.get(step.module) == who:
             del self.busy[step.module]

@@ -104,9 +104,9 @@ def _action(event: Any, names: Catalogue) -> str:
 
 
 def _anchor(event: st.WindowBreached, names: Catalogue) -> str:
-    anchor = names.step(event.run, event.anchor)
-    if event.of:
+    if event.anchor is None:
         return f"a step of {event.of}"
+    anchor = names.step(event.run, event.anchor)
     return repr(anchor.key) if anchor is not None else f"step {event.anchor}"
 
 

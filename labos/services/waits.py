@@ -34,8 +34,7 @@ READY = "it may start and is about to"
 
 
 class Reason(msgspec.Struct, frozen=True):
-    """Why a run does not go on: the step (-1: not one in particular), a sentence, and what a
-    person can do about it."""
+    """Why a run does not go on: the step, a sentence, and what a person can do about it."""
 
     step: int
     why: str

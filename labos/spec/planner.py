@@ -187,7 +187,7 @@ class Planner:
         if not isinstance(entry.retry, RetryEntry):
             return None
         aside = self.layout.by_key.get(f"{self.steps.keys[index]}/reset") if entry.retry.reset else None
-        return Retry(entry.retry.times, entry.retry.delay, aside.index if aside is not None else -1)
+        return Retry(entry.retry.times, entry.retry.delay, aside.index if aside is not None else None)
 
     def _on_error(self, index: int, entry: StepEntry, module: ModuleSpec) -> OnError | None:
         """What the step says follows when it fails, else what its module's entry says."""

@@ -463,7 +463,7 @@ def test_no_room_is_kept_for_a_run_that_could_not_reach_its_end_anyway() -> None
     lab = small()
     experiment = lab.experiment()
     lab.step(lab.submit(plan(step("dev", key="dose"), name="dose"), experiment=experiment))
-    window = Window(-1, 0.0, 100.0, of="dose", of_step="dose")
+    window = Window(None, 0.0, 100.0, of="dose", of_step="dose")
     hurry = plan(step("arm", take("stack", "b"), windows=(window,)), step("cam"), step("arm", move("b", "c")))
     stranger = plan(step("arm", duration_s=300.0))
     run = lab.submit(hurry, experiment=experiment)
@@ -480,7 +480,7 @@ def test_a_clock_that_runs_outside_does_not_wait_for_an_elder() -> None:
     experiment = lab.experiment()
     lab.step(lab.submit(plan(step("dev", key="dose"), name="dose"), experiment=experiment))
     elder = lab.submit(picture(takes=300.0), user="bob")
-    window = Window(-1, 0.0, 100.0, of="dose", of_step="dose")
+    window = Window(None, 0.0, 100.0, of="dose", of_step="dose")
     hurry = lab.submit(plan(step("cam", windows=(window,))), experiment=experiment)
     lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE)
     assert code(lab, elder) == "reserved"
