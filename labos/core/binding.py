@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from labos.core import reasons
-from labos.core.algebra import refused
+from labos.core.algebra import refused, settings_after
 from labos.core.bench import Labware, a1_after, parts, taking, variable_of
 from labos.core.effects import (
     AnyEffect,
@@ -168,9 +168,9 @@ class Start:
         if held is not None:
             wanted.update(dict.fromkeys(held.holders, held.value))
         for action in map(self.state.actions.open.__getitem__, module.in_flight):
-            for other in action.effects:
-                if isinstance(other, Claims) and other.setpoint == claims.setpoint:
-                    wanted[action.run] = other.value
+            flying = settings_after(action.effects).claims
+            if claims.setpoint in flying:
+                wanted[action.run] = flying[claims.setpoint]
         for holder, value in wanted.items():
             if holder != self.run.id and (value is None or value != claims.value):
                 names = (self.step.module, claims.setpoint, str(value), run_owner(RunId(holder)))

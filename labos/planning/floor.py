@@ -10,10 +10,16 @@ from typing import Any
 
 import msgspec
 
-from labos.core.algebra import reaching_refused, standing_refused
+from labos.core.algebra import (
+    ModuleSettings,
+    away_from_rest,
+    reaching_refused,
+    settings_after,
+    standing_refused,
+)
 from labos.core.bench import Bench, Labware
 from labos.core.binding import laid_up, same
-from labos.core.effects import NOWHERE, AnyEffect, Claims, Releases, Sets, carried, is_reported, touched
+from labos.core.effects import NOWHERE, carried, is_reported, touched
 from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
@@ -244,18 +250,17 @@ def _held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
     held: dict[str, dict[str, Any]] = {}
     for name, module in state.modules.within(cell):
         flying = [
-            (str(state.actions.open[action].run), effect)
-            for action in module.in_flight
-            for effect in state.actions.open[action].effects
+            (str(action.run), settings_after(action.effects))
+            for action in map(state.actions.open.__getitem__, module.in_flight)
         ]
         held[door_key(name)] = dict.fromkeys(_by_doors(module, flying) & staying)
         for setpoint, now in module.setpoints.items():
             held[setpoint_key(name, setpoint)] = {who: now.value for who in now.holders if who in staying}
-        for run, effect in flying:
-            if isinstance(effect, Claims) and run in staying:
-                held.setdefault(setpoint_key(name, effect.setpoint), {})[run] = effect.value
-            elif isinstance(effect, Releases):
-                held.get(setpoint_key(name, effect.setpoint), {}).pop(run, None)
+        for run, after in flying:
+            for setpoint, value in after.claims.items() if run in staying else ():
+                held.setdefault(setpoint_key(name, setpoint), {})[run] = value
+            for setpoint in after.releases:
+                held.get(setpoint_key(name, setpoint), {}).pop(run, None)
         holders = [state.runs.active[holder] for holder in state.runs.holders.get(name, ())]
         held[hold_key(name)] = {
             str(run.id): None for run in holders if _will_hold(state.runs.plan_of(run), run, name)
@@ -275,9 +280,8 @@ def _values(state: LabState, cell: str) -> dict[str, Any]:
             if variable not in module.spec.rest:
                 values[variable_key(name, variable)] = value
         for action in module.in_flight:
-            for effect in state.actions.open[action].effects:
-                if isinstance(effect, Sets) and effect.of == "module":
-                    values[variable_key(name, effect.variable)] = effect.value
+            for variable, value in settings_after(state.actions.open[action].effects).variables.items():
+                values[variable_key(name, variable)] = value
     return values
 
 
@@ -301,18 +305,16 @@ def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
     )
 
 
-def _by_doors(module: Module, flying: list[tuple[str, AnyEffect]]) -> set[str]:
+def _by_doors(module: Module, flying: list[tuple[str, ModuleSettings]]) -> set[str]:
     """Who will have left a door or lid away from rest."""
     if not module.spec.rest:
         return set()
     values = module.values
     by = {name: variable.by for name, variable in module.variables.items()}
-    for run, effect in flying:
-        if isinstance(effect, Sets) and effect.of == "module":
-            values[effect.variable], by[effect.variable] = effect.value, run
-    return {
-        by.get(variable, "") for variable, value in module.spec.rest.items() if values.get(variable) != value
-    }
+    for run, after in flying:
+        values |= after.variables
+        by |= dict.fromkeys(after.variables, run)
+    return {by.get(variable, "") for variable in away_from_rest(values, module.spec.rest)}
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):

@@ -14,16 +14,13 @@ from typing import Any
 
 import msgspec
 
+from labos.core.algebra import ModuleSettings, away_from_rest, needed_before, settings_after
 from labos.core.branches import Way, ways
 from labos.core.effects import (
     NOWHERE,
     Carrying,
-    Claims,
     Lid,
     Needs,
-    Releases,
-    Requires,
-    Sets,
     arrivals,
     carried,
     changes_labware,
@@ -216,10 +213,10 @@ def motions_of_steps(
     ever, lent = dict(held), bool(before.lent)
     for index in order:
         step = plan.steps[index]
-        rest = rests.get(step.module, {})
+        rest, after = rests.get(step.module, {}), settings_after(step.effects)
         doors = values.setdefault(step.module, {})
-        doors.update(_doors(step, rest))
-        grabs, frees = _holds(plan, index, away=_away(doors, rest), held=held)
+        doors.update(after.variables)
+        grabs, frees = _holds(plan, index, after, away=bool(away_from_rest(doors, rest)), held=held)
         held.update(dict.fromkeys((key for key, _ in grabs), True))
         ever.update(held)
         moving = carried(step.effects)
@@ -229,7 +226,8 @@ def motions_of_steps(
         uses = user if step.exclusive and not moving else ModuleName("")
         needs, keeps = _needs(step, nests, before), changes_labware(step.effects)
         lent = lent or bool(needs)
-        wants, sets = _settings(step, rest)
+        wants = _without_rest(step.module, needed_before(step.effects), rest)
+        sets = _without_rest(step.module, after.variables, rest)
         if grabs or needs or (wants and not moving) or (uses and not mine):
             motions.append(
                 Motion(
@@ -298,8 +296,8 @@ def setpoint_key(module: ModuleName, setpoint: str) -> str:
 
 
 def _holds(
-    plan: Plan, index: int, *, away: bool, held: Mapping[str, bool]
-) -> tuple[tuple[tuple[str, Any], ...], tuple[str, ...]]:
+    plan: Plan, index: int, after: ModuleSettings, *, away: bool, held: Mapping[str, bool]
+) -> tuple[Settings, tuple[str, ...]]:
     """What a run comes to hold with a step, and what it lets go of with it."""
     step = plan.steps[index]
     door = door_key(step.module)
@@ -309,11 +307,8 @@ def _holds(
         grabs.append((door, None))
     elif step.exclusive and not away and door in held:
         frees.append(door)
-    for effect in step.effects:
-        if isinstance(effect, Claims):
-            grabs.append((setpoint_key(step.module, effect.setpoint), effect.value))
-        elif isinstance(effect, Releases):
-            frees.append(setpoint_key(step.module, effect.setpoint))
+    grabs += [(setpoint_key(step.module, name), value) for name, value in after.claims.items()]
+    frees += [setpoint_key(step.module, name) for name in after.releases]
     for hold in plan.holds:
         if hold.first == index:
             grabs.append((hold_key(hold.module), None))
@@ -322,25 +317,6 @@ def _holds(
     return tuple(grabs), tuple(frees)
 
 
-def _doors(step: PlanStep, rest: Values) -> dict[str, Any]:
-    """How a step leaves the doors and lids of its module."""
-    return {
-        effect.variable: effect.value
-        for effect in step.effects
-        if isinstance(effect, Sets) and effect.of == "module" and effect.variable in rest
-    }
-
-
-def _away(values: Values, rest: Values) -> bool:
-    return any(rest[name] != value for name, value in values.items())
-
-
-def _settings(step: PlanStep, rest: Values) -> tuple[Settings, Settings]:
-    """The variables of its module, without doors and lids, that a step needs and sets."""
-    wants: list[tuple[str, Any]] = []
-    sets: list[tuple[str, Any]] = []
-    for effect in step.effects:
-        if isinstance(effect, Requires | Sets) and effect.of == "module" and effect.variable not in rest:
-            key = variable_key(step.module, effect.variable)
-            (wants if isinstance(effect, Requires) else sets).append((key, effect.value))
-    return tuple(wants), tuple(sets)
+def _without_rest(module: ModuleName, values: Values, rest: Values) -> Settings:
+    """Values of a module's variables, without its doors and lids."""
+    return tuple((variable_key(module, name), value) for name, value in values.items() if name not in rest)

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import ActionStatus
-from labos.core.algebra import refused
+from labos.core.algebra import refused, settings_after
 from labos.core.binding import same
 from labos.core.effects import (
     AnyEffect,
@@ -21,9 +21,7 @@ from labos.core.effects import (
     Consumes,
     Move,
     Needs,
-    Releases,
     Requires,
-    Sets,
     changes_labware,
     hand_of,
 )
@@ -195,8 +193,8 @@ class Scene:
                     self.drawn[effect.stock] = self.drawn.get(effect.stock, 0) + 1
             elif isinstance(effect, Needs):
                 self._borrow(run, step, effect, who, keeps=changes_labware(effects))
-            elif isinstance(effect, Claims):
-                self.setpoints.setdefault((step.module, effect.setpoint), {})[who[0]] = effect.value, index
+        for setpoint, value in settings_after(effects).claims.items():
+            self.setpoints.setdefault((step.module, setpoint), {})[who[0]] = value, index
         for hold in self.state.runs.plan_of(run).holds:
             if hold.first == index:
                 self.held.setdefault(hold.module, {})[who[0]] = index
@@ -246,10 +244,11 @@ class Scene:
             if isinstance(effect, Carrying):
                 for place in (effect.emptied, effect.via):
                     self._remove(run, place)
-            elif isinstance(effect, Sets) and effect.of == "module":
-                self.values[step.module, effect.variable] = effect.value, who
-            elif isinstance(effect, Releases):
-                self.setpoints.get((step.module, effect.setpoint), {}).pop(who[0], None)
+        after = settings_after(effects)
+        for variable, value in after.variables.items():
+            self.values[step.module, variable] = value, who
+        for setpoint in after.releases:
+            self.setpoints.get((step.module, setpoint), {}).pop(who[0], None)
         for hold in self.state.runs.plan_of(run).holds:
             if hold.last == who[1]:
                 self.held.get(hold.module, {}).pop(who[0], None)

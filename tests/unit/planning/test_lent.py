@@ -275,7 +275,7 @@ def test_who_does_not_look_at_what_runs_need_traps_them(monkeypatch: pytest.Monk
 
 
 def test_who_does_not_look_at_what_modules_are_set_to_traps_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labos.planning.paths._settings", lambda *_: ((), ()))
+    monkeypatch.setattr("labos.planning.paths._without_rest", lambda *_: ())
     assert found(range(40))
 
 
