@@ -19,7 +19,6 @@ from labos.core.effects import (
     Carrying,
     Claims,
     Consumes,
-    Move,
     Needs,
     Requires,
     changes_labware,
@@ -367,9 +366,9 @@ class Turn:
 
 def _as_planned(state: LabState, effect: AnyEffect) -> AnyEffect:
     """An effect as its plan has it: hotels instead of their shelves."""
-    fields = ("source", "target") if isinstance(effect, Move) else ("target",)
     if not isinstance(effect, Carrying):
         return effect
+    fields = ("target",) if effect.stock else ("source", "target")
     planned = {field: state.bench.planned(getattr(effect, field)) for field in fields}
     return msgspec.structs.replace(effect, **planned)
 

@@ -7,7 +7,18 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes, Draws, Move, Replaces, Take, Transfers, carried, resolve
+from labos.core.effects import (
+    AnyEffect,
+    Consumes,
+    Draws,
+    Move,
+    Replaces,
+    Take,
+    Transfers,
+    carried,
+    moved,
+    resolve,
+)
 from labos.core.expiry import DATE
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import (
@@ -291,9 +302,7 @@ class Planner:
     def _choose_grips(self, module: ModuleSpec, action: ActionSpec, args: dict[str, Any]) -> None:
         """A grip that nobody wrote is the one that its station leaves, if it leaves but one."""
         known = {arg.name: arg for arg in action.args}
-        for effect in action.effects:
-            if not isinstance(effect, Move):
-                continue
+        for effect in moved(action.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
                 arg = known.get(grip.strip("{}"))
                 where = args.get(place.strip("{}"))
