@@ -1,7 +1,7 @@
 """Why an effect may not happen, and what it does: once for each kind of effect, for everybody who asks.
 
 What a kind of effect needs stands with the effect itself (``effects``). Here it is asked of a *store*: a
-bench as somebody knows it. The rules ask the state (``binding``), safety its floor (``planning.floor``), a
+bench as somebody knows it. The rules ask the state (``binding``), safety its floor (``planning.moves``), a
 rehearsal its scene (``planning.scene``), a dry run its paper (``spec.dryrun``); obstacles in words and those
 who have to move first are found by the same questions. So what is asked, and of which stations, is the same
 for all of them; what a store answers is its own: a wait, yes or no, who is in the way, a sentence.

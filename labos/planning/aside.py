@@ -18,7 +18,9 @@ from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState, RunStatus
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
-from labos.planning.floor import Actor, Floor, down, lay_out, move
+from labos.planning.floor import Actor, Floor
+from labos.planning.layout import down, lay_out
+from labos.planning.moves import move
 from labos.planning.safety import Safety
 from labos.planning.stuck import stuck_on
 from labos.planning.touch import cell_key, near_key

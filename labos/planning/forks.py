@@ -22,17 +22,8 @@ from labos.core.effects import NOWHERE, Relid, Unlid
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, results_of
-from labos.planning.floor import (
-    UNSETTLED,
-    Actor,
-    Branch,
-    Floor,
-    Taken,
-    change_claim,
-    may_move,
-    move,
-    take_back,
-)
+from labos.planning.floor import UNSETTLED, Actor, Branch, Floor, change_claim
+from labos.planning.moves import Taken, may_move, move, take_back
 from labos.planning.paths import Motion, Path, carrying
 
 FORKED = -2

@@ -22,8 +22,8 @@ from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, h
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.advice import options
-from labos.planning.floor import down
 from labos.planning.forecast import earliest, is_pending
+from labos.planning.layout import down
 from labos.planning.passage import first_trap, tangled
 from labos.planning.player import FAR, Player, Step, chained
 from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play

@@ -16,7 +16,9 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import sentence
-from labos.planning.floor import Actor, Floor, Mover, found_at, lay_out, may_move, move
+from labos.planning.floor import Actor, Floor
+from labos.planning.layout import lay_out
+from labos.planning.moves import Mover, found_at, may_move, move
 from labos.planning.paths import Motion, door_key, hold_key, kept_by
 from labos.planning.safety import Safety, View, as_seen, closes
 from labos.planning.witness import fresh, greedy

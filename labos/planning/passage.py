@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 
 from labos.core.ids import RunId
 from labos.core.state import LabState
-from labos.planning.floor import Actor, Floor, lay_out, may_move, move
+from labos.planning.floor import Actor, Floor
 from labos.planning.forecast import is_pending
+from labos.planning.layout import lay_out
+from labos.planning.moves import may_move, move
 from labos.planning.player import Step
 from labos.planning.safety import Safety, View, as_seen
 from labos.planning.witness import Trail, copy, fresh, greedy, take_all_back

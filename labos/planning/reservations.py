@@ -27,10 +27,10 @@ from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
-from labos.planning.floor import down
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, spread, uses
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.keeping import Windows
+from labos.planning.layout import down
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
 

@@ -37,21 +37,11 @@ from labos.core.ids import (
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
 from labos.core.state import LabState
-from labos.planning.floor import (
-    CLOSING,
-    Actor,
-    Branch,
-    Floor,
-    down,
-    is_closing,
-    keep,
-    lay_out,
-    may_move,
-    move,
-    standing,
-)
+from labos.planning.floor import CLOSING, Actor, Branch, Floor, is_closing
 from labos.planning.forks import FORKED, futures, kept_for, motions_of
+from labos.planning.layout import down, keep, lay_out, standing
 from labos.planning.leaving import leaving
+from labos.planning.moves import may_move, move
 from labos.planning.paths import Motion, Path, path_of
 from labos.planning.stuck import reaches_into, stuck_on
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay

@@ -31,7 +31,7 @@ from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import party
 from labos.core.zones import zones_of
-from labos.planning.floor import down
+from labos.planning.layout import down
 from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
 

@@ -24,7 +24,9 @@ from labos.core.registry import Event
 from labos.core.rules import examine
 from labos.core.runs import RunState, StepState
 from labos.core.waits import Wait
-from labos.planning.floor import Actor, Floor, lay_out, may_move, move
+from labos.planning.floor import Actor, Floor
+from labos.planning.layout import lay_out
+from labos.planning.moves import may_move, move
 from labos.planning.player import Player
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
