@@ -1,7 +1,7 @@
 """Reasons why a step does not start: a type for each, with its fields, its sentence and its remedy.
 
-A reason of a new kind stands in one of the files beside this one and in ``AnyReason``; the type check then names the
-matches that have to know it.
+A reason of a new kind stands in one of the files beside this one and in ``AnyReason``; the type check then
+names the matches that have to know it.
 """
 
 from __future__ import annotations
