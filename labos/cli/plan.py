@@ -159,7 +159,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             critical=index in times.critical,
             late_s=slot.late_s,
             retries=step.retry.times if step.retry else 0,
-            reset=step.retry is not None and step.retry.reset >= 0,
+            reset=step.retry is not None and step.retry.reset is not None,
             timeout_s=step.timeout_s,
             on_error=_on_error(step),
             when=step.when.text if step.when else "",

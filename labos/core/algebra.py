@@ -1,19 +1,25 @@
 """Why an effect may not happen, and what it does: once for each kind of effect, for everybody who asks.
 
 What a kind of effect needs stands with the effect itself (``effects``). Here it is asked of a *store*: a
-bench as somebody knows it. The rules ask the state (``binding``), safety its floor (``planning.floor``), a
+bench as somebody knows it. The rules ask the state (``binding``), safety its floor (``planning.moves``), a
 rehearsal its scene (``planning.scene``), a dry run its paper (``spec.dryrun``); obstacles in words and those
 who have to move first are found by the same questions. So what is asked, and of which stations, is the same
 for all of them; what a store answers is its own: a wait, yes or no, who is in the way, a sentence.
 
 A new need of effects is a new question here. Until every store answers it, the type check fails.
+
+What an action leaves its module set to (``settings_after``), and when a door or lid keeps others out
+(``away_from_rest``), is said here too.
 """
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol, TypeVar
 
-from labos.core.effects import Carrying, Claims, Consumes, Lid, Needs, Requires
+import msgspec
+
+from labos.core.effects import Carrying, Claims, Consumes, Lid, Needs, Releases, Requires, Sets
 from labos.core.ids import StationName
 
 
@@ -161,3 +167,43 @@ def carry(count: Count, what: Carried) -> None:
         count.lift(what.emptied)
     if what.filled:
         count.put(what.filled)
+
+
+class ModuleSettings(msgspec.Struct, frozen=True):
+    """What an action leaves its module set to: its variables, the setpoints that its run needs to stay, and
+    those that it does not need any more."""
+
+    variables: dict[str, Any] = {}
+    claims: dict[str, Any] = {}
+    releases: tuple[str, ...] = ()
+
+
+NOTHING_SET = ModuleSettings()
+
+
+def settings_after(effects: Iterable[object]) -> ModuleSettings:
+    """What some effects set of their module."""
+    variables: dict[str, Any] = {}
+    claims: dict[str, Any] = {}
+    releases: list[str] = []
+    for effect in effects:
+        match effect:
+            case Sets(of="module"):
+                variables[effect.variable] = effect.value
+            case Claims():
+                claims[effect.setpoint] = effect.value
+            case Releases():
+                releases.append(effect.setpoint)
+    return (
+        ModuleSettings(variables, claims, tuple(releases)) if variables or claims or releases else NOTHING_SET
+    )
+
+
+def needed_before(effects: Iterable[object]) -> dict[str, Any]:
+    """The variables of their module that some effects need, and the values that they must have."""
+    return {e.variable: e.value for e in effects if isinstance(e, Requires) and e.of == "module"}
+
+
+def away_from_rest(values: Mapping[str, Any], rest: Mapping[str, Any]) -> list[str]:
+    """The doors and lids that do not stand as they rest; whoever left them so keeps the module."""
+    return [name for name, value in rest.items() if values.get(name, value) != value]

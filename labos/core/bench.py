@@ -86,6 +86,7 @@ class Labware(msgspec.Struct):
     """``station`` is empty while its place is uncertain (``maybe``) ; ``moving`` names the
     action that is carrying or working on it; ``samples`` is the digest of its sample sheet,
     ``barcode`` empty while none was read; ``volumes_ul`` is what its wells hold at most, where that is known.
+    ``lender`` is whose it is again once the run that works on it has ended; empty if it is lent to none.
 
     A lid ``on`` a plate has no station of its own: it is where the plate is, which names it as its
     ``lid``. If the lid is uncertain too, it may be elsewhere."""
@@ -103,6 +104,7 @@ class Labware(msgspec.Struct):
     lid: LabwareId = LabwareId("")
     on: LabwareId = LabwareId("")
     volumes_ul: dict[str, float] = {}
+    lender: Owner = NOBODY
 
 
 class Bench(msgspec.Struct):
@@ -346,6 +348,10 @@ def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
     """The lid on a plate belongs to whom the plate belongs to."""
     labware = bench.labware[event.labware]
     for item in (labware, bench.labware[labware.lid]) if labware.lid else (labware,):
+        if not event.lent:
+            item.lender = NOBODY
+        elif item.owner != event.owner:
+            item.lender = item.owner
         _disown(bench, item)
         item.owner = event.owner
         bench.by_owner.setdefault(event.owner, {})[item.id] = True

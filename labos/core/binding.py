@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from labos.core import reasons
-from labos.core.algebra import refused
+from labos.core.algebra import refused, settings_after
 from labos.core.bench import Labware, a1_after, parts, taking, variable_of
 from labos.core.effects import (
     AnyEffect,
@@ -65,9 +65,16 @@ def unfit(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
             case Requires(of="labware"):
                 wait = start.value(effect)
         if wait is not None:
-            return msgspec.structs.replace(wait, blocked=True)
+            return _for_good(wait)
         start.look_at(effect)
     return None
+
+
+def _for_good(wait: Wait) -> Wait:
+    """Nobody but a person will change what labware is like that only its run may touch."""
+    if not isinstance(wait.reason, reasons.Requires):
+        return wait
+    return Wait(reasons.Unfit(*wait.reason.names), wait.on)
 
 
 class Start:
@@ -90,10 +97,10 @@ class Start:
         if station.labware:
             return Wait(reasons.Buried(stack, station.labware[-1]), key)
         if stack in self.state.bench.haunted:
-            return Wait(reasons.Uncertain(stack), key, blocked=True)
+            return Wait(reasons.Uncertain(stack), key)
         left = len(station.stock) - taking(self.state.bench, stack)
         if left <= 0:
-            return Wait(reasons.StackEmpty(stack), key, blocked=True)
+            return Wait(reasons.StackEmpty(stack), key)
         alike = {*zip(station.stock[left - 1 :], station.lots[left - 1 :], strict=True)}
         if station.expected or len(alike) > 1:
             return Wait(reasons.ReachedInto(stack), until_left_alone(self.state, stack))
@@ -105,7 +112,7 @@ class Start:
             self._found[place] = item
             return None
         if self._used and usable_at(self.state, self.run, place) is not None:
-            return Wait(reasons.NothingThere(place), (station_key(place),))  # it is carried away already
+            return _missing(self.state, self.run, place)  # the other piece is carried away already
         return nothing_at(self.state, self.run, place)
 
     def fits(self, what: Carrying) -> Wait | None:
@@ -134,8 +141,9 @@ class Start:
 
     def labware(self, needs: Needs) -> Wait | None:
         places = [needs.station] if needs.station else self.state.bench.by_module.get(self.step.module, [])
-        found = (usable_at(self.state, self.run, place) for place in places)
-        self.subject = next((item for item in found if item is not None), None)
+        found = [item for p in places if (item := usable_at(self.state, self.run, p)) is not None]
+        owners = party(self.run)
+        self.subject = min(found, key=lambda item: owners.index(item.owner), default=None)
         if self.subject is not None:
             return None
         return nothing_at(self.state, self.run, places[0] if places else StationName(self.step.module))
@@ -160,9 +168,9 @@ class Start:
         if held is not None:
             wanted.update(dict.fromkeys(held.holders, held.value))
         for action in map(self.state.actions.open.__getitem__, module.in_flight):
-            for other in action.effects:
-                if isinstance(other, Claims) and other.setpoint == claims.setpoint:
-                    wanted[action.run] = other.value
+            flying = settings_after(action.effects).claims
+            if claims.setpoint in flying:
+                wanted[action.run] = flying[claims.setpoint]
         for holder, value in wanted.items():
             if holder != self.run.id and (value is None or value != claims.value):
                 names = (self.step.module, claims.setpoint, str(value), run_owner(RunId(holder)))
@@ -175,7 +183,7 @@ class Start:
         if left is None or left >= needed(self.step.effects, consumes.resource):
             return None
         names = (self.step.module, consumes.resource)
-        return Wait(reasons.UsedUp(*names), (module_key(self.step.module),), blocked=True)
+        return Wait(reasons.UsedUp(*names), (module_key(self.step.module),))
 
     def room_for_all(self) -> Wait | None:
         """What there is room for one by one has to find room together."""
@@ -188,7 +196,7 @@ class Start:
                 return Wait(reasons.Occupied(*names), until_left_alone(self.state, place))
         for stack, number in Counter(effect.stock for effect in carried(self.bound)).items():
             if stack and number > len(bench.stations[stack].stock) - taking(bench, stack):
-                return Wait(reasons.StackEmpty(stack), (station_key(stack),), blocked=True)
+                return Wait(reasons.StackEmpty(stack), (station_key(stack),))
         return None
 
     # -- what is written in ----------------------------------------------------------------------
@@ -247,7 +255,7 @@ def hand_free(state: LabState, step: PlanStep, source: StationName) -> Wait | No
     down what it holds."""
     hand = hand_of(step.module)
     if hand in state.bench.haunted:
-        return Wait(reasons.Uncertain(hand), (station_key(hand),), blocked=True)
+        return Wait(reasons.Uncertain(hand), (station_key(hand),))
     station = state.bench.stations.get(hand)
     if station is not None and station.count and source != hand:
         return Wait(reasons.HandFull(step.module, occupants(state, station)), until_left_alone(state, hand))
@@ -261,7 +269,7 @@ def facing(state: LabState, what: Carrying, labware: Labware) -> Wait | None:
     if wanted is None or way == wanted:
         return None
     names = (labware.id, what.target, str(way), str(wanted))
-    return Wait(reasons.WrongWay(*names), (station_key(what.source),), blocked=True)
+    return Wait(reasons.WrongWay(*names), (station_key(what.source),))
 
 
 def gripped(state: LabState, step: PlanStep, what: Carrying, labware_type: str) -> Wait | None:
@@ -271,7 +279,7 @@ def gripped(state: LabState, step: PlanStep, what: Carrying, labware_type: str) 
         grips = state.bench.stations[place].spec.grips(step.module, labware_type)
         if grip and grips and grip not in grips:
             names = (step.module, place, labware_type, grip, " or ".join(grips))
-            return Wait(reasons.NoGrip(*names), (station_key(what.source),), blocked=True)
+            return Wait(reasons.NoGrip(*names), (station_key(what.source),))
     return None
 
 
@@ -279,7 +287,7 @@ def accepted(state: LabState, what: Carrying, labware_type: str) -> Wait | None:
     """Whether labware of the type may stand where it comes to."""
     for place in what.room:
         if not state.bench.stations[place].spec.admits(labware_type):
-            return Wait(reasons.NotAccepted(place, labware_type), (station_key(place),), blocked=True)
+            return Wait(reasons.NotAccepted(place, labware_type), (station_key(place),))
     return None
 
 
@@ -289,10 +297,16 @@ def same(actual: Any, wanted: Any) -> bool:
 
 
 def usable_at(
-    state: LabState, run: RunState, place: StationName, but: Collection[LabwareId] = ()
+    state: LabState,
+    run: RunState,
+    place: StationName,
+    but: Collection[LabwareId] = (),
+    *,
+    lent: bool = False,
 ) -> Labware | None:
     """The labware at a station that this run may use and reach, none of ``but``: its own before its
-    experiment's, its user's and what is shared; on a stack only the topmost; no plate whose lid is lost."""
+    experiment's, its user's and what is shared; on a stack only the topmost; no plate whose lid is lost.
+    ``lent``: also what is lent to another run, as if that had ended."""
     station = state.bench.stations.get(place)
     if station is None:
         return None
@@ -302,7 +316,8 @@ def usable_at(
     for owner in party(run):
         for name in reversed(reach):
             item = labware[name]
-            if item.owner == owner and not item.moving and not state.bench.in_doubt(item):
+            whose = item.lender or item.owner if lent else item.owner
+            if whose == owner and not state.bench.in_doubt(item) and (lent or not item.moving):
                 return item
     return None
 
@@ -312,20 +327,24 @@ def nothing_at(state: LabState, run: RunState, place: StationName) -> Wait:
     station = state.bench.stations.get(place)
     key = (station_key(place),)
     if in_doubt(state.bench, place):
-        return Wait(reasons.Uncertain(place), key, blocked=True)
+        return Wait(reasons.Uncertain(place), key)
     if station is not None and station.labware:
         labware = state.bench.labware[station.labware[-1]]
         if labware.moving:
             return Wait(reasons.InMotion(labware.id, place), until_left_alone(state, place))
-        return Wait(reasons.NotYours(labware.id, place, labware.owner or "nobody"), key, blocked=True)
+        if labware.lender in party(run):
+            return Wait(reasons.InUse(labware.id, place, labware.owner), key)
+        return Wait(reasons.NotYours(labware.id, place, labware.owner or "nobody"), key)
     if station is not None and not station.known and not station.expected:
-        return Wait(reasons.Undeclared(place), key, blocked=True)
-    return Wait(reasons.NothingThere(place), key, blocked=not _on_its_way(state, run))
+        return Wait(reasons.Undeclared(place), key)
+    return _missing(state, run, place)
 
 
-def _on_its_way(state: LabState, run: RunState) -> bool:
-    """Whether labware of this run is being carried, and may yet arrive."""
-    return any(item.moving for item in state.bench.owned(run_owner(run.id)))
+def _missing(state: LabState, run: RunState, place: StationName) -> Wait:
+    """Nothing stands at a place; labware of this run that is being carried may yet come there."""
+    on_its_way = any(item.moving for item in state.bench.owned(run_owner(run.id)))
+    why = reasons.StillToCome(place) if on_its_way else reasons.NothingThere(place)
+    return Wait(why, (station_key(place),))
 
 
 def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None:
@@ -358,9 +377,9 @@ def laid_up(module: Module, *, recovers: bool = False) -> Wait | None:
     """Whether somebody has to look after a module first; what ``recovers`` it from an error need not wait."""
     name, key = module.spec.name, (module_key(module.spec.name),)
     if module.out_of_service:
-        return Wait(reasons.OutOfService(name, module.out_of_service), key, blocked=True)
+        return Wait(reasons.OutOfService(name, module.out_of_service), key)
     if module.status == ModuleStatus.GONE or (module.status == ModuleStatus.ERROR and not recovers):
-        return Wait(reasons.ModuleDown(name, module.status, module.error), key, blocked=True)
+        return Wait(reasons.ModuleDown(name, module.status, module.error), key)
     return None
 
 
@@ -392,12 +411,12 @@ def room_at(state: LabState, place: StationName) -> Wait | None:
     if place in state.bench.shelves:
         return _room_on_shelves(state, place)
     if place in state.bench.haunted:
-        return Wait(reasons.Uncertain(place), key, blocked=True)
+        return Wait(reasons.Uncertain(place), key)
     if not station.known and not station.labware and station.spec.kind != "waste":
-        return Wait(reasons.Undeclared(place), key, blocked=True)
+        return Wait(reasons.Undeclared(place), key)
     if station.full:
         if station.spec.kind == "waste":
-            return Wait(reasons.WasteFull(place), key, blocked=True)
+            return Wait(reasons.WasteFull(place), key)
         return Wait(reasons.Occupied(place, occupants(state, station)), until_left_alone(state, place))
     return None
 
@@ -411,4 +430,4 @@ def _room_on_shelves(state: LabState, hotel: StationName) -> Wait | None:
         names = (hotel, occupants(state, bench.stations[hotel]))
         return Wait(reasons.Occupied(*names), until_left_alone(state, hotel))
     why = reasons.Uncertain(hotel) if in_doubt(bench, hotel) else reasons.Undeclared(hotel)
-    return Wait(why, (station_key(hotel),), blocked=True)
+    return Wait(why, (station_key(hotel),))

@@ -179,7 +179,7 @@ def no_gap(
         return None
     minutes = -(-length // 60_000_000_000)
     reason = reasons.NoGap(module, f"{minutes} min", str(HORIZON_DAYS), ", ".join(b.id for b in others))
-    return Wait(reason, (booking_key(workcell_of(module)),), now + DAY_NS, blocked=True)
+    return Wait(reason, (booking_key(workcell_of(module)),), now + DAY_NS)
 
 
 _Key = tuple[str, int, int, str, str, int, tuple[int, ...], int, bool]

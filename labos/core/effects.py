@@ -8,7 +8,7 @@ touches. Stations are written ``workcell/module.name`` once resolved.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeGuard, get_args
 
 import msgspec
 
@@ -376,6 +376,27 @@ def hand_of(module: str) -> StationName:
 def arrivals(effects: Iterable[Effect]) -> list[StationName]:
     """Stations at which an action will put labware down, for good or to change its grip."""
     return [place for effect in effects if isinstance(effect, Carrying) for place in effect.room]
+
+
+def changes_labware(effects: Iterable[AnyEffect]) -> bool:
+    """Whether labware that is worked on is not as it was afterwards."""
+    return any(map(_changed, effects))
+
+
+def taken_over(effects: Iterable[AnyEffect]) -> set[LabwareId]:
+    """The labware that an action carries, takes a lid off or puts one on, or changes. What it only needs, or
+    takes liquid out of, it leaves to whom it belongs."""
+    found: set[LabwareId] = set()
+    for effect in effects:
+        if isinstance(effect, Carrying):
+            found |= {effect.labware, effect.plate}
+        elif _changed(effect):
+            found.add(effect.labware)
+    return found - {LabwareId("")}
+
+
+def _changed(effect: AnyEffect) -> TypeGuard[Sets | Transfers]:
+    return isinstance(effect, Transfers) or (isinstance(effect, Sets) and effect.of == "labware")
 
 
 def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:

@@ -45,7 +45,7 @@ def in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | 
         old = first_old(level, amount, day_of(now))
         if old is not None and known is not None and known.spec.expired != WARN:
             names = (module, resource, old.name or "without a name", old.expires)
-            return Wait(reasons.Expired(*names), (module_key(module),), blocked=True)
+            return Wait(reasons.Expired(*names), (module_key(module),))
     return None
 
 

@@ -151,11 +151,12 @@ class LabwareChanged(LabwareEvent, frozen=True):
 @event("labware.handed_over")
 class LabwareHandedOver(LabwareEvent, frozen=True):
     """It belongs to somebody else from now on. Where a person gave it, ``by`` names them and
-    ``note`` says why."""
+    ``note`` says why. ``lent``: to a run that works on it, at whose end it is again whose it was."""
 
     owner: Owner
     by: str = ""
     note: str = ""
+    lent: bool = False
 
 
 @event("labware.barcode_read")

@@ -13,9 +13,9 @@ from typing import Any
 
 import msgspec
 
-from labos.core.algebra import carry
+from labos.core.algebra import away_from_rest, carry, settings_after
 from labos.core.branches import order_of
-from labos.core.effects import Needs, Sets, carried
+from labos.core.effects import Needs, carried
 from labos.core.ids import ModuleName, StationName, run_owner
 from labos.core.model import ON_CANCEL, Plan, PlanStep
 from labos.core.runs import RunState, RunStatus
@@ -72,7 +72,7 @@ def _needed(step: PlanStep, scene: Scene) -> bool:
         return all(scene.standing[place] > 0 for place in named) if named else here
     if not here and step.module not in scene.left:
         return False
-    doors = _doors(step)
+    doors = settings_after(step.effects).variables
     now = scene.doors.get(step.module, {})
     changes = len(doors) < len(step.effects) or any(now.get(name) != value for name, value in doors.items())
     return changes or not doors
@@ -81,18 +81,12 @@ def _needed(step: PlanStep, scene: Scene) -> bool:
 def _carry_out(step: PlanStep, scene: Scene) -> None:
     for what in carried(step.effects):
         carry(scene, what)
-    doors = _doors(step)
+    doors = settings_after(step.effects).variables
     if doors:
         now = scene.doors.setdefault(step.module, {})
         now.update(doors)
-        rest = scene.rests.get(step.module, {})
-        away = any(now.get(name, value) != value for name, value in rest.items())
+        away = away_from_rest(now, scene.rests.get(step.module, {}))
         (scene.left.add if away else scene.left.discard)(step.module)
-
-
-def _doors(step: PlanStep) -> dict[str, Any]:
-    """What a step sets of its module."""
-    return {e.variable: e.value for e in step.effects if isinstance(e, Sets) and e.of == "module"}
 
 
 def scene_of(state: LabState, run: RunState) -> Scene:

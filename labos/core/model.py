@@ -261,10 +261,10 @@ OnBreach = Literal["continue", "fail", "ask"]
 class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A step starts at least ``wait_s`` and at most ``within_s`` after step ``anchor`` ended
     (lab seconds; ``within_s`` None for no limit). With ``of`` the clock was started by another run
-    of the same experiment, named by its workflow or its id: ``anchor`` is then -1 and ``of_step``
+    of the same experiment, named by its workflow or its id: ``anchor`` is then null and ``of_step``
     names the step of that run."""
 
-    anchor: int
+    anchor: int | None
     wait_s: float = 0.0
     within_s: float | None = None
     on_breach: OnBreach = "continue"
@@ -296,11 +296,11 @@ class OnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
 
 class Retry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A step that failed without doing anything is done again, ``times`` at most, ``delay_s`` lab
-    seconds after it failed. ``reset`` is the step that resets its module before (-1: none)."""
+    seconds after it failed. ``reset`` is the step that resets its module before, if one does."""
 
     times: int
     delay_s: float = 0.0
-    reset: int = -1
+    reset: int | None = None
 
 
 class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):

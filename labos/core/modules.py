@@ -17,6 +17,7 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
+from labos.core.algebra import away_from_rest
 from labos.core.effects import AnyEffect, places, types_at
 from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
@@ -240,11 +241,11 @@ class Module(msgspec.Struct):
 
     def away_from_rest(self) -> dict[str, Variable]:
         """Doors and lids that do not stand so that others may use the module."""
-        return {
-            name: self.variables.get(name) or Variable(None)
-            for name, value in self.spec.rest.items()
-            if self.value(name) != value
-        }
+        rest = self.spec.rest
+        if not rest:
+            return {}
+        now = {name: self.value(name) for name in rest}
+        return {name: self.variables.get(name) or Variable(None) for name in away_from_rest(now, rest)}
 
     def pose_of(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
         """Where the module finds a station with labware of a type (the type's own pose, or None), or

@@ -40,11 +40,11 @@ def within_quota(state: LabState, run: RunState, now: int) -> Wait | None:
     tomorrow = (now // DAY_NS + 1) * DAY_NS
     for whose, quota, had in state.shares.limits(run.user):
         if quota.running and had.running >= quota.running:
-            return Wait(reasons.Quota(whose, f"{quota.running} runs at a time"), (QUOTA_KEY,), blocked=True)
+            return Wait(reasons.Quota(whose, f"{quota.running} runs at a time"), (QUOTA_KEY,))
         hours = had.week.lab_ns(now) * state.lab.pace / 3.6e12
         if quota.lab_hours and hours >= quota.lab_hours:
             what = f"{quota.lab_hours:g} lab hours a week"
-            return Wait(reasons.Quota(whose, what), (QUOTA_KEY,), tomorrow, blocked=True)
+            return Wait(reasons.Quota(whose, what), (QUOTA_KEY,), tomorrow)
         for kind, most in quota.consumables.items():
             needed = sum(
                 amount
@@ -52,7 +52,5 @@ def within_quota(state: LabState, run: RunState, now: int) -> Wait | None:
                 if resource == kind and state.runs.plan_of(run).steps[index].part == MAIN
             )
             if needed and had.week.of(kind, now) + needed > most:
-                return Wait(
-                    reasons.Quota(whose, f"{most:g} {kind} a week"), (QUOTA_KEY,), tomorrow, blocked=True
-                )
+                return Wait(reasons.Quota(whose, f"{most:g} {kind} a week"), (QUOTA_KEY,), tomorrow)
     return None

@@ -60,16 +60,16 @@ def held_wait(state: LabState, run: RunState) -> Wait:
     """What a run waits for that was not approved yet."""
     proposal = state.approvals.open.get(run.id)
     why = ", and ".join(why.text for why in proposal.why) if proposal is not None else "its policy says so"
-    return Wait(reasons.NotApproved(run.id, why), (run_key(run.id),), blocked=True)
+    return Wait(reasons.NotApproved(run.id, why), (run_key(run.id),))
 
 
 def _own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wait | None:
     if run.unapproved:
-        return Wait(reasons.Unapproved(run.user), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
     if run.held:
         return held_wait(state, run)
     if run.paused:
-        return Wait(reasons.Paused(run.id), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Paused(run.id), (run_key(run.id),))
     if run.status == RunStatus.CANCELLING:
         return Wait(reasons.Cancelling(run.id), (run_key(run.id),))
     if not run.has_started:
@@ -77,8 +77,8 @@ def _own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wai
         return None if first else Wait(reasons.After(), (run_key(run.id),))
     if run.steps[index].status != PENDING:
         return Wait(reasons.NotPending(step.key), (run_key(run.id),))
-    reset = step.retry.reset if step.retry is not None else MAIN
-    for before in (*step.after, reset) if reset != MAIN else step.after:
+    reset = step.retry.reset if step.retry is not None else None
+    for before in (*step.after, reset) if reset is not None else step.after:
         if run.steps[before].status not in SETTLED:
             return Wait(reasons.After(str(before)), (run_key(run.id),))
     return None
@@ -91,7 +91,7 @@ def log_whole(state: LabState, step: PlanStep) -> Wait | None:
         return None
     names = [local(name) for name in shorter.evidence]
     more = [f"{len(names) - 3} more"] if len(names) > 3 else []
-    return Wait(reasons.LogShorter(", ".join([*names[:3], *more]), str(shorter.ended)), blocked=True)
+    return Wait(reasons.LogShorter(", ".join([*names[:3], *more]), str(shorter.ended)))
 
 
 def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
@@ -105,7 +105,7 @@ def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     for target in (run.experiment, step.module, cell, WHOLE_LAB):
         pause = state.lab.paused.get(target)
         if pause is not None:
-            return Wait(reasons.Halted(target, pause.by), blocked=True)
+            return Wait(reasons.Halted(target, pause.by))
     return None
 
 
@@ -115,7 +115,7 @@ def no_hands_inside(state: LabState, run: RunState, step: PlanStep) -> Wait | No
     access = state.lab.access.get(cell)
     if access is None or (not access.granted and run.plan in access.parking):
         return None
-    return Wait(reasons.Access(cell, access.by), (access_key(cell),), blocked=True)
+    return Wait(reasons.Access(cell, access.by), (access_key(cell),))
 
 
 def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
@@ -204,7 +204,7 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     module = state.modules.by_name.get(step.module)
     key = module_key(step.module)
     if module is None:
-        return Wait(reasons.NoModule(step.module), (key,), blocked=True)
+        return Wait(reasons.NoModule(step.module), (key,))
     away = laid_up(module, recovers=step.recovers)
     if away:
         return away
@@ -233,7 +233,7 @@ def zones_free(state: LabState, step: PlanStep) -> Wait | None:
         stopped = "" if step.recovers else stopped_in(state, zone, step.module)
         if stopped:
             keys = (zone_key(zone), module_key(ModuleName(stopped)))
-            return Wait(reasons.ZoneBarred(stopped, zone), keys, blocked=True)
+            return Wait(reasons.ZoneBarred(stopped, zone), keys)
     return None
 
 
@@ -260,7 +260,7 @@ def _supplied(state: LabState, run: RunState) -> Wait | None:
             continue
         left = unpromised(state, module, resource)
         if left is not None and left - _to_come(state, module, resource) < min(amount, level.capacity):
-            return Wait(reasons.UsedUp(module, resource), (module_key(module),), blocked=True)
+            return Wait(reasons.UsedUp(module, resource), (module_key(module),))
     return None
 
 

@@ -304,7 +304,7 @@ def clocks_of(run: RunState) -> tuple[int, ...]:
 
 def anchored_at(run: RunState, window: Window) -> int | None:
     """When a window's clock started (UTC ns); None if it has not."""
-    if not window.of:
+    if window.anchor is not None:
         return run.steps[window.anchor].ended_at if run.steps else None
     meant = (window.of, window.of_step)
     return next((a.ended_at for a in run.anchors if (a.of, a.step) == meant), None)
@@ -402,7 +402,7 @@ def in_play(plan: Plan, steps: Sequence[StepStatus]) -> int:
 def rescuers(plan: Plan, step: int) -> list[int]:
     """The steps that are carried out when a step has failed for good."""
     retry = plan.steps[step].retry
-    reset = retry.reset if retry is not None else MAIN
+    reset = retry.reset if retry is not None else None
     return [index for index, other in enumerate(plan.steps) if other.part == step and index != reset]
 
 

@@ -13,7 +13,6 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.ids import RunId
-from labos.core.model import MAIN
 from labos.core.registry import event
 from labos.core.runs import (
     DONE,
@@ -31,13 +30,13 @@ from labos.core.runs import (
 )
 
 
-@event("window.breached")
+@event("window.breached", schema=2)
 class WindowBreached(RunEvent, frozen=True):
     """A step did not start within ``within_s`` lab seconds of its anchor: the step ``anchor`` of
-    its own run, or (-1) a step of the run ``of``."""
+    its own run, or (null) a step of the run ``of``."""
 
     step: int
-    anchor: int
+    anchor: int | None
     within_s: float
     of: str = ""
 
@@ -108,7 +107,7 @@ def retried(runs: Runs, event: StepRetried, at: int) -> None:
     if run is not None:
         run.steps[event.step].retries, run.steps[event.step].retried_at = event.number, at
         retry = runs.plan_of(run).steps[event.step].retry
-        if retry is not None and retry.reset != MAIN:
+        if retry is not None and retry.reset is not None:
             run.steps[retry.reset].status = PENDING
 
 

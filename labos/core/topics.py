@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Move, Needs, Reads, Take
+from labos.core.effects import AnyEffect, Move, Needs, Reads, carried
 from labos.core.ids import ActionId, ExperimentId, LabwareId, StationName, local
 
 
@@ -90,11 +90,9 @@ class LostLabware(Topic, frozen=True, tag="lost_labware"):
     @property
     def choices(self) -> tuple[Choice, ...]:
         choices = [Choice("gone", "It was taken off the bench.")]
-        for effect in self.motions:
-            if isinstance(effect, Move | Take):
-                start = effect.source if isinstance(effect, Move) else effect.stack
-                choices.append(Choice("source", f"It stands at {local(start)}."))
-                choices.append(Choice("target", f"It stands at {local(effect.target)}."))
+        for effect in carried(self.motions):
+            choices.append(Choice("source", f"It stands at {local(effect.source)}."))
+            choices.append(Choice("target", f"It stands at {local(effect.target)}."))
         return tuple(choices)
 
     @property

@@ -69,8 +69,30 @@ def _contradiction(
     return {"topic": "unexpected", "station": first["station"], "type": kind}
 
 
+def _with_no_anchor(payload: dict[str, Any]) -> dict[str, Any]:
+    """Of a clock that another run started, no step of this run is the anchor; it was written as -1."""
+    return {**payload, "anchor": _or_null(payload["anchor"])}
+
+
+def _with_no_numbers_for_nothing(payload: dict[str, Any]) -> dict[str, Any]:
+    """Anchors and resets that are not there were written as -1."""
+    steps = [dict(step) for step in payload["steps"]]
+    for step in steps:
+        step["windows"] = [_with_no_anchor(window) for window in step.get("windows") or ()]
+        retry = step.get("retry")
+        if retry is not None:
+            step["retry"] = {**retry, "reset": _or_null(retry.get("reset", -1))}
+    return {**payload, "steps": steps}
+
+
+def _or_null(index: int) -> int | None:
+    return index if index >= 0 else None
+
+
 LIFTS: dict[tuple[str, int], Lift] = {
     ("plan.steps_recorded", 1): _as_it_was,
+    ("plan.steps_recorded", 2): _with_no_numbers_for_nothing,
+    ("window.breached", 1): _with_no_anchor,
     ("module.taken_out", 1): _as_it_was,
     ("intervention.requested", 1): _with_topic,
 }

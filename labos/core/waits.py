@@ -17,22 +17,23 @@ from labos.core.ids import (
     user_owner,
     workcell_of,
 )
-from labos.core.reasons import AnyReason
+from labos.core.reasons import AnyReason, Urgency
 from labos.core.runs import RunState
 from labos.core.state import LabState
 
 
 class Wait(msgspec.Struct, frozen=True):
     """Why a step cannot start, and what ends that: ``on`` are the keys whose change may end the wait;
-    ``until`` is a time (UTC ns) that ends it by itself.
-
-    ``blocked`` waits need a person or a device to come back; the others pass by themselves.
-    """
+    ``until`` is a time (UTC ns) that ends it by itself."""
 
     reason: AnyReason
     on: tuple[str, ...] = ()
     until: int | None = None
-    blocked: bool = False
+
+    @property
+    def blocked(self) -> bool:
+        """Whether a person has to do something, or a device to come back; else the wait passes by itself."""
+        return self.reason.URGENCY is Urgency.PERSON
 
     @property
     def code(self) -> str:

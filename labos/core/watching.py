@@ -53,5 +53,5 @@ def unwatched(state: LabState, steps: Iterable[PlanStep]) -> Wait | None:
             module = state.modules.by_name.get(observer)
             if module is None or module.out_of_service or module.status == ModuleStatus.GONE:
                 how = "out of service" if module is not None and module.out_of_service else "GONE"
-                return Wait(reasons.Unwatched(place, observer, how), (module_key(observer),), blocked=True)
+                return Wait(reasons.Unwatched(place, observer, how), (module_key(observer),))
     return None

@@ -84,13 +84,14 @@ class Files:
             raise DeviceError(
                 f"The file {attachment.name} has {len(data)} bytes; {LARGEST} are allowed.", effects="all"
             )
-        name, sent = digest(data), -1
-        while sent < len(data):
-            piece = data[sent : sent + PIECE] if sent >= 0 else b""
-            reply = await self._ask(KeepFile(name, len(data), max(sent, 0), piece))
+        name = digest(data)
+        sent: int | None = None  # the lab has not said yet how much of it it has
+        while sent is None or sent < len(data):
+            piece = data[sent : sent + PIECE] if sent is not None else b""
+            reply = await self._ask(KeepFile(name, len(data), sent or 0, piece))
             if reply.problem:
                 raise DeviceError(f"The lab did not take {attachment.name}: {reply.problem}", effects="all")
-            if not 0 <= reply.received <= len(data) or reply.received <= sent:
+            if not 0 <= reply.received <= len(data) or (sent is not None and reply.received <= sent):
                 _log.warning("file_part_not_taken", name=attachment.name, received=reply.received)
                 await asyncio.sleep(STALLED_S)
             sent = min(max(reply.received, 0), len(data))

@@ -9,12 +9,12 @@ from labos.core.model import PlanStep
 from labos.core.runs import PENDING, RunState
 from labos.core.state import LabState
 from labos.planning.forecast import pending_before
-from labos.planning.player import FAR, Who
+from labos.planning.player import FAR, Step, Who, step_of
 from labos.planning.rehearsal import Advice, Outcome
 
 
 def options(
-    state: LabState, run: RunState | None, advice: Advice, outcome: Outcome, late: Who, forced: Who | None
+    state: LabState, run: RunState | None, advice: Advice, outcome: Outcome, late: Step, forced: Step | None
 ) -> Iterator[Advice]:
     """Other advice that may bring one in time who was late: whoever was in its way goes on to its end, or
     waits until it has passed; or its clock is started later. ``run`` is a run that is to begin, the step
@@ -25,8 +25,9 @@ def options(
     if outcome.trap is not None and outcome.trap[0] != forced:
         yield from _let_pass(state, advice, *outcome.trap)
     for step, other in _in_the_way(mover, pending_before(mover, what, late[1]), advice, outcome):
-        if other in outcome.starts and other != forced:
-            yield advice.put_behind(other, step)
+        begun = step_of(other)
+        if begun in outcome.starts and begun is not None and begun != forced:
+            yield advice.put_behind(begun, step)
         can_go = RunId(other[0]) in state.runs.active or (run is not None and other[0] == run.id)
         if other[0] not in advice.leaving and can_go:
             yield advice.let_leave(other[0])
@@ -37,7 +38,7 @@ def options(
             yield advice.put_off(anchor, outcome.starts[anchor] + by)
 
 
-def _let_pass(state: LabState, advice: Advice, start: Who, lost: Sequence[str]) -> Iterator[Advice]:
+def _let_pass(state: LabState, advice: Advice, start: Step, lost: Sequence[str]) -> Iterator[Advice]:
     """Let those who would be trapped go to their ends before a start."""
     for name in lost:
         run = state.runs.active.get(RunId(name))
@@ -48,7 +49,7 @@ def _let_pass(state: LabState, advice: Advice, start: Who, lost: Sequence[str]) 
 
 def _in_the_way(
     run: RunState, chain: Sequence[int], advice: Advice, outcome: Outcome
-) -> Iterator[tuple[Who, Who]]:
+) -> Iterator[tuple[Step, Who]]:
     """For whom these steps of a run had to wait, and for whom those in turn who should have gone."""
     blocked = [(str(run.id), index) for index in reversed(chain)]
     seen = {blocked[0][0]}
@@ -65,4 +66,4 @@ def _in_the_way(
 
 def _clocks_of(step: PlanStep) -> list[int]:
     """The steps that start a step's clocks."""
-    return [window.anchor for window in step.windows if not window.of and window.within_s is not None]
+    return [w.anchor for w in step.windows if w.anchor is not None and w.within_s is not None]

@@ -18,7 +18,9 @@ from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState, RunStatus
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
-from labos.planning.floor import Actor, Floor, down, lay_out, move
+from labos.planning.floor import Actor, Floor
+from labos.planning.layout import down, lay_out
+from labos.planning.moves import move
 from labos.planning.safety import Safety
 from labos.planning.stuck import stuck_on
 from labos.planning.touch import cell_key, near_key
@@ -47,7 +49,7 @@ def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wa
     if not stands or any(wanted.isdisjoint(kept) for kept in stands):
         return None
     keys = (cell_key(plan.workcell), near_key(plan.workcell), *map(module_key, sorted(dead)))
-    return Wait(reasons.BetterHere(plan.steps[step].key, tuple(sorted(dead))), keys, blocked=True)
+    return Wait(reasons.BetterHere(plan.steps[step].key, tuple(sorted(dead))), keys)
 
 
 def _wanted(state: LabState, run: RunState) -> set[str]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
-from labos.core.effects import Carrying, Sets, carried
+from labos.core.algebra import away_from_rest, settings_after
+from labos.core.effects import Carrying, carried
 from labos.core.ids import StationName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import lab_ns
@@ -88,19 +89,16 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
                 yield station_key(effect.via), takes
             if effect.filled:
                 yield from _arrival(state, run, index, effect.filled, now)
-        elif isinstance(effect, Sets) and effect.of == "module":
-            rest = state.modules.by_name[step.module].spec.rest
-            if effect.variable in rest and effect.value != rest[effect.variable]:
+    module = state.modules.by_name.get(step.module)
+    rest = module.spec.rest if module is not None else {}
+    left = settings_after(step.effects).variables if rest else {}
+    for variable in away_from_rest(left, rest):
 
-                def closes(
-                    other: PlanStep, effect: Sets = effect, value: object = rest[effect.variable]
-                ) -> bool:
-                    return other.module == step.module and any(
-                        isinstance(e, Sets) and (e.variable, e.value) == (effect.variable, value)
-                        for e in other.effects
-                    )
+        def closes(other: PlanStep, variable: str = variable) -> bool:
+            after = settings_after(other.effects).variables
+            return other.module == step.module and after.get(variable) == rest[variable]
 
-                yield module_key(step.module), _until(state, run, index, now, closes)
+        yield module_key(step.module), _until(state, run, index, now, closes)
 
 
 def _reached_into(state: LabState, place: StationName, takes: int) -> Iterator[tuple[str, int]]:
@@ -175,7 +173,7 @@ def _clocks(
 ) -> Iterator[tuple[Window, int]]:
     """The windows of a step whose clock runs, and since when (UTC ns)."""
     for window in state.runs.plan_of(run).steps[index].windows:
-        ended = known.get(window.anchor) if not window.of else None
+        ended = known.get(window.anchor) if window.anchor is not None else None
         if ended is None:
             ended = anchored_at(run, window)
         if ended is not None:

@@ -22,7 +22,8 @@ from labos.core.effects import NOWHERE, Relid, Unlid
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, results_of
-from labos.planning.floor import Actor, Branch, Floor, Taken, change_claim, may_move, move, take_back
+from labos.planning.floor import UNSETTLED, Actor, Branch, Floor, change_claim
+from labos.planning.moves import Taken, may_move, move, take_back
 from labos.planning.paths import Motion, Path, carrying
 
 FORKED = -2
@@ -34,11 +35,12 @@ Change = tuple[dict[Any, int], Any, int]
 
 
 class Ends(msgspec.Struct):
-    """How an actor came to all its ends: the motions of one branch, carried out, and what had to be
-    added to counts for the others."""
+    """How an actor came to all its ends: the motions of one branch, carried out, what had to be added to
+    counts for the others, and how variables stood that they leave otherwise."""
 
     motions: list[tuple[Motion, Taken | None]]
     changes: list[Change]
+    values: list[tuple[str, Any]]
 
 
 # -- which branches are left ---------------------------------------------------------------------
@@ -171,6 +173,7 @@ def finish(floor: Floor, actor: Actor) -> Ends | None:
     """Let an actor that stands before its fork go to its end on every branch; None, and nothing
     changed, if one of them is blocked. What the floor holds then is the worst of all ends."""
     ends: list[dict[int, dict[Any, int]]] = []
+    values: list[dict[str, Any]] = []
     last: list[tuple[Motion, Taken | None]] = []
     lasting = [branch for branch in actor.forks if not branch.fails]
     for branch in [*(b for b in actor.forks if b.fails), *reversed(lasting)]:
@@ -182,6 +185,7 @@ def finish(floor: Floor, actor: Actor) -> Ends | None:
                 return None
             last.append((motion, move(floor, actor, motion)))
         if not branch.fails:
+            values.append(dict(floor.values))
             ends.append({number: dict(table) for number, table in enumerate(_tables(floor, actor))})
     if not lasting:
         _back(floor, actor, last)
@@ -197,11 +201,18 @@ def finish(floor: Floor, actor: Actor) -> Ends | None:
                     changes.append((table, key, change))
                     table[key] = value
     _claim(floor, actor, changes, 1)
-    return Ends(last, changes)
+    unsettled = [
+        (key, value)
+        for key, value in (floor.values.items() if values else ())
+        if any(other.get(key) != value for other in values)
+    ]
+    floor.values.update((key, UNSETTLED) for key, _ in unsettled)
+    return Ends(last, changes, unsettled)
 
 
 def unfinish(floor: Floor, actor: Actor, ends: Ends) -> None:
     """Take back what ``finish`` did."""
+    floor.values.update(ends.values)
     _claim(floor, actor, ends.changes, -1)
     for table, key, change in reversed(ends.changes):
         table[key] = table.get(key, 0) - change

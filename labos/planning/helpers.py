@@ -18,8 +18,8 @@ from labos.core.rules import examine
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait, party
-from labos.planning.floor import destination, labware_in
 from labos.planning.forecast import is_pending, pending_before
+from labos.planning.layout import destination, labware_in
 from labos.planning.safety import Safety
 
 ANYWHERE = StationName("")

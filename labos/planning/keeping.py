@@ -23,10 +23,10 @@ from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, h
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.advice import options
-from labos.planning.floor import down
 from labos.planning.forecast import earliest, is_pending
+from labos.planning.layout import down
 from labos.planning.passage import first_trap, tangled
-from labos.planning.player import FAR, Player, Who, chained
+from labos.planning.player import FAR, Player, Step, chained
 from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
@@ -74,9 +74,9 @@ class Trial(msgspec.Struct, frozen=True):
     plan: Plan
     run: RunState | None
     step: int
-    known: set[Who]
+    known: set[Step]
 
-    def news(self, outcome: Outcome) -> list[Who]:
+    def news(self, outcome: Outcome) -> list[Step]:
         """Who is late beside those, the first one first."""
         return [who for who in outcome.late if who not in self.known]
 
@@ -87,15 +87,15 @@ class Windows:
     def __init__(self, limit: int = SEARCH_LIMIT) -> None:
         self.plays = 0
         self._limit = limit
-        self._at = (-1, -1)
+        self._at: tuple[int, int] | None = None
         self._plans: dict[str, Plan] = {}
         self._advice: dict[str, Advice] = {}
-        self._tried: dict[Who, tuple[Advice, list[Who]]] = {}
-        self._hopeless: dict[Who, bool] = {}
-        self._anxious: dict[Who, frozenset[ModuleName]] = {}
-        self._met: dict[Who, set[str]] = {}
-        self._at_rest: dict[Who, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
-        self._put_off: dict[Who, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
+        self._tried: dict[Step, tuple[Advice, list[Step]]] = {}
+        self._hopeless: dict[Step, bool] = {}
+        self._anxious: dict[Step, frozenset[ModuleName]] = {}
+        self._met: dict[Step, set[str]] = {}
+        self._at_rest: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
+        self._put_off: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
 
     def is_due(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> bool:
         """Whether the plan that keeps the windows has the step start now."""
@@ -175,7 +175,7 @@ class Windows:
             self._anxious[who] = frozenset(state.runs.plan_of(run).steps[i].module for i in chain)
         return at if found else self._calm_at(state, trial.plan, who)
 
-    def _calm_at(self, state: LabState, plan: Plan, who: Who) -> int:
+    def _calm_at(self, state: LabState, plan: Plan, who: Step) -> int:
         """When nothing will have happened for long enough; FAR as long as something goes on whose end is an
         event. What nobody knows the end of does not go on."""
         inside = _inside(state, plan.cell)
@@ -222,7 +222,7 @@ class Windows:
                 return self._wait(state, plan, run, step, (name, index), again)
         return None
 
-    def _late_anyway(self, state: LabState, trial: Trial) -> list[Who]:
+    def _late_anyway(self, state: LabState, trial: Trial) -> list[Step]:
         """Which windows of a run could not be kept if it had the workcell to itself from now on."""
         assert trial.run is not None
         alone = Trial(trial.plan.alone(trial.run), trial.run, trial.step, set())
@@ -316,7 +316,7 @@ class Windows:
     # -- explaining ----------------------------------------------------------------------------
 
     def _wait(
-        self, state: LabState, plan: Plan, run: RunState, step: int, late: Who, again: int = FAR
+        self, state: LabState, plan: Plan, run: RunState, step: int, late: Step, again: int = FAR
     ) -> Wait:
         """A start waits since somebody would be late, at least until something may be otherwise."""
         whose, now = state.runs.get(RunId(late[0])), plan.now
@@ -345,7 +345,7 @@ def _goes_on_at(state: LabState, run: RunState) -> int:
     )
 
 
-def _is_waiting(state: LabState, who: Who) -> bool:
+def _is_waiting(state: LabState, who: Step) -> bool:
     """Whether a step has not been started."""
     run = state.runs.get(RunId(who[0]))
     return run is not None and is_pending(run, who[1])

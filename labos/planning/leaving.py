@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,18 +18,27 @@ def leaving(
     run: RunState,
     claims: Mapping[StationName, str],
     rests: Mapping[ModuleName, Mapping[str, Any]],
+    nests: Mapping[ModuleName, tuple[StationName, ...]],
 ) -> tuple[Motion, ...]:
-    """The motions of the steps that a leaving run has yet to start. ``claims`` and ``rests``: see a path."""
+    """The motions of the steps that a leaving run has yet to start. ``claims``, ``rests`` and ``nests``: see
+    a path."""
     plan = state.runs.plan_of(run)
     left = [index for index, step in enumerate(run.steps) if step.status in (PENDING, IN_FLIGHT)]
-    motions = motions_of_steps(plan, order_of(plan, left), claims, rests, _stand(state, run, claims))
+    before = _stand(state, run, claims)
+    motions = motions_of_steps(plan, order_of(plan, left), claims, rests, nests, before)
     return tuple(
         motion for motion in motions if motion.step == END or run.steps[motion.step].status == PENDING
     )
 
 
 def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> Stand:
-    stand = Stand(Counter(claims.get(item.station, "") for item in state.bench.owned(run_owner(run.id))))
+    stand = Stand()
+    for item in state.bench.owned(run_owner(run.id)):
+        place = state.bench.planned(item.station)
+        stand.own[place] += 1
+        stand.claims[claims.get(place, "")] += 1
+        if item.lender:
+            stand.lent[place] = True
     for name, module in state.modules.within(state.runs.plan_of(run).workcell):
         doors = _left(module, run.id)
         if doors:

@@ -9,12 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labos.core.algebra import carrying_refused
+from labos.core.binding import same
 from labos.core.ids import ModuleName, StationName, experiment_owner, local
+from labos.core.reasons import NoWayOut
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import sentence
-from labos.planning.floor import Actor, Floor, Mover, lay_out, may_move, move
+from labos.planning.floor import Actor, Floor
+from labos.planning.layout import lay_out
+from labos.planning.moves import Mover, found_at, may_move, move
 from labos.planning.paths import Motion, door_key, hold_key, kept_by
 from labos.planning.safety import Safety, View, as_seen, closes
 from labos.planning.witness import fresh, greedy
@@ -23,7 +27,7 @@ from labos.planning.witness import fresh, greedy
 def explained(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
     """What a wait is for, with the cause where safety found no way out."""
     told = sentence(wait)
-    cause = obstacle(safety, state, run) if wait.code == "no_way_out" else ""
+    cause = obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
     return f"{told}: {cause}" if cause else told
 
 
@@ -63,7 +67,13 @@ def _met(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], 
 
 
 def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]) -> str:
+    for key, value in motion.wants:
+        if not same(floor.values.get(key), value):
+            return f"needs {key.partition('/')[2]} = {value}, which nobody will have set"
     if not motion.target:
+        for places in motion.needs:
+            if not found_at(floor, walker, places):
+                return f"finds nothing that it may use at {' or '.join(map(local, places))}"
         used = [motion.uses] if motion.uses else []
         grabbed = [key for key, _ in motion.grabs]
         used += [kept_by(key) for key in grabbed if kept_by(key)]

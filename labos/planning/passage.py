@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 
 from labos.core.ids import RunId
 from labos.core.state import LabState
-from labos.planning.floor import Actor, Floor, lay_out, may_move, move
+from labos.planning.floor import Actor, Floor
 from labos.planning.forecast import is_pending
-from labos.planning.player import Who
+from labos.planning.layout import lay_out
+from labos.planning.moves import may_move, move
+from labos.planning.player import Step
 from labos.planning.safety import Safety, View, as_seen
 from labos.planning.witness import Trail, copy, fresh, greedy, take_all_back
 
@@ -18,8 +20,8 @@ SEARCH_LIMIT = 100
 
 
 def first_trap(
-    state: LabState, cell: str, starts: Sequence[Who], safety: Safety
-) -> tuple[Who, tuple[str, ...]] | None:
+    state: LabState, cell: str, starts: Sequence[Step], safety: Safety
+) -> tuple[Step, tuple[str, ...]] | None:
     """The first of these starts after which some runs could not come to their ends that can now, and which
     runs these are. None if there is no such start, or if somebody's way forks: then planning asks about
     each start when its turn comes."""
@@ -47,7 +49,7 @@ def first_trap(
     return starts[high - 1], tuple(sorted(lost))
 
 
-def tangled(state: LabState, cell: str, starts: Sequence[Who], safety: Safety) -> Who | None:
+def tangled(state: LabState, cell: str, starts: Sequence[Step], safety: Safety) -> Step | None:
     """A step that could not follow in time after these starts, whoever goes first: others would have to move
     while its clock runs. None if there is none, or if it cannot be known."""
     here = _seen(state, cell, [name for name, _ in starts], safety)
@@ -66,7 +68,7 @@ def tangled(state: LabState, cell: str, starts: Sequence[Who], safety: Safety) -
     return tied.name, max(ties[tied.name])
 
 
-def _ties(state: LabState, actor: Actor, begun: Sequence[Who]) -> list[int]:
+def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
     """For each motion of an actor the windowed step because of which the next one has to follow at once (0:
     it may wait)."""
     run = state.runs.get(RunId(actor.name))
@@ -77,7 +79,7 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Who]) -> list[int]:
         for index in state.runs.plans[run.plan].windowed
         if is_pending(run, index) and not run.is_breached(index)
         for window in state.runs.plan_of(run).steps[index].windows
-        if window.within_s is not None and not window.of
+        if window.within_s is not None and window.anchor is not None
         if is_pending(run, window.anchor) and (actor.name, window.anchor) not in begun
     ]
     steps = [motion.step for motion in actor.motions]
@@ -126,7 +128,7 @@ def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> boo
 
 
 def _seen(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> list[Actor]:
-    """Who is inside, or about to be let in, if nobody were stuck and experiments closed."""
+    """Step is inside, or about to be let in, if nobody were stuck and experiments closed."""
     view = View(cell, hopeful=True, closing=True)
     actors = safety.actors(state, cell)
     inside = {actor.name for actor in actors}
@@ -137,8 +139,8 @@ def _seen(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> l
     return [as_seen(actor, view) for actor in actors]
 
 
-def _ends(ground: Floor, actors: Sequence[Actor], starts: Sequence[Who], safety: Safety) -> set[str]:
-    """Who comes to its end after these starts; nobody if one of them is not possible."""
+def _ends(ground: Floor, actors: Sequence[Actor], starts: Sequence[Step], safety: Safety) -> set[str]:
+    """Step comes to its end after these starts; nobody if one of them is not possible."""
     floor, cast = copy(ground), {actor.name: fresh(actor) for actor in actors}
     for name, step in starts:
         if not _carry_out(floor, cast[name], step):

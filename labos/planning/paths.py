@@ -14,16 +14,16 @@ from typing import Any
 
 import msgspec
 
+from labos.core.algebra import ModuleSettings, away_from_rest, needed_before, settings_after
 from labos.core.branches import Way, ways
 from labos.core.effects import (
     NOWHERE,
     Carrying,
-    Claims,
     Lid,
-    Releases,
-    Sets,
+    Needs,
     arrivals,
     carried,
+    changes_labware,
     hand_of,
 )
 from labos.core.ids import ModuleName, StationName
@@ -34,14 +34,21 @@ END = -1
 
 Values = Mapping[str, Any]
 
+Settings = tuple[tuple[str, Any], ...]
+"""Variables of modules, by their keys, and values of them."""
+
 
 class Motion(msgspec.Struct, frozen=True):
     """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``. Or one
     that moves nothing: what the run holds from then on (``grabs``: key and value, None if it can
     be shared with nobody), and what it does not hold any more (``frees``). ``uses`` is the module
-    that nobody else may hold then. ``back``: it is known how something in
-    flight ended. It failed, and its labware is at ``target`` (as before on a stack, if ``new``) instead of
-    at ``source``; or without a ``target``, ``source`` need not be kept free for it any more.
+    that nobody else may hold then. ``needs``: labware that it has not brought itself has to stand at one of
+    these places, for each need, and is lent to the run; if it ``keeps`` it, for good. ``returns``: what is
+    lent to the run goes back. ``wants`` are variables of modules and the values that they must have, ``sets``
+    those that they have afterwards; doors and lids, which have a rest, are held instead. ``back``: it is
+    known how something in flight ended. It failed, and its labware is at ``target`` (as before on a stack,
+    if ``new``) instead of at ``source``; or without a ``target``, ``source`` need not be kept free for it any
+    more.
 
     What it needs and does beside is as its effect says (see ``effects.Carrying``). All needs of a step are
     asked before any of it is done, so they stand with its first motion: where it needs labware or room
@@ -55,6 +62,11 @@ class Motion(msgspec.Struct, frozen=True):
     uses: ModuleName = ModuleName("")
     grabs: tuple[tuple[str, Any], ...] = ()
     frees: tuple[str, ...] = ()
+    needs: tuple[tuple[StationName, ...], ...] = ()
+    keeps: bool = False
+    returns: bool = False
+    wants: Settings = ()
+    sets: Settings = ()
     lid: Lid = ""
     back: bool = False
     stock: StationName = NOWHERE
@@ -68,8 +80,9 @@ class Motion(msgspec.Struct, frozen=True):
 
     @property
     def changes_anything(self) -> bool:
-        """Whether labware stands elsewhere after it, or somebody holds something else."""
-        return bool(self.target or self.grabs or self.frees)
+        """Whether labware stands elsewhere after it or belongs to somebody else, or somebody holds something
+        else."""
+        return bool(self.target or self.grabs or self.frees or self.needs or self.returns or self.sets)
 
 
 def carrying(
@@ -78,6 +91,7 @@ def carrying(
     uses: ModuleName,
     hand: StationName,
     guarded: Collection[StationName],
+    wants: Settings = (),
 ) -> list[Motion]:
     """The motions of a step that carries something, by a module with this ``hand``. Only at ``guarded``
     places, hands among them, anybody could be kept from reaching in."""
@@ -102,6 +116,7 @@ def carrying(
                 stands=_stands(effects),
                 entered=tuple(dict.fromkeys(p for each in effects for p in each.entered if p in guarded)),
                 room=tuple(arrivals(effects)),
+                wants=wants,
                 hand=hand if hand in guarded and any(e.source != hand for e in effects) else NOWHERE,
             )
         motions.append(motion)
@@ -136,23 +151,51 @@ def path_of(
     plan: Plan,
     claims: Mapping[StationName, str] = MappingProxyType({}),
     rests: Mapping[ModuleName, Values] = MappingProxyType({}),
+    nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
 ) -> Path:
     """The motions of a plan; steps in an order in which they may run one after the other. ``claims`` says
     which stations hold which claim (empty: none, but they are hands or behind a door), ``rests`` how the
-    modules' doors and lids stand at rest."""
-    found = [(way, motions_of_steps(plan, way.steps, claims, rests)) for way in ways(plan)]
+    modules' doors and lids stand at rest, ``nests`` where they work on labware."""
+    found = [(way, motions_of_steps(plan, way.steps, claims, rests, nests)) for way in ways(plan)]
     modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
     changing = frozenset(motion.step for motion in found[0][1] if motion.changes_anything)
     return Path(found[0][1], modules, changing, tuple(found) if len(found) > 1 else ())
 
 
 class Stand(msgspec.Struct):
-    """How a run stands on the bench before its next motion: how much of its labware holds each claim,
-    how the doors and lids are that it has left, and what it holds by them or by setpoints."""
+    """How a run stands on the bench before its next motion: where it has how much labware, how much of that
+    holds each claim, where what it works on is ``lent`` to it, how the doors and lids are that it has left,
+    and what it holds by them or by setpoints."""
 
+    own: Counter[StationName] = msgspec.field(default_factory=Counter)
+    lent: dict[StationName, bool] = {}
     claims: Counter[str] = msgspec.field(default_factory=Counter)
     doors: dict[ModuleName, dict[str, Any]] = {}
     held: dict[str, bool] = {}
+
+    def carry(self, what: Carrying, claims: Mapping[StationName, str]) -> None:
+        """Something is carried; a plate whose lid is carried belongs to the run too."""
+        self.claims[claims.get(what.emptied, "")] -= 1
+        self.claims[claims.get(what.filled, "")] += 1
+        if self.own[what.emptied]:
+            self.own[what.emptied] -= 1
+        for place in (what.filled, what.plate_at):
+            self.own[place] = max(self.own[place], 1) if place == what.plate_at else self.own[place] + 1
+            self.lent.pop(place, None)
+        self.lent.pop(what.emptied, None)
+
+    def lend(
+        self, places: tuple[StationName, ...], claims: Mapping[StationName, str], *, keeps: bool
+    ) -> None:
+        """Labware at one of these places is lent to the run, or given."""
+        if not keeps:
+            self.lent.update(dict.fromkeys(places, True))
+        if len(places) == 1:
+            if keeps:
+                self.lent.pop(places[0], None)
+            if not self.own[places[0]]:
+                self.own[places[0]] = 1
+                self.claims[claims.get(places[0], "")] += 1
 
 
 def motions_of_steps(
@@ -160,39 +203,70 @@ def motions_of_steps(
     order: Sequence[int],
     claims: Mapping[StationName, str],
     rests: Mapping[ModuleName, Values],
+    nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
     before: Stand | None = None,
 ) -> tuple[Motion, ...]:
     """What steps do to the bench, carried out in this order. Changes how the run stands."""
     motions: list[Motion] = []
     before = Stand() if before is None else before
     standing, values, held = before.claims, before.doors, before.held
-    ever = dict(held)
+    ever, lent = dict(held), bool(before.lent)
     for index in order:
         step = plan.steps[index]
-        rest = rests.get(step.module, {})
+        rest, after = rests.get(step.module, {}), settings_after(step.effects)
         doors = values.setdefault(step.module, {})
-        doors.update(_doors(step, rest))
-        grabs, frees = _holds(plan, index, away=_away(doors, rest), held=held)
+        doors.update(after.variables)
+        grabs, frees = _holds(plan, index, after, away=bool(away_from_rest(doors, rest)), held=held)
         held.update(dict.fromkeys((key for key, _ in grabs), True))
         ever.update(held)
         moving = carried(step.effects)
         mine = standing[step.module] or (door_key(step.module) in held and not grabs)
         # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
         user = ModuleName("") if step.recovers else step.module
-        needs = step.exclusive and not moving
-        if grabs or (needs and user and not mine):
-            motions.append(Motion(index, uses=user if needs else ModuleName(""), grabs=grabs))
-        motions += carrying(index, *moving, uses=user, hand=hand_of(step.module), guarded=claims)
+        uses = user if step.exclusive and not moving else ModuleName("")
+        needs, keeps = _needs(step, nests, before), changes_labware(step.effects)
+        lent = lent or bool(needs)
+        wants = _without_rest(step.module, needed_before(step.effects), rest)
+        sets = _without_rest(step.module, after.variables, rest)
+        if grabs or needs or (wants and not moving) or (uses and not mine):
+            motions.append(
+                Motion(
+                    index,
+                    uses=uses,
+                    grabs=grabs,
+                    needs=needs,
+                    keeps=keeps and bool(needs),
+                    wants=() if moving else wants,
+                )
+            )
+        for places in needs:
+            before.lend(places, claims, keeps=keeps)
+        hand = hand_of(step.module)
+        motions += carrying(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
         for what in moving:
-            standing[claims.get(what.emptied, "")] -= 1
-            standing[claims.get(what.filled, "")] += 1
-        if frees:
-            motions.append(Motion(index, frees=frees))
+            before.carry(what, claims)
+        if frees or sets:
+            motions.append(Motion(index, frees=frees, sets=sets))
             for key in frees:
                 held.pop(key, None)
-    if ever:  # also of what it has let go of before: steps beside each other may end in another order
-        motions.append(Motion(END, frees=tuple(ever)))
+    if ever or lent:  # also of what it has let go of before: steps beside each other may end in any order
+        motions.append(Motion(END, frees=tuple(ever), returns=lent))
     return tuple(motions)
+
+
+def _needs(
+    step: PlanStep, nests: Mapping[ModuleName, tuple[StationName, ...]], before: Stand
+) -> tuple[tuple[StationName, ...], ...]:
+    """Where a step needs labware that its run has not brought there, or changes what is lent to it."""
+    found: list[tuple[StationName, ...]] = []
+    for effect in step.effects:
+        if isinstance(effect, Needs):
+            places = (effect.station,) if effect.station else nests.get(step.module, ())
+            brought = any(before.own[place] > 0 for place in places)
+            changed = changes_labware(step.effects) and any(place in before.lent for place in places)
+            if places and (changed or not brought):
+                found.append(places)
+    return tuple(found)
 
 
 @cache
@@ -212,13 +286,18 @@ def kept_by(key: str) -> ModuleName:
     return ModuleName(key.removeprefix("hold:") if key.startswith("hold:") else "")
 
 
+def variable_key(module: ModuleName, variable: str) -> str:
+    """A variable of a module that stays as the last action has set it."""
+    return f"variable:{module}.{variable}"
+
+
 def setpoint_key(module: ModuleName, setpoint: str) -> str:
     return f"setpoint:{module}.{setpoint}"
 
 
 def _holds(
-    plan: Plan, index: int, *, away: bool, held: Mapping[str, bool]
-) -> tuple[tuple[tuple[str, Any], ...], tuple[str, ...]]:
+    plan: Plan, index: int, after: ModuleSettings, *, away: bool, held: Mapping[str, bool]
+) -> tuple[Settings, tuple[str, ...]]:
     """What a run comes to hold with a step, and what it lets go of with it."""
     step = plan.steps[index]
     door = door_key(step.module)
@@ -228,11 +307,8 @@ def _holds(
         grabs.append((door, None))
     elif step.exclusive and not away and door in held:
         frees.append(door)
-    for effect in step.effects:
-        if isinstance(effect, Claims):
-            grabs.append((setpoint_key(step.module, effect.setpoint), effect.value))
-        elif isinstance(effect, Releases):
-            frees.append(setpoint_key(step.module, effect.setpoint))
+    grabs += [(setpoint_key(step.module, name), value) for name, value in after.claims.items()]
+    frees += [setpoint_key(step.module, name) for name in after.releases]
     for hold in plan.holds:
         if hold.first == index:
             grabs.append((hold_key(hold.module), None))
@@ -241,14 +317,6 @@ def _holds(
     return tuple(grabs), tuple(frees)
 
 
-def _doors(step: PlanStep, rest: Values) -> dict[str, Any]:
-    """How a step leaves the doors and lids of its module."""
-    return {
-        effect.variable: effect.value
-        for effect in step.effects
-        if isinstance(effect, Sets) and effect.of == "module" and effect.variable in rest
-    }
-
-
-def _away(values: Values, rest: Values) -> bool:
-    return any(rest[name] != value for name, value in values.items())
+def _without_rest(module: ModuleName, values: Values, rest: Values) -> Settings:
+    """Values of a module's variables, without its doors and lids."""
+    return tuple((variable_key(module, name), value) for name, value in values.items() if name not in rest)

@@ -30,7 +30,7 @@ NOT_OVERTAKEN = (
     reasons.Cancelling,
     reasons.NotPending,
     reasons.Gone,
-    reasons.NothingThere,
+    reasons.StillToCome,
 )
 """Waits that no other run's start makes longer: for a time, or for the run itself."""
 

@@ -11,11 +11,21 @@ from labos.core.state import LabState
 from labos.core.waits import party
 from labos.planning.forecast import deadline, earliest, is_pending, pending_before
 
-Who = tuple[str, int]
-"""A step of a run, or a run and -1: labware that it has put down before, or a module that it holds."""
+Step = tuple[str, int]
+"""A run and one of its steps."""
 
-NOBODY: Who = ("", -1)
+Who = tuple[str, int | None]
+"""A step of a run, or a run and no step: labware that it has put down before, or a module that it holds."""
+
+NOBODY: Who = ("", None)
 """Nobody who could be told to wait or to go: labware of no run, a module that is down."""
+
+
+def step_of(who: Who) -> Step | None:
+    """The step that somebody stands for; None if it is none in particular."""
+    name, index = who
+    return (name, index) if index is not None else None
+
 
 FAR = 2**62
 """A time that never comes (UTC ns)."""

@@ -16,7 +16,7 @@ import msgspec
 from labos.core.ids import RunId
 from labos.core.rules import lab_ns
 from labos.core.runs import PENDING
-from labos.planning.player import FAR, Player, Who
+from labos.planning.player import FAR, Player, Step, Who
 from labos.planning.scene import Scene
 
 
@@ -24,16 +24,16 @@ class Advice(msgspec.Struct, frozen=True):
     """Which steps are not to start before another one has started, or before a time (UTC ns), and which
     runs go on to their end to make room."""
 
-    behind: dict[Who, tuple[Who, ...]] = {}
-    not_before: dict[Who, int] = {}
+    behind: dict[Step, tuple[Step, ...]] = {}
+    not_before: dict[Step, int] = {}
     leaving: frozenset[str] = frozenset()
 
-    def put_behind(self, step: Who, other: Who) -> Advice:
+    def put_behind(self, step: Step, other: Step) -> Advice:
         """The same, but a step waits until another one has started."""
         behind = {**self.behind, step: (*self.behind.get(step, ()), other)}
         return msgspec.structs.replace(self, behind=behind)
 
-    def put_off(self, step: Who, until: int) -> Advice:
+    def put_off(self, step: Step, until: int) -> Advice:
         """The same, but a step does not start before a time."""
         return msgspec.structs.replace(self, not_before={**self.not_before, step: until})
 
@@ -52,15 +52,15 @@ class Outcome(msgspec.Struct):
     never come to their ends, and which runs these are. ``tangle`` is a step whose clock has not begun, but
     which could not follow in time after all these starts."""
 
-    starts: dict[Who, int] = {}
-    late: dict[Who, int] = {}
-    blame: dict[Who, dict[Who, bool]] = {}
-    due: dict[Who, int] = {}
-    trap: tuple[Who, tuple[str, ...]] | None = None
-    tangle: Who | None = None
+    starts: dict[Step, int] = {}
+    late: dict[Step, int] = {}
+    blame: dict[Step, dict[Who, bool]] = {}
+    due: dict[Step, int] = {}
+    trap: tuple[Step, tuple[str, ...]] | None = None
+    tangle: Step | None = None
 
 
-def play(scene: Scene, players: Iterable[Player], advice: Advice, forced: Who | None = None) -> Outcome:
+def play(scene: Scene, players: Iterable[Player], advice: Advice, forced: Step | None = None) -> Outcome:
     """Play a scene forward until nothing has to be started any more, or nothing goes on. ``forced`` starts
     at once, whatever the advice. Changes scene and players."""
     cast = {player.name: player for player in players}
@@ -132,6 +132,6 @@ def _start_all(
     return later
 
 
-def _is_pending(cast: dict[str, Player], who: Who) -> bool:
+def _is_pending(cast: dict[str, Player], who: Step) -> bool:
     player = cast.get(who[0])
     return player is not None and player.steps[who[1]] == PENDING

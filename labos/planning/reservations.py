@@ -28,10 +28,10 @@ from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
-from labos.planning.floor import down
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, spread, uses
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.keeping import Windows
+from labos.planning.layout import down
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
 
@@ -72,7 +72,7 @@ class Reservations:
         self._all: dict[str, list[Reservation]] = {}
         self._urgent: dict[str, dict[tuple[RunId, int], int]] = {}
         self._helpers: dict[tuple[RunId, int], Helpers] = {}
-        self._helpers_at = (-1, -1)
+        self._helpers_at: tuple[int, int] | None = None
 
     def open(self, state: LabState, now: int, cell: str = "") -> list[Reservation]:
         """Those of a workcell (none named: of all) whose window is open, the earliest deadline first."""
@@ -258,7 +258,8 @@ def _first_deadline(found: Reservation) -> tuple[int, int, int]:
 
 def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
     """When the steps that start a step's clocks should end, of those that are in flight."""
-    anchors = {w.anchor for w in state.runs.plan_of(run).steps[index].windows if not w.of}
+    windows = state.runs.plan_of(run).steps[index].windows
+    anchors = {window.anchor for window in windows if window.anchor is not None}
     if not any(run.steps[step].status == IN_FLIGHT for step in anchors if run.has_started):
         return {}
     return {

@@ -38,21 +38,11 @@ from labos.core.ids import (
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
 from labos.core.state import LabState
-from labos.planning.floor import (
-    CLOSING,
-    Actor,
-    Branch,
-    Floor,
-    down,
-    is_closing,
-    keep,
-    lay_out,
-    may_move,
-    move,
-    standing,
-)
+from labos.planning.floor import CLOSING, Actor, Branch, Floor, is_closing
 from labos.planning.forks import FORKED, futures, kept_for, motions_of
+from labos.planning.layout import down, keep, lay_out, standing
 from labos.planning.leaving import leaving
+from labos.planning.moves import may_move, move
 from labos.planning.paths import Motion, Path, path_of
 from labos.planning.stuck import reaches_into, stuck_on
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
@@ -364,16 +354,27 @@ def closes(state: LabState, run: RunState) -> bool:
     return experiment is not None and not any(name in state.runs.active for name in experiment.runs)
 
 
-def _rules(state: LabState, cell: str) -> tuple[dict[StationName, str], dict[ModuleName, Mapping[str, Any]]]:
-    """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; and how
-    its modules' doors and lids stand at rest."""
+Rules = tuple[
+    dict[StationName, str],
+    dict[ModuleName, Mapping[str, Any]],
+    dict[ModuleName, tuple[StationName, ...]],
+]
+
+
+def _rules(state: LabState, cell: str) -> Rules:
+    """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; how its
+    modules' doors and lids stand at rest; and which stations are theirs, as plans name them."""
     stations = state.bench.stations
     specs = [stations[name].spec for name in state.bench.in_cell.get(cell, ())]
     claims = {spec.name: spec.claim for spec in specs if spec.claim or spec.access or spec.kind == "gripper"}
     rests: dict[ModuleName, Mapping[str, Any]] = {
         name: module.spec.rest for name, module in state.modules.within(cell) if module.spec.rest
     }
-    return claims, rests
+    nests = {
+        name: tuple(dict.fromkeys(map(state.bench.planned, state.bench.by_module.get(name, ()))))
+        for name, _ in state.modules.within(cell)
+    }
+    return claims, rests, nests
 
 
 def _stuck(actors: Sequence[Actor]) -> frozenset[str]:

@@ -12,29 +12,27 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import ActionStatus
-from labos.core.algebra import refused
+from labos.core.algebra import refused, settings_after
 from labos.core.binding import same
 from labos.core.effects import (
     AnyEffect,
     Carrying,
     Claims,
     Consumes,
-    Move,
     Needs,
-    Releases,
     Requires,
-    Sets,
+    changes_labware,
     hand_of,
 )
-from labos.core.ids import ModuleName, Owner, StationName, run_owner
+from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
 from labos.core.model import PlanStep
 from labos.core.rules import lab_ns
 from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import party
 from labos.core.zones import zones_of
-from labos.planning.floor import down
-from labos.planning.player import FAR, NOBODY, Player, Who
+from labos.planning.layout import down
+from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
 
 class Scene:
@@ -46,26 +44,28 @@ class Scene:
         self.reached: dict[ModuleName, dict[Who, bool]] = {}
         self.zones: dict[str, dict[Who, ModuleName]] = {}
         self.standing: dict[StationName, list[tuple[Owner, Who]]] = {}
-        self.held: dict[ModuleName, dict[str, int]] = {}
+        self.held: dict[ModuleName, dict[str, int | None]] = {}
         self.values: dict[tuple[ModuleName, str], tuple[Any, Who]] = {}
-        self.setpoints: dict[tuple[ModuleName, str], dict[str, tuple[Any, int]]] = {}
-        self.flying: list[tuple[int, int, Who, PlanStep, tuple[AnyEffect, ...]]] = []
+        self.setpoints: dict[tuple[ModuleName, str], dict[str, tuple[Any, int | None]]] = {}
+        self.flying: list[tuple[int, int, Step, PlanStep, tuple[AnyEffect, ...]]] = []
         self.drawn: dict[StationName, int] = {}
+        self.lent: dict[str, tuple[tuple[StationName, Owner], ...]] = {}
         self.inside = {str(name) for name in state.runs.active}
         bench = state.bench
         for place, station in bench.stations.items():
             for labware in station.labware if not station.spec.hotel else ():
                 item = bench.labware[labware]
-                self.standing.setdefault(place, []).append((item.owner, (_run_of(item.owner), -1)))
+                self.standing.setdefault(place, []).append((item.owner, (_run_of(item.owner), None)))
+                if item.lender:
+                    self._lend(_run_of(item.owner), place, item.lender)
         for name in state.runs.holders:
-            self.held[name] = {str(run): -1 for run in state.runs.holding(name)}
+            self.held[name] = {str(run): None for run in state.runs.holding(name)}
         for name, module in state.modules.by_name.items():
             if name.startswith(f"{cell}/"):
                 for variable, known in module.variables.items():
-                    self.values[name, variable] = known.value, (known.by, -1)
+                    self.values[name, variable] = known.value, (known.by, None)
                 for setpoint, now_set in module.setpoints.items():
-                    holders = {str(run): (now_set.value, -1) for run in now_set.holders}
-                    self.setpoints[name, setpoint] = holders
+                    self.setpoints[name, setpoint] = {str(r): (now_set.value, None) for r in now_set.holders}
         for action in state.actions.open.values():
             run = state.runs.active.get(action.run)
             if run is None or not action.module.startswith(f"{cell}/"):
@@ -80,7 +80,7 @@ class Scene:
         other = Scene.__new__(Scene)
         other.state, other.cell, other.now = self.state, self.cell, self.now
         other.busy, other.values, other.flying = dict(self.busy), dict(self.values), list(self.flying)
-        other.inside, other.drawn = set(self.inside), dict(self.drawn)
+        other.inside, other.drawn, other.lent = set(self.inside), dict(self.drawn), dict(self.lent)
         other.reached = {name: dict(who) for name, who in self.reached.items()}
         other.zones = {name: dict(who) for name, who in self.zones.items()}
         other.standing = {name: list(who) for name, who in self.standing.items()}
@@ -190,19 +190,48 @@ class Scene:
                         self.standing.setdefault(place, []).append((owner, who))
                 if effect.stock:
                     self.drawn[effect.stock] = self.drawn.get(effect.stock, 0) + 1
-            elif isinstance(effect, Claims):
-                self.setpoints.setdefault((step.module, effect.setpoint), {})[who[0]] = effect.value, index
+            elif isinstance(effect, Needs):
+                self._borrow(run, step, effect, who, keeps=changes_labware(effects))
+        for setpoint, value in settings_after(effects).claims.items():
+            self.setpoints.setdefault((step.module, setpoint), {})[who[0]] = value, index
         for hold in self.state.runs.plan_of(run).holds:
             if hold.first == index:
                 self.held.setdefault(hold.module, {})[who[0]] = index
         heapq.heappush(self.flying, (end, len(self.flying) + index, who, step, effects))
+
+    def places_of(self, step: PlanStep, needs: Needs) -> list[StationName]:
+        """Where the labware may stand that a step needs."""
+        return [needs.station] if needs.station else self.state.bench.by_module.get(step.module, [])
+
+    def within_reach(self, place: StationName) -> list[Owner]:
+        """Whose labware can be worked on at a place; on a stack that is the topmost piece."""
+        owners = [owner for owner, _ in self.standing.get(place, ())]
+        return owners[-1:] if self.state.bench.stations[place].spec.kind == "stack" else owners
+
+    def _borrow(self, run: RunState, step: PlanStep, needs: Needs, who: Who, *, keeps: bool) -> None:
+        """What a run works on is lent to it until its end, or its own for good."""
+        owners, places = party(run), self.places_of(step, needs)
+        found = [(owners.index(o), p) for p in places for o in self.within_reach(p) if o in owners]
+        if not found:
+            return
+        rank, place = min(found, key=lambda pair: pair[0])
+        there = self.standing[place]
+        number = max(i for i, (owner, _) in enumerate(there) if owner == owners[rank])
+        there[number] = run_owner(run.id), who
+        if keeps:
+            self.lent[run.id] = tuple(loan for loan in self.lent.get(run.id, ()) if loan[0] != place)
+        elif rank:
+            self._lend(run.id, place, owners[rank])
+
+    def _lend(self, name: str, place: StationName, owner: Owner) -> None:
+        self.lent[name] = (*self.lent.get(name, ()), (place, owner))
 
     def _owner_at(self, run: RunState, place: StationName) -> Owner:
         """Whose labware it is that a run carries away."""
         there = [owner for owner, _ in self.standing.get(place, ())]
         return next((owner for owner in party(run) if owner in there), run_owner(run.id))
 
-    def let_go(self, player: Player | None, run: RunState, who: Who, step: PlanStep, effects: Any) -> None:
+    def let_go(self, player: Player | None, run: RunState, who: Step, step: PlanStep, effects: Any) -> None:
         """A step has ended: what it took and what it leaves is there for others."""
         if self.busy.get(step.module) == who:
             del self.busy[step.module]
@@ -214,10 +243,11 @@ class Scene:
             if isinstance(effect, Carrying):
                 for place in (effect.emptied, effect.via):
                     self._remove(run, place)
-            elif isinstance(effect, Sets) and effect.of == "module":
-                self.values[step.module, effect.variable] = effect.value, who
-            elif isinstance(effect, Releases):
-                self.setpoints.get((step.module, effect.setpoint), {}).pop(who[0], None)
+        after = settings_after(effects)
+        for variable, value in after.variables.items():
+            self.values[step.module, variable] = value, who
+        for setpoint in after.releases:
+            self.setpoints.get((step.module, setpoint), {}).pop(who[0], None)
         for hold in self.state.runs.plan_of(run).holds:
             if hold.last == who[1]:
                 self.held.get(hold.module, {}).pop(who[0], None)
@@ -235,7 +265,13 @@ class Scene:
                 return
 
     def _leave(self, name: str) -> None:
-        """The end of a run lets go of all that it held."""
+        """The end of a run lets go of all that it held, and gives back what was lent to it."""
+        mine = run_owner(RunId(name))
+        for place, lender in self.lent.pop(name, ()):
+            there = self.standing.get(place, [])
+            number = next((i for i, (owner, _) in enumerate(there) if owner == mine), None)
+            if number is not None:
+                there[number] = lender, NOBODY
         for holders in self.held.values():
             holders.pop(name, None)
         for setters in self.setpoints.values():
@@ -307,10 +343,8 @@ class Turn:
         return there[0][1] if there else NOBODY
 
     def labware(self, needs: Needs) -> Who | None:
-        places = (
-            [needs.station] if needs.station else self.scene.state.bench.by_module.get(self.step.module, [])
-        )
-        there = [owner for place in places for owner, _ in self.scene.standing.get(place, ())]
+        places = self.scene.places_of(self.step, needs)
+        there = [owner for place in places for owner in self.scene.within_reach(place)]
         return None if any(owner in self.player.party for owner in there) else NOBODY
 
     def value(self, requires: Requires) -> Who | None:
@@ -332,9 +366,9 @@ class Turn:
 
 def _as_planned(state: LabState, effect: AnyEffect) -> AnyEffect:
     """An effect as its plan has it: hotels instead of their shelves."""
-    fields = ("source", "target") if isinstance(effect, Move) else ("target",)
     if not isinstance(effect, Carrying):
         return effect
+    fields = ("target",) if effect.stock else ("source", "target")
     planned = {field: state.bench.planned(getattr(effect, field)) for field in fields}
     return msgspec.structs.replace(effect, **planned)
 

@@ -82,7 +82,7 @@ class Scheduler:
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[RunId, bool] = {}
-        self._futile_at = -1
+        self._futile_at: int | None = None
         self._fresh = True
         self._heeded: tuple[Iterable[str], list[str]] = ((), [])
 

@@ -7,13 +7,15 @@ one that is not let in yet keeps nobody out.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from labos.core import reasons
-from labos.core.binding import laid_up, unfit, unpromised
+from labos.core.bench import Labware, variable_of
+from labos.core.binding import laid_up, same, unfit, unpromised, usable_at
 from labos.core.booked import booked_now
-from labos.core.effects import places
-from labos.core.ids import ModuleName, Owner, StationName, run_owner
-from labos.core.model import PlanStep
+from labos.core.effects import Carrying, Needs, Requires, Sets, places
+from labos.core.ids import LabwareId, ModuleName, Owner, StationName, run_owner
+from labos.core.model import MAIN, PlanStep
 from labos.core.rules import halted, held_wait
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, statuses_of
 from labos.core.state import LabState
@@ -27,14 +29,14 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
     """The first thing that a run cannot get past whatever the others do; None if there is nothing."""
     steps = state.runs.plan_of(run).steps
     if run.unapproved:
-        return Wait(reasons.Unapproved(run.user), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
     if run.held:
         return held_wait(state, run)
     if run.paused:
-        return Wait(reasons.Paused(run.id), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Paused(run.id), (run_key(run.id),))
     if run.has(UNKNOWN):
         key = steps[run.statuses.index(UNKNOWN)].key
-        return Wait(reasons.Outcome(key), (run_key(run.id),), blocked=True)
+        return Wait(reasons.Outcome(key), (run_key(run.id),))
     for _, wait in asked(state, run):
         return wait
     states = statuses_of(state.runs.plan_of(run), run)
@@ -57,7 +59,7 @@ def asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
     steps = state.runs.plan_of(run).steps
     questions = state.interventions.of_run(run.id)
     indices = [(q.topic.step, q.id) for q in questions if isinstance(q.topic, FailedStep)]
-    return [(index, Wait(reasons.Asked(steps[index].key, name), blocked=True)) for index, name in indices]
+    return [(index, Wait(reasons.Asked(steps[index].key, name))) for index, name in indices]
 
 
 def _halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
@@ -73,7 +75,7 @@ def _lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
         for item in state.bench.owned(owner):
             if item.maybe:
                 keys = tuple(station_key(place) for place in item.maybe)
-                return Wait(reasons.Lost(item.id), keys, blocked=True)
+                return Wait(reasons.Lost(item.id), keys)
     return None
 
 
@@ -82,7 +84,7 @@ def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
     for name in dict.fromkeys(step.module for step in left):
         module = state.modules.by_name.get(name)
         if module is None:
-            return Wait(reasons.NoModule(name), (module_key(name),), blocked=True)
+            return Wait(reasons.NoModule(name), (module_key(name),))
         wait = laid_up(module, recovers=name in recovered)
         if wait is not None:
             return wait
@@ -111,9 +113,7 @@ def _barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | 
             for zone in zones_of(state, step.module, step.effects):
                 other = zones.get(zone, step.module)
                 if other != step.module:
-                    return Wait(
-                        reasons.ZoneBarred(other, zone), (zone_key(zone), module_key(other)), blocked=True
-                    )
+                    return Wait(reasons.ZoneBarred(other, zone), (zone_key(zone), module_key(other)))
     return None
 
 
@@ -126,14 +126,16 @@ def _dry(state: LabState, run: RunState) -> Wait | None:
         if state.resources.of(module, resource) is None:
             continue
         if (unpromised(state, module, resource) or 0.0) < amount:
-            return Wait(reasons.UsedUp(module, resource), (module_key(module),), blocked=True)
+            return Wait(reasons.UsedUp(module, resource), (module_key(module),))
     return None
 
 
 def _at_a_loss(state: LabState, run: RunState) -> Wait | None:
     """A step whose turn it is, but whose labware is not as the step or the place needs it: of a type that
     the place does not take or the arm cannot hold, the wrong way round, sealed or lidded."""
-    if not run.has_started or run.has(IN_FLIGHT):
+    if not run.has_started:
+        return _unlike(state, run)
+    if run.has(IN_FLIGHT):
         return None
     steps = state.runs.plan_of(run).steps
     ready = [
@@ -144,3 +146,67 @@ def _at_a_loss(state: LabState, run: RunState) -> Wait | None:
     ]
     waits = [unfit(state, run, step) for step in ready]
     return waits[0] if waits and all(waits) else None
+
+
+def _unlike(state: LabState, run: RunState) -> Wait | None:
+    """Labware that a run will find on the bench once it is let in, and that is not as one of its steps needs
+    it."""
+    way = _OnTheWay(state, run)
+    for step in state.runs.plan_of(run).steps:
+        if step.part == MAIN and step.when is None:
+            wait = way.unlike(step)
+            if wait is not None:
+                return wait
+    return None
+
+
+class _OnTheWay:
+    """The labware that a run will meet, as it stands now and also where it is lent to somebody, and what the
+    run will have changed of it."""
+
+    def __init__(self, state: LabState, run: RunState) -> None:
+        self.state, self.run = state, run
+        self._at: dict[StationName, Labware | None] = {}
+        self._changed: set[tuple[LabwareId, str]] = set()
+
+    def unlike(self, step: PlanStep) -> Wait | None:
+        """What is not as a step needs it; then as the step leaves it."""
+        subject: Labware | None = None
+        for effect in step.effects:
+            match effect:
+                case Carrying():
+                    subject = self._find(effect.plate_at or effect.source) if effect.stands else None
+                    wait = self._refused(subject, "lidded", effect.lid == "off") if effect.lid else None
+                    if wait is not None:
+                        return wait
+                    self._carry(effect, subject)
+                case Needs():
+                    nests = self.state.bench.by_module.get(step.module, [])
+                    places = [effect.station] if effect.station else nests
+                    brought = any(place in self._at and self._at[place] is None for place in places)
+                    found = (self._find(place) for place in places)
+                    subject = None if brought else next(filter(None, found), None)
+                case Requires(of="labware"):
+                    wait = self._refused(subject, effect.variable, effect.value)
+                    if wait is not None:
+                        return wait
+                case Sets(of="labware") if subject is not None:
+                    self._changed.add((subject.id, effect.variable))
+        return None
+
+    def _find(self, place: StationName) -> Labware | None:
+        if place not in self._at:
+            self._at[place] = usable_at(self.state, self.run, place, lent=True)
+        return self._at[place]
+
+    def _carry(self, what: Carrying, subject: Labware | None) -> None:
+        if what.lid:
+            self._changed |= {(subject.id, "lidded")} if subject is not None else set()
+            self._at[what.target if what.lid == "off" else what.source] = None
+            return
+        self._at[what.target], self._at[what.source] = subject, None
+
+    def _refused(self, item: Labware | None, variable: str, wanted: Any) -> Wait | None:
+        if item is None or (item.id, variable) in self._changed or same(variable_of(item, variable), wanted):
+            return None
+        return Wait(reasons.Unfit(item.id, variable, str(wanted)), (station_key(item.station),))

@@ -14,16 +14,14 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan, PlanStep, Workcell
 from labos.core.zones import zones_reached
 
-NOBODY = -1
-
 
 class Slot(msgspec.Struct, frozen=True):
     """A step's time, in seconds from the start of the run. ``held_by`` is the step whose end it
-    starts at or waits after (-1: none); ``late_s`` is how much it misses a window by."""
+    starts at or waits after, if any; ``late_s`` is how much it misses a window by."""
 
     start_s: float
     end_s: float
-    held_by: int = NOBODY
+    held_by: int | None = None
     late_s: float = 0.0
 
 
@@ -86,7 +84,7 @@ def _usual(plan: Plan) -> list[PlanStep]:
 
 def _anchors(step: PlanStep) -> list[tuple[int, float, float | None]]:
     """The step's windows within the plan: step, least and greatest time after its end."""
-    return [(w.anchor, w.wait_s, w.within_s) for w in step.windows if w.anchor >= 0]
+    return [(w.anchor, w.wait_s, w.within_s) for w in step.windows if w.anchor is not None]
 
 
 def _before(step: PlanStep) -> set[int]:
@@ -106,12 +104,12 @@ def _occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
 
 def _start(
     step: PlanStep, slots: dict[int, Slot], free: dict[str, int], needs: tuple[str, ...]
-) -> tuple[float, int]:
+) -> tuple[float, int | None]:
     """When the step can start, and the step that decides it."""
     holds = [(slots[index].end_s, index) for index in step.after]
     holds += [(slots[anchor].end_s + wait_s, anchor) for anchor, wait_s, _ in _anchors(step)]
     holds += [(slots[free[name]].end_s, free[name]) for name in needs if name in free]
-    return max(holds, default=(0.0, NOBODY))
+    return max(holds, default=(0.0, None))
 
 
 def _late_s(step: PlanStep, start_s: float, slots: dict[int, Slot]) -> float:
@@ -126,8 +124,8 @@ def _late_s(step: PlanStep, start_s: float, slots: dict[int, Slot]) -> float:
 def _critical(slots: tuple[Slot, ...], total_s: float) -> tuple[int, ...]:
     """The steps that decide the end, from the first to the last."""
     path: list[int] = []
-    index = next((index for index, slot in enumerate(slots) if slot.end_s == total_s), NOBODY)
-    while index != NOBODY:
+    index = next((index for index, slot in enumerate(slots) if slot.end_s == total_s), None)
+    while index is not None:
         path.append(index)
         index = slots[index].held_by
     return tuple(reversed(path))

@@ -22,7 +22,7 @@ from labos.core.model import Plan
 from labos.core.plans import PlanState
 from labos.core.runs import RunState, clocks_of, held_back, queue_key
 from labos.core.state import LabState
-from labos.planning.floor import destination, labware_in
+from labos.planning.layout import destination, labware_in
 
 PATIENCE = 8
 """After so many younger runs were let in before it, the oldest run of a bundle is protected: no

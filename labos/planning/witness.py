@@ -10,8 +10,9 @@ from collections.abc import Sequence
 
 import msgspec
 
-from labos.planning.floor import Actor, Floor, Taken, may_move, move, take_back
+from labos.planning.floor import Actor, Floor
 from labos.planning.forks import FORK, FORKED, Ends, finish, unfinish
+from labos.planning.moves import Taken, may_move, move, take_back
 from labos.planning.paths import Motion
 
 Witness = tuple[tuple[str, int], ...]
@@ -186,6 +187,8 @@ def copy(floor: Floor) -> Floor:
         claimed=claimed,
         pools=pools,
         held={key: dict(holders) for key, holders in floor.held.items()},
+        lent=dict(floor.lent),
+        values=dict(floor.values),
         piles={place: list(pile) for place, pile in floor.piles.items()},
     )
 

@@ -107,9 +107,9 @@ def _action(event: Any, names: Catalogue) -> str:
 
 
 def _anchor(event: st.WindowBreached, names: Catalogue) -> str:
-    anchor = names.step(event.run, event.anchor)
-    if event.of:
+    if event.anchor is None:
         return f"a step of {event.of}"
+    anchor = names.step(event.run, event.anchor)
     return repr(anchor.key) if anchor is not None else f"step {event.anchor}"
 
 
@@ -200,7 +200,9 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: (
-        f"now belongs to {owner_name(e.owner)}" + _if(e.by, f" (given by {e.by}{_if(e.note, f': {e.note}')})")
+        ("is lent to " if e.lent else "now belongs to ")
+        + owner_name(e.owner)
+        + _if(e.by, f" (given by {e.by}{_if(e.note, f': {e.note}')})")
     ),
     b.StationLoaded: lambda e, _: (
         f"{e.count} × {e.type} loaded at {local(e.station)}{_if(e.lot, f' (lot {e.lot})')}"

@@ -8,7 +8,7 @@ by which the kernel decides.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Literal
+from typing import Literal, assert_never
 
 import msgspec
 
@@ -251,14 +251,59 @@ class Standstill:
             case reasons.NoWayOut():
                 found = obstacle(self._scheduler.safety, self.state, run)
                 words = [found.replace("experiment ", "experiment:")]
-            case reasons.NotYours() | reasons.Reserved():
-                pass  # whoever it belongs to, or is kept for, is what it waits for
-            case _ if wait.blocked:
-                return Cause(
-                    "person", reason.code.replace("_", " "), self._module_at(next(iter(reason.names), ""))
-                )
-            case _ if wait.until is not None:
+            case (
+                reasons.Paused()
+                | reasons.Unapproved()
+                | reasons.NotApproved()
+                | reasons.NoGap()
+                | reasons.LogShorter()
+                | reasons.Asked()
+                | reasons.Quota()
+                | reasons.Access()
+                | reasons.Unwatched()
+                | reasons.Unsettled()
+                | reasons.Unfit()
+                | reasons.Undeclared()
+                | reasons.NothingThere()
+                | reasons.NotAccepted()
+                | reasons.WrongWay()
+                | reasons.NoGrip()
+            ):
+                at = self._module_at(next(iter(reason.names), ""))
+                return Cause("person", reason.code.replace("_", " "), at)
+            case reasons.TooEarly() | reasons.RetryLater() | reasons.Booked() | reasons.BookedSoon():
                 return PASSES
+            case (
+                # Whoever it belongs to, is kept for or is held by is what it waits for.
+                reasons.NotYours()
+                | reasons.InUse()
+                | reasons.Reserved()
+                | reasons.Held()
+                | reasons.Setpoint()
+                | reasons.HandFull()
+                | reasons.ModuleBusy()
+                | reasons.ZoneBusy()
+                | reasons.ReachedInto()
+                | reasons.InMotion()
+                | reasons.Buried()
+                | reasons.Occupied()
+                | reasons.AfterElder()
+                | reasons.Unsafe()
+                # Its own steps, or nobody in particular.
+                | reasons.After()
+                | reasons.NotPending()
+                | reasons.Cancelling()
+                | reasons.Gone()
+                | reasons.Requires()
+                | reasons.NoAccess()
+                | reasons.StillToCome()
+            ):
+                pass
+            case reasons.NotInTime() | reasons.WouldDelay() | reasons.FollowsLate():
+                if wait.until is not None:
+                    return PASSES
+            case _:
+                assert_never(reason)
         others, left = self._runs_named_in(words)
         others = tuple(other for other in others if other != run.id)
         if left is not None and not others:

@@ -34,8 +34,7 @@ READY = "it may start and is about to"
 
 
 class Reason(msgspec.Struct, frozen=True):
-    """Why a run does not go on: the step (-1: not one in particular), a sentence, and what a
-    person can do about it."""
+    """Why a run does not go on: the step, a sentence, and what a person can do about it."""
 
     step: int
     why: str
@@ -107,7 +106,7 @@ def _unknown_outcomes(state: LabState, wait: Wait) -> Wait:
     for action in state.actions.open.values() if busy else ():
         question = state.interventions.about(action.id) if action.module == busy else None
         if question is not None and action.status == ActionStatus.UNKNOWN:
-            return Wait(Unsettled(action.module, question.id), wait.on, blocked=True)
+            return Wait(Unsettled(action.module, question.id), wait.on)
     return wait
 
 

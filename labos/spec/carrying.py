@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from labos.core.arguments import names_of
-from labos.core.effects import Move
+from labos.core.effects import moved
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description
 from labos.errors import SpecError
@@ -72,9 +72,7 @@ class Carrying:
             return
         arm, known = ModuleName(f"{self.cell.workcell.name}/{module}"), names_of(offered)
         written = {known[name].name: name for name in args if name in known}
-        for effect in offered.effects:
-            if not isinstance(effect, Move):
-                continue
+        for effect in moved(offered.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
                 end, grip = place.strip("{}"), grip.strip("{}")
                 station = self._station(args.get(written.get(end, "")), module)

@@ -6,7 +6,7 @@ from collections import Counter
 from contextlib import suppress
 from typing import Any
 
-from labos.core.algebra import carry, refused
+from labos.core.algebra import carry, refused, settings_after
 from labos.core.effects import (
     AnyEffect,
     Carrying,
@@ -54,8 +54,10 @@ class StepOnPaper:
             self._carry(what, piece, plate)
         self._pipette()
         for effect in self.step.effects:
-            if isinstance(effect, Sets):
-                self._set(effect)
+            if isinstance(effect, Sets) and effect.of == "labware" and self.subject is not None:
+                self.subject.variables[effect.variable] = effect.value
+        after = settings_after(self.step.effects)
+        self.paper.variables.setdefault(self.step.module, {}).update(after.variables)
 
     def _error(self, message: str, remedy: str) -> None:
         self.paper.error(self.index, message, remedy)
@@ -369,12 +371,6 @@ class StepOnPaper:
                     note = add_doses if isinstance(effect, Transfers) else draw_doses
                     for well, volume in doses_of(effect):
                         note(piece.volumes_ul, [well], [volume])
-
-    def _set(self, effect: Sets) -> None:
-        if effect.of == "module":
-            self.paper.variables.setdefault(self.step.module, {})[effect.variable] = effect.value
-        elif self.subject is not None:
-            self.subject.variables[effect.variable] = effect.value
 
 
 def _where(effect: AnyEffect) -> StationName:

@@ -7,7 +7,18 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes, Draws, Move, Replaces, Take, Transfers, carried, resolve
+from labos.core.effects import (
+    AnyEffect,
+    Consumes,
+    Draws,
+    Move,
+    Replaces,
+    Take,
+    Transfers,
+    carried,
+    moved,
+    resolve,
+)
 from labos.core.expiry import DATE
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import (
@@ -188,7 +199,7 @@ class Planner:
         if not isinstance(entry.retry, RetryEntry):
             return None
         aside = self.layout.by_key.get(f"{self.steps.keys[index]}/reset") if entry.retry.reset else None
-        return Retry(entry.retry.times, entry.retry.delay, aside.index if aside is not None else -1)
+        return Retry(entry.retry.times, entry.retry.delay, aside.index if aside is not None else None)
 
     def _on_error(self, index: int, entry: StepEntry, module: ModuleSpec) -> OnError | None:
         """What the step says follows when it fails, else what its module's entry says."""
@@ -292,9 +303,7 @@ class Planner:
     def _choose_grips(self, module: ModuleSpec, action: ActionSpec, args: dict[str, Any]) -> None:
         """A grip that nobody wrote is the one that its station leaves, if it leaves but one."""
         known = {arg.name: arg for arg in action.args}
-        for effect in action.effects:
-            if not isinstance(effect, Move):
-                continue
+        for effect in moved(action.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
                 arg = known.get(grip.strip("{}"))
                 where = args.get(place.strip("{}"))

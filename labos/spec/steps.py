@@ -126,7 +126,7 @@ class Steps:
                 continue
             if of:
                 named = (of, part.after)
-                first = outer.get(named, Window(-1, of=of, of_step=part.after))
+                first = outer.get(named, Window(None, of=of, of_step=part.after))
                 outer[named] = self._merge(first, part, at)
                 continue
             anchor = self.find(part.after, (*at, "after"))

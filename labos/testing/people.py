@@ -61,7 +61,7 @@ class People(Processes):
         self.late = 0.0
         """How often a person who walks by has no time to look at anything."""
         self.done_jobs: set[str] = set()
-        self._seen = -1
+        self._seen: int | None = None
         self._untold: dict[tuple[str, str], str] = {}
         """What a person has put right on the bench, and no kernel has heard yet."""
         self._inside = False

@@ -13,7 +13,18 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Move, Needs, Relid, Requires, Take, Unlid, is_reported, resolve
+from labos.core.effects import (
+    AnyEffect,
+    Carrying,
+    Move,
+    Needs,
+    Relid,
+    Requires,
+    Take,
+    Unlid,
+    is_reported,
+    resolve,
+)
 from labos.core.ids import StationName
 from labos.core.model import ActionSpec, Description
 from labos.node.node import Setup
@@ -151,10 +162,10 @@ class Bench:
 
     def misplaced(self, case: Case, effect: AnyEffect, plate: str) -> str:
         """What is wrong with where a plate is, after an action that moved it; empty if nothing."""
-        if not plate or not isinstance(effect, Move | Take):
+        if not plate or not isinstance(effect, Carrying):
             return ""
         here, target = self.where(plate), self.place(case.ends or effect.target)
-        if isinstance(effect, Relid):
+        if effect.lid == "on":
             beneath = self.world.at(target)
             target = lid_of(beneath[0]) if beneath else target
         if here == target or (here == "" and target.rpartition(".")[2] in ("trash", "waste")):

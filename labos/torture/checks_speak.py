@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Consumes, Move, Needs, Requires, Sets, Take
+from labos.core.effects import AnyEffect, Carrying, Consumes, Needs, Requires, Sets
 from labos.core.model import ActionSpec, Arg
 from labos.node.protocol import Outcome, StateReport
 from labos.node.torture import Case
@@ -46,7 +46,7 @@ def _undescribed(on: Session) -> list[str]:
     for spec in on.about.actions:
         if not spec.description or spec.duration_s <= 0:
             flaws.append(f"{spec.name} has no description or no duration")
-        if not spec.exclusive and any(isinstance(e, Move | Take | Consumes | Needs) for e in spec.effects):
+        if not spec.exclusive and any(isinstance(e, Carrying | Consumes | Needs) for e in spec.effects):
             flaws.append(f"{spec.name} may run beside other work, but moves or uses something")
         flaws += [f"{spec.name}: argument {arg.name} {flaw}" for arg in spec.args if (flaw := _flaw(arg))]
     return flaws
@@ -80,7 +80,7 @@ def _not_there(on: Session) -> list[str]:
                 flaws.append(f"{case.action}: it has no variable {wanted}")
             if isinstance(effect, Consumes) and effect.resource not in {**about.levels, **about.units}:
                 flaws.append(f"{case.action}: it has no resource {effect.resource}")
-            if isinstance(effect, Move | Take) and not (about.manipulator and "gripper" in stations):
+            if isinstance(effect, Carrying) and not (about.manipulator and "gripper" in stations):
                 flaws.append(f"{case.action} moves labware, but the driver is no manipulator with a gripper")
     flaws += [
         f"the station {station.name} depends on {name}, which is no variable"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.effects import Move, Relid, Sets, Take, Unlid
+from labos.core.effects import Carrying, Sets
 from labos.torture.bench import as_seen
 from labos.torture.session import Done, Failed, Session, case_key
 
@@ -27,7 +27,7 @@ async def observe_bench(on: Session, done: Done) -> None:
         for effect in on.bench.effects(done.case, on.spec(done.case))
         if (
             answer := _labware(on, effect, sights)
-            if isinstance(effect, Move | Take)
+            if isinstance(effect, Carrying)
             else _variable(on, done, effect, seen)
         )
         is not None
@@ -36,12 +36,11 @@ async def observe_bench(on: Session, done: Done) -> None:
         on.sights.append((done.case.action, all(settled)))
 
 
-def _labware(on: Session, effect: Move | Take, sights: dict[str, bool | None]) -> bool:
+def _labware(on: Session, effect: Carrying, sights: dict[str, bool | None]) -> bool:
     """Whether one place is left for the labware: the rule by which the lab itself settles it."""
-    source = effect.stack if isinstance(effect, Take) else effect.source
-    if isinstance(effect, Unlid | Relid):
+    if effect.lid:
         return False  # no sensor tells a plate with a lid from one without
-    places = {on.bench.place(str(place)) for place in (source, effect.target, "gripper")}
+    places = {on.bench.place(str(place)) for place in (effect.source, effect.target, "gripper")}
     left = {place for place in places if sights.get(place) is not False}
     found = {place for place in places if sights.get(place)}
     return len(left) == 1 or len(found) == 1

@@ -78,7 +78,7 @@ class Session:
         self.powered = True
         self.start_s = 0.0
         self._asked = self._interrupted = 0
-        self._rested = (-1, 0)
+        self._rested: tuple[int | None, int] = (None, 0)
         self.settings = Settings.of(folder, "sqlite://")
         self.reference: dict[str, Deeds] = {}
         self.took_s: dict[str, float] = {}

@@ -212,7 +212,7 @@ class Instance:
     def _read_later(self) -> Plan:
         """The clock has begun before this run is known: it is given time for what goes on by then."""
         wait_s = self.rng.choice([0.0, 600.0])
-        window = Window(-1, wait_s, wait_s + 15_000.0, of="dose", of_step="dose")
+        window = Window(None, wait_s, wait_s + 15_000.0, of="dose", of_step="dose")
         over = self._carry("hotel", "cam.nest")
         steps = [msgspec.structs.replace(over, windows=(window,)), *self._work("cam.nest")]
         return plan(*steps, self._carry("cam.nest", "trash"), name="read later")

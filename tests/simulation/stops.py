@@ -22,6 +22,7 @@ KINDS = {
         "wrong_way",
         "not_accepted",
         "no_grip",
+        "unfit",
     ),
     "person": ("paused", "access"),
     "resource": ("used_up", "stack_empty", "waste_full"),

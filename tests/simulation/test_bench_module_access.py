@@ -145,7 +145,7 @@ def crashed(what: str, words: str) -> bool:
 
 def test_without_claims_tips_go_into_somebody_elses_seal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holding, "claimed_by_other", lambda state, name, allowed: "")
-    monkeypatch.setattr("labos.planning.floor._claimable", lambda floor, actor, claim: True)
+    monkeypatch.setattr("labos.planning.moves._claimable", lambda floor, actor, claim: True)
     assert crashed("deck", "drives its tips into a seal")
 
 
@@ -153,7 +153,7 @@ def test_without_claims_tips_go_into_somebody_elses_seal(monkeypatch: pytest.Mon
 def test_without_doors_hands_reach_into_closed_gates(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding, "door_open", lambda state, place: None)
     monkeypatch.setattr(holding, "door_left_by", lambda state, name, run: "")
-    monkeypatch.setattr("labos.planning.floor._open_to", lambda floor, actor, module: True)
+    monkeypatch.setattr("labos.planning.moves._open_to", lambda floor, actor, module: True)
     assert crashed("door", "reaches into a closed gate")
 
 
@@ -166,5 +166,5 @@ def test_shelves_behind_a_door_are_not_reached_into_as_if_they_stood_apart(
 
 def test_without_holds_somebody_weighs_with_anothers_tare(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holding, "holder_by_plan", lambda state, name, run: "")
-    monkeypatch.setattr("labos.planning.floor._may_hold", lambda floor, actor, key, value: True)
+    monkeypatch.setattr("labos.planning.moves._may_hold", lambda floor, actor, key, value: True)
     assert crashed("balance", "weighs with somebody else's tare")

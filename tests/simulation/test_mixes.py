@@ -15,7 +15,7 @@ from labos.core.ids import local
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, state_hash
-from labos.planning.floor import lay_out
+from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
 from labos.testing.faults import CRASH_POINTS, QUIET, STORMY, FaultRates, Faults
 from labos.testing.lab import SimulatedLab, bare_rule

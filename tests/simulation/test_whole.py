@@ -13,7 +13,7 @@ import pytest
 
 from labos.core.runs import RunLeaving, RunSubmitted
 from labos.core.state import LabState, state_hash
-from labos.planning.floor import lay_out
+from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab, cancelling

@@ -242,13 +242,16 @@ class RandomBench:
         rng = self.rng
         arm = rng.choice(["arm", "arm2"])
         chance = rng.random()
-        if chance < 0.75:
+        if chance < 0.7:
             effects: Sequence[AnyEffect] = (self.carrying(),)
-        elif chance < 0.85:
+        elif chance < 0.8:
             effects = self.two_at_once()
         else:
             kinds: list[tuple[str, Callable[[], tuple[AnyEffect, ...]]]] = [
                 ("dev", lambda: (Needs(), Requires("labware", "sealed", False))),
+                ("dev", lambda: (Needs(), Sets("labware", "sealed", True))),
+                ("cam", lambda: (Needs(self._source()),)),
+                ("cam", lambda: (Needs(self._source()), Sets("labware", "sealed", True))),
                 ("dev", lambda: (Needs(StationName(full("dev.n1"))), Sets("module", "lid", "shut"))),
                 ("oven", lambda: (Requires("module", "door", "open"), Sets("module", "door", "shut"))),
                 ("oven", lambda: (Sets("module", "door", "open"),)),

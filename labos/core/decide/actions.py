@@ -38,6 +38,7 @@ from labos.core.effects import (
     Transfers,
     carried,
     moved,
+    taken_over,
     touched,
 )
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
@@ -138,12 +139,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     if fault := _misfit(state, effects):
         return _not_filled_in(state, run, step, fault)
     args = told_shelves(step.effects, effects, _of_labware(state, args, effects))
-    owner = run_owner(run.id)
-    bench = state.bench
-    lids = [bench.labware[name].lid for name in touched(found)]
-    for name in dict.fromkeys((*touched(found), *filter(None, lids))):
-        if bench.labware[name].owner != owner:
-            events.append(LabwareHandedOver(name, run.id, owner))
+    events += _become_its_own(state, run, found)
     module = state.modules.by_name[step.module]
     args = _told_what(state, args, effects)
     if "slow" in args and unproven(module, effects, args):
@@ -170,6 +166,20 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     if isinstance(unfit, Rejection):  # results of earlier steps were too large for it
         return _not_filled_in(state, run, step, unfit.message)
     return events
+
+
+def _become_its_own(
+    state: LabState, run: RunState, effects: tuple[AnyEffect, ...]
+) -> Iterator[LabwareHandedOver]:
+    """What a step touches belongs to its run: what it carries or changes for good, what it only needs until
+    the run ends."""
+    owner, stays, labware = run_owner(run.id), taken_over(effects), state.bench.labware
+    names = touched(effects)
+    lids = {labware[name].lid: name for name in names if labware[name].lid}
+    for name in dict.fromkeys((*names, *lids)):
+        item, lent = labware[name], stays.isdisjoint((name, lids.get(name, name)))
+        if item.owner != owner or (item.lender and not lent):
+            yield LabwareHandedOver(name, run.id, owner, lent=lent)
 
 
 def _not_filled_in(state: LabState, run: RunState, step: PlanStep, why: str) -> Iterator[Event]:

@@ -140,9 +140,9 @@ def ending(
     if experiment is not None and not run.closing:
         heir = experiment_owner(run.experiment)
     in_the_way = []
-    for item in state.bench.owned(run_owner(run.id)):
-        yield LabwareHandedOver(item.id, run.id, Owner(heir))
-        if item.station and not state.bench.stations[item.station].spec.is_storage:
+    for item, lender in [(item, item.lender) for item in state.bench.owned(run_owner(run.id))]:
+        yield LabwareHandedOver(item.id, run.id, lender or Owner(heir))
+        if not lender and item.station and not state.bench.stations[item.station].spec.is_storage:
             in_the_way.append(item)
     cell = state.runs.plan_of(run).workcell
     for name, module in state.modules.within(cell):

@@ -74,7 +74,7 @@ def _meant(past: dict[RunId, Past], of: str) -> RunId | None:
 
 def clock_of(run: RunState, plan: Plan, window: Window) -> tuple[str, str]:
     """The run (empty: its own) and the step that started a window's clock."""
-    if not window.of:
+    if window.anchor is not None:
         return "", plan.steps[window.anchor].key
     meant = (window.of, window.of_step)
     anchor = next((a for a in run.anchors if (a.of, a.step) == meant), None)

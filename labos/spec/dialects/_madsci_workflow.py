@@ -64,7 +64,8 @@ class _Workflow:
         out.put("metadata", metadata, metadata.at, metadata.at)
         at = self.source.place(("steps",))
         steps = Row(at)
-        last, moved = -1, {}
+        last: int | None = None
+        moved: dict[str, str] = {}
         for index, step in enumerate(self.steps):
             moved[f"steps[{index}]"] = f"steps[{len(steps)}]"
             form = self._step(index, step, last)
@@ -106,7 +107,7 @@ class _Workflow:
 
     # -- a step ------------------------------------------------------------------------------
 
-    def _step(self, index: int, step: Table, last: int) -> Table | None:
+    def _step(self, index: int, step: Table, last: int | None) -> Table | None:
         path: Path_ = ("steps", index)
         used_key = next((key for key in USED if step.get(key) is not None), "")
         used = self.reader.table(step.get(used_key), (*path, used_key), f"`{used_key}`")
@@ -291,7 +292,7 @@ class _Workflow:
             )
         return out
 
-    def _wait(self, action: str, arguments: Table, path: Path_, last: int) -> None:
+    def _wait(self, action: str, arguments: Table, path: Path_, last: int | None) -> None:
         """A step of the workcell itself: waiting goes to the step after it; others are refused."""
         if action != "wait":
             raise self.source.error(
@@ -305,7 +306,7 @@ class _Workflow:
             self.reader.assumed(path, "The time to wait is the parameter's default.", "Write the seconds.")
         if not is_number(seconds) or seconds < 0:
             raise self.source.error("The step does not say how long.", path, remedy="Write `seconds:`.")
-        if last < 0:
+        if last is None:
             self.reader.assumed(path, "Nothing is done before the waiting; it is left out.", "Remove it.")
             return
         self.pause = (seconds + (self.pause[0] if self.pause else 0), last)

@@ -183,14 +183,14 @@ def test_a_plate_in_motion_is_left_alone() -> None:
     driver.check_log()
 
 
-def test_a_run_that_ends_by_the_reading_hands_its_plate_over() -> None:
+def test_a_run_that_ends_by_the_reading_gives_the_plate_back() -> None:
     driver = lab()
     name(driver, P2, "LB2")
     run, question = read(driver, "LB2", then=False)
     assert driver.state.runs.get(run) is None
     assert question is not None
     driver.answer(question, "swapped")
-    assert driver.owner("P1") == "user:ada"
+    assert driver.owner("P1") == "shared"
     driver.check_log()
 
 

@@ -171,7 +171,7 @@ STEP = PlanStep(
     {"x": [1, {"$result": [0, "y"]}]},
     (0,),
     EFFECTS,
-    windows=(Window(0, 1.0, 2.0), Window(-1, 1.0, 2.0, "ask", "incubate", "put in")),
+    windows=(Window(0, 1.0, 2.0), Window(None, 1.0, 2.0, "ask", "incubate", "put in")),
 )  # type: ignore[arg-type]
 
 EXAMPLES: list[Event] = [
@@ -248,7 +248,7 @@ EXAMPLES: list[Event] = [
     StepSkipped("R1", 2, "jam"),  # type: ignore[arg-type]
     StepRecovering("R1", 2, "jam"),  # type: ignore[arg-type]
     StepRetried("R1", 2, 1, 3, 30.0, "jam"),  # type: ignore[arg-type]
-    WindowBreached("R1", 2, -1, 60.0, "R0"),  # type: ignore[arg-type]
+    WindowBreached("R1", 2, None, 60.0, "R0"),  # type: ignore[arg-type]
     LevelSet("c/m", "tips", 3.0, 96.0, "lot"),  # type: ignore[arg-type]
     ResourceReplenished("c/m", "tips", 8.0, "lot", "2027-05-31", ("R1",), True),  # type: ignore[arg-type]
     ResourceConsumed("c/m", "tips", 8.0, "R1", "A1", "lot"),  # type: ignore[arg-type]
@@ -361,9 +361,9 @@ def test_unknown_fields_and_effects_deep_within_are_too_new() -> None:
     ]:
         assert before in known
         with pytest.raises(LogTooNew):
-            decode("plan.steps_recorded", 2, known.replace(before, after, 1))
+            decode("plan.steps_recorded", 3, known.replace(before, after, 1))
     with pytest.raises(msgspec.ValidationError):
-        decode("plan.steps_recorded", 2, known.replace(b'"first":0', b'"first":"x"'))
+        decode("plan.steps_recorded", 3, known.replace(b'"first":0', b'"first":"x"'))
 
 
 STORED = Path(__file__).with_name("payloads.jsonl")
@@ -379,6 +379,25 @@ def stored() -> list[tuple[str, int, bytes]]:
 def test_every_payload_that_was_ever_written_can_still_be_read() -> None:
     for type_, schema, payload in stored():
         assert type_ == decode(type_, schema, payload).TYPE
+
+
+def test_what_was_written_as_minus_one_is_nothing() -> None:
+    """No number stands for a step that is not there; in earlier versions it was -1."""
+    breached = b'{"run":"R1","step":2,"anchor":-1,"within_s":60.0,"of":"R0"}'
+    assert decode("window.breached", 1, breached) == WindowBreached("R1", 2, None, 60.0, "R0")  # type: ignore[arg-type]
+    its_own = breached.replace(b"-1", b"0")
+    assert decode("window.breached", 1, its_own) == WindowBreached("R1", 2, 0, 60.0, "R0")  # type: ignore[arg-type]
+    steps = (
+        b'{"key":"k","module":"m","action":"a","retry":{"times":2,"reset":-1},"windows":[{"anchor":-1},{"anchor":0}]},'
+        b'{"key":"l","module":"m","action":"a","retry":{"times":2,"reset":0}}'
+    )
+    payload = b'{"by":"R1","plan":"p","first":0,"steps":[' + steps + b"]}"
+    for schema in (1, 2):
+        found = decode("plan.steps_recorded", schema, payload)
+        assert isinstance(found, PlanStepsRecorded)
+        first, second = found.steps
+        assert [window.anchor for window in first.windows] == [None, 0]
+        assert [step.retry.reset for step in (first, second) if step.retry is not None] == [None, 0]
 
 
 def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:

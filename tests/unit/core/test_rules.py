@@ -455,11 +455,11 @@ def test_why_there_is_nothing_to_use() -> None:
     run = lab.submit(plan(step("arm", move("a", "b")), step("cam", needs("b")), parallel=True))
     lab.start(run)
     found = wait(lab, run, 1)
-    assert (found.code, found.blocked) == ("nothing_there", False), "it is on its way"
+    assert (found.code, found.blocked) == ("still_to_come", False)
     other = lab.submit(plan(step("cam", needs("c"))))
     assert (wait(lab, other).code, wait(lab, other).blocked) == ("nothing_there", True)
     assert wait(lab, lab.submit(route("a", "c", arm="arm2"))).code == "in_motion"
-    assert nothing_at(lab.state, lab.run(run), "cell/nowhere").code == "nothing_there"  # type: ignore[arg-type]
+    assert nothing_at(lab.state, lab.run(run), "cell/nowhere").code == "still_to_come"  # type: ignore[arg-type]
     assert usable_at(lab.state, lab.run(run), "cell/nowhere") is None  # type: ignore[arg-type]
 
 

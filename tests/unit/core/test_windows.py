@@ -61,7 +61,7 @@ def incubate(name: str = "incubate") -> Plan:
 
 def read(of: str = "incubate", at: str = "put in", **window: object) -> Plan:
     limits = {"wait_s": 60.0, "within_s": 100.0, **window}
-    return plan(step("cam", key="read", windows=(Window(-1, of=of, of_step=at, **limits),)), name="read")  # type: ignore[arg-type]
+    return plan(step("cam", key="read", windows=(Window(None, of=of, of_step=at, **limits),)), name="read")  # type: ignore[arg-type]
 
 
 def with_incubated() -> tuple[Driver, ExperimentId]:
@@ -152,7 +152,7 @@ def test_a_clock_runs_while_its_run_still_waits_outside() -> None:
     run = lab.submit(read(on_breach="fail"), experiment=experiment)
     assert lab.do(BreachWindow(lab.run(run).id, 0, 0, lab.now))[0].TYPE == "window.breached"
     breach, end = (entry.event for entry in lab.log[-2:])
-    assert (breach.of, breach.anchor) == ("R1", -1)  # type: ignore[attr-defined]
+    assert (breach.of, breach.anchor) == ("R1", None)  # type: ignore[attr-defined]
     assert end.TYPE == "run.failed"
     assert end.why == "step 'read' did not start within 100 s of the end of 'put in' of run R1"  # type: ignore[attr-defined]
     assert not lab.state.runs.windowed

@@ -20,6 +20,7 @@ from labos.core.state import from_picture, picture
 from labos.core.waits import Wait
 from labos.planning.safety import Safety
 from labos.planning.scheduler import ready
+from labos.planning.stuck import stuck_on
 from tests.support.bench import (
     Driver,
     claims,
@@ -144,9 +145,17 @@ class Explored:
             if (name := RunId(f"R{n + 1}")) in runs.active
             else name in runs.queued
             for n in range(runs.named)
-        )
+        ) + self.belongings(lab)
         self.states.setdefault(key, picture(lab.state))
         return key
+
+    @staticmethod
+    def belongings(lab: Driver) -> Key:
+        """What belongs to no run or is lent to one, and how variables stand: that may depend on who came
+        first."""
+        items = [i for i in lab.state.bench.labware.values() if i.lender or not i.owner.startswith("run:")]
+        values = [str(module.values) for module in lab.state.modules.by_name.values()]
+        return (*sorted((i.station, i.owner, i.lender, str(i.variables)) for i in items), *values)
 
     def at(self, key: Key) -> Driver:
         lab = Driver()
@@ -157,7 +166,8 @@ class Explored:
 
     def starts(self, lab: Driver, *, newcomers: bool) -> Iterator[Start]:
         """What the rules let start."""
-        for run in [*lab.state.runs.active.values(), *(lab.state.runs.queued.values() if newcomers else ())]:
+        queued = [r for r in lab.state.runs.queued.values() if newcomers and stuck_on(lab.state, r) is None]
+        for run in [*lab.state.runs.active.values(), *queued]:
             steps = ready(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
             for index in steps:
                 kept = [h.module for h in lab.state.runs.plan_of(run).holds if h.first == index]

@@ -16,7 +16,7 @@ import pytest
 from labos.core.bench import Bench
 from labos.core.decide import Rejection, carry_out
 from labos.core.decide.actions import FinishAction, StartStep
-from labos.core.effects import arrivals, carried
+from labos.core.effects import Carrying, Needs, arrivals
 from labos.core.fold import evolve
 from labos.core.ids import SHARED, ActionId, RunId
 from labos.core.model import PlanStep
@@ -24,7 +24,9 @@ from labos.core.registry import Event
 from labos.core.rules import examine
 from labos.core.runs import RunState, StepState
 from labos.core.waits import Wait
-from labos.planning.floor import Actor, Floor, lay_out, may_move, move
+from labos.planning.floor import Actor, Floor
+from labos.planning.layout import lay_out
+from labos.planning.moves import may_move, move
 from labos.planning.player import Player
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
@@ -163,6 +165,7 @@ def laid_out(floor: Floor, mover: Actor) -> dict[str, Any]:
         "claimed": {claim: some(who) for claim, who in floor.claimed.items() if some(who)},
         "pools": {owner: some(places) for owner, places in floor.pools.items() if some(places)},
         "piles": {place: pile for place, pile in floor.piles.items() if pile},
+        "lent": Counter(floor.lent.get(mover.name, ())),
     }
 
 
@@ -187,20 +190,21 @@ def on_paper(dry: DryRun) -> Counter[tuple[str, str, bool]]:
 
 def disagreement(trial: Trial) -> str:
     """What they do not agree about; empty if they agree."""
-    code, carries = trial.code, bool(carried(trial.step.effects))
-    after = trial.moved() if carries else None
+    code = trial.code
+    touches = any(isinstance(effect, Carrying | Needs) for effect in trial.step.effects)
+    after = trial.moved() if touches else None
     faults, dry = trial.on_paper()
     rehearsed = trial.rehearsed()
     if code:
         known = code in OF_PLACES and trial.is_clear
-        if carries and known and after is not None:
+        if touches and known and after is not None:
             return f"the rules say {code}, and the floor lets it be"
         if known and rehearsed:
             return f"the rules say {code}, and the scene lets it be"
         if trial.bench.alone and code in OF_LABWARE and not trial.meets_stock and not faults:
             return f"the rules say {code}, and the dry run finds nothing"
         return ""
-    if carries and after is None:
+    if touches and after is None:
         if trial.state.bench.lost:
             return ""  # safety keeps room wherever it may be, however often that is
         return "the rules let it be, and the floor does not"

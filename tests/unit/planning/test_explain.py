@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from labos.core import reasons
-from labos.core.reasons import AnyReason, Reason, Urgency
+from labos.core.reasons import AnyReason, Reason
 from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from tests.support.bench import Driver
@@ -82,8 +82,6 @@ def test_whatever_a_crowded_cell_waits_for_is_explained() -> None:
                     assert "{" not in sentence(wait)
                     kind = type(wait.reason)
                     assert {key.partition(":")[0] for key in wait.on} <= {*kind.WAKES}, (wait, kind)
-                    if kind.URGENCY is not Urgency.EITHER:
-                        assert wait.blocked == (kind.URGENCY is Urgency.PERSON), wait
 
         lab.work(rng, look)
     assert {"module_busy", "occupied", "held", "unsafe"} <= seen

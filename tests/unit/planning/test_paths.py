@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from labos.planning.paths import path_of
-from tests.support.bench import move, needs, plan, relid, sets, step, take
+from tests.support.bench import move, needs, plan, relid, step, take
 
 
 def test_what_carries_labware_or_needs_a_module_for_itself_is_a_motion() -> None:
     what = plan(
         step("arm", take("stack", "a")),
-        step("dev", needs(), sets("lid", "shut")),
+        step("dev", needs()),
         step("arm", move("a", "b", via="c")),
     )
     path = path_of(what, {})

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.nodes import TakeOut
 from labos.core.decide.runs import PauseRun
-from labos.core.ids import ModuleName
+from labos.core.decide.stock import UnloadStation
+from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -115,10 +116,15 @@ def test_the_wait_ends_with_the_step_that_it_was_for() -> None:
 
 
 def test_nothing_is_held_after_the_deadline() -> None:
-    """The windowed step cannot start: nobody puts a plate where it needs one."""
+    """The windowed step cannot start: somebody has taken the plate away that it needs."""
     lab = small()
+    lab.stock("cam.nest", 1)
     window = Window(0, within_s=100.0)
-    waiting(lab, plan(step("dev"), step("cam", needs("cam.nest"), windows=(window,))))
+    reads = lab.submit(plan(step("dev"), step("cam", needs("cam.nest"), windows=(window,))))
+    assert lab.pump() == [f"{reads}#0"]
+    lab.do(UnloadStation(StationName("cell/cam.nest"), by="ada"))
+    lab.finish(lab.flying()[0])
+    assert lab.pump() == []
     run = lab.submit(picture(takes=300.0))
     assert lab.pump() == []
     wait = why(lab, run)
@@ -457,7 +463,7 @@ def test_no_room_is_kept_for_a_run_that_could_not_reach_its_end_anyway() -> None
     lab = small()
     experiment = lab.experiment()
     lab.step(lab.submit(plan(step("dev", key="dose"), name="dose"), experiment=experiment))
-    window = Window(-1, 0.0, 100.0, of="dose", of_step="dose")
+    window = Window(None, 0.0, 100.0, of="dose", of_step="dose")
     hurry = plan(step("arm", take("stack", "b"), windows=(window,)), step("cam"), step("arm", move("b", "c")))
     stranger = plan(step("arm", duration_s=300.0))
     run = lab.submit(hurry, experiment=experiment)
@@ -474,7 +480,7 @@ def test_a_clock_that_runs_outside_does_not_wait_for_an_elder() -> None:
     experiment = lab.experiment()
     lab.step(lab.submit(plan(step("dev", key="dose"), name="dose"), experiment=experiment))
     elder = lab.submit(picture(takes=300.0), user="bob")
-    window = Window(-1, 0.0, 100.0, of="dose", of_step="dose")
+    window = Window(None, 0.0, 100.0, of="dose", of_step="dose")
     hurry = lab.submit(plan(step("cam", windows=(window,))), experiment=experiment)
     lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE)
     assert code(lab, elder) == "reserved"

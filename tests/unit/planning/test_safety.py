@@ -499,7 +499,7 @@ def test_nobody_parks_for_long_where_somebody_who_is_stuck_has_to_pass() -> None
     assert works(lab), lab.stuck()
 
 
-@pytest.mark.parametrize("why", ["not_accepted", "requires", "wrong_way"])
+@pytest.mark.parametrize("why", ["not_accepted", "unfit", "wrong_way"])
 def test_who_finds_that_its_labware_does_not_fit_is_in_the_way(why: str) -> None:
     """It will not move before a person has done something: nobody is let in who needs its place."""
     cell = workcell(
@@ -514,7 +514,7 @@ def test_who_finds_that_its_labware_does_not_fit_is_in_the_way(why: str) -> None
     )
     lab = Driver(cell)
     lab.stock("stack", 9, "tube" if why == "not_accepted" else "plate")
-    wants = (needs("x"), requires("sealed", True, of="labware")) if why == "requires" else ()
+    wants = (needs("x"), requires("sealed", True, of="labware")) if why == "unfit" else ()
     checks = [step("cam", *wants)] if wants else []
     lost = lab.submit(
         plan(

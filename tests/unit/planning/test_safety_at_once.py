@@ -11,7 +11,7 @@ import pytest
 
 from labos.core.ids import ActionId
 from labos.core.model import OnError, Plan, PlanStep
-from labos.planning.floor import lay_out
+from labos.planning.layout import lay_out
 from labos.planning.safety import Safety, View, as_seen
 from tests.support.bench import (
     CELL,

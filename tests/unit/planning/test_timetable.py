@@ -21,7 +21,7 @@ def starts(what: Plan) -> list[float]:
 def test_one_after_the_other() -> None:
     table = timetable(plan(lasting(step("a"), 5), lasting(step("b"), 7), lasting(step("a"), 1)))
     assert [(slot.start_s, slot.end_s, slot.held_by) for slot in table.slots] == [
-        (0, 5, -1),
+        (0, 5, None),
         (5, 12, 0),
         (12, 13, 1),
     ]
@@ -79,5 +79,5 @@ def test_a_long_plan_is_laid_out() -> None:
 
 
 def test_windows_anchored_at_other_runs_are_not_known() -> None:
-    other = Window(-1, wait_s=60, of="grow", of_step="Incubate")
+    other = Window(None, wait_s=60, of="grow", of_step="Incubate")
     assert starts(plan(lasting(step("a"), 5), lasting(step("b"), 1, other))) == [0, 5]

@@ -109,8 +109,8 @@ def test_windows_of_another_run() -> None:
     (step,) = compiled(text, {"plate": "R7"}).plan.steps
     assert step.after == ()
     assert step.windows == (
-        Window(-1, 43200, 46800, "ask", "incubate", "Put in"),
-        Window(-1, 0, 5, of="R7", of_step="Shake"),
+        Window(None, 43200, 46800, "ask", "incubate", "Put in"),
+        Window(None, 0, 5, of="R7", of_step="Shake"),
     )
 
 

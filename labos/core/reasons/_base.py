@@ -1,0 +1,74 @@
+"""Reasons why a step does not start: a type for each, with its fields, its sentence and its remedy.
+
+``WAKES`` are the kinds of keys whose change may end the wait (``labos.core.waits``); ``URGENCY`` says who
+ends it. A reason's ``code`` is its name in tables, metrics and answers.
+"""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+from typing import Any, ClassVar, Literal
+
+import msgspec
+
+from labos.core.ids import local
+
+
+class Urgency(StrEnum):
+    """Who ends a wait."""
+
+    PASSES = "it passes by itself"
+    PERSON = "somebody has to do something"
+
+
+PASSES, PERSON = Urgency.PASSES, Urgency.PERSON
+
+Key = Literal["run", "module", "station", "zone", "access", "quota", "cell", "near", "window", "booking"]
+"""The kinds of keys whose change may end a wait."""
+
+
+def code_of(name: str) -> str:
+    """The code of a reason's type: ``ModuleBusy`` is ``module_busy``."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
+class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=code_of):
+    """Why a step does not start. In ``SENTENCE`` and ``REMEDY`` stand names of fields."""
+
+    SENTENCE: ClassVar[str]
+    REMEDY: ClassVar[str] = ""
+    WAKES: ClassVar[tuple[Key, ...]] = ()
+    URGENCY: ClassVar[Urgency] = PASSES
+
+    @property
+    def code(self) -> str:
+        return str(self.__struct_config__.tag)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it names, in order."""
+        found: list[str] = []
+        for value in msgspec.structs.astuple(self):
+            found += value if isinstance(value, tuple) else [value]
+        return tuple(found)
+
+    @property
+    def sentence(self) -> str:
+        """What the step waits for, in words a scientist uses."""
+        return self.SENTENCE.format(**self._in_words()).replace(" ()", "")
+
+    @property
+    def remedy(self) -> str:
+        """What a person can do about it; empty if there is nothing to do but wait."""
+        return self.REMEDY.format(**self._in_words())
+
+    def _in_words(self) -> dict[str, Any]:
+        values = msgspec.structs.asdict(self)
+        return {name: in_words(v) if isinstance(v, str) else v for name, v in values.items()}
+
+
+def in_words(name: str) -> str:
+    """A module, station or labware without its workcell; an owner in words."""
+    kind, colon, which = name.partition(":")
+    return f"{kind} {which}" if colon and kind in ("run", "experiment", "user") else local(name)

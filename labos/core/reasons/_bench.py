@@ -1,0 +1,187 @@
+"""Reasons that lie with stations, labware and supplies."""
+
+from __future__ import annotations
+
+from labos.core.reasons._base import PERSON, Reason
+
+
+class ReachedInto(Reason, frozen=True):
+    SENTENCE = "an arm is reaching into {place}"
+    WAKES = ("station", "module")
+    place: str
+
+
+class Requires(Reason, frozen=True):
+    SENTENCE = "{what} needs {variable} = {value}"
+    WAKES = ("module", "station")
+    what: str
+    variable: str
+    value: str
+
+
+class Unfit(Reason, frozen=True):
+    SENTENCE = "{labware} is not as the step needs it: {variable} = {value}"
+    REMEDY = "Let a run of its owner change that, or take it away and say so: labos unload"
+    WAKES = ("station",)
+    URGENCY = PERSON
+    labware: str
+    variable: str
+    value: str
+
+
+class UsedUp(Reason, frozen=True):
+    SENTENCE = "{module} has too little {resource} left"
+    REMEDY = "Refill it and say so: labos replenish {module} {resource} --lot LOT"
+    WAKES = ("module",)
+    URGENCY = PERSON
+    module: str
+    resource: str
+
+
+class Expired(Reason, frozen=True):
+    SENTENCE = "{resource} of {module} is past its date (lot {lot} was good until {until})"
+    REMEDY = "Take the old pack out and say so: labos replenish {module} {resource} --lot LOT --instead"
+    WAKES = ("module",)
+    URGENCY = PERSON
+    module: str
+    resource: str
+    lot: str
+    until: str
+
+
+class StackEmpty(Reason, frozen=True):
+    SENTENCE = "the stack {place} is empty"
+    REMEDY = "Fill it and say so: labos load {place} --type TYPE --count N --lot LOT"
+    WAKES = ("station",)
+    URGENCY = PERSON
+    place: str
+
+
+class Buried(Reason, frozen=True):
+    SENTENCE = "{labware} stands on top of the stack {place}"
+    REMEDY = "It goes on when a run moves that away."
+    WAKES = ("station",)
+    place: str
+    labware: str
+
+
+class Uncertain(Reason, frozen=True):
+    SENTENCE = "it is not known what stands at {place}"
+    REMEDY = "Look there and answer what is asked: labos resolve"
+    WAKES = ("station",)
+    URGENCY = PERSON
+    place: str
+
+
+class Lost(Reason, frozen=True):
+    SENTENCE = "it is not known where {labware} is"
+    REMEDY = "Look for it and answer what is asked: labos resolve"
+    WAKES = ("station",)
+    URGENCY = PERSON
+    labware: str
+
+
+class InMotion(Reason, frozen=True):
+    SENTENCE = "{labware} is in motion at {place}"
+    WAKES = ("station", "module")
+    labware: str
+    place: str
+
+
+class InUse(Reason, frozen=True):
+    SENTENCE = "{owner} works on {labware} at {place} until it ends"
+    WAKES = ("station",)
+    labware: str
+    place: str
+    owner: str
+
+
+class NotYours(Reason, frozen=True):
+    SENTENCE = "{labware} at {place} belongs to {owner}"
+    REMEDY = "Let a run of its owner move it away."
+    WAKES = ("station",)
+    URGENCY = PERSON
+    labware: str
+    place: str
+    owner: str
+
+
+class Undeclared(Reason, frozen=True):
+    SENTENCE = "nobody has said what stands at {place}"
+    REMEDY = "Say what stands there: labos bench declare {place}=TYPE, or {place}= if nothing does"
+    WAKES = ("station",)
+    URGENCY = PERSON
+    place: str
+
+
+class NothingThere(Reason, frozen=True):
+    SENTENCE = "nothing stands at {place}"
+    REMEDY = "Put some there and say so: labos place {place} TYPE"
+    WAKES = ("station",)
+    URGENCY = PERSON
+    place: str
+
+
+class StillToCome(Reason, frozen=True):
+    SENTENCE = "nothing stands at {place} yet"
+    WAKES = ("station",)
+    place: str
+
+
+class NoAccess(Reason, frozen=True):
+    SENTENCE = "{place} can be reached only with {variable} = {value}"
+    WAKES = ("module",)
+    place: str
+    variable: str
+    value: str
+
+
+class NotAccepted(Reason, frozen=True):
+    SENTENCE = "{place} does not accept {labware_type}"
+    REMEDY = "Put labware there that it accepts, or change `accepts:` in the workcell file."
+    WAKES = ("station",)
+    URGENCY = PERSON
+    place: str
+    labware_type: str
+
+
+class WrongWay(Reason, frozen=True):
+    SENTENCE = "{labware} would lie turned by {turned} degrees at {place}, which takes it turned by {wanted}"
+    REMEDY = "Grip it otherwise in the workflow (narrow here, wide there), or turn it by hand."
+    WAKES = ("station",)
+    URGENCY = PERSON
+    labware: str
+    place: str
+    turned: str
+    wanted: str
+
+
+class NoGrip(Reason, frozen=True):
+    SENTENCE = "{module} cannot hold {labware_type} {grip} at {place}, only {known}"
+    REMEDY = "Grip it otherwise in the workflow, or teach the arm and say so under `reach:`."
+    WAKES = ("station",)
+    URGENCY = PERSON
+    module: str
+    place: str
+    labware_type: str
+    grip: str
+    known: str
+
+
+class WasteFull(Reason, frozen=True):
+    SENTENCE = "the waste {place} is full"
+    REMEDY = "Empty it and say so: labos unload {place} --all"
+    WAKES = ("station",)
+    URGENCY = PERSON
+    place: str
+
+
+class Occupied(Reason, frozen=True):
+    SENTENCE = "{place} is occupied by {what}"
+    REMEDY = (
+        "It goes on when a run moves that away; what no run moves any more, take away and say so: "
+        "labos unload {place}"
+    )
+    WAKES = ("station", "module")
+    place: str
+    what: str

@@ -1,0 +1,149 @@
+"""Reasons that lie with modules."""
+
+from __future__ import annotations
+
+from labos.core.ids import local
+from labos.core.reasons._base import PERSON, Reason
+
+
+class NoModule(Reason, frozen=True):
+    SENTENCE = "there is no module {module}"
+    REMEDY = "Set up a workcell that has it: labos up WORKCELL"
+    WAKES = ("module",)
+    URGENCY = PERSON
+    module: str
+
+
+class Access(Reason, frozen=True):
+    SENTENCE = "{by} reaches into the workcell {workcell}"
+    REMEDY = "It goes on when everybody is out: labos access {workcell} --done"
+    WAKES = ("access",)
+    URGENCY = PERSON
+    workcell: str
+    by: str
+
+
+class OutOfService(Reason, frozen=True):
+    SENTENCE = "{module} is out of service ({why})"
+    REMEDY = "Look at it, then answer what is asked (labos resolve) or: labos in-service {module}"
+    WAKES = ("module",)
+    URGENCY = PERSON
+    module: str
+    why: str
+
+
+class ModuleDown(Reason, frozen=True):
+    SENTENCE = "{module} is {status} ({error})"
+    WAKES = ("module",)
+    URGENCY = PERSON
+    module: str
+    status: str
+    error: str = ""
+
+    @property
+    def remedy(self) -> str:
+        name, workcell = local(self.module), self.module.partition("/")[0]
+        if self.status == "GONE":
+            return f"Start its node again: labos node start --name {name} --workcell {workcell}"
+        return f"Look at it, then: labos reset {name}"
+
+
+class Unwatched(Reason, frozen=True):
+    SENTENCE = "{observer}, which looks at {place} after every motion, is {how}"
+    REMEDY = "Bring {observer} back, or write `verify: on_doubt` for {place} in the workcell file."
+    WAKES = ("module",)
+    URGENCY = PERSON
+    place: str
+    observer: str
+    how: str
+
+
+class ModuleBusy(Reason, frozen=True):
+    SENTENCE = "{module} is busy"
+    WAKES = ("module",)
+    module: str
+
+
+class Unsettled(Reason, frozen=True):
+    SENTENCE = "nobody knows how {module} ended what it did last"
+    REMEDY = "Look there and answer what is asked: labos resolve {question}"
+    WAKES = ("module",)
+    URGENCY = PERSON
+    module: str
+    question: str
+
+
+class Held(Reason, frozen=True):
+    SENTENCE = "{module} is held by {holder}"
+    WAKES = ("module",)
+    module: str
+    holder: str
+
+
+class Setpoint(Reason, frozen=True):
+    SENTENCE = "{setpoint} of {module} is set to {value} for {holder}"
+    WAKES = ("module",)
+    module: str
+    setpoint: str
+    value: str
+    holder: str
+
+
+class ZoneBusy(Reason, frozen=True):
+    SENTENCE = "{module} is at work in the zone {zone}"
+    WAKES = ("zone", "module")
+    module: str
+    zone: str
+
+
+class ZoneBarred(Reason, frozen=True):
+    SENTENCE = "{module} stands still in the zone {zone}"
+    REMEDY = "Look at it, then: labos reset {module}"
+    WAKES = ("zone", "module")
+    URGENCY = PERSON
+    module: str
+    zone: str
+
+
+class Booked(Reason, frozen=True):
+    SENTENCE = "{module} is booked for {whom} until {until} ({booking})"
+    REMEDY = "It goes on by itself then. To give the time back: labos book cancel {booking}"
+    WAKES = ("booking",)
+    module: str
+    whom: str
+    until: str
+    booking: str
+
+
+class BookedSoon(Reason, frozen=True):
+    SENTENCE = (
+        "{module} is booked for {whom} from {begins} until {until} ({booking}), "
+        "and {step!r} would not be over before that"
+    )
+    REMEDY = "It goes on by itself after that. To give the time back: labos book cancel {booking}"
+    WAKES = ("booking",)
+    module: str
+    whom: str
+    begins: str
+    until: str
+    booking: str
+    step: str
+
+
+class NoGap(Reason, frozen=True):
+    SENTENCE = "the bookings of {module} ({bookings}) leave no gap of {length} in the next {days} days"
+    REMEDY = "Change or cancel one of them: labos bookings {module}"
+    WAKES = ("booking",)
+    URGENCY = PERSON
+    module: str
+    length: str
+    days: str
+    bookings: str
+
+
+class HandFull(Reason, frozen=True):
+    SENTENCE = "the hand of {module} holds {what}"
+    REMEDY = "It goes on when a run puts that down."
+    WAKES = ("station", "module")
+    module: str
+    what: str

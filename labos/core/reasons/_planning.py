@@ -1,0 +1,79 @@
+"""Reasons that lie with others who are to come through, or to come first."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.ids import local
+from labos.core.reasons._base import PERSON, Reason, in_words
+
+
+class Reserved(Reason, frozen=True):
+    SENTENCE = "{what} is reserved for run {run}, whose step {step!r} has to start in time"
+    WAKES = ("cell", "window", "module", "station", "zone")
+    what: str
+    run: str
+    step: str
+
+
+class NotInTime(Reason, frozen=True):
+    SENTENCE = "{what} would not be free in time for {step!r}"
+    WAKES = ("module", "station", "zone", "cell")
+    what: str
+    step: str
+
+
+class WouldDelay(Reason, frozen=True):
+    SENTENCE = "starting {step!r} now would make run {run} late for {late!r}"
+    WAKES = ("cell", "window", "module")
+    step: str
+    run: str
+    late: str
+
+
+class FollowsLate(Reason, frozen=True):
+    SENTENCE = "if {step!r} started now, {late!r} could not start in time"
+    WAKES = ("cell", "window", "module")
+    step: str
+    run: str
+    late: str
+
+
+class AfterElder(Reason, frozen=True):
+    SENTENCE = "run {run} has waited longer and goes first"
+    WAKES = ("cell", "near")
+    run: str
+
+
+class BetterHere(Reason, frozen=True):
+    SENTENCE = "{first} is down, and beyond {step!r} it would stand in others' way"
+    WAKES = ("cell", "near", "module")
+    URGENCY = PERSON
+    step: str
+    dead: tuple[str, ...]
+
+    def _in_words(self) -> dict[str, Any]:
+        return {"step": in_words(self.step), "first": local(self.dead[0])}
+
+
+class NoWayOut(Reason, frozen=True):
+    SENTENCE = "once started with {step!r} it could not reach its end now"
+    REMEDY = "It is let in when its way is free; what nobody moves needs a run that takes it away."
+    WAKES = ("cell",)
+    step: str
+    run: str
+
+
+class Unsafe(Reason, frozen=True):
+    SENTENCE = "starting {step!r} now would trap {who}"
+    WAKES = ("cell",)
+    step: str
+    trapped: tuple[str, ...]
+
+    def _in_words(self) -> dict[str, Any]:
+        return {"step": in_words(self.step), "who": ", ".join(_who(name) for name in self.trapped)}
+
+
+def _who(name: str) -> str:
+    kind, _, which = name.rpartition(":")
+    return f"experiment {which}" if kind == "experiment" else f"run {which}"

@@ -1,0 +1,240 @@
+"""The floor of a workcell as the state has it.
+
+Everything in flight counts as arrived.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from labos.core.algebra import (
+    ModuleSettings,
+    away_from_rest,
+    settings_after,
+)
+from labos.core.bench import Bench, Labware
+from labos.core.binding import laid_up
+from labos.core.effects import carried, touched
+from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
+from labos.core.leaving import will_leave
+from labos.core.model import Plan
+from labos.core.modules import Module
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
+from labos.core.state import LabState
+from labos.planning.floor import OTHERS, Actor, Floor, change_claim
+from labos.planning.moves import _go_back, _pile, move
+from labos.planning.paths import Motion, door_key, hold_key, setpoint_key, variable_key
+
+
+def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
+    """Whether a module needs a person or its device to come back before anybody can use it; to
+    be ``recovered`` first, an error is no hindrance."""
+    known = state.modules.by_name.get(module)
+    return known is None or module in state.lab.paused or laid_up(known, recovers=recovered) is not None
+
+
+def standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:
+    """Where the owners' labware will stand once what is in flight has ended, and whether some of
+    it is lost."""
+    places: dict[StationName, int] = {}
+    lost = False
+    for owner in owners:
+        for item in state.bench.owned(owner):
+            lost = lost or bool(item.maybe)
+            place = destination(state.bench, item)
+            if place:
+                places[place] = places.get(place, 0) + 1
+        if owner.startswith("run:"):
+            for target in arriving(state, RunId(owner[4:])):
+                places[target] = places.get(target, 0) + 1
+    return places, lost
+
+
+def destination(bench: Bench, item: Labware) -> StationName:
+    """Where labware will stand when the action that carries it has ended, as plans name it; empty if
+    nowhere."""
+    place = item.station
+    for what in carried(bench.reserved.get(ActionId(item.moving), ())) if item.moving else ():
+        if what.labware == item.id:
+            place = what.filled
+    return StationName("") if place and bench.stations[place].spec.kind == "waste" else bench.planned(place)
+
+
+def arriving(state: LabState, run: RunId) -> list[StationName]:
+    """Stations at which labware will appear that a run is taking off a stack right now."""
+    active = state.runs.active.get(run)
+    if active is None or not active.has(IN_FLIGHT, UNKNOWN):
+        return []
+    return [
+        state.bench.planned(what.target)
+        for action in state.actions.within(state.runs.plan_of(active).workcell)
+        if action.run == run
+        for what in carried(action.effects)
+        if what.stock
+    ]
+
+
+def labware_in(state: LabState, cell: str) -> list[Labware]:
+    """Labware that stands in a workcell, that is carried there, and all of which it is not known where it
+    is. Lids are with their plates."""
+    bench = state.bench
+    names: dict[LabwareId, bool] = {}
+    for place in bench.in_cell.get(cell, ()):
+        standing_there = bench.stations[place].labware
+        if standing_there:
+            names.update(dict.fromkeys(standing_there, True))
+    for action in state.actions.within(cell):
+        if action.effects:
+            names.update(dict.fromkeys(touched(action.effects), True))
+    names.update(bench.lost)
+    return [bench.labware[name] for name in names if name in bench.labware]
+
+
+def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: bool) -> Floor:
+    """The floor of a workcell once everything in flight has ended. Labware whose place is not
+    known takes up room wherever it may be; hopefully seen, an action of unknown outcome counts
+    as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
+    bench = state.bench
+    prefix = f"{cell}/"
+    floor = Floor(held=_held(state, cell), values=_values(state, cell))
+    for name in bench.in_cell.get(cell, ()):
+        station = bench.stations[name]
+        spec = station.spec
+        if spec.hotel:
+            continue
+        floor.capacity[name] = spec.capacity
+        floor.count[name] = len(station.stock)
+        if spec.kind == "stack":
+            floor.stock[name] = len(station.stock)
+            floor.piles[name] = []
+        elif spec.kind == "waste":
+            floor.endless.add(name)
+            floor.count[name] = station.count
+        elif spec.kind == "gripper":
+            floor.arms[name] = spec.module
+        if spec.claim:
+            floor.claims[name] = spec.claim
+        if (spec.claim or spec.access) and spec.module:
+            floor.behind[name] = spec.module
+    holders = {owner: actor.name for actor in actors for owner in actor.owners}
+    coming: list[tuple[StationName, str]] = []
+    for item in labware_in(state, cell):
+        if item.maybe and not (hopeful and item.moving):
+            for place in map(bench.planned, item.maybe):
+                floor.count[place] = floor.count.get(place, 0) + 1
+                change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
+            continue
+        place = destination(bench, item)
+        if place.startswith(prefix):
+            floor.count[place] = floor.count.get(place, 0) + 1
+            if place in floor.piles and place != item.station:
+                coming.append((place, holders.get(item.owner, item.owner)))
+            change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
+            if item.owner not in holders and (item.owner == SHARED or item.owner.startswith("user:")):
+                pool = floor.pools.setdefault(item.owner, {})
+                pool[place] = pool.get(place, 0) + 1
+            if item.lender == SHARED or item.lender.startswith("user:"):
+                floor.pools.setdefault(item.lender, {})
+                if item.owner in holders:
+                    who = holders[item.owner]
+                    floor.lent[who] = (*floor.lent.get(who, ()), (place, item.lender))
+    for place, pile in floor.piles.items():
+        for labware in bench.stations[place].labware:
+            standing_there = bench.labware[labware]
+            if destination(bench, standing_there) == place:
+                pile.append(holders.get(standing_there.owner, standing_there.owner))
+    for place, who in coming:
+        floor.piles[place].append(who)
+    for action in state.actions.within(cell):
+        for what in carried(action.effects):
+            if what.stock in floor.stock:
+                target = bench.planned(what.target)
+                floor.stock[what.stock] -= 1
+                floor.count[what.stock] -= 1
+                floor.count[target] += 1
+                _pile(floor, target, str(action.run))
+                change_claim(floor, target, str(action.run), 1)
+    for actor in actors:
+        keep(floor, actor, actor.kept)
+    return floor
+
+
+def keep(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:
+    """Keep what an actor needs if something that it has in flight fails."""
+    for motion in kept:
+        if motion.source:
+            _go_back(floor, actor, motion, -1)
+        else:
+            move(floor, actor, motion)
+
+
+def _held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
+    """What runs inside hold by doors, setpoints and their plans' word, once what is in flight has
+    ended."""
+    active = state.runs.inside(cell)
+    staying = {str(run.id) for run in active if not _about_to_end(state.runs.plan_of(run), run)}
+    held: dict[str, dict[str, Any]] = {}
+    for name, module in state.modules.within(cell):
+        flying = [
+            (str(action.run), settings_after(action.effects))
+            for action in map(state.actions.open.__getitem__, module.in_flight)
+        ]
+        held[door_key(name)] = dict.fromkeys(_by_doors(module, flying) & staying)
+        for setpoint, now in module.setpoints.items():
+            held[setpoint_key(name, setpoint)] = {who: now.value for who in now.holders if who in staying}
+        for run, after in flying:
+            for setpoint, value in after.claims.items() if run in staying else ():
+                held.setdefault(setpoint_key(name, setpoint), {})[run] = value
+            for setpoint in after.releases:
+                held.get(setpoint_key(name, setpoint), {}).pop(run, None)
+        holders = [state.runs.active[holder] for holder in state.runs.holders.get(name, ())]
+        held[hold_key(name)] = {
+            str(run.id): None for run in holders if _will_hold(state.runs.plan_of(run), run, name)
+        }
+    return {key: holders for key, holders in held.items() if holders}
+
+
+def _values(state: LabState, cell: str) -> dict[str, Any]:
+    """How the variables of modules stand that have no rest, once what is in flight has ended."""
+    values: dict[str, Any] = {}
+    for name, module in state.modules.within(cell):
+        for variable, value in module.values.items():
+            if variable not in module.spec.rest:
+                values[variable_key(name, variable)] = value
+        for action in module.in_flight:
+            for variable, value in settings_after(state.actions.open[action].effects).variables.items():
+                values[variable_key(name, variable)] = value
+    return values
+
+
+def _about_to_end(plan: Plan, run: RunState) -> bool:
+    """Whether a run has nothing left to start, also if what it has in flight fails; its end lets go of all
+    it holds."""
+    ends = run.status == RunStatus.CANCELLING and not will_leave(plan, run)
+    policies = [
+        step.on_error for step, at in zip(plan.steps, run.steps, strict=True) if at.status == IN_FLIGHT
+    ]
+    recovers = any(policy is not None and policy.do == "run" for policy in policies)
+    return ends or (not recovers and all(step.status in (IN_FLIGHT, *SETTLED) for step in run.steps))
+
+
+def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
+    return any(
+        hold.module == module
+        and run.steps[hold.first].status not in (PENDING, SKIPPED)
+        and run.steps[hold.last].status not in (IN_FLIGHT, *SETTLED)
+        for hold in plan.holds
+    )
+
+
+def _by_doors(module: Module, flying: list[tuple[str, ModuleSettings]]) -> set[str]:
+    """Who will have left a door or lid away from rest."""
+    if not module.spec.rest:
+        return set()
+    values = module.values
+    by = {name: variable.by for name, variable in module.variables.items()}
+    for run, after in flying:
+        values |= after.variables
+        by |= dict.fromkeys(after.variables, run)
+    return {by.get(variable, "") for variable in away_from_rest(values, module.spec.rest)}

@@ -1,0 +1,383 @@
+"""What may move on a floor, and what becomes of the floor then. Motions are tried out and taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+
+from labos.core.algebra import (
+    reaching_refused,
+    standing_refused,
+)
+from labos.core.binding import same
+from labos.core.effects import NOWHERE, is_reported
+from labos.core.ids import ModuleName, Owner, StationName
+from labos.planning.floor import CLOSING, OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim
+from labos.planning.paths import END, Motion, door_key, hold_key, kept_by
+
+
+class Mover(msgspec.Struct, frozen=True, gc=False):
+    """An actor on a floor: a store of motions (see ``core.algebra``) that says whether something is in the
+    way, and not what."""
+
+    floor: Floor
+    actor: Actor
+
+    def stock(self, what: Motion, stack: StationName) -> bool | None:
+        return self.floor.stock.get(stack, 0) <= 0 or bool(self.floor.piles.get(stack)) or None
+
+    def stands(self, what: Motion, place: StationName) -> bool | None:
+        floor, actor = self.floor, self.actor
+        number = what.stands.count(place)
+        if place in floor.piles:
+            pile = floor.piles[place]
+            top = pile[-number:]
+            return len(top) < number or not all(o == actor.name or o in actor.inputs for o in top) or None
+        there = actor.own.get(place, 0)
+        if there >= number:
+            return None
+        there += sum(floor.pools[o].get(place, 0) for o in actor.inputs if o in floor.pools)
+        return True if there < number else None
+
+    def hand(self, what: Motion) -> bool | None:
+        return True if what.hand and self.floor.count.get(what.hand) else None
+
+    def entry(self, what: Motion, place: StationName) -> bool | None:
+        floor = self.floor
+        module = floor.behind.get(place)
+        if module is None:
+            return None
+        if not _open_to(floor, self.actor, module):
+            return True
+        claim = floor.claims.get(place, "")
+        return bool(claim and not _claimable(floor, self.actor, claim)) or None
+
+    def room(self, what: Motion, place: StationName) -> bool | None:
+        floor = self.floor
+        more = what.room.count(place)
+        return True if floor.count.get(place, 0) + more > floor.capacity.get(place, 0) else None
+
+
+def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether the motion is possible on this floor."""
+    if motion.back:
+        return _may_go_back(floor, actor, motion)
+    if motion.wants and not all(_is_set(floor, key, value) for key, value in motion.wants):
+        return False
+    if not motion.target:
+        return (
+            (not motion.uses or may_use(floor, actor, motion.uses))
+            and all(_may_grab(floor, actor, key, value) for key, value in motion.grabs)
+            and all(found_at(floor, actor, places) for places in motion.needs)
+        )
+    mover = Mover(floor, actor)
+    if motion.step <= CLOSING - END and _nothing_to_clear(mover, motion):
+        return True
+    if motion.uses and not may_use(floor, actor, motion.uses):
+        return False
+    return standing_refused(mover, motion) is None and reaching_refused(mover, motion) is None
+
+
+def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
+    """Whether nobody else keeps a module."""
+    return _open_to(floor, actor, module) and (
+        module not in floor.claimed or _claimable(floor, actor, module)
+    )
+
+
+def _is_set(floor: Floor, key: str, wanted: Any) -> bool:
+    """Whether a variable has a value, or may have it: what a device will report is not known yet."""
+    value = floor.values.get(key)
+    return value is not UNSETTLED and (is_reported(value) or same(value, wanted))
+
+
+def found_at(floor: Floor, actor: Actor, places: Iterable[StationName]) -> StationName:
+    """The first of some places where labware stands that an actor may use: its own first; empty if there is
+    none."""
+    owners = [None, *actor.inputs]
+    found = [(owners.index(owner), place) for place in places for owner in _usable(floor, actor, place)]
+    return min(found, key=lambda pair: pair[0])[1] if found else NOWHERE
+
+
+def _usable(floor: Floor, actor: Actor, place: StationName) -> list[Owner | None]:
+    """Whose labware an actor would use at a place: its own (None), or out of a pool; empty if there is
+    none."""
+    if _has_own(floor, actor, place):
+        return [None]
+    pile = floor.piles.get(place)
+    owners = [o for o in actor.inputs if floor.pools.get(o, {}).get(place) and not (pile and pile[-1] != o)]
+    return [*owners[:1]]
+
+
+def _nothing_to_clear(mover: Mover, motion: Motion) -> bool:
+    """Whether a motion of a closing workflow is left out, as nothing stands there."""
+    return any(mover.stands(motion, p) for p in motion.stands)
+
+
+def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether things can be as they are once it is known how something in flight ended."""
+    if motion.target:
+        return motion.new or _has_room(floor, actor, motion)
+    pile = floor.piles.get(motion.source)
+    return pile is None or pile[-1:] == [actor.name]
+
+
+def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
+    """Whether its target has room for what is moved, and is nobody else's deck."""
+    target = motion.target
+    if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
+        return False
+    claim = floor.claims.get(target)
+    return not claim or _claimable(floor, actor, claim)
+
+
+def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
+    return not floor.held or (
+        _may_hold(floor, actor, door_key(module), None) and _may_hold(floor, actor, hold_key(module), None)
+    )
+
+
+def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
+    """Whether an actor may come to hold something. A module is kept by a plan's word only once nobody else
+    has labware in it or has left its door: who has would not get at it any more."""
+    if not _may_hold(floor, actor, key, value):
+        return False
+    module = kept_by(key)
+    return not module or (
+        _may_hold(floor, actor, door_key(module), None) and _claimable(floor, actor, module)
+    )
+
+
+def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
+    """Whether nobody else holds it, or everybody wants the same."""
+    holders = floor.held.get(key)
+    return not holders or all(
+        who == actor.name or (value is not None and other == value) for who, other in holders.items()
+    )
+
+
+def _pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, int] | None:
+    """The counts of the labware of others that an actor may use at a station; on a stack, of what lies
+    on top."""
+    pile = floor.piles.get(source)
+    for owner in actor.inputs:
+        if pile and owner != pile[-1]:
+            continue
+        pool = floor.pools.get(owner)
+        if pool is not None and pool.get(source):
+            return pool
+    return None
+
+
+def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
+    """Whether nobody but the actor, and what it may use, stands where a claim is held."""
+    holders = floor.claimed.get(claim)
+    for who, number in holders.items() if holders else ():
+        if not number or who == actor.name:
+            continue
+        pools = [floor.pools.get(owner, {}) for owner in actor.inputs]
+        usable = sum(n for pool in pools for place, n in pool.items() if floor.claims.get(place) == claim)
+        if who != OTHERS or number > usable:
+            return False
+    return True
+
+
+class Held(msgspec.Struct):
+    """What an actor held before a motion (key, whether, value), how variables stood, what was lent to it, and
+    which plates have become its own (1), or are not any more (-1), out of which pool."""
+
+    keys: list[tuple[str, bool, Any]] = []
+    values: list[tuple[str, Any]] = []
+    lent: Loans = ()
+    plates: list[tuple[StationName, Counts, int]] = []
+
+
+Taken = tuple[Counts, str, Counts | None, Loans] | Held
+"""From which count a motion took its labware, in whose name, from which pool it took over the plate whose
+lid it carries, and what was lent to its actor before; for taking it back. Or what its actor held."""
+
+
+def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
+    """Carry a motion out on the floor; returns what ``take_back`` needs."""
+    source, target = motion.source, motion.target
+    if motion.back:
+        _go_back(floor, actor, motion, 1)
+        return {}, "", None, floor.lent.get(actor.name, ())
+    if not target:
+        return _hold(floor, actor, motion)
+    if motion.step <= CLOSING - END and _nothing_to_clear(Mover(floor, actor), motion):
+        return None
+    counts: Counts = {}
+    who, lent = "", floor.lent.get(actor.name, ())
+    if motion.emptied:
+        if motion.new:
+            counts = floor.stock
+        elif _has_own(floor, actor, source):
+            counts, who = actor.own, actor.name
+        else:
+            pool = _pool(floor, actor, source)
+            if pool is None:
+                return None
+            counts, who = pool, OTHERS
+        counts[source] -= 1
+        floor.count[source] -= 1
+        if not motion.new:
+            _pile(floor, source, "")
+        change_claim(floor, source, who, -1)
+        _keep_loan(floor, actor, source)
+    if motion.filled:
+        _pile(floor, target, actor.name)
+        floor.count[target] = floor.count.get(target, 0) + 1
+        if target not in floor.endless:
+            actor.own[target] = actor.own.get(target, 0) + 1
+            change_claim(floor, target, actor.name, 1)
+    pool = None
+    if motion.plate_at:
+        pool = _take_over(floor, actor, motion.plate_at)
+        _keep_loan(floor, actor, motion.plate_at)
+    return counts, who, pool, lent
+
+
+def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -> None:
+    """Undo the last motion of an actor."""
+    if taken is None:
+        return
+    if isinstance(taken, Held):
+        for key, before, value in reversed(taken.keys):
+            if before:
+                floor.held.setdefault(key, {})[actor.name] = value
+            else:
+                del floor.held[key][actor.name]
+        for key, value in reversed(taken.values):
+            floor.values[key] = value
+        for place, whose, sign in reversed(taken.plates):
+            _change_owner(floor, actor, place, whose, -sign)
+        if motion.needs or motion.returns:
+            floor.lent[actor.name] = taken.lent
+        return
+    counts, who, pool, lent = taken
+    if lent:
+        floor.lent[actor.name] = lent
+    source, target = motion.source, motion.target
+    if pool is not None:
+        _change_owner(floor, actor, motion.plate_at, pool, -1)
+    if motion.back:
+        _go_back(floor, actor, motion, -1)
+        return
+    if motion.filled:
+        if target not in floor.endless:
+            actor.own[target] -= 1
+            change_claim(floor, target, actor.name, -1)
+        _pile(floor, target, "")
+        floor.count[target] -= 1
+    if motion.emptied:
+        if not motion.new:
+            _pile(floor, source, _holder(floor, counts, who))
+        change_claim(floor, source, who, 1)
+        floor.count[source] += 1
+        counts[source] += 1
+
+
+def _go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
+    """Make things be as it is known now (1), or take that back (-1)."""
+    for place, change in ((motion.source, -sign), (motion.target, sign)):
+        if not place:
+            continue
+        floor.count[place] = floor.count.get(place, 0) + change
+        if motion.new and place == motion.target:
+            floor.stock[place] = floor.stock.get(place, 0) + change
+        elif place not in floor.endless:
+            if motion.target:
+                actor.own[place] = actor.own.get(place, 0) + change
+            change_claim(floor, place, actor.name, change)
+            _pile(floor, place, actor.name if change > 0 else "")
+
+
+def _take_over(floor: Floor, actor: Actor, place: StationName) -> Counts | None:
+    """A plate whose lid an actor carries is its own from then on; returns out of which pool it came."""
+    pool = None if _has_own(floor, actor, place) else _pool(floor, actor, place)
+    if pool is not None:
+        _change_owner(floor, actor, place, pool, 1)
+    return pool
+
+
+def _change_owner(floor: Floor, actor: Actor, place: StationName, pool: Counts, sign: int) -> None:
+    """One piece out of a pool becomes an actor's (1), or goes back (-1)."""
+    pool[place] = pool.get(place, 0) - sign
+    actor.own[place] = actor.own.get(place, 0) + sign
+    change_claim(floor, place, OTHERS, -sign)
+    change_claim(floor, place, actor.name, sign)
+    pile = floor.piles.get(place)
+    if pile:
+        pile[-1] = actor.name if sign > 0 else _holder(floor, pool, OTHERS)
+
+
+def _pile(floor: Floor, place: StationName, who: str) -> None:
+    """Something of somebody's comes onto a stack; nobody's: what lies on top comes off it."""
+    pile = floor.piles.get(place)
+    if pile is not None and who:
+        pile.append(who)
+    elif pile:
+        pile.pop()
+
+
+def _holder(floor: Floor, counts: dict[StationName, int], who: str) -> str:
+    """Whose labware was taken, if it was an actor's or out of somebody's pool."""
+    return who if who != OTHERS else next(owner for owner, pool in floor.pools.items() if pool is counts)
+
+
+def _has_own(floor: Floor, actor: Actor, source: StationName) -> bool:
+    """Whether an actor takes what is its own; on a stack that is so if it lies on top."""
+    pile = floor.piles.get(source)
+    return pile[-1] == actor.name if pile else bool(actor.own.get(source))
+
+
+def _hold(floor: Floor, actor: Actor, motion: Motion) -> Held | None:
+    """Let an actor hold what a motion grabs, and have what it needs; let go of what it frees, and return what
+    was lent."""
+    if not motion.changes_anything:
+        return None
+    who, before = actor.name, Held(lent=floor.lent.get(actor.name, ()))
+    for key, value in motion.grabs:
+        holders = floor.held.setdefault(key, {})
+        before.keys.append((key, who in holders, holders.get(who)))
+        holders[who] = value
+    for key in motion.frees:
+        holders = floor.held.get(key, {})
+        if who in holders:
+            before.keys.append((key, True, holders.pop(who)))
+    for key, value in motion.sets:
+        before.values.append((key, floor.values.get(key)))
+        floor.values[key] = value
+    for places in motion.needs:
+        _borrow(floor, actor, found_at(floor, actor, places), before, keeps=motion.keeps)
+    if motion.returns and before.lent:
+        for place, owner in before.lent:
+            pile, pool = floor.piles.get(place), floor.pools[owner]
+            if pile and (pile[-1] != who or pile.count(who) > 1):
+                continue  # of several on a stack it is not known here which one was lent
+            _change_owner(floor, actor, place, pool, -1)
+            before.plates.append((place, pool, -1))
+        floor.lent[who] = ()
+    return before
+
+
+def _borrow(floor: Floor, actor: Actor, place: StationName, before: Held, *, keeps: bool) -> None:
+    """What stands at a place is an actor's from now on: until its end, or for good."""
+    owner = next((owner for owner in _usable(floor, actor, place) if owner is not None), None)
+    pool = _take_over(floor, actor, place) if owner is not None else None
+    if keeps:
+        _keep_loan(floor, actor, place)
+    elif owner is not None:
+        floor.lent[actor.name] = (*floor.lent.get(actor.name, ()), (place, owner))
+    if pool is not None:
+        before.plates.append((place, pool, 1))
+
+
+def _keep_loan(floor: Floor, actor: Actor, place: StationName) -> None:
+    """What was lent to an actor at a place stays its own."""
+    lent = floor.lent.get(actor.name)
+    if lent:
+        floor.lent[actor.name] = tuple(loan for loan in lent if loan[0] != place)
