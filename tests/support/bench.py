@@ -26,7 +26,6 @@ from labos.core.decide.actions import (
     RefuseAction,
     StartStep,
 )
-from labos.core.decide.campaigns import ConcludeCampaign
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetLevel, StartKernel
@@ -384,8 +383,6 @@ class Driver:
             self.scheduler.heed(self.state, keys)
             for command in self.scheduler.due(self.state, self.now):
                 self.do(command)
-            for campaign in tuple(self.state.campaigns.due):
-                self.do(ConcludeCampaign(campaign))
             for start in self.scheduler.proposals(self.state, keys, self.now):
                 self._carry_out(start.run, start.step)
                 started.append(f"{start.run}#{start.step}")

@@ -12,6 +12,7 @@ from labos.core.decide import (
     actions,
     campaigns,
     cancelling,
+    composites,
     control,
     doubts,
     experiments,
@@ -49,6 +50,7 @@ __all__ = [
     "campaigns",
     "cancelling",
     "carry_out",
+    "composites",
     "control",
     "decide",
     "doubts",
@@ -75,7 +77,7 @@ MOST_REACTIONS = 10_000
 
 
 def carry_out(
-    state: LabState, command: Command, write: Callable[[Event], Event], actor: str = LABOS
+    state: LabState, command: Command, write: Callable[[Event], Event], actor: str
 ) -> list[Event] | Rejection:
     """Decide a command of ``actor``. Each of its events is folded by ``write``, which returns it as it is
     stored, before the next is worked out; then what follows from them, in their order, until nothing follows
@@ -99,7 +101,7 @@ def carry_out(
     return events
 
 
-def decide(state: LabState, command: Command, actor: str = LABOS) -> Decision:
+def decide(state: LabState, command: Command, actor: str) -> Decision:
     """The events that carry out a command of ``actor``, or why it cannot be carried out (``Denied`` if the
     actor may not). Changes nothing. What follows from the events is not among them."""
     if refusal := denied(state, command, actor):

@@ -105,12 +105,6 @@ class CancelCampaign(Command, frozen=True):
     why: str = ""
 
 
-class ConcludeCampaign(Command, frozen=True):
-    """Stop a campaign that must not go on, or end one of which nothing is left."""
-
-    campaign: CampaignId
-
-
 @decides(SubmitCampaign)
 def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
     if command.request and command.request in state.campaigns.requests:
@@ -241,34 +235,6 @@ def _cancel(state: LabState, campaign: Campaign, command: CancelCampaign) -> Ite
     yield from _cancel_runs(state, campaign.runs, command.why, stay=command.stay)
 
 
-@decides(ConcludeCampaign)
-def conclude_campaign(state: LabState, command: ConcludeCampaign) -> Decision:
-    campaign = state.campaigns.open.get(command.campaign)
-    if campaign is None:
-        return []
-    why = must_stop(campaign)
-    if why:
-        return _stop(state, campaign, why)
-    if not is_over(campaign):
-        return []
-    return [
-        CampaignCompleted(
-            campaign=campaign.id,
-            completed=campaign.completed,
-            failed=campaign.failed,
-            cancelled=campaign.cancelled,
-            refused=campaign.refused,
-            left=campaign.left,
-            why=campaign.why,
-        )
-    ]
-
-
-def _stop(state: LabState, campaign: Campaign, why: str) -> Iterator[Event]:
-    yield CampaignStopped(campaign.id, why, campaign.met_by)
-    yield from _cancel_runs(state, _queued(campaign), f"{campaign.id} was stopped")
-
-
 def beyond_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
     """What a further run of a plan would use beyond the campaign's budget, as a sentence; empty if it fits.
     Runs alive are counted in full, by what their plans say."""
@@ -357,6 +323,25 @@ def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool
 # -- reactions -----------------------------------------------------------------------------------
 
 
+def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
+    """A campaign that must not go on is stopped, and one of which nothing is left is completed."""
+    for name in list(state.campaigns.due):
+        campaign = state.campaigns.open[name]
+        if why := must_stop(campaign):
+            yield CampaignStopped(name, why, campaign.met_by)
+            yield from _cancel_runs(state, _queued(campaign), f"{name} was stopped")
+        elif is_over(campaign):
+            yield CampaignCompleted(
+                campaign=name,
+                completed=campaign.completed,
+                failed=campaign.failed,
+                cancelled=campaign.cancelled,
+                refused=campaign.refused,
+                left=campaign.left,
+                why=campaign.why,
+            )
+
+
 def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
     """The campaigns of a user who may not act any more submit no further row until somebody resumes them."""
     for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
@@ -367,11 +352,11 @@ def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
 __all__ = [
     "AmendCampaign",
     "CancelCampaign",
-    "ConcludeCampaign",
     "PauseCampaign",
     "RefuseRow",
     "ResumeCampaign",
     "SubmitCampaign",
     "SubmitRow",
+    "conclude_campaigns",
     "pause_campaigns",
 ]

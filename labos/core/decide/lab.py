@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 
-from labos.core.bench import arrival, parts, taking
-from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.bench import Station, arrival, parts, taking
+from labos.core.decide._base import Command, Decision, Rejection, decides, many, recordable
 from labos.core.decide.shorter import found_shorter
 from labos.core.effects import Replaces, places
 from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
-from labos.core.model import Workcell
+from labos.core.model import StationSpec, Workcell
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.resources import LevelSet
@@ -35,9 +36,14 @@ class StartKernel(Command, frozen=True):
 
 
 class ApplyWorkcell(Command, frozen=True):
-    """Set up a workcell, or change it to a new description."""
+    """Set up a workcell, or change it to a new description. With ``contents``, the stations of which nobody
+    has said what stands there hold what it says, bottom to top; those that it does not name are empty."""
 
     workcell: Workcell
+    contents: dict[StationName, tuple[str, ...]] | None = None
+
+    def parts(self) -> Sequence[Command]:
+        return [DeclareStation(name, types) for name, types in (self.contents or {}).items()]
 
 
 class DeclareStation(Command, frozen=True):
@@ -92,7 +98,30 @@ def _started(state: LabState, command: StartKernel) -> Iterator[Event]:
 
 @decides(ApplyWorkcell)
 def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
-    cell = command.workcell
+    applied = _apply(state, command.workcell)
+    fit = applied if isinstance(applied, Rejection) else recordable(applied)
+    if isinstance(fit, Rejection) or command.contents is None:
+        return fit
+    for spec in command.workcell.places:
+        known = state.bench.stations.get(spec.name)
+        contents = command.contents.get(spec.name, ())
+        wrong = _unfit(spec, contents) or recordable([StationDeclared(spec.name, contents)])
+        if isinstance(wrong, Rejection) and (known is None or not known.known):
+            return wrong
+    return chain(fit, _declare_rest(state, command.workcell, command.contents))
+
+
+def _declare_rest(
+    state: LabState, cell: Workcell, contents: dict[StationName, tuple[str, ...]]
+) -> Iterator[Event]:
+    """Declare the stations of which nobody has spoken, and where nothing is under way."""
+    for spec in cell.places:
+        station = state.bench.stations[spec.name]
+        if not station.known and not _occupied_or_doubtful(state, station):
+            yield from _declare(state, station, contents.get(spec.name, ()))
+
+
+def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
     if state.lab.workcells.get(cell.name) == cell.digest:
         return []
     forbidden = in_the_way(state, cell)
@@ -216,37 +245,46 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
     shelved = many(state, command.station)
     if shelved:
         return shelved
+    wrong = _occupied_or_doubtful(state, station) or _unfit(station.spec, command.contents)
+    return wrong or _declare(state, station, command.contents)
+
+
+def _occupied_or_doubtful(state: LabState, station: Station) -> Rejection | None:
+    name = station.spec.name
     if station.labware or station.expected:
         return Rejection(
             "station_occupied",
-            f"{local(command.station)} holds {', '.join(station.labware) or 'an arrival under way'}; "
+            f"{local(name)} holds {', '.join(station.labware) or 'an arrival under way'}; "
             "what is known is not overwritten.",
             "Move or remove that labware first.",
         )
-    if command.station in state.bench.haunted or taking(state.bench, command.station):
+    if name in state.bench.haunted or taking(state.bench, name):
         return Rejection(
             "uncertain",
-            f"It is being found out what stands at {local(command.station)}.",
+            f"It is being found out what stands at {local(name)}.",
             "Answer the open intervention, or wait for the action, first.",
         )
-    if len(command.contents) > station.spec.capacity:
-        return Rejection(
-            "too_many",
-            f"{local(command.station)} holds {station.spec.capacity}, not {len(command.contents)}.",
-        )
-    wrong = next((t for t in command.contents if not station.spec.admits(parts(t)[0])), "")
+    return None
+
+
+def _unfit(spec: StationSpec, contents: tuple[str, ...]) -> Rejection | None:
+    """Why a station could not hold this."""
+    if len(contents) > spec.capacity:
+        return Rejection("too_many", f"{local(spec.name)} holds {spec.capacity}, not {len(contents)}.")
+    wrong = next((kind for kind in contents if not spec.admits(parts(kind)[0])), "")
     if wrong:
-        why = station.spec.why_not(parts(wrong)[0])
-        return Rejection("not_accepted", f"{local(command.station)} {why}.")
+        return Rejection("not_accepted", f"{local(spec.name)} {spec.why_not(parts(wrong)[0])}.")
+    return None
+
+
+def _declare(state: LabState, station: Station, contents: tuple[str, ...]) -> Iterator[Event]:
+    name = station.spec.name
     if station.spec.kind in ("stack", "waste"):
-        return [StationDeclared(command.station, command.contents)]
-    return _declared(state, command)
-
-
-def _declared(state: LabState, command: DeclareStation) -> Iterator[Event]:
-    yield StationDeclared(command.station, ())
-    for kind, lid in map(parts, command.contents):
-        plate = LabwarePlaced(state.bench.next_id, "", kind, command.station, SHARED)
+        yield StationDeclared(name, contents)
+        return
+    yield StationDeclared(name, ())
+    for kind, lid in map(parts, contents):
+        plate = LabwarePlaced(state.bench.next_id, "", kind, name, SHARED)
         yield from arrival(state.bench, plate, lid)
 
 

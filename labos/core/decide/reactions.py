@@ -19,14 +19,16 @@ from labos.core.actions import (
     ActionSucceeded,
     ActionUnknown,
 )
+from labos.core.campaigns import CampaignAmended, CampaignCancelled, CampaignRowRefused, CampaignStopped
 from labos.core.decide.approvals import ask_second_person
-from labos.core.decide.campaigns import pause_campaigns
+from labos.core.decide.campaigns import conclude_campaigns, pause_campaigns
 from labos.core.decide.endings import end_recovery, end_run, skip_steps
-from labos.core.decide.experiments import withdraw_experiment_question
+from labos.core.decide.experiments import end_experiments, withdraw_experiment_question
 from labos.core.decide.steps import check_result, fail_spoilt, handle_failure, retry_step
 from labos.core.decide.waiting import withdraw_action_questions, withdraw_waiting
 from labos.core.decide.windows import withdraw_late_questions, withdraw_run_questions
-from labos.core.experiments import ExperimentClosing, ExperimentEnded
+from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
+from labos.core.lab import KernelStarted
 from labos.core.modules import NodeLeft, NodeStateChanged
 from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunResumed, RunStarted, RunSubmitted
@@ -37,6 +39,8 @@ from labos.core.users import UserDisabled
 Reaction = Callable[[LabState, Any], Iterator[Event]]
 
 REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
+    # Logs of earlier versions may have left these to a command that was never given.
+    KernelStarted: (end_experiments, conclude_campaigns),
     NodeLeft: (withdraw_waiting,),
     NodeStateChanged: (withdraw_waiting,),
     ActionAccepted: (withdraw_action_questions,),
@@ -58,10 +62,15 @@ REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
     RunSubmitted: (ask_second_person,),
     RunStarted: (withdraw_run_questions,),
     RunResumed: (withdraw_late_questions,),
-    RunCompleted: (withdraw_run_questions,),
-    RunFailed: (withdraw_run_questions,),
-    RunCancelled: (withdraw_run_questions,),
+    RunCompleted: (withdraw_run_questions, end_experiments, conclude_campaigns),
+    RunFailed: (withdraw_run_questions, end_experiments, conclude_campaigns),
+    RunCancelled: (withdraw_run_questions, end_experiments, conclude_campaigns),
+    ExperimentCancelled: (end_experiments,),
     ExperimentClosing: (withdraw_experiment_question,),
     ExperimentEnded: (withdraw_experiment_question,),
+    CampaignAmended: (conclude_campaigns,),
+    CampaignRowRefused: (conclude_campaigns,),
+    CampaignStopped: (conclude_campaigns,),
+    CampaignCancelled: (conclude_campaigns,),
     UserDisabled: (pause_campaigns,),
 }

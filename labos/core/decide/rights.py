@@ -17,6 +17,7 @@ from labos.core.decide import (
     actions,
     campaigns,
     cancelling,
+    composites,
     control,
     doubts,
     experiments,
@@ -69,7 +70,7 @@ class Right(msgspec.Struct, frozen=True):
 def denied(state: LabState, command: Command, actor: str) -> Denied | None:
     """Why ``actor`` (a user's id, or ``on_behalf``) may not give a command; None if they may. Takes no
     longer than the command has targets."""
-    if _is_free(state, actor) or type(command) is nodes.RecordStop:
+    if _is_free(state, actor) or isinstance(command, nodes.RecordStop | composites.RecordStops):
         return None
     right = RIGHTS[type(command)]
     service, _, person = actor.rpartition(ON_BEHALF)
@@ -89,7 +90,7 @@ def denied(state: LabState, command: Command, actor: str) -> Denied | None:
         wrong = _not_allowed(state, target, person, service)
         if wrong:
             return wrong
-    return None
+    return next((wrong for part in command.parts() if (wrong := denied(state, part, actor))), None)
 
 
 def lacking(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> Denied | None:
@@ -196,6 +197,7 @@ def _listed(names: list[str]) -> str:
 
 _INSIDE = Right(None, "LabOS itself")
 _OWN = "its owner; else an operator"
+_RECORDED = Right("viewer", "whoever stopped it: it is recorded in any case")
 _OPERATOR = "an operator"
 _ADMIN = "an admin of the whole lab"
 
@@ -207,6 +209,7 @@ RIGHTS: dict[type[Command], Right] = {
         targets.of_submission,
         "user",
     ),
+    composites.SubmitWithLabware: Right("submitter", "as for the run; for labware, an operator"),
     runs.PauseRun: Right("submitter", _OWN, targets.of_run),
     runs.ResumeRun: Right("submitter", _OWN, targets.of_run),
     cancelling.CancelRun: Right("submitter", _OWN, targets.of_run),
@@ -228,6 +231,7 @@ RIGHTS: dict[type[Command], Right] = {
     labware.NameBarcode: Right("submitter", _OWN, targets.of_label, "by"),
     # the bench
     lab.DeclareStation: Right("operator", _OPERATOR, targets.of_station),
+    composites.DeclareStations: Right("operator", _OPERATOR),
     lab.SetLevel: Right("operator", _OPERATOR, targets.of_module),
     stock.LoadStation: Right("operator", _OPERATOR, targets.of_station),
     stock.UnloadStation: Right("operator", _OPERATOR, targets.of_station, "by"),
@@ -235,6 +239,7 @@ RIGHTS: dict[type[Command], Right] = {
     observation.ObserveStation: Right("operator", _OPERATOR, targets.of_station, "by"),
     shorter.SayContents: Right("operator", _OPERATOR, targets.of_station, "by"),
     shorter.ConfirmStations: Right("operator", _OPERATOR, targets.of_stations, "by"),
+    composites.ReportRound: Right("operator", _OPERATOR, asker="by"),
     interventions.ResolveIntervention: Right(
         "submitter",
         "an operator; what becomes of a run or an experiment: also its owner",
@@ -269,7 +274,6 @@ RIGHTS: dict[type[Command], Right] = {
     actions.RefuseAction: _INSIDE,
     actions.ResendAction: _INSIDE,
     actions.StartStep: _INSIDE,
-    campaigns.ConcludeCampaign: _INSIDE,
     campaigns.RefuseRow: _INSIDE,
     campaigns.SubmitRow: _INSIDE,
     cancelling.GiveUpWayOut: _INSIDE,
@@ -285,7 +289,8 @@ RIGHTS: dict[type[Command], Right] = {
     nodes.JoinNode: _INSIDE,
     nodes.LoseNode: _INSIDE,
     nodes.Quarantine: _INSIDE,
-    nodes.RecordStop: Right("viewer", "whoever stopped it: it is recorded in any case"),
+    nodes.RecordStop: _RECORDED,
+    composites.RecordStops: _RECORDED,
     nodes.ReportState: _INSIDE,
     runs.BreachWindow: _INSIDE,
     shorter.ReportShorterLog: _INSIDE,

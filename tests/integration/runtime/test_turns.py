@@ -20,7 +20,7 @@ from labos.core.ids import ActionId, ModuleName, RunId
 from labos.core.registry import Event
 from labos.core.runs import RunPaused, RunResumed
 from labos.core.state import LabState
-from labos.errors import InternalFault, Refused, StoreUnavailable
+from labos.errors import InternalFault, StoreUnavailable
 from labos.http.views import run_view
 from labos.planning.scheduler import Scheduler, Start
 from labos.runtime import kernel as kernel_module
@@ -200,19 +200,6 @@ def test_what_was_decided_before_a_turn_that_fails_is_written(tmp_path: Path, co
         with pytest.raises(InternalFault):
             await kernel.execute(Contradict(), "dev")
         assert await before
-
-    in_kernel(tmp_path, work)
-
-
-def test_commands_that_belong_together_are_one_commit_or_none(tmp_path: Path) -> None:
-    async def work(kernel: Kernel) -> None:
-        before = kernel.durable
-        with pytest.raises(Refused):
-            await kernel.execute_all([SubmitRun(PLAN, "ada"), PauseRun(RunId("R77"))], "ada")
-        await reopened(kernel)
-        assert kernel.durable == kernel.state.position == before
-        await kernel.execute_all([SubmitRun(PLAN, "ada"), SubmitRun(PLAN, "ada")], "ada")
-        assert len(kernel.state.runs.active) + len(kernel.state.runs.queued) == 2
 
     in_kernel(tmp_path, work)
 

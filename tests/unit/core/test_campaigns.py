@@ -12,7 +12,6 @@ from labos.core.decide import Rejection
 from labos.core.decide.campaigns import (
     AmendCampaign,
     CancelCampaign,
-    ConcludeCampaign,
     PauseCampaign,
     RefuseRow,
     ResumeCampaign,
@@ -60,7 +59,6 @@ class Lab:
             if isinstance(answer, Rejection):
                 assert answer.code == "no_room"
                 break
-        self.conclude()
         return [f"R{number + 1}" for number in range(first, self.lab.state.runs.named)]
 
     def work(self, result: Any = None) -> None:
@@ -69,11 +67,6 @@ class Lab:
         action = self.lab.start(run)
         self.lab.wait(600.0)
         self.lab.finish(action, result)
-        self.conclude()
-
-    def conclude(self) -> None:
-        while self.lab.state.campaigns.due:
-            self.lab.do(ConcludeCampaign(C1))
 
     def to_the_end(self) -> None:
         while C1 in self.lab.state.campaigns.open:
@@ -145,7 +138,6 @@ def test_so_many_runs_may_fail(stop_after: int, done: int) -> None:
     while C1 in lab.lab.state.campaigns.open:
         lab.feed()
         lab.lab.fail(lab.lab.start(next(iter(lab.campaign.runs))), "none")
-        lab.conclude()
     assert lab.lab.log[-1].event.failed == done  # type: ignore[attr-defined]
 
 
@@ -178,7 +170,6 @@ def test_a_cancelled_one_cancels_its_runs_and_nobody_elses() -> None:
     other = lab.lab.submit(READ, "bo")
     lab.feed()
     lab.lab.do(CancelCampaign(C1, why="wrong plate"))
-    lab.conclude()
     assert lab.lab.log[-1].event.TYPE == "campaign.completed"
     assert lab.lab.state.runs.get(other) is not None
     assert lab.lab.state.campaigns.members == {}

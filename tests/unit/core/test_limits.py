@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from labos.core.actions import ActionFailed, ActionSucceeded
-from labos.core.decide import Command, Rejection, decide
+from labos.core.decide import LABOS, Command, Rejection, decide
 from labos.core.decide._base import DECIDERS, Report
 from labos.core.decide.actions import DoubtAction, FinishAction, RefuseAction
 from labos.core.decide.limits import BAD_TEXT, fault_of
@@ -65,7 +65,7 @@ def test_a_request_is_refused_for_a_text_that_cannot_be_recorded(
             continue
         command = example(kind, **{field: text})
         assert command is not None
-        decision = decide(lab.state, command)
+        decision = decide(lab.state, command, LABOS)
         assert isinstance(decision, Rejection)
         assert decision.code == BAD_TEXT
         assert repr(field) in decision.message
@@ -88,7 +88,7 @@ REPORTS: list[Report] = [
 
 @pytest.mark.parametrize("report", REPORTS, ids=lambda report: type(report).__name__)
 def test_what_a_node_reports_is_recorded_whatever_its_words(lab: Driver, report: Report) -> None:
-    decision = decide(lab.state, report)
+    decision = decide(lab.state, report, LABOS)
     if isinstance(decision, Rejection):
         assert decision.code != "unfit"
     else:
