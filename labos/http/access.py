@@ -18,7 +18,7 @@ from labos.errors import LabosError
 from labos.http.hands import plate_of
 from labos.http.limits import Name
 from labos.http.service import LabService, WorkflowText
-from labos.http.stock import expect
+from labos.http.stock import check, expect
 from labos.node.world import World
 from labos.services.truth import bench_name
 from labos.spec.about import described
@@ -39,7 +39,7 @@ async def request_access(service: LabService, workcell: str, by: str, why: str, 
     cell = service.workcell(workcell).name
     state = service.kernel.state
     inside = state.lab.access.get(cell)
-    expect(service, RequestAccess(cell, by, why), by)
+    check(service, RequestAccess(cell, by, why), by)
     parking: list[SubmitRun] = []
     for module in _parkable(service, state, cell) if park and inside is None else ():
         workflow = WorkflowText(_HOME.format(module=module), f"do {module}.home")
@@ -47,7 +47,7 @@ async def request_access(service: LabService, workcell: str, by: str, why: str, 
             plan = (await service.compile(workflow, {}, cell)).plan
             pins = service.pins_of(workflow, plan)
             run = SubmitRun(plan, person_of(by), priority=PARKED_FIRST, pins=pins)
-            expect(service, run, by)
+            check(service, run, by)
         except LabosError:
             continue  # an arm that cannot be parked must not keep a person out
         parking.append(run)

@@ -11,7 +11,7 @@ from labos.core.ids import StationName, local, workcell_of
 from labos.core.shelves import spread
 from labos.errors import BadInput
 from labos.http.service import LabService
-from labos.http.stock import expect
+from labos.http.stock import check
 
 
 async def declare_bench(
@@ -35,7 +35,7 @@ async def declare_bench(
             if workcell_of(name) == cell and unheard and name not in bench.shelves:
                 stations.setdefault(name, ())
     command = DeclareStations(tuple(DeclareStation(name, types) for name, types in stations.items()))
-    expect(service, command, by)
+    check(service, command, by)
     for declared in command.stations if service.parts.simulated else ():
         if declared.contents:
             await asyncio.to_thread(_stock, service, declared)

@@ -47,7 +47,7 @@ from labos.http.hands import put_right
 from labos.http.limits import FileName, Files, FileText
 from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
-from labos.http.stock import expect, furnish, put_there, refill_by_hand
+from labos.http.stock import check, expect, furnish, put_there, refill_by_hand
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
 from labos.http.views import Supervised
@@ -181,7 +181,7 @@ class LabService:
             stock.setdefault(item.station, []).extend([item.labware] * item.count)
         contents = {name: tuple(types) for name, types in stock.items()} if declare else None
         command = ApplyWorkcell(cell.workcell, contents)
-        expect(self, command, actor)
+        check(self, command, actor)
         if self.parts.simulated:
             # The bench first: labware that is declared must be there when an arm reaches for it.
             await asyncio.to_thread(furnish, self.parts.world(cell.workcell.name), cell.workcell, stock)
@@ -351,7 +351,8 @@ class LabService:
             request,
         )
         command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
-        if loads and expect(self, command, user):
+        check(self, command, user)
+        if request not in self.kernel.state.runs.requests:
             put(self, loads, user)
         events = await self.kernel.execute(command, user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
