@@ -24,7 +24,7 @@ from labos.store import open_store, parse_url, sqlite_path
 
 FLOW = "labos: 1\nname: f\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 SEALER, CAMERA = StationName("rpl/sealer.default"), StationName("rpl/camera_module.plate_station")
-ARMS = ("pf400",)
+ARMS = ("sciclops",)
 SMALL = """
 labos: 1
 name: corner
