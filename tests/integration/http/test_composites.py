@@ -47,7 +47,7 @@ def holds(state: LabState, station: str) -> bool:
 
 
 def submitted(state: LabState) -> list[bool]:
-    return [*standing(state), any(run.request == "run" for run in state.runs.queued.values())]
+    return [*standing(state), any(run.workflow == "f" for run in state.runs.queued.values())]
 
 
 class Copies:
