@@ -105,6 +105,7 @@ class LabMetrics:
             published=bus.published,
             dropped=bus.dropped,
             left_out=lab.announcer.left_out,
+            faults=kernel.fault_count,
         )
 
 

@@ -157,10 +157,13 @@ class Kernel(KernelLog):
 
     def _turn(self, command: Command | None, actor: str, causation: str = "") -> list[Event] | Rejection:
         began = self.clock.monotonic()
+        answer = self._take_turn(command, actor, causation)
         try:
-            return self._take_turn(command, actor, causation)
-        finally:
             self.on_turn(self.clock.monotonic() - began)
+        except Exception as error:  # what has been decided holds, whether it was measured or not
+            _log.exception("turn_not_measured")
+            self._record_fault(f"on_turn: {error!r}")
+        return answer
 
     def _take_turn(self, command: Command | None, actor: str, causation: str) -> list[Event] | Rejection:
         """Decide and fold a command, plan (without a command, only that), check, and hand everything to the
@@ -203,7 +206,7 @@ class Kernel(KernelLog):
         fault = error.message if isinstance(error, InvariantBroken) else repr(error)
         why = f"LabOS failed on {name}, and nothing of it was done: {fault}"
         _log.error("turn_failed", turn=name, fault=fault, exc_info=error)
-        self.faults.append(why)
+        self._record_fault(why)
         if turn.part is not None:
             turn.part.record_failure(now_s, fault)
             if turn.part.is_open:
@@ -303,7 +306,7 @@ class Kernel(KernelLog):
         if isinstance(decided, Rejection):
             # Planning proposes only what the rules allow: a rejection is a fault of ours.
             _log.error("proposal_rejected", command=repr(command), why=decided.message)
-            self.faults.append(f"{command!r}: {decided.message}")
+            self._record_fault(f"{command!r}: {decided.message}")
 
     def _check(self, events: Sequence[Event]) -> None:
         fault = broken_by(self.state, events)

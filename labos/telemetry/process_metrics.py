@@ -34,6 +34,7 @@ class Readings(msgspec.Struct, frozen=True):
     published: int
     dropped: int
     left_out: int
+    faults: int
 
 
 class ProcessMetrics(MetricGroup):
@@ -89,6 +90,11 @@ class ProcessMetrics(MetricGroup):
             "labos_bus_announcements_left_out_total",
             "Events that were not announced on the bus because it was too slow; they are in the log.",
         )
+        self.faults = ComputedCounter(
+            "labos_kernel_faults_total",
+            "Turns of the kernel that failed and were taken back, and proposals that its own rules refused: "
+            "faults of LabOS.",
+        )
         self.build.set(1, (VERSION, platform.python_version()))
 
     def update(self, now: Readings) -> None:
@@ -112,6 +118,7 @@ class ProcessMetrics(MetricGroup):
         self.published.set(now.published)
         self.dropped.set(now.dropped)
         self.left_out.set(now.left_out)
+        self.faults.set(now.faults)
 
     def lose(self) -> None:
         """The log cannot be written: all else is as it was last."""
