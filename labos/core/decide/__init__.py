@@ -7,70 +7,14 @@ worked out on the state that the ones before it have left.
 from collections import deque
 from collections.abc import Callable
 
-from labos.core.decide import (
-    access,
-    actions,
-    campaigns,
-    cancelling,
-    composites,
-    control,
-    doubts,
-    experiments,
-    handover,
-    interventions,
-    lab,
-    labware,
-    nodes,
-    observation,
-    runs,
-    shares,
-    shorter,
-    stock,
-    teach,
-    users,
-    verification,
-    work,
-)
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
 from labos.core.decide.limits import bare_report, cut_report, misfit
 from labos.core.decide.reactions import REACTIONS
-from labos.core.decide.rights import LABOS, Denied, denied
+from labos.core.decide.rights import LABOS, Denied, denied  # its table loads every command
 from labos.core.registry import Event
 from labos.core.state import LabState
 
-__all__ = [
-    "LABOS",
-    "REACTIONS",
-    "Command",
-    "Decision",
-    "Denied",
-    "Rejection",
-    "access",
-    "actions",
-    "campaigns",
-    "cancelling",
-    "carry_out",
-    "composites",
-    "control",
-    "decide",
-    "doubts",
-    "experiments",
-    "handover",
-    "interventions",
-    "lab",
-    "labware",
-    "nodes",
-    "observation",
-    "runs",
-    "shares",
-    "shorter",
-    "stock",
-    "teach",
-    "users",
-    "verification",
-    "work",
-]
-
+__all__ = ["LABOS", "REACTIONS", "Command", "Decision", "Denied", "Rejection", "carry_out", "decide"]
 
 MOST_REACTIONS = 10_000
 """More events than that do not follow from a command, unless it has more than a tenth of that itself."""

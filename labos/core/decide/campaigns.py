@@ -347,16 +347,3 @@ def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
     for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
         answer = pause_campaign(state, PauseCampaign(name, f"its user {event.user} was disabled"))
         yield from () if isinstance(answer, Rejection) else answer
-
-
-__all__ = [
-    "AmendCampaign",
-    "CancelCampaign",
-    "PauseCampaign",
-    "RefuseRow",
-    "ResumeCampaign",
-    "SubmitCampaign",
-    "SubmitRow",
-    "conclude_campaigns",
-    "pause_campaigns",
-]

@@ -142,6 +142,3 @@ def record_stops(state: LabState, command: RecordStops) -> Iterator[Event]:
 
 def _as_far_as_possible(decision: Decision) -> Iterable[Event]:
     return () if isinstance(decision, Rejection) else decision
-
-
-__all__ = ["DeclareStations", "RecordStops", "ReportRound", "SubmitWithLabware"]

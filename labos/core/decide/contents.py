@@ -151,6 +151,3 @@ def _standing(state: LabState, station: Station, pieces: Sequence[tuple[str, str
             number += 1
             events.append(LabwarePlaced(LabwareId(f"P{number}"), "", lid, name, SHARED, on=stands))
     return events
-
-
-__all__ = ["contents_events", "recorded"]

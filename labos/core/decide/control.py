@@ -118,6 +118,3 @@ def _meant(state: LabState, run: RunState, target: str) -> bool:
         return True
     left = zip(plan.steps, run.steps, strict=True) if run.has_started else ()
     return any(step.module == target and at.status not in SETTLED for step, at in left)
-
-
-__all__ = ["CancelExperiment", "CancelRuns", "PauseStarts", "ResumeStarts"]

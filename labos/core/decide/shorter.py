@@ -384,17 +384,3 @@ def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
     for item in [item for item in state.bench.labware.values() if item.maybe]:
         yield from removal(state.bench, item.id, "", GONE, f"not found on the round ({by})")
     yield BenchCompared(by, note)
-
-
-__all__ = [
-    "ConfirmStations",
-    "Found",
-    "ReportShorterLog",
-    "SayContents",
-    "compared",
-    "found_shorter",
-    "must_be_said",
-    "strange_motion",
-    "to_say",
-    "told_by",
-]

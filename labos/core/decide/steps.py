@@ -209,16 +209,3 @@ def can_be_repeated(step: PlanStep) -> bool:
     changed = {(e.of, e.variable) for e in step.effects if isinstance(e, Sets)}
     needed = {(e.of, e.variable) for e in step.effects if isinstance(e, Requires)}
     return changed.isdisjoint(needed)
-
-
-__all__ = [
-    "TimeOutAction",
-    "answer_failed",
-    "can_be_repeated",
-    "check_result",
-    "doubting",
-    "fail_spoilt",
-    "handle_failure",
-    "resets",
-    "retry_step",
-]

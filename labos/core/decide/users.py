@@ -245,17 +245,3 @@ def _last_admin(state: LabState, user: str) -> Rejection | None:
         f"{user} is the only admin of this lab.",
         "Make another person admin first: labos role grant OTHER admin",
     )
-
-
-__all__ = [
-    "AddGroup",
-    "AddMember",
-    "AddUser",
-    "DisableUser",
-    "EnableUser",
-    "GrantRole",
-    "RemoveGroup",
-    "RemoveMember",
-    "RevokeRole",
-    "no_user",
-]
