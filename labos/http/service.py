@@ -18,11 +18,11 @@ from labos.core.bench import Labware, parts
 from labos.core.canonical import digest
 from labos.core.decide import Command
 from labos.core.decide.cancelling import CancelRun
-from labos.core.decide.composites import RecordStops, SubmitWithLabware
+from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
-from labos.core.decide.nodes import PutBack, TakeOut
+from labos.core.decide.nodes import PutBack, RecordStops, TakeOut
 from labos.core.decide.rights import denied, lacking
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation

@@ -13,11 +13,10 @@ from itertools import chain
 from labos.core.decide._base import Command, Decision, Rejection, decides, recordable
 from labos.core.decide.interventions import ResolveIntervention, resolve_intervention
 from labos.core.decide.lab import DeclareStation, declare_station
-from labos.core.decide.nodes import RecordStop, record_stop
 from labos.core.decide.runs import SubmitRun, submit_run
 from labos.core.decide.shorter import ConfirmStations, SayContents, confirm_stations, say_contents, to_say
 from labos.core.decide.stock import LoadStation, load_station
-from labos.core.ids import ModuleName, StationName, local
+from labos.core.ids import StationName, local
 from labos.core.labware import LabwarePlaced, StationLoaded
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -55,13 +54,6 @@ class ReportRound(Command, frozen=True):
 
     def parts(self) -> Sequence[Command]:
         return (*self.stations, ConfirmStations(self.as_recorded, self.by))
-
-
-class RecordStops(Command, frozen=True):
-    """Somebody has stopped modules in an emergency, at these times (UTC ns)."""
-
-    by: str
-    stopped_at: dict[ModuleName, int]
 
 
 @decides(SubmitWithLabware)
@@ -132,12 +124,6 @@ def _report_round(state: LabState, command: ReportRound) -> Iterator[Event]:
     if command.finish and asked and not to_say(state):
         answer = ResolveIntervention(asked[0].id, "checked", command.by, "the bench was gone round")
         yield from _as_far_as_possible(resolve_intervention(state, answer))
-
-
-@decides(RecordStops)
-def record_stops(state: LabState, command: RecordStops) -> Iterator[Event]:
-    for module, at in command.stopped_at.items():
-        yield from _as_far_as_possible(record_stop(state, RecordStop(module, command.by, at)))
 
 
 def _as_far_as_possible(decision: Decision) -> Iterable[Event]:

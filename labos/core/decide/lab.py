@@ -53,16 +53,6 @@ class DeclareStation(Command, frozen=True):
     contents: tuple[str, ...] = ()
 
 
-class SetLevel(Command, frozen=True):
-    """Say how much of a resource a module has."""
-
-    module: ModuleName
-    resource: str
-    level: float
-    capacity: float
-    lot: str = ""
-
-
 @decides(CreateLab)
 def create_lab(state: LabState, command: CreateLab) -> Decision:
     if state.lab.id:
@@ -286,14 +276,3 @@ def _declare(state: LabState, station: Station, contents: tuple[str, ...]) -> It
     for kind, lid in map(parts, contents):
         plate = LabwarePlaced(state.bench.next_id, "", kind, name, SHARED)
         yield from arrival(state.bench, plate, lid)
-
-
-@decides(SetLevel)
-def set_level(state: LabState, command: SetLevel) -> Decision:
-    if command.module not in state.modules.by_name:
-        return Rejection("no_module", f"There is no module {local(command.module)}.")
-    if not 0 <= command.level <= command.capacity:
-        return Rejection(
-            "bad_level", f"{command.level} is not between 0 and the capacity {command.capacity}."
-        )
-    return [LevelSet(command.module, command.resource, command.level, command.capacity, command.lot)]

@@ -96,12 +96,11 @@ class EndOutage(Command, frozen=True):
     now: int
 
 
-class RecordStop(Report, frozen=True):
-    """A node says that somebody stopped it in an emergency."""
+class RecordStops(Report, frozen=True):
+    """Somebody has stopped modules in an emergency, at these times (UTC ns)."""
 
-    module: ModuleName
     by: str
-    stopped_at: int
+    stopped_at: dict[ModuleName, int]
 
 
 def _unknown(module: ModuleName) -> Rejection:
@@ -221,12 +220,10 @@ def end_outage(state: LabState, command: EndOutage) -> Decision:
     return [] if back_at is None or back_at > command.now else [ModulePutBack(command.module)]
 
 
-@decides(RecordStop)
-def record_stop(state: LabState, command: RecordStop) -> Decision:
+@decides(RecordStops)
+def record_stops(state: LabState, command: RecordStops) -> Decision:
     """Nodes tell it again with each heartbeat until they are reset: it is written once."""
-    module = state.modules.by_name.get(command.module)
-    if module is None:
-        return _unknown(command.module)
-    if command.stopped_at == module.stopped_at:
-        return []
-    return [EmergencyStopped(command.module, command.by, command.stopped_at)]
+    known = state.modules.by_name
+    stops = command.stopped_at.items()
+    fresh = [(name, at) for name, at in stops if name in known and known[name].stopped_at != at]
+    return [EmergencyStopped(name, command.by, at) for name, at in fresh]

@@ -70,7 +70,7 @@ class Right(msgspec.Struct, frozen=True):
 def denied(state: LabState, command: Command, actor: str) -> Denied | None:
     """Why ``actor`` (a user's id, or ``on_behalf``) may not give a command; None if they may. Takes no
     longer than the command has targets."""
-    if _is_free(state, actor) or isinstance(command, nodes.RecordStop | composites.RecordStops):
+    if _is_free(state, actor) or isinstance(command, nodes.RecordStops):
         return None
     right = RIGHTS[type(command)]
     service, _, person = actor.rpartition(ON_BEHALF)
@@ -197,7 +197,6 @@ def _listed(names: list[str]) -> str:
 
 _INSIDE = Right(None, "LabOS itself")
 _OWN = "its owner; else an operator"
-_RECORDED = Right("viewer", "whoever stopped it: it is recorded in any case")
 _OPERATOR = "an operator"
 _ADMIN = "an admin of the whole lab"
 
@@ -232,7 +231,6 @@ RIGHTS: dict[type[Command], Right] = {
     # the bench
     lab.DeclareStation: Right("operator", _OPERATOR, targets.of_station),
     composites.DeclareStations: Right("operator", _OPERATOR),
-    lab.SetLevel: Right("operator", _OPERATOR, targets.of_module),
     stock.LoadStation: Right("operator", _OPERATOR, targets.of_station),
     stock.UnloadStation: Right("operator", _OPERATOR, targets.of_station, "by"),
     stock.Replenish: Right("operator", _OPERATOR, targets.of_module),
@@ -289,8 +287,7 @@ RIGHTS: dict[type[Command], Right] = {
     nodes.JoinNode: _INSIDE,
     nodes.LoseNode: _INSIDE,
     nodes.Quarantine: _INSIDE,
-    nodes.RecordStop: _RECORDED,
-    composites.RecordStops: _RECORDED,
+    nodes.RecordStops: Right("viewer", "whoever stopped it: it is recorded in any case"),
     nodes.ReportState: _INSIDE,
     runs.BreachWindow: _INSIDE,
     shorter.ReportShorterLog: _INSIDE,

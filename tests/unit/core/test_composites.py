@@ -9,8 +9,9 @@ import pytest
 
 from labos.core.decide import Command
 from labos.core.decide.access import RequestAccess
-from labos.core.decide.composites import DeclareStations, RecordStops, ReportRound, SubmitWithLabware
+from labos.core.decide.composites import DeclareStations, ReportRound, SubmitWithLabware
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
+from labos.core.decide.nodes import RecordStops
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shorter import ReportShorterLog, SayContents, to_say
 from labos.core.decide.stock import LoadStation
