@@ -133,7 +133,7 @@ def end_access(state: LabState, command: EndAccess) -> Decision:
     fresh = 0
     # What was taken away makes room for what was put there.
     for change in sorted(command.changes, key=lambda change: change.what != "empty"):
-        found = _changed(state, cell, command.by, change, left, fresh, kept)
+        found = _apply_change(state, cell, command.by, change, left, fresh, kept)
         if isinstance(found, Rejection):
             return found
         events += found
@@ -141,7 +141,7 @@ def end_access(state: LabState, command: EndAccess) -> Decision:
     return [*answered(state, events, command.by), *events]
 
 
-def _changed(
+def _apply_change(
     state: LabState,
     cell: str,
     by: str,
@@ -178,7 +178,7 @@ def _changed(
         )
     labware = state.bench.labware.get(LabwareId(change.what))
     if labware is None:
-        return _fresh(state, change, here, fresh)
+        return _place_new(state, change, here, fresh)
     if labware.maybe or labware.moving:
         return Rejection(
             "uncertain",
@@ -192,7 +192,9 @@ def _changed(
     return [LabwareObserved(labware.id, "", change.station, by)]
 
 
-def _fresh(state: LabState, change: Change, here: list[LabwareId], number: int) -> list[Event] | Rejection:
+def _place_new(
+    state: LabState, change: Change, here: list[LabwareId], number: int
+) -> list[Event] | Rejection:
     """Labware that the log has not seen before."""
     spec = state.bench.stations[change.station].spec
     if spec.kind in ("stack", "waste"):

@@ -132,7 +132,7 @@ def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
 
 @decides(SubmitRow)
 def submit_row(state: LabState, command: SubmitRow) -> Decision:
-    campaign = _next(state, command.campaign, command.row)
+    campaign = _expect_next(state, command.campaign, command.row)
     if isinstance(campaign, Rejection):
         return campaign
     lacks = lacks_role_for(state, campaign.user, command.plan)
@@ -155,8 +155,8 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
         return Rejection(NO_ROOM, answer.message)
     if isinstance(answer, Rejection):
         why = f"{answer.message} {answer.remedy}".strip()
-        return _refused(campaign, command.row, why)
-    reads = _reads(campaign, command.plan)
+        return _record_refusal(campaign, command.row, why)
+    reads = _find_steps_read(campaign, command.plan)
     member = {"campaign": campaign.id, "row": command.row, "reads": reads}
     return [
         msgspec.structs.replace(event, **member) if isinstance(event, RunSubmitted) else event
@@ -166,22 +166,22 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
 
 @decides(RefuseRow)
 def refuse_row(state: LabState, command: RefuseRow) -> Decision:
-    campaign = _next(state, command.campaign, command.row)
+    campaign = _expect_next(state, command.campaign, command.row)
     if isinstance(campaign, Rejection):
         return campaign
-    return _refused(campaign, command.row, command.why)
+    return _record_refusal(campaign, command.row, command.why)
 
 
 @decides(PauseCampaign)
 def pause_campaign(state: LabState, command: PauseCampaign) -> Decision:
-    campaign = _alive(state, command.campaign)
+    campaign = _expect_alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status == CampaignStatus.PAUSED:
         return repeated(campaign.id, "pause", command.why)
     if campaign.status != CampaignStatus.OPEN:
-        return _no_more(campaign)
-    waiting = [run for run in _queued(campaign) if not state.runs.queued[run].paused]
+        return _refuse_rows(campaign)
+    waiting = [run for run in _find_queued(campaign) if not state.runs.queued[run].paused]
     return [
         CampaignPaused(campaign.id, command.why),
         *(RunPaused(run, f"{campaign.id} is paused") for run in waiting),
@@ -190,24 +190,24 @@ def pause_campaign(state: LabState, command: PauseCampaign) -> Decision:
 
 @decides(ResumeCampaign)
 def resume_campaign(state: LabState, command: ResumeCampaign) -> Decision:
-    campaign = _alive(state, command.campaign)
+    campaign = _expect_alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status == CampaignStatus.OPEN:
         return []
     if campaign.status != CampaignStatus.PAUSED:
-        return _no_more(campaign)
-    waiting = [run for run in _queued(campaign) if state.runs.queued[run].paused]
+        return _refuse_rows(campaign)
+    waiting = [run for run in _find_queued(campaign) if state.runs.queued[run].paused]
     return [CampaignResumed(campaign.id), *map(RunResumed, waiting)]
 
 
 @decides(AmendCampaign)
 def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
-    campaign = _alive(state, command.campaign)
+    campaign = _expect_alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status not in (CampaignStatus.OPEN, CampaignStatus.PAUSED):
-        return _no_more(campaign)
+        return _refuse_rows(campaign)
     until, known = command.terms.until, campaign.terms.until
     if until is not None and campaign.next_row and (known is None or read_by(until) - read_by(known)):
         return Rejection(
@@ -220,7 +220,7 @@ def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
 
 @decides(CancelCampaign)
 def cancel_campaign(state: LabState, command: CancelCampaign) -> Decision:
-    campaign = _alive(state, command.campaign)
+    campaign = _expect_alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status == CampaignStatus.CANCELLED:
@@ -271,7 +271,7 @@ def consumption(plan: Plan) -> dict[str, float]:
     return found
 
 
-def _reads(campaign: Campaign, plan: Plan) -> dict[str, int]:
+def _find_steps_read(campaign: Campaign, plan: Plan) -> dict[str, int]:
     """The steps whose results the stop rule reads."""
     if campaign.terms.until is None:
         return {}
@@ -279,7 +279,7 @@ def _reads(campaign: Campaign, plan: Plan) -> dict[str, int]:
     return {step.key: index for index, step in enumerate(plan.steps) if step.key in wanted}
 
 
-def _next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
+def _expect_next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
     """The campaign of which a row is the next to be submitted, and may be now."""
     campaign = state.campaigns.open.get(name)
     if campaign is None or campaign.status != CampaignStatus.OPEN or must_stop(campaign):
@@ -291,16 +291,16 @@ def _next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
     return campaign
 
 
-def _refused(campaign: Campaign, row: int, why: str) -> list[Event]:
+def _record_refusal(campaign: Campaign, row: int, why: str) -> list[Event]:
     return [CampaignRowRefused(campaign.id, row, cut(why, LONGEST_REASON))]
 
 
-def _alive(state: LabState, name: CampaignId) -> Campaign | Rejection:
+def _expect_alive(state: LabState, name: CampaignId) -> Campaign | Rejection:
     found = state.campaigns.open.get(name)
     return found or Rejection("no_campaign", f"There is no campaign {name} that has not ended.")
 
 
-def _no_more(campaign: Campaign) -> Rejection:
+def _refuse_rows(campaign: Campaign) -> Rejection:
     return Rejection(
         NOT_OPEN,
         f"The campaign {campaign.id} was {campaign.status} and takes no more rows.",
@@ -308,7 +308,7 @@ def _no_more(campaign: Campaign) -> Rejection:
     )
 
 
-def _queued(campaign: Campaign) -> list[RunId]:
+def _find_queued(campaign: Campaign) -> list[RunId]:
     return [run for run, started in campaign.runs.items() if not started]
 
 
@@ -329,7 +329,7 @@ def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
         campaign = state.campaigns.open[name]
         if why := must_stop(campaign):
             yield CampaignStopped(name, why, campaign.met_by)
-            yield from _cancel_runs(state, _queued(campaign), f"{name} was stopped")
+            yield from _cancel_runs(state, _find_queued(campaign), f"{name} was stopped")
         elif is_over(campaign):
             yield CampaignCompleted(
                 campaign=name,

@@ -64,10 +64,10 @@ def create_lab(state: LabState, command: CreateLab) -> Decision:
 def start_kernel(state: LabState, command: StartKernel) -> Decision:
     if command.epoch <= state.lab.epoch:
         return Rejection("old_epoch", f"Epoch {command.epoch} is not above {state.lab.epoch}.")
-    return _started(state, command)
+    return _start(state, command)
 
 
-def _started(state: LabState, command: StartKernel) -> Iterator[Event]:
+def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
     ended, leaps = state.position, state.lab.epoch and command.epoch - state.lab.epoch >= LEAP
     yield KernelStarted(command.epoch, command.version)
     if leaps:
@@ -95,7 +95,7 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
     for spec in command.workcell.places:
         known = state.bench.stations.get(spec.name)
         contents = command.contents.get(spec.name, ())
-        wrong = _unfit(spec, contents) or recordable([StationDeclared(spec.name, contents)])
+        wrong = _refuse_contents(spec, contents) or recordable([StationDeclared(spec.name, contents)])
         if isinstance(wrong, Rejection) and (known is None or not known.known):
             return wrong
     return chain(fit, _declare_rest(state, command.workcell, command.contents))
@@ -107,7 +107,7 @@ def _declare_rest(
     """Declare the stations of which nobody has spoken, and where nothing is under way."""
     for spec in cell.places:
         station = state.bench.stations[spec.name]
-        if not station.known and not _occupied_or_doubtful(state, station):
+        if not station.known and not _refuse_occupied_or_doubtful(state, station):
             yield from _declare(state, station, contents.get(spec.name, ()))
 
 
@@ -122,7 +122,7 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
     ]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
-    gone = _gone(state, cell)[1]
+    gone = _find_left_out(state, cell)[1]
     if gone:
         events.append(StationsApplied(cell.name, (), tuple(sorted(gone))))
     for spec in cell.modules:
@@ -134,18 +134,18 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
 
 def in_the_way(state: LabState, cell: Workcell) -> list[Rejection]:
     """Everything that keeps a workcell from being changed to a new description."""
-    return [*_removes_what_is_needed(state, cell), *_parked_at(state, cell), *_too_small(state, cell)]
+    return [*_find_needed(state, cell), *_find_parking(state, cell), *_find_too_small(state, cell)]
 
 
-def _gone(state: LabState, cell: Workcell) -> tuple[set[ModuleName], set[StationName]]:
+def _find_left_out(state: LabState, cell: Workcell) -> tuple[set[ModuleName], set[StationName]]:
     """The modules and stations that a new description leaves out."""
     modules = {*state.modules.in_cell.get(cell.name, ())} - {module.name for module in cell.modules}
     stations = {*state.bench.in_cell.get(cell.name, ())} - {station.name for station in cell.stations}
     return modules, stations
 
 
-def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
-    modules, stations = _gone(state, cell)
+def _find_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+    modules, stations = _find_left_out(state, cell)
     for module in sorted(modules):
         if state.modules.by_name[module].in_flight:
             yield Rejection(
@@ -156,7 +156,7 @@ def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejecti
     for place in sorted(stations):
         station = state.bench.stations[place]
         if station.labware or station.stock or station.expected or place in state.bench.haunted:
-            yield _occupied(state, place, f"cannot be removed from {cell.name}")
+            yield _refuse_occupied(state, place, f"cannot be removed from {cell.name}")
     gone: set[str] = {*modules, *stations}
     if not gone:
         return
@@ -170,12 +170,12 @@ def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejecti
         for name in sorted(gone & needed):
             yield Rejection(
                 "plan_in_use",
-                f"The workflow {plan.plan.workflow!r} is in use{_by(by)} and needs {local(name)}.",
+                f"The workflow {plan.plan.workflow!r} is in use{_say_by_whom(by)} and needs {local(name)}.",
                 "Wait until its runs and experiments have ended, or cancel them.",
             )
 
 
-def _occupied(state: LabState, place: StationName, so: str) -> Rejection:
+def _refuse_occupied(state: LabState, place: StationName, so: str) -> Rejection:
     station = state.bench.stations[place]
     if place in state.bench.haunted:
         return Rejection(
@@ -193,9 +193,9 @@ def _occupied(state: LabState, place: StationName, so: str) -> Rejection:
     )
 
 
-def _parked_at(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+def _find_parking(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     """Experiments that are open come back to where they park."""
-    gone = _gone(state, cell)[1]
+    gone = _find_left_out(state, cell)[1]
     for experiment in state.experiments.open.values():
         for place in sorted(gone & set(experiment.parking)):
             yield Rejection(
@@ -205,15 +205,15 @@ def _parked_at(state: LabState, cell: Workcell) -> Iterator[Rejection]:
             )
 
 
-def _too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+def _find_too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     hotels = {spec.hotel for spec in cell.stations}
     for spec in cell.stations:
         known = state.bench.stations.get(spec.name)
         full = known is not None and (known.count or in_doubt(state.bench, spec.name))
         if known is not None and full and known.spec.kind != spec.kind:
-            yield _occupied(state, spec.name, f"cannot become a {spec.kind}")
+            yield _refuse_occupied(state, spec.name, f"cannot become a {spec.kind}")
         elif full and (spec.name in state.bench.shelves) != (spec.name in hotels):
-            yield _occupied(state, spec.name, "cannot be divided into shelves otherwise")
+            yield _refuse_occupied(state, spec.name, "cannot be divided into shelves otherwise")
         elif known is not None and known.count > spec.capacity:
             yield Rejection(
                 "station_occupied",
@@ -223,7 +223,7 @@ def _too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
             )
 
 
-def _by(runs: list[RunId]) -> str:
+def _say_by_whom(runs: list[RunId]) -> str:
     return f" by {', '.join(runs)}" if runs else ""
 
 
@@ -235,11 +235,11 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
     shelved = many(state, command.station)
     if shelved:
         return shelved
-    wrong = _occupied_or_doubtful(state, station) or _unfit(station.spec, command.contents)
+    wrong = _refuse_occupied_or_doubtful(state, station) or _refuse_contents(station.spec, command.contents)
     return wrong or _declare(state, station, command.contents)
 
 
-def _occupied_or_doubtful(state: LabState, station: Station) -> Rejection | None:
+def _refuse_occupied_or_doubtful(state: LabState, station: Station) -> Rejection | None:
     name = station.spec.name
     if station.labware or station.expected:
         return Rejection(
@@ -257,7 +257,7 @@ def _occupied_or_doubtful(state: LabState, station: Station) -> Rejection | None
     return None
 
 
-def _unfit(spec: StationSpec, contents: tuple[str, ...]) -> Rejection | None:
+def _refuse_contents(spec: StationSpec, contents: tuple[str, ...]) -> Rejection | None:
     """Why a station could not hold this."""
     if len(contents) > spec.capacity:
         return Rejection("too_many", f"{local(spec.name)} holds {spec.capacity}, not {len(contents)}.")

@@ -74,7 +74,7 @@ def denied(state: LabState, command: Command, actor: str) -> Denied | None:
         return None
     right = RIGHTS[type(command)]
     service, _, person = actor.rpartition(ON_BEHALF)
-    wrong = _unfit(state, person, service)
+    wrong = _refuse_names(state, person, service)
     if wrong:
         return wrong
     if right.role is None:
@@ -87,7 +87,7 @@ def denied(state: LabState, command: Command, actor: str) -> Denied | None:
             "Leave it out who asks. Only a service account acts on behalf of others.",
         )
     for target in right.touches(state, command):
-        wrong = _not_allowed(state, target, person, service)
+        wrong = _refuse_target(state, target, person, service)
         if wrong:
             return wrong
     return next((wrong for part in command.parts() if (wrong := denied(state, part, actor))), None)
@@ -99,7 +99,9 @@ def lacking(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> D
     if _is_free(state, actor):
         return None
     service, _, person = actor.rpartition(ON_BEHALF)
-    return _unfit(state, person, service) or _not_allowed(state, Target(needs, (cell,)), person, service)
+    return _refuse_names(state, person, service) or _refuse_target(
+        state, Target(needs, (cell,)), person, service
+    )
 
 
 def _is_free(state: LabState, actor: str) -> bool:
@@ -107,30 +109,30 @@ def _is_free(state: LabState, actor: str) -> bool:
     return state.users.is_open or actor == LABOS or "/" in actor
 
 
-def _unfit(state: LabState, person: str, service: str) -> Denied | None:
+def _refuse_names(state: LabState, person: str, service: str) -> Denied | None:
     """Why nobody may act under these names."""
-    return _stranger(state, person) or (_no_agent(state, service, person) if service else None)
+    return _refuse_stranger(state, person) or (_refuse_agent(state, service, person) if service else None)
 
 
-def _stranger(state: LabState, name: str) -> Denied | None:
+def _refuse_stranger(state: LabState, name: str) -> Denied | None:
     user = state.users.known.get(name)
     if user is None:
         return Denied(
             "unknown_user",
             f"{name!r} is no user of this lab.",
-            f"An admin adds users (labos user add): {_listed(state.users.admins())}.",
+            f"An admin adds users (labos user add): {_list_names(state.users.admins())}.",
         )
     if user.disabled:
         return Denied(
             "disabled",
             f"The user {name} is disabled.",
-            f"An admin can enable it: {_listed(state.users.admins())}.",
+            f"An admin can enable it: {_list_names(state.users.admins())}.",
         )
     return None
 
 
-def _no_agent(state: LabState, service: str, person: str) -> Denied | None:
-    wrong = _stranger(state, service)
+def _refuse_agent(state: LabState, service: str, person: str) -> Denied | None:
+    wrong = _refuse_stranger(state, service)
     if wrong or state.users.known[service].kind == "service":
         return wrong
     return Denied(
@@ -140,7 +142,7 @@ def _no_agent(state: LabState, service: str, person: str) -> Denied | None:
     )
 
 
-def _not_allowed(state: LabState, target: Target, person: str, service: str) -> Denied | None:
+def _refuse_target(state: LabState, target: Target, person: str, service: str) -> Denied | None:
     own = target.owner in ("", person)
     if target.owner_only and not own:
         return Denied(
@@ -153,13 +155,13 @@ def _not_allowed(state: LabState, target: Target, person: str, service: str) -> 
     for cell in target.cells:
         weak = next((name for name in askers if role_in(state, name, cell) < rank(needs)), None)
         if weak is not None:
-            return _refusal(state, target, weak, needs, cell, own=own)
+            return _word_refusal(state, target, weak, needs, cell, own=own)
     return None
 
 
-def _refusal(state: LabState, target: Target, who: str, needs: Role, cell: str, *, own: bool) -> Denied:
+def _word_refusal(state: LabState, target: Target, who: str, needs: Role, cell: str, *, own: bool) -> Denied:
     where = {WHOLE_LAB: " of the whole lab", ANYWHERE: ""}.get(cell, f" in {cell}")
-    may = _listed(_who_may(state, needs, cell))
+    may = _list_names(_find_who_may(state, needs, cell))
     if not own:
         return Denied(
             "not_yours",
@@ -177,18 +179,18 @@ def _refusal(state: LabState, target: Target, who: str, needs: Role, cell: str, 
     )
 
 
-def _who_may(state: LabState, needs: Role, cell: str) -> list[str]:
+def _find_who_may(state: LabState, needs: Role, cell: str) -> list[str]:
     """Persons with at least a role, those of the lowest such role first."""
-    people = [name for name, user in state.users.known.items() if _acts(user)]
+    people = [name for name, user in state.users.known.items() if _may_act(user)]
     ranks = {name: role_in(state, name, cell) for name in people}
     return sorted((name for name in people if ranks[name] >= rank(needs)), key=lambda name: ranks[name])
 
 
-def _acts(user: User) -> bool:
+def _may_act(user: User) -> bool:
     return user.kind == "person" and not user.disabled
 
 
-def _listed(names: list[str]) -> str:
+def _list_names(names: list[str]) -> str:
     more = ", …" if len(names) > MOST_NAMED else ""
     return f"{', '.join(names[:MOST_NAMED])}{more}" if names else "nobody yet"
 

@@ -94,7 +94,7 @@ def add_user(state: LabState, command: AddUser) -> Decision:
         return wrong
     if known:
         wrong = _bad_scope(state, command.scope)
-        granted = () if command.role is None else (_granted(command.user, command.role, command.scope),)
+        granted = () if command.role is None else (_grant(command.user, command.role, command.scope),)
         return wrong or [UserAdded(command.user, command.kind), *granted]
     if command.kind == "service":
         return Rejection(
@@ -102,10 +102,10 @@ def add_user(state: LabState, command: AddUser) -> Decision:
             f"The first user of a lab is its admin, and {command.user} is a service account.",
             "Add the person first who is to look after the lab.",
         )
-    return [UserAdded(command.user, command.kind), _granted(command.user, "admin", WHOLE_LAB)]
+    return [UserAdded(command.user, command.kind), _grant(command.user, "admin", WHOLE_LAB)]
 
 
-def _granted(user: str, role: Role, scope: str) -> RoleGranted:
+def _grant(user: str, role: Role, scope: str) -> RoleGranted:
     return RoleGranted(user_subject(user), role, scope)
 
 
@@ -136,10 +136,10 @@ def add_group(state: LabState, command: AddGroup) -> Decision:
 def remove_group(state: LabState, command: RemoveGroup) -> Decision:
     if command.group not in state.shares.groups:
         return _no_group(command.group)
-    return _removing(state, command.group)
+    return _remove(state, command.group)
 
 
-def _removing(state: LabState, group: str) -> Iterator[Event]:
+def _remove(state: LabState, group: str) -> Iterator[Event]:
     subject = group_subject(group)
     for scope in list(state.users.roles.get(subject, ())):
         yield RoleRevoked(subject, scope)
