@@ -156,7 +156,7 @@ def round_(
                 ask(client, who(user))
                 only_say = only_say or not click.confirm("Is that all, and is everybody out?")
         finish = not (only_say or (as_json and not words))
-        found: dict[str, Any] = {"said": [], "refused": [], "answered": False}
+        found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}
         if words or finish:
             found = say(client, view, words, who(user), finish=finish)
         answered = found["answered"]
@@ -174,7 +174,9 @@ def round_(
             show_not_known(view)
         elif left:
             click.echo(f"Still to be said: {', '.join(left)}.")
-    if words and not answered and not only_say:
+        elif found["why_not"]:
+            click.echo(f"{question} is not answered: {found['why_not']}")
+    if (words or found["why_not"]) and not answered and not only_say:
         raise SystemExit(1)
 
 

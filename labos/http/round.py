@@ -9,16 +9,19 @@ import msgspec
 
 from labos.core.decide.composites import ReportRound
 from labos.core.decide.contents import recorded
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.rights import lacking
 from labos.core.decide.shorter import ConfirmStations, SayContents, must_be_said, to_say
 from labos.core.effects import places
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
+from labos.core.lab import WHOLE_LAB
 from labos.core.shorter import StationsChecked
 from labos.core.state import LabState
 from labos.core.topics import ShorterLog
 from labos.errors import LabosError
 from labos.http.limits import Asker, Named, Names, says
-from labos.http.stock import expect
+from labos.http.stock import check
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -93,12 +96,13 @@ class RoundRefusal(msgspec.Struct, frozen=True):
 
 class RoundResult(msgspec.Struct, frozen=True):
     """The stations of which was ``said`` what stands there, what was ``refused``, and what is ``left``;
-    ``answered``: the question that asked for the round is answered."""
+    ``answered``: the question that asked for the round is answered, or ``why_not`` though nothing is left."""
 
     said: list[str]
     refused: list[RoundRefusal]
     left: list[str]
     answered: bool = False
+    why_not: str = ""
 
 
 def round_view(state: LabState) -> Round:
@@ -166,22 +170,31 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
         except LabosError as error:
             refused.append(RoundRefusal(written, error.message, error.remedy))
     taken = {name for name in confirmed if name in service.kernel.state.shorter.said}
-    command = ReportRound(by, tuple(said.values()), tuple(confirmed), words.finish)
+    finish = words.finish and lacking(service.kernel.state, by, "operator", WHOLE_LAB) is None
+    command = ReportRound(by, tuple(said.values()), tuple(confirmed), finish)
     events = await service.kernel.execute(command, by)
     answered = any(isinstance(event, InterventionResolved) and event.choice == "checked" for event in events)
     taken.update(name for event in events if isinstance(event, StationsChecked) for name in event.stations)
     for name, word in (*said.items(), *confirmed.items()):
         if name not in taken:
             try:
-                expect(service, word, by)
+                check(service, word, by)
             except LabosError as error:
                 refused.append(RoundRefusal(local(name), error.message, error.remedy))
-    return RoundResult(
-        [local(name) for name in (*said, *confirmed) if name in taken],
-        refused,
-        list(map(local, to_say(service.kernel.state))),
-        answered,
-    )
+    left = list(map(local, to_say(service.kernel.state)))
+    why_not = _why_open(service, by) if words.finish and not (answered or left) else ""
+    said_now = [local(name) for name in (*said, *confirmed) if name in taken]
+    return RoundResult(said_now, refused, left, answered, why_not)
+
+
+def _why_open(service: LabService, by: str) -> str:
+    """Why the question about the round cannot be answered though everything is said."""
+    for question in service.kernel.state.interventions.open_about(ShorterLog):
+        try:
+            check(service, ResolveIntervention(question.id, "checked", by), by)
+        except LabosError as error:
+            return f"{error.message} {error.remedy}".strip()
+    return ""
 
 
 def _expect_known(service: LabService, name: StationName, contents: Sequence[str]) -> None:

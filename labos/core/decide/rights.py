@@ -239,7 +239,9 @@ RIGHTS: dict[type[Command], Right] = {
     observation.ObserveStation: Right("operator", _OPERATOR, targets.of_station, "by"),
     shorter.SayContents: Right("operator", _OPERATOR, targets.of_station, "by"),
     shorter.ConfirmStations: Right("operator", _OPERATOR, targets.of_stations, "by"),
-    composites.ReportRound: Right("operator", _OPERATOR, asker="by"),
+    composites.ReportRound: Right(
+        "operator", "an operator; to finish it, of the whole lab", targets.of_round, "by"
+    ),
     interventions.ResolveIntervention: Right(
         "submitter",
         "an operator; what becomes of a run or an experiment: also its owner",

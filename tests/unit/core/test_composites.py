@@ -195,7 +195,9 @@ def test_whoever_asks_must_be_allowed_each_part() -> None:
     assert untouched(lab, SubmitWithLabware(carries(), (load("a"),)), "ada") == "no_right"
     assert untouched(lab, SubmitWithLabware(carries(), (load("a"),)), "olga") == "not_you"
     assert untouched(lab, DeclareStations((declared("a"), declared("b"))), "ada") == "no_right"
-    assert untouched(lab, ReportRound("ada"), "ada") == "no_round"
+    assert untouched(lab, ReportRound("ada"), "ada") == "no_right"
+    assert untouched(lab, ReportRound("olga"), "olga") == "no_round"
+    assert untouched(lab, ReportRound("olga", finish=True), "olga") == "no_right", "not in the whole lab"
     assert untouched(lab, ReportRound("olga", (SayContents(place("a"), "olga"),)), "ada") == "not_you"
     other = SubmitRun(plan(step("arm", action="home")), "ada")
     assert untouched(lab, RequestAccess(CELL, "olga", "", (other,)), "olga") == "not_you"
