@@ -92,8 +92,7 @@ class ProcessMetrics(MetricGroup):
         )
         self.faults = ComputedCounter(
             "labos_kernel_faults_total",
-            "Turns of the kernel that failed and were taken back, and proposals that its own rules refused: "
-            "faults of LabOS.",
+            "Turns of the kernel that failed and were taken back, and other faults of LabOS.",
         )
         self.build.set(1, (VERSION, platform.python_version()))
 
