@@ -121,6 +121,11 @@ class LabClient(BenchCalls, CampaignCalls, AccountCalls, PeopleCalls):
         """A run as it is now, or at its end if that comes within ``wait_s``."""
         return msgspec.convert(self._get(f"/runs/{run}", wait=wait_s), RunResult)
 
+    def runs(self, after: int = 0, *, ended: int = 0) -> dict[str, Any]:
+        """A page of the ``runs`` that are alive, with the ``position`` after which to go on while there are
+        ``more``; and as many that ``ended`` last."""
+        return self._get("/runs", after=after, ended=ended)
+
     def file(self, file: str | Mapping[str, Any], *, first: int = 0, last: int | None = None) -> bytes:
         """The content of a file that a step has returned: ``result["picture"]``, say, or its SHA-256. With
         ``first`` and ``last``, the bytes from the one to the other, both counted from 0 and included. Raises

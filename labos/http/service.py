@@ -36,7 +36,6 @@ from labos.core.ids import (
     local,
     workcell_of,
 )
-from labos.core.labware import LabwarePlaced
 from labos.core.model import Description, LabwareSpec, Plan, StationSpec, Workcell
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import RunSubmitted
@@ -47,7 +46,7 @@ from labos.http.hands import put_right
 from labos.http.limits import FileName, Files, FileText
 from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
-from labos.http.stock import check, expect, furnish, put_there, refill_by_hand
+from labos.http.stock import check, expect, furnish, refill_by_hand
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
 from labos.http.views import Supervised
@@ -231,18 +230,6 @@ class LabService:
                 if station.stock and workcell_of(name) == workcell
             ),
         )
-
-    async def place(self, station: str, labware: str, actor: str) -> str:
-        """Somebody has put labware on a station; returns its id (empty on a stack: what lies there
-        has no name until it is taken)."""
-        name = self.station(station)
-        self.expect_labware(labware)
-        command = LoadStation(name, labware, 1)  # on a stack it comes to lie on top of what is there
-        found = expect(self, command, actor)
-        if self.parts.simulated:
-            put_there(self.parts.world(workcell_of(name)), command, found)
-        events = await self.kernel.execute(command, actor)
-        return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
 
     def labware_types(self) -> list[str]:
         """What may be placed: the packaged types and the lab's own, what stations accept, what is on the

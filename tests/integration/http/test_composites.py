@@ -13,6 +13,7 @@ import httpx
 import pytest
 
 from labos.bootstrap import LabThread, descriptions
+from labos.client import LabClient
 from labos.client._lab import API
 from labos.core.decide.nodes import JoinNode
 from labos.core.ids import ModuleName, StationName
@@ -153,3 +154,5 @@ def test_a_refused_run_leaves_nothing_of_its_labware(lab: LabThread) -> None:
         world = lab.runtime.world("rpl")
         assert world.at("sealer.default") == world.at("camera_module.plate_station") == []
         assert http.post("/runs", json=RUN, headers={"idempotency-key": "k"}).status_code == 201
+    with LabClient(lab.url) as client:
+        assert [run["id"] for run in client.runs()["runs"]] == ["R1"]
