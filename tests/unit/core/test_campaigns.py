@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from labos.core.campaigns import ROWS_QUEUED, Budget, Campaign, Terms
+from labos.core.campaigns import ROWS_QUEUED, Budget, Campaign, CampaignCancelled, Terms
 from labos.core.conditions import condition
 from labos.core.decide import Rejection
 from labos.core.decide.campaigns import (
@@ -19,6 +19,7 @@ from labos.core.decide.campaigns import (
     SubmitRow,
 )
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.lab import StartKernel
 from labos.core.expressions import parse_expression
 from labos.core.ids import CampaignId, RunId
 from labos.core.model import Condition, Plan
@@ -204,3 +205,11 @@ def test_room_in_the_state_does_not_grow_with_the_rows() -> None:
         return len(picture(lab.lab.state))
 
     assert size(100_000) - size(10) < 16
+
+
+def test_one_that_an_earlier_version_left_undecided_is_completed_when_a_kernel_starts() -> None:
+    lab = Lab(rows=2)
+    lab.lab.write(CampaignCancelled(C1, "the wrong table"))
+    assert C1 in lab.lab.state.campaigns.open
+    events = lab.lab.do(StartKernel(2, "0"))
+    assert [event.TYPE for event in events] == ["kernel.started", "campaign.completed"]
