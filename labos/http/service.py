@@ -338,8 +338,8 @@ class LabService:
             request,
         )
         command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
-        check(self, command, user)
-        if request not in self.kernel.state.runs.requests:
+        if loads and request not in self.kernel.state.runs.requests:
+            check(self, command, user)
             put(self, loads, user)
         events = await self.kernel.execute(command, user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
