@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
-from labos.core.decide._base import Command, Decision, Rejection, decides, recordable
+from labos.core.decide._base import Command, Decider, Decision, Rejection, decides, recordable
 from labos.core.decide.interventions import ResolveIntervention, resolve_intervention
 from labos.core.decide.lab import DeclareStation, declare_station
 from labos.core.decide.runs import SubmitRun, submit_run
@@ -75,12 +75,7 @@ def submit_with_labware(state: LabState, command: SubmitWithLabware) -> Decision
         filled |= places
     run = submit_run(state, command.run)
     fit = run if isinstance(run, Rejection) else recordable(run)
-    return fit if isinstance(fit, Rejection) else chain(_load(state, command.loads), fit)
-
-
-def _load(state: LabState, loads: Sequence[LoadStation]) -> Iterator[Event]:
-    for load in loads:
-        yield from _carried_out(load_station(state, load))
+    return fit if isinstance(fit, Rejection) else chain(_carry_out(state, command.loads, load_station), fit)
 
 
 @decides(DeclareStations)
@@ -94,19 +89,16 @@ def declare_stations(state: LabState, command: DeclareStations) -> Decision:
         fit = decision if isinstance(decision, Rejection) else recordable(decision)
         if isinstance(fit, Rejection):
             return fit
-    return _declare(state, command.stations)
+    return _carry_out(state, command.stations, declare_station)
 
 
-def _declare(state: LabState, stations: Sequence[DeclareStation]) -> Iterator[Event]:
-    for declared in stations:
-        yield from _carried_out(declare_station(state, declared))
-
-
-def _carried_out(decision: Decision) -> Iterable[Event]:
-    """The events of a part, of which it is known that it can be carried out."""
-    if isinstance(decision, Rejection):
-        raise RuntimeError(f"A part of a request is in the way of another: {decision.message}")
-    return decision
+def _carry_out(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
+    """The events of parts of which it is known that they can be carried out."""
+    for part in parts:
+        decision = decider(state, part)
+        if isinstance(decision, Rejection):
+            raise RuntimeError(f"A part of a request is in the way of another: {decision.message}")
+        yield from decision
 
 
 @decides(ReportRound)
