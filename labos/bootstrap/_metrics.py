@@ -111,6 +111,7 @@ class LabMetrics:
             left_out=lab.announcer.left_out,
             spans=self.traces.offered if self.traces is not None else 0,
             spans_sent=self.traces.taken if self.traces is not None else 0,
+            faults=kernel.fault_count,
         )
 
 

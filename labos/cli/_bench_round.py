@@ -72,9 +72,12 @@ def from_file(path: str) -> Words:
     return words
 
 
-def say(client: LabClient, view: Mapping[str, Any], words: Words, by: str) -> dict[str, Any]:
+def say(
+    client: LabClient, view: Mapping[str, Any], words: Words, by: str, *, finish: bool = False
+) -> dict[str, Any]:
     """Say it all to the lab. ``rest`` as a station's name stands for all that need not be said one by one and
-    was not. Raises BadInput for a name that is not on the round."""
+    was not; ``finish`` answers the question if nothing is left. Raises BadInput for a name that is not on the
+    round."""
     stations = {_known(view, name)["station"]: told for name, told in words.items() if name != REST}
     if REST in words and words[REST] is not None:
         raise BadInput(f"`{REST}` can only be `{AS_RECORDED}`.", remedy="Say other stations one by one.")
@@ -91,7 +94,7 @@ def say(client: LabClient, view: Mapping[str, Any], words: Words, by: str) -> di
             as_recorded.append(full)
     # What was taken away makes room for what stands there now, and is found where it is said last.
     ordered = dict(sorted(contents.items(), key=lambda item: bool(item[1])))
-    return client.say(by, ordered, as_recorded)
+    return client.say(by, ordered, as_recorded, finish=finish)
 
 
 def _known(view: Mapping[str, Any], name: str) -> Mapping[str, Any]:

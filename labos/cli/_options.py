@@ -45,6 +45,17 @@ database_option = click.option(
     help="sqlite:///file or postgresql://… (LABOS_DATABASE_URL; a file in the home folder).",
     callback=without_password,
 )
+ENDED_SHOWN = 20
+"""So many that have ended are listed, unless all are asked for."""
+all_option = click.option(
+    "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
+)
+address_option = click.option(
+    "--address",
+    multiple=True,
+    metavar="HOST",
+    help="A further name or address by which other computers reach the secure bus.",
+)
 pki_option = click.option(
     "--pki",
     type=click.Path(file_okay=False, path_type=Path),

@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 import click
 import msgspec
 
-from labos.cli._options import json_option, without_password
+from labos.cli._options import json_option as json_option
+from labos.cli._options import without_password
 from labos.cli._remote import folder_or_database, is_given, needs_folder
 from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
@@ -139,21 +140,3 @@ AT_HELP = "A past moment: 2026-05-04T10:30, -2h, or a position of the log."
 
 def at_option(command: F) -> F:
     return click.option("--at", "moment", metavar="TIME|POSITION", callback=as_moment, help=AT_HELP)(command)
-
-
-__all__ = [
-    "AT_HELP",
-    "KERNEL_FILE",
-    "Where",
-    "as_moment",
-    "as_time",
-    "at_option",
-    "contents",
-    "json_option",
-    "kernel_file",
-    "log_options",
-    "now_ns",
-    "open_database",
-    "open_log",
-    "own_database",
-]

@@ -149,27 +149,34 @@ def round_(
         words = {**(from_file(path) if path else {}), **from_options(told)}
         if simulated:
             words = {**_bench_contents(where), "rest": None, **words}
-        found = say(client, view, words, who(user)) if words else {"said": [], "refused": []}
+        question = view["intervention"]
         if not words and not as_json:
             show(view)
             if sys.stdin.isatty() and sys.stdout.isatty():
                 ask(client, who(user))
                 only_say = only_say or not click.confirm("Is that all, and is everybody out?")
-        view = client.round()
+        finish = not (only_say or (as_json and not words))
+        found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}
+        if words or finish:
+            found = say(client, view, words, who(user), finish=finish)
+        answered = found["answered"]
+        if answered:  # nothing is asked any more
+            view = {**view, "stations": [{**station, "said": True} for station in view["stations"]]}
+        else:
+            view = client.round()
         left = [station["station"] for station in view["stations"] if not station["said"]]
-        answered = not (left or only_say or (as_json and not words))
-        if answered:
-            client.resolve(view["intervention"], "checked", who(user), "the bench was gone round")
     if as_json:
-        show_json({**view, **found, "left": left, "answered": answered})
+        show_json({**view, **found, "left": left})
     else:
         show_refused(found["refused"])
         if answered:
-            click.echo(f"{view['intervention']} is answered: the lab goes on from what was said.")
+            click.echo(f"{question} is answered: the lab goes on from what was said.")
             show_not_known(view)
         elif left:
             click.echo(f"Still to be said: {', '.join(left)}.")
-    if words and not answered and not only_say:
+        elif found["why_not"]:
+            click.echo(f"{question} is not answered: {found['why_not']}")
+    if (words or found["why_not"]) and not answered and not only_say:
         raise SystemExit(1)
 
 

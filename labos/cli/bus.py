@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._options import home_option, pki_option
+from labos.cli._options import address_option, home_option, pki_option
 
 if TYPE_CHECKING:
     from labos.bootstrap import Guard
@@ -32,12 +32,7 @@ LISTEN = "127.0.0.1:7447"
     metavar="FOLDER",
     help="The folder of this bus (`labos pki issue bus`), where the authority is elsewhere.",
 )
-@click.option(
-    "--address",
-    multiple=True,
-    metavar="HOST",
-    help="A further name or address by which other computers reach the secure bus.",
-)
+@address_option
 @pki_option
 @home_option
 def command(

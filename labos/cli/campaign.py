@@ -11,7 +11,16 @@ import msgspec
 
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
-from labos.cli._options import home_option, json_option, propose_option, user_option, who, why_option
+from labos.cli._options import (
+    ENDED_SHOWN,
+    all_option,
+    home_option,
+    json_option,
+    propose_option,
+    user_option,
+    who,
+    why_option,
+)
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._query import Where, log_options, open_log
 from labos.services.campaigns import (
@@ -22,8 +31,6 @@ from labos.services.campaigns import (
     campaign_rows,
 )
 from labos.services.times import show_span, show_time
-
-ENDED_SHOWN = 20
 
 _campaign = click.argument("campaign", metavar="ID")
 
@@ -93,9 +100,7 @@ def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
 
 
 @command.command("list")
-@click.option(
-    "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
-)
+@all_option
 @json_option
 @log_options
 def list_(where: Where, everything: bool, as_json: bool) -> None:

@@ -5,18 +5,15 @@ from __future__ import annotations
 import click
 
 from labos.cli._liveness import say_if_dead
+from labos.cli._options import ENDED_SHOWN, all_option, json_option
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, open_log
+from labos.cli._query import Where, log_options, open_log
 from labos.services.experiments import ExperimentHistory, experiment_histories
 from labos.services.times import show_span, show_time
 
-ENDED_SHOWN = 20
-
 
 @click.command("experiments", short_help="Experiments: whose, how far, with how many runs.")
-@click.option(
-    "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
-)
+@all_option
 @json_option
 @log_options
 def command(where: Where, everything: bool, as_json: bool) -> None:

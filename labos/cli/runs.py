@@ -9,8 +9,9 @@ import msgspec
 
 from labos.cli._complete import completes
 from labos.cli._liveness import lab_now, say_if_dead
+from labos.cli._options import ENDED_SHOWN, all_option, json_option
 from labos.cli._out import show_json, show_parts, show_table
-from labos.cli._query import Where, json_option, log_options, open_log
+from labos.cli._query import Where, log_options, open_log
 from labos.core.ids import local
 from labos.planning.scheduler import Scheduler
 from labos.services.describe import short
@@ -21,7 +22,6 @@ from labos.services.runs import RunHistory, StepHistory, run_histories, run_hist
 from labos.services.times import show_span, show_time
 from labos.services.waits import reasons
 
-ENDED_SHOWN = 20
 WAITS_TOLD = 50
 """Of so many runs it is worked out why they wait; to know it of every one takes too long."""
 
@@ -30,9 +30,7 @@ WAITS_TOLD = 50
 @click.argument(
     "run", shell_complete=completes("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
 )
-@click.option(
-    "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
-)
+@all_option
 @json_option
 @log_options
 def command(where: Where, run: str | None, everything: bool, as_json: bool) -> None:

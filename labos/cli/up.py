@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import SPEED_HELP, database_option, home_option, pki_option
+from labos.cli._options import SPEED_HELP, address_option, database_option, home_option, pki_option
 
 if TYPE_CHECKING:
     from labos.bootstrap import LabThread
@@ -82,12 +82,7 @@ NO_USERS = (
     metavar="FOLDER",
     help="The kernel's own certificate, where the lab's authority is elsewhere.",
 )
-@click.option(
-    "--address",
-    multiple=True,
-    metavar="HOST",
-    help="A further name or address by which other computers reach the secure bus.",
-)
+@address_option
 @pki_option
 @click.option(
     "--standby", is_flag=True, help="Follow the lab's log, and take over when its kernel dies or freezes."

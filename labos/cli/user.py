@@ -10,7 +10,6 @@ from labos.cli._group import Suggesting
 from labos.cli._options import home_option, json_option, user_option, who
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._people import in_words, lab_at, lab_or_its_folder, role_choice, scope_of, workcell_option
-from labos.core.users import user_subject
 from labos.services.times import show_time
 
 _id = click.argument("name", metavar="ID")
@@ -61,9 +60,9 @@ def add(
     with lab_or_its_folder(home) as client:
         by = who(user)
         is_first = not client.users()
-        client.add_user(name, by, kind="service" if service else "person")
-        if role and not is_first:  # the first one is admin of everything
-            client.grant_role(user_subject(name), role, by, scope=scope_of(workcell))
+        client.add_user(
+            name, by, kind="service" if service else "person", role=role, scope=scope_of(workcell)
+        )
         if person or mail:
             client.set_person(name, name=person, mail=mail)
         found = client.user(name)

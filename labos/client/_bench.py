@@ -157,12 +157,18 @@ class BenchCalls(Calls):
         return self._get("/round")
 
     def say(
-        self, by: str, stations: Mapping[str, Sequence[str]] | None = None, as_recorded: Sequence[str] = ()
+        self,
+        by: str,
+        stations: Mapping[str, Sequence[str]] | None = None,
+        as_recorded: Sequence[str] = (),
+        *,
+        finish: bool = False,
     ) -> dict[str, Any]:
         """Say on the round what stands at stations, bottom to top, and which are as recorded. Returns what
-        was ``said``, what was ``refused`` and why, and what is ``left`` to say."""
+        was ``said``, what was ``refused`` and why, and what is ``left`` to say; with ``finish`` the question
+        about the round is ``answered``, if that is nothing."""
         told = {name: list(contents) for name, contents in (stations or {}).items()}
-        body = {"by": by, "stations": told, "as_recorded": list(as_recorded)}
+        body = {"by": by, "stations": told, "as_recorded": list(as_recorded), "finish": finish}
         return self._post("/round", body, repeat=True)
 
     def give(self, labware: str, to: str, by: str, *, force: bool = False, note: str = "") -> None:

@@ -127,6 +127,11 @@ class LabClient(BenchCalls, BookingCalls, ApprovalCalls, CampaignCalls, AccountC
         """A run as it is now, or at its end if that comes within ``wait_s``."""
         return msgspec.convert(self._get(f"/runs/{run}", wait=wait_s), RunResult)
 
+    def runs(self, after: int = 0, *, ended: int = 0) -> dict[str, Any]:
+        """A page of the ``runs`` that are alive, with the ``position`` after which to go on while there are
+        ``more``; and as many that ``ended`` last."""
+        return self._get("/runs", after=after, ended=ended)
+
     def file(self, file: str | Mapping[str, Any], *, first: int = 0, last: int | None = None) -> bytes:
         """The content of a file that a step has returned: ``result["picture"]``, say, or its SHA-256. With
         ``first`` and ``last``, the bytes from the one to the other, both counted from 0 and included. Raises
@@ -236,11 +241,6 @@ class LabClient(BenchCalls, BookingCalls, ApprovalCalls, CampaignCalls, AccountC
     def _note_approval(self, answer: Mapping[str, Any]) -> None:
         self.approval = str(answer.get("approval", ""))
         self.warnings += [self.approval] if self.approval else []
-
-    def runs(self, *, after: int = 0, ended: int = 0) -> dict[str, Any]:
-        """``runs`` that are alive, a page of them in the order of their submission, behind the last ``ended``
-        ones; ask again with ``after`` = ``position`` while there are ``more``."""
-        return self._get("/runs", after=after, ended=ended)
 
     def do(self, module: str, action: str, args: Mapping[str, Any] | None = None, **options: Any) -> str:
         """Queue one action on one module, as a run of its own; returns the run's id. Options are

@@ -20,9 +20,18 @@ class PeopleCalls(Calls):
         """As one of ``users``. Raises NotFound."""
         return self._get(f"/users/{user}")
 
-    def add_user(self, user: str, by: str, *, kind: Literal["person", "service"] = "person") -> None:
-        """Let a person, or a program or agent (``service``), use the lab. The first becomes its admin."""
-        self._post("/users", {"user": user, "kind": kind, "by": by})
+    def add_user(
+        self,
+        user: str,
+        by: str,
+        *,
+        kind: Literal["person", "service"] = "person",
+        role: str | None = None,
+        scope: str = "*",
+    ) -> None:
+        """Let a person, or a program or agent (``service``), use the lab, with a ``role`` in a workcell or in
+        the whole lab (``*``). The first becomes its admin."""
+        self._post("/users", {"user": user, "kind": kind, "role": role, "scope": scope, "by": by})
 
     def disable_user(self, user: str, by: str) -> None:
         self._post(f"/users/{user}/disable", {"by": by}, repeat=True)

@@ -36,13 +36,13 @@ class Experiment(msgspec.Struct):
 
 
 class Experiments(msgspec.Struct):
-    """``open`` are those that have not ended; ``named`` and ``requests`` as for runs. ``cancelled`` close
-    when their runs have ended, ``members`` are the runs alive of experiments."""
+    """``open`` are those that have not ended; ``named`` and ``requests`` as for runs. ``ending`` are those
+    that were cancelled or are closing, ``members`` the runs alive of experiments."""
 
     open: dict[ExperimentId, Experiment] = {}
     named: int = 0
     requests: dict[str, ExperimentId] = {}
-    cancelled: dict[ExperimentId, bool] = {}
+    ending: dict[ExperimentId, bool] = {}
     members: dict[RunId, ExperimentId] = {}
 
 
@@ -65,17 +65,17 @@ def started(experiments: Experiments, event: ExperimentStarted, at: int) -> None
 
 def cancelled(experiments: Experiments, event: ExperimentCancelled, at: int) -> None:
     experiments.open[event.experiment].status = ExperimentStatus.CANCELLED
-    experiments.cancelled[event.experiment] = True
+    experiments.ending[event.experiment] = True
 
 
 def closing(experiments: Experiments, event: ExperimentClosing, at: int) -> None:
     experiments.open[event.experiment].status = ExperimentStatus.CLOSING
-    experiments.cancelled.pop(event.experiment, None)
+    experiments.ending[event.experiment] = True
 
 
 def ended(experiments: Experiments, event: ExperimentEnded, at: int) -> None:
     del experiments.open[event.experiment]
-    experiments.cancelled.pop(event.experiment, None)
+    experiments.ending.pop(event.experiment, None)
 
 
 def submitted(experiments: Experiments, event: RunSubmitted, at: int) -> None:

@@ -8,14 +8,17 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.core.decide.access import Change, EndAccess, RequestAccess
+from labos.core.decide.runs import SubmitRun
 from labos.core.ids import LabwareId, local, workcell_of
 from labos.core.modules import ModuleStatus
+from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
+from labos.core.users import person_of
 from labos.errors import LabosError
 from labos.http.hands import plate_of
 from labos.http.limits import Name
 from labos.http.service import LabService, WorkflowText
-from labos.http.stock import expect
+from labos.http.stock import check, expect
 from labos.node.world import World
 from labos.services.truth import bench_name
 from labos.spec.about import described
@@ -36,24 +39,20 @@ async def request_access(service: LabService, workcell: str, by: str, why: str, 
     cell = service.workcell(workcell).name
     state = service.kernel.state
     inside = state.lab.access.get(cell)
-    expect(service, RequestAccess(cell, by, why), by)  # before runs are submitted for it
-    runs: list[str] = []
+    check(service, RequestAccess(cell, by, why), by)
+    parking: list[SubmitRun] = []
     for module in _parkable(service, state, cell) if park and inside is None else ():
+        workflow = WorkflowText(_HOME.format(module=module), f"do {module}.home")
         try:
-            run, _ = await service.submit(
-                WorkflowText(_HOME.format(module=module), f"do {module}.home"),
-                {},
-                user=by,
-                workcell=cell,
-                priority=PARKED_FIRST,
-            )
+            plan = (await service.compile(workflow, {}, cell)).plan
+            pins = service.pins_of(workflow, plan)
+            run = SubmitRun(plan, person_of(by), priority=PARKED_FIRST, pins=pins)
+            check(service, run, by)
         except LabosError:
             continue  # an arm that cannot be parked must not keep a person out
-        runs.append(run)
-    known = [service.kernel.state.runs.get(run) for run in runs]
-    plans = tuple(dict.fromkeys(run.plan for run in known if run is not None))
-    await service.kernel.execute(RequestAccess(cell, by, why, plans), by)
-    return runs
+        parking.append(run)
+    events = await service.kernel.execute(RequestAccess(cell, by, why, tuple(parking)), by)
+    return [event.run for event in events if isinstance(event, RunSubmitted)]
 
 
 async def end_access(

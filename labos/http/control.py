@@ -94,6 +94,3 @@ def _command(verb: str, kind: Kind, target: str, asked: ControlRequest) -> Comma
     if kind == "experiment":
         return CancelExperiment(ExperimentId(target), asked.by, asked.stay, asked.why)
     return CancelRuns(target, asked.stay, asked.why)
-
-
-__all__ = ["VERBS", "ControlRequest", "ControlResult", "control", "meant"]

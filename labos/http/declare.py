@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping, Sequence
 
+from labos.core.decide.composites import DeclareStations
 from labos.core.decide.lab import DeclareStation
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.shelves import spread
 from labos.errors import BadInput
 from labos.http.service import LabService
-from labos.http.stock import expect
+from labos.http.stock import check
 
 
 async def declare_bench(
@@ -33,13 +34,12 @@ async def declare_bench(
             unheard = not known.known and known.spec.kind not in ("gripper", "waste")
             if workcell_of(name) == cell and unheard and name not in bench.shelves:
                 stations.setdefault(name, ())
-    commands = [DeclareStation(name, types) for name, types in stations.items()]
-    for command in commands:
-        expect(service, command, by)
-    for command in commands:
-        if service.parts.simulated and command.contents:
-            await asyncio.to_thread(_stock, service, command)
-        await service.kernel.execute(command, by)
+    command = DeclareStations(tuple(DeclareStation(name, types) for name, types in stations.items()))
+    check(service, command, by)
+    for declared in command.stations if service.parts.simulated else ():
+        if declared.contents:
+            await asyncio.to_thread(_stock, service, declared)
+    await service.kernel.execute(command, by)
     return {local(name): list(types) for name, types in stations.items()}
 
 

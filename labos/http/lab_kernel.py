@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
 from typing import Protocol
 
 from labos.clock import Clock, Ids
@@ -52,9 +51,5 @@ class LabKernel(Protocol):
     async def written(self) -> None: ...
 
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]: ...
-
-    async def execute_all(
-        self, commands: Sequence[Command], actor: str, causation: str = ""
-    ) -> list[Event]: ...
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection: ...

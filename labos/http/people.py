@@ -20,6 +20,8 @@ Scope = Annotated[Name, says("a workcell, or `*` for the whole lab")]
 class NewUser(By, forbid_unknown_fields=True, kw_only=True):
     user: Annotated[Name, says("the id, which is no name: events bear it for ever")]
     kind: Annotated[Kind, says("`person`, or `service` for a program or an agent")] = "person"
+    role: Annotated[Role | None, says("a role to begin with; the first user is admin in any case")] = None
+    scope: Scope = WHOLE_LAB
 
 
 class NewGroup(By, forbid_unknown_fields=True, kw_only=True):

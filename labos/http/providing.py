@@ -89,8 +89,9 @@ async def _user_of(api: Api, provider: Provider, claims: Claims) -> str:
     user = await accounts.user_of(told.issuer, claims.subject)
     if not user and told.new_users:
         user = f"u-{make_id()}"
-        await api.kernel.execute(AddUser(user), LABOS)
         await accounts.link(told.issuer, claims.subject, user)
+    if user and told.new_users and user not in state.users.known:  # perhaps linked before a crash
+        await api.kernel.execute(AddUser(user), LABOS)
     if not user:
         raise NotSignedIn(
             "The identity provider knows you, and this lab does not.",

@@ -21,6 +21,7 @@ from labos.core.decide.campaigns import (
     SubmitCampaign,
 )
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.composites import DeclareStations, ReportRound, SubmitWithLabware
 from labos.core.decide.considering import ApplyPolicy
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
 from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
@@ -55,7 +56,7 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "pause": (PauseStarts, PauseRun),
     "resume": (ResumeStarts, ResumeRun),
     "cancel": (CancelRuns, CancelRun, CancelExperiment),
-    "submit_run": (SubmitRun, LoadStation),
+    "submit_run": (SubmitRun, SubmitWithLabware, LoadStation),
     "cancel_run": (CancelRun,),
     "pause_run": (PauseRun,),
     "resume_run": (ResumeRun,),
@@ -87,12 +88,12 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "load_station": (LoadStation,),
     "unload_station": (UnloadStation,),
     "observe_station": (ObserveStation,),
-    "declare_stations": (DeclareStation,),
-    "report_round": (SayContents, ConfirmStations),
+    "declare_stations": (DeclareStations, DeclareStation),
+    "report_round": (ReportRound, SayContents, ConfirmStations),
     "label_labware": (NameBarcode,),
     "hand_over_labware": (HandOver,),
     "register_sheet": (RegisterSamples,),
-    "add_user": (AddUser,),
+    "add_user": (AddUser, GrantRole),
     "disable_user": (DisableUser,),
     "enable_user": (EnableUser,),
     "add_group": (AddGroup,),

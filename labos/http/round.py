@@ -7,14 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
+from labos.core.decide.composites import ReportRound
 from labos.core.decide.contents import recorded
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.rights import lacking
 from labos.core.decide.shorter import ConfirmStations, SayContents, must_be_said, to_say
 from labos.core.effects import places
 from labos.core.ids import StationName, local, workcell_of
+from labos.core.interventions import InterventionResolved
+from labos.core.lab import WHOLE_LAB
+from labos.core.shorter import StationsChecked
 from labos.core.state import LabState
 from labos.core.topics import ShorterLog
 from labos.errors import LabosError
 from labos.http.limits import Asker, Named, Names, says
+from labos.http.stock import check
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -22,7 +29,7 @@ if TYPE_CHECKING:
 
 class RoundReport(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """What a person says on the round: what stands at ``stations``, bottom to top, and which are
-    ``as_recorded``."""
+    ``as_recorded``; ``finish``: the question that asks for the round is answered, if nothing is left."""
 
     by: Asker = ""
     stations: Annotated[
@@ -30,6 +37,7 @@ class RoundReport(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         says("what stands at stations, bottom to top: ids of labware, or types where the log knows none"),
     ] = {}
     as_recorded: Annotated[Names, says("stations that are as recorded")] = []
+    finish: Annotated[bool, says("`true`: answer the question about the round if nothing is left")] = False
 
 
 class Evidence(msgspec.Struct, frozen=True):
@@ -87,11 +95,14 @@ class RoundRefusal(msgspec.Struct, frozen=True):
 
 
 class RoundResult(msgspec.Struct, frozen=True):
-    """The stations of which was ``said`` what stands there, what was ``refused``, and what is ``left``."""
+    """The stations of which was ``said`` what stands there, what was ``refused``, and what is ``left``;
+    ``answered``: the question that asked for the round is answered, or ``why_not`` though nothing is left."""
 
     said: list[str]
     refused: list[RoundRefusal]
     left: list[str]
+    answered: bool = False
+    why_not: str = ""
 
 
 def round_view(state: LabState) -> Round:
@@ -146,23 +157,44 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
     """Take what a person says, station by station: what cannot be is told with its reason, all else
     holds."""
     refused: list[RoundRefusal] = []
-    taken: list[str] = []
-    for written, contents in words.stations.items():
+    said: dict[StationName, SayContents] = {}
+    confirmed: dict[StationName, ConfirmStations] = {}
+    for written, contents in (*words.stations.items(), *((name, None) for name in words.as_recorded)):
         try:
             name = service.station(written)
-            _expect_known(service, name, contents)
-            await service.kernel.execute(SayContents(name, by, tuple(contents)), by)
-            taken.append(local(name))
+            if contents is None:
+                confirmed[name] = ConfirmStations((name,), by)
+            else:
+                _expect_known(service, name, contents)
+                said[name] = SayContents(name, by, tuple(contents))
         except LabosError as error:
             refused.append(RoundRefusal(written, error.message, error.remedy))
-    for written in words.as_recorded:
+    taken = {name for name in confirmed if name in service.kernel.state.shorter.said}
+    finish = words.finish and lacking(service.kernel.state, by, "operator", WHOLE_LAB) is None
+    command = ReportRound(by, tuple(said.values()), tuple(confirmed), finish)
+    events = await service.kernel.execute(command, by)
+    answered = any(isinstance(event, InterventionResolved) and event.choice == "checked" for event in events)
+    taken.update(name for event in events if isinstance(event, StationsChecked) for name in event.stations)
+    for name, word in (*said.items(), *confirmed.items()):
+        if name not in taken:
+            try:
+                check(service, word, by)
+            except LabosError as error:
+                refused.append(RoundRefusal(local(name), error.message, error.remedy))
+    left = list(map(local, to_say(service.kernel.state)))
+    why_not = _why_open(service, by) if words.finish and not (answered or left) else ""
+    said_now = [local(name) for name in (*said, *confirmed) if name in taken]
+    return RoundResult(said_now, refused, left, answered, why_not)
+
+
+def _why_open(service: LabService, by: str) -> str:
+    """Why the question about the round cannot be answered though everything is said."""
+    for question in service.kernel.state.interventions.open_about(ShorterLog):
         try:
-            name = service.station(written)
-            await service.kernel.execute(ConfirmStations((name,), by), by)
-            taken.append(local(name))
+            check(service, ResolveIntervention(question.id, "checked", by), by)
         except LabosError as error:
-            refused.append(RoundRefusal(written, error.message, error.remedy))
-    return RoundResult(taken, refused, list(map(local, to_say(service.kernel.state))))
+            return f"{error.message} {error.remedy}".strip()
+    return ""
 
 
 def _expect_known(service: LabService, name: StationName, contents: Sequence[str]) -> None:

@@ -16,12 +16,13 @@ import msgspec
 from labos.clock import Clock
 from labos.core.bench import Labware, parts
 from labos.core.canonical import digest
-from labos.core.decide import LABOS, Command, Rejection
+from labos.core.decide import Command
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.lab import ApplyWorkcell, DeclareStation
-from labos.core.decide.nodes import PutBack, RecordStop, TakeOut
+from labos.core.decide.lab import ApplyWorkcell
+from labos.core.decide.nodes import PutBack, RecordStops, TakeOut
 from labos.core.decide.rights import denied, lacking
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation
@@ -35,7 +36,6 @@ from labos.core.ids import (
     local,
     workcell_of,
 )
-from labos.core.labware import LabwarePlaced
 from labos.core.model import Description, LabwareSpec, Plan, StationSpec, Workcell
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import RunSubmitted
@@ -47,7 +47,7 @@ from labos.http.lab_kernel import LabKernel
 from labos.http.limits import FileName, Files, FileText
 from labos.http.placing import Placing, loads_of, put, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
-from labos.http.stock import expect, furnish, put_there, refill_by_hand
+from labos.http.stock import check, expect, furnish, refill_by_hand
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
 from labos.http.views import Supervised
@@ -185,23 +185,16 @@ class LabService:
     async def apply(self, cell: CompiledWorkcell, actor: str, *, declare: bool) -> None:
         """Set a workcell up, or change it. With ``declare``, what nobody has spoken of stands
         as the file's stock says; a simulated bench is furnished to match."""
-        await self.kernel.execute(ApplyWorkcell(cell.workcell), actor)
         stock: dict[StationName, list[str]] = {}
         for item in cell.bench.stock if declare else ():
             stock.setdefault(item.station, []).extend([item.labware] * item.count)
-        fresh = [
-            spec.name
-            for spec in cell.workcell.places
-            if not self.kernel.state.bench.stations[spec.name].known
-        ]
+        contents = {name: tuple(types) for name, types in stock.items()} if declare else None
+        command = ApplyWorkcell(cell.workcell, contents)
+        check(self, command, actor)
         if self.parts.simulated:
             # The bench first: labware that is declared must be there when an arm reaches for it.
             await asyncio.to_thread(furnish, self.parts.world(cell.workcell.name), cell.workcell, stock)
-        for name in fresh if declare else ():
-            answer = self.kernel.submit(DeclareStation(name, tuple(stock.get(name, ()))), actor)
-            if isinstance(answer, Rejection):
-                raise error_of(answer)
-        await self.kernel.written()
+        await self.kernel.execute(command, actor)
 
     def workcell(self, name: str = "") -> Workcell:
         """An applied workcell, as the log has it; without a name, the only one. Raises BadInput."""
@@ -248,18 +241,6 @@ class LabService:
             ),
         )
 
-    async def place(self, station: str, labware: str, actor: str) -> str:
-        """Somebody has put labware on a station; returns its id (empty on a stack: what lies there
-        has no name until it is taken)."""
-        name = self.station(station)
-        self.expect_labware(labware)
-        command = LoadStation(name, labware, 1)  # on a stack it comes to lie on top of what is there
-        found = expect(self, command, actor)
-        if self.parts.simulated:
-            put_there(self.parts.world(workcell_of(name)), command, found)
-        events = await self.kernel.execute(command, actor)
-        return next((str(e.labware) for e in events if isinstance(e, LabwarePlaced)), "")
-
     def labware_types(self) -> list[str]:
         """What may be placed: the packaged types and the lab's own, what stations accept, what is on the
         bench."""
@@ -299,20 +280,14 @@ class LabService:
         workflow: WorkflowText,
         payload: dict[str, Any],
         workcell: str,
-        place: Sequence[Placing] = (),
-        by: str = LABOS,
+        loads: Sequence[LoadStation] = (),
         *,
         keep: bool = True,
     ) -> Compiled:
-        """``place`` is what ``by`` will have put on the bench when it is submitted. With ``keep``, files and
-        text are kept for whoever submits it. Raises SpecError,
-        SpecErrors, BadInput; NotFound and Refused for what cannot be put there."""
-        if not workcell and len(self.kernel.state.lab.workcells) != 1:
-            source = await self.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
-            wanted = source.data.get("workcell")
-            workcell = wanted if isinstance(wanted, str) else ""
-        cell = self.workcell(workcell)
-        bench = with_loads(self.bench(cell.name), loads_of(self, place, workcell, by))
+        """``loads`` is what will have been put on the bench when it is submitted. With ``keep``, files and
+        text are kept for whoever submits it. Raises SpecError, SpecErrors, BadInput."""
+        cell = self.workcell(await self.workcell_for(workflow, workcell))
+        bench = with_loads(self.bench(cell.name), loads)
         simulated = self.parts.simulated
         descriptions = self.parts.descriptions
 
@@ -327,6 +302,14 @@ class LabService:
             return compiled
 
         return await self.beside(len(workflow.text), work)
+
+    async def workcell_for(self, workflow: WorkflowText, workcell: str) -> str:
+        """The workcell that is named, by the workflow if by nobody else; empty if that is not needed."""
+        if workcell or len(self.kernel.state.lab.workcells) == 1:
+            return workcell
+        source = await self.beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
+        wanted = source.data.get("workcell")
+        return wanted if isinstance(wanted, str) else ""
 
     async def submit(
         self,
@@ -363,8 +346,10 @@ class LabService:
             await self.kernel.written()
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
             return str(known), ()
-        compiled = await self.compile(workflow, payload, workcell, place, user)
-        command = SubmitRun(
+        workcell = await self.workcell_for(workflow, workcell)
+        loads = loads_of(self, place, workcell, user)
+        compiled = await self.compile(workflow, payload, workcell, loads)
+        run_command = SubmitRun(
             compiled.plan,
             person_of(user),
             payload,
@@ -374,12 +359,11 @@ class LabService:
             request,
             propose,
         )
-        loads: list[LoadStation] = []
-        if place and request not in self.kernel.state.runs.requests:
-            loads = loads_of(self, place, workcell, user)
-            expect(self, command, user)
+        command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
+        if loads and request not in self.kernel.state.runs.requests:
+            check(self, command, user)
             put(self, loads, user)
-        events = await self.kernel.execute_all([*loads, command], user)
+        events = await self.kernel.execute(command, user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
         if run is None:
             run = self.kernel.state.runs.requests[request]
@@ -473,7 +457,7 @@ class LabService:
         if not events:
             await self.kernel.written()
             await asyncio.to_thread(expect_same_experiment, self.parts.store, command, experiment)
-        self.hear(experiment)
+        self.hear(experiment, user)
         return str(experiment)
 
     def expect_role(self, actor: str, needs: Role, cell: str = "") -> None:
@@ -482,7 +466,7 @@ class LabService:
         if lacks is not None:
             raise error_of(lacks)
 
-    def hear(self, experiment: str, actor: str = LABOS) -> None:
+    def hear(self, experiment: str, actor: str) -> None:
         """The application lives. Raises Forbidden for somebody else's: whoever keeps it alive goes on with
         it."""
         note = NoteExperiment(ExperimentId(experiment), "", "")
@@ -550,9 +534,8 @@ class LabService:
                 remedy=near(target, map(local, known), "module"),
             )
         report = await stop_modules(self.parts.bus, registry.lab, modules, by)
-        for module, at in report.stopped.items():
-            with contextlib.suppress(LabosError):  # the node tells it again with its state
-                self.kernel.submit(RecordStop(module, by, at), by)
+        with contextlib.suppress(LabosError):  # the nodes tell it again with their states
+            self.kernel.submit(RecordStops(by, report.stopped), by)
         return report
 
     async def take_out(self, module: str, why: str, until: int, by: str) -> None:

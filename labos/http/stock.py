@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
@@ -147,10 +147,16 @@ def put_there(world: World, command: LoadStation, events: Sequence[Event]) -> No
 
 def expect(service: LabService, command: Command, by: str) -> list[Event]:
     """What somebody's command would do, without what follows from that; changes nothing. Raises Refused."""
+    return list(check(service, command, by))
+
+
+def check(service: LabService, command: Command, by: str) -> Iterable[Event]:
+    """Raises Refused for a command that cannot be carried out. The events can be read only if none of them
+    needs one before it, as those of composite commands do."""
     found = decide(service.kernel.state, command, by)
     if isinstance(found, Rejection):
         raise error_of(found)
-    return list(found)
+    return found
 
 
 def _carry_away(world: World, place: str, positions: list[int]) -> None:

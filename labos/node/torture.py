@@ -70,6 +70,19 @@ class Fault(msgspec.Struct, frozen=True):
     strike: Callable[[Any, World], None]
     mend: Callable[[Any, World], None] | None = None
 
+    @classmethod
+    def by_setting(cls, name: str, attribute: str, *, to: Any = True, back: Any = False) -> Fault:
+        """A fault that an attribute of the simulated device stands for."""
+
+        def set_to(value: Any) -> Callable[[Any, World], None]:
+            def change(device: Any, world: World) -> None:
+                getattr(device, attribute)  # raises AttributeError for one that the device does not have
+                setattr(device, attribute, value)
+
+            return change
+
+        return cls(name, set_to(to), set_to(back))
+
 
 class Foreign(msgspec.Struct, frozen=True):
     """Software of others that has driven the simulated device, or that the driver has driven.

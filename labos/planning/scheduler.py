@@ -16,10 +16,8 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.decide import Command
-from labos.core.decide.campaigns import ConcludeCampaign
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import under_way
-from labos.core.decide.experiments import EndExperiment
 from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
 from labos.core.rules import examine
@@ -151,20 +149,13 @@ class Scheduler:
         self.deadlines.heed(state, self._heeded[1])
 
     def due(self, state: LabState, now: int) -> Iterator[Command]:
-        """What the time that has come asks for, and what becomes of cancelled runs and experiments, and of
-        campaigns that have nothing left to do."""
+        """What the time that has come asks for, and what becomes of cancelled runs."""
         yield from self.deadlines.due(state, now)
         yield from self._leaving(state)
-        yield from map(ConcludeCampaign, tuple(state.campaigns.due))
 
-    def _leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut | EndExperiment]:
-        """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot.
-        Cancelled experiments close when their runs have ended."""
-        found: list[TakeWayOut | GiveUpWayOut | EndExperiment] = [
-            EndExperiment(name, "it was cancelled")
-            for name in state.experiments.cancelled
-            if not state.experiments.open[name].runs
-        ]
+    def _leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
+        """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot."""
+        found: list[TakeWayOut | GiveUpWayOut] = []
         for run in map(state.runs.active.__getitem__, state.runs.ending):
             if under_way(run):
                 continue

@@ -100,11 +100,7 @@ class FollowedKernel:
 
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
         """Raises what a kernel would raise, or SendOn if nothing speaks against the command."""
-        return await self.execute_all((command,), actor, causation)
-
-    async def execute_all(self, commands: Sequence[Command], actor: str, causation: str = "") -> list[Event]:
-        """The same for several; the first is judged, since the others may build on it."""
-        answer = self.submit(commands[0], actor, causation)
+        answer = self.submit(command, actor, causation)
         if isinstance(answer, Rejection):
             raise error_of(answer)
         return answer

@@ -15,7 +15,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.actions import ActionAccepted
-from labos.core.decide import Command, Denied, Rejection, carry_out
+from labos.core.decide import LABOS, Command, Denied, Rejection, carry_out
 from labos.core.decide.access import GrantAccess
 from labos.core.decide.actions import StartStep
 from labos.core.decide.lab import CreateLab, StartKernel
@@ -55,9 +55,9 @@ _log = structlog.get_logger(__name__)
 
 
 class _Turn(msgspec.Struct):
-    """How far a turn has come: its ``entries``, of which the first ``decided`` are the commands' own; when to
+    """How far a turn has come: its ``entries``, of which the first ``decided`` are the command's own; when to
     wake next (``deadline``, UTC ns). ``part`` is the part of planning that a failure now is put down to,
-    none if it is the commands' own; ``planned`` are the parts that were tried."""
+    none if it is the command's own; ``planned`` are the parts that were tried."""
 
     entries: list[Entry]
     decided: int = 0
@@ -125,7 +125,7 @@ class Kernel(KernelLog):
             await asyncio.wait({self._refolding})
 
     def _begin_with(self, command: Command) -> None:
-        answer = self._turn((command,), "labos")
+        answer = self._turn(command, LABOS)
         if isinstance(answer, Rejection):
             raise error_of(answer)
 
@@ -134,12 +134,7 @@ class Kernel(KernelLog):
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
         """Decide a command and wait until its events are on disk; returns them. Raises Refused
         with the rejection's words, InternalFault if LabOS itself failed on it."""
-        return await self.execute_all((command,), actor, causation)
-
-    async def execute_all(self, commands: Sequence[Command], actor: str, causation: str = "") -> list[Event]:
-        """Several commands, one after the other, as one batch: all of them happen, or none. Raises as
-        ``execute`` does."""
-        answer = self._turn(commands, actor, causation or MARK.get())
+        answer = self._turn(command, actor, causation or MARK.get())
         if isinstance(answer, Rejection):
             raise error_of(answer)
         await self.written()
@@ -148,13 +143,13 @@ class Kernel(KernelLog):
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
         """Decide a command without waiting for the disk: for callers that promise nothing to
         anybody on the strength of it."""
-        return self._turn((command,), actor, causation or MARK.get())
+        return self._turn(command, actor, causation or MARK.get())
 
     def wake(self, keys: Iterable[str] = ()) -> None:
         """Look again at what waits for these keys, or for the time that has come."""
         if self._ledger is not None and not self._closing:
             self._keys.update(keys)
-            self._turn((), "labos")
+            self._turn(None, LABOS)
 
     def _forget(self) -> None:
         self.scheduler = self._plan_with()
@@ -162,44 +157,42 @@ class Kernel(KernelLog):
 
     # -- a turn ------------------------------------------------------------------------------
 
-    def _turn(self, commands: Sequence[Command], actor: str, causation: str = "") -> list[Event] | Rejection:
+    def _turn(self, command: Command | None, actor: str, causation: str = "") -> list[Event] | Rejection:
         began = self.clock.monotonic()
+        answer = self._take_turn(command, actor, causation)
         try:
-            return self._take_turn(commands, actor, causation)
-        finally:
             self.on_turn(self.clock.monotonic() - began)
+        except Exception as error:  # what has been decided holds, whether it was measured or not
+            _log.exception("turn_not_measured")
+            self._record_fault(f"on_turn: {error!r}")
+        return answer
 
-    def _take_turn(
-        self, commands: Sequence[Command], actor: str, causation: str = ""
-    ) -> list[Event] | Rejection:
-        """Decide and fold the commands, plan, check, and hand everything to the writer as one batch. If
-        anything raises on the way, nothing of it has happened."""
+    def _take_turn(self, command: Command | None, actor: str, causation: str) -> list[Event] | Rejection:
+        """Decide and fold a command, plan (without a command, only that), check, and hand everything to the
+        writer as one batch. If anything raises on the way, nothing of it has happened."""
         self._open_ledger()
         self.turns += 1
         if fault := fault_of(actor, "actor"):
             return Rejection(BAD_TEXT, fault)
         now_s = self.clock.monotonic()
-        for command in commands:
-            if why := self._faulty.why_refused(command, now_s):
-                return Rejection(FAULT, why, FAULT_REMEDY)
+        if command is not None and (why := self._faulty.why_refused(command, now_s)):
+            return Rejection(FAULT, why, FAULT_REMEDY)
         events: list[Event] = []
         entries: list[Entry] = []
         turn = _Turn(entries)
         self._is_folded = False
         try:
-            for command in commands:
+            if command is not None:
                 decided = self._carry_out(command, entries, actor, causation)
                 if isinstance(decided, Rejection):
-                    if self._is_folded:
-                        self._take_back(f"{_name(commands)} was refused: {decided.message}")
                     return decided
-                events += decided
+                events = decided
             turn.decided = len(entries)
-            self._plan(turn, is_wake=not commands)
+            self._plan(turn, is_wake=command is None)
             if self.settings.check_invariants and entries:
                 self._check([entry.event for entry in entries])
         except Exception as error:  # whatever it is, memory must not stay ahead of the log
-            return self._fail_turn(error, commands, turn)
+            return self._fail_turn(error, command, turn)
         for part in turn.planned:
             if part.why:
                 _log.info("planning_works_again", part=part.name)
@@ -208,14 +201,14 @@ class Kernel(KernelLog):
         self._set_alarm(turn.deadline)
         return events
 
-    def _fail_turn(self, error: Exception, commands: Sequence[Command], turn: _Turn) -> Rejection:
+    def _fail_turn(self, error: Exception, command: Command | None, turn: _Turn) -> Rejection:
         """Take a turn back, and remember what made it fail."""
         now_s = self.clock.monotonic()
-        name = _name(commands)
+        name = "planning" if command is None else type(command).__name__
         fault = error.message if isinstance(error, InvariantBroken) else repr(error)
         why = f"LabOS failed on {name}, and nothing of it was done: {fault}"
         _log.error("turn_failed", turn=name, fault=fault, exc_info=error)
-        self.faults.append(why)
+        self._record_fault(why)
         if turn.part is not None:
             turn.part.record_failure(now_s, fault)
             if turn.part.is_open:
@@ -225,12 +218,12 @@ class Kernel(KernelLog):
         elif turn.part is not None:
             self.scheduler = self._plan_with()
             self._set_alarm(None)
-        for command in commands:
+        if command is not None:
             self._faulty.record(command, now_s, why)
         return Rejection(FAULT, why, FAULT_REMEDY)
 
     def _carry_out(
-        self, command: Command, entries: list[Entry], actor: str, causation: str = ""
+        self, command: Command, entries: list[Entry], actor: str, causation: str
     ) -> list[Event] | Rejection:
         """Decide a command and fold its events and what follows from them, which are added to ``entries``.
         The first is caused by ``causation``, the others by the first."""
@@ -311,11 +304,11 @@ class Kernel(KernelLog):
 
     def _decide_too(self, command: Command, entries: list[Entry]) -> None:
         cause = entries[-1].record.head.id if entries else ""
-        decided = self._carry_out(command, entries, "labos", cause)
+        decided = self._carry_out(command, entries, LABOS, cause)
         if isinstance(decided, Rejection):
             # Planning proposes only what the rules allow: a rejection is a fault of ours.
             _log.error("proposal_rejected", command=repr(command), why=decided.message)
-            self.faults.append(f"{command!r}: {decided.message}")
+            self._record_fault(f"{command!r}: {decided.message}")
 
     def _check(self, events: Sequence[Event]) -> None:
         fault = broken_by(self.state, events)
@@ -364,7 +357,3 @@ def error_of(rejection: Rejection) -> LabosError:
         return Forbidden(rejection.message, remedy=rejection.remedy)
     kinds: dict[str, type[LabosError]] = {FAULT: InternalFault, BAD_TEXT: BadInput}
     return kinds.get(rejection.code, Refused)(rejection.message, remedy=rejection.remedy)
-
-
-def _name(commands: Sequence[Command]) -> str:
-    return " and ".join(type(command).__name__ for command in commands) or "planning"

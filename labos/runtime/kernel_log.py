@@ -68,7 +68,9 @@ class KernelLog(ABC):
         self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
         self.durable = 0
         self.faults: deque[str] = deque(maxlen=100)
-        """What it had to refuse of its own: proposals against the rules, batches against an invariant."""
+        """What it had to take back or refuse of its own: turns that failed, proposals against the rules,
+        listeners that failed. The latest ones; ``fault_count`` counts all."""
+        self.fault_count = 0
         self._refolding: asyncio.Task[None] | None = None
         self._writer = PatientWriter(writer)
         self._ledger: Ledger | None = None
@@ -282,9 +284,13 @@ class KernelLog(ABC):
             _log.info("listener_waits_for_log", listener=type(listener).__name__, why=str(error))
         except Exception as error:
             _log.exception("listener_failed", listener=type(listener).__name__)
-            self.faults.append(f"{type(listener).__name__}: {error!r}")
+            self._record_fault(f"{type(listener).__name__}: {error!r}")
             return False
         return True
+
+    def _record_fault(self, what: str) -> None:
+        self.faults.append(what)
+        self.fault_count += 1
 
     def _stop(self, error: LabosError) -> None:
         _log.error("kernel_stopped", error=str(error))

@@ -18,7 +18,7 @@ import structlog
 
 from labos.core.actions import ActionStatus
 from labos.core.decide import Rejection
-from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, RecordStop, ReportState
+from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, RecordStops, ReportState
 from labos.core.decide.shorter import Found
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.lab import WorkcellApplied
@@ -384,7 +384,7 @@ class Registry:
                 self._dispatcher.tell_settled(module, name, done=False)
         stopped = report.stopped_at and report.stopped_at != known.stopped_at
         if stopped and self._changes.spend(module):
-            self._kernel.submit(RecordStop(module, report.stopped_by, report.stopped_at), str(module))
+            self._kernel.submit(RecordStops(report.stopped_by, {module: report.stopped_at}), str(module))
         status = report.status
         if status == "BUSY" and any(action.id in report.running for action in mine):
             status = "IDLE"

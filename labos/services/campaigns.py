@@ -95,6 +95,3 @@ def campaign_rows(log: Log, name: str) -> list[RowHistory]:
             row.started_at, row.ended_at = story.started_at, story.ended_at
             row.results = {step.key: step.result for step in story.steps if step.result is not None}
     return [rows[number] for number in sorted(rows)]
-
-
-__all__ = ["CampaignHistory", "RowHistory", "campaign_histories", "campaign_history", "campaign_rows"]

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from labos.core import reasons
-from labos.core.decide import Command, Rejection, carry_out
+from labos.core.decide import LABOS, Command, Rejection, carry_out
 from labos.core.decide.actions import FinishAction, StartStep
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
 from labos.core.decide.nodes import JoinNode
@@ -88,7 +88,7 @@ class _PaperBench:
 
     def do(self, command: Command) -> None:
         """Carry a command out. Raises Refused."""
-        answer = carry_out(self.state, command, self._fold)
+        answer = carry_out(self.state, command, self._fold, LABOS)
         if isinstance(answer, Rejection):
             raise Refused(answer.message, remedy=answer.remedy)
 

@@ -36,6 +36,7 @@ class Readings(msgspec.Struct, frozen=True):
     left_out: int
     spans: int
     spans_sent: int
+    faults: int
 
 
 class ProcessMetrics(MetricGroup):
@@ -97,6 +98,10 @@ class ProcessMetrics(MetricGroup):
         self.spans_sent = ComputedCounter(
             "labos_trace_spans_sent_total", "Spans of traces that the receiver has taken."
         )
+        self.faults = ComputedCounter(
+            "labos_kernel_faults_total",
+            "Turns of the kernel that failed and were taken back, and other faults of LabOS.",
+        )
         self.build.set(1, (VERSION, platform.python_version()))
 
     def update(self, now: Readings) -> None:
@@ -122,6 +127,7 @@ class ProcessMetrics(MetricGroup):
         self.left_out.set(now.left_out)
         self.spans.set(now.spans)
         self.spans_sent.set(now.spans_sent)
+        self.faults.set(now.faults)
 
     def lose(self) -> None:
         """The log cannot be written: all else is as it was last."""

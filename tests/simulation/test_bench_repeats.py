@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from labos.core.actions import Action
-from labos.core.decide import Rejection, decide, steps
+from labos.core.decide import LABOS, Rejection, decide, steps
 from labos.core.decide.actions import FinishAction
 from labos.core.decide.runs import SubmitRun
 from labos.core.model import PlanStep, Retry
@@ -126,7 +126,7 @@ def test_what_does_not_end_in_time_is_waited_for() -> None:
 
 def test_taken_for_not_done_the_arm_grips_empty_air(monkeypatch: pytest.MonkeyPatch) -> None:
     def failed(state: LabState, action: Action, why: str) -> list[Event]:
-        found = decide(state, FinishAction(action.id, action.attempt, False, "none", error=why))
+        found = decide(state, FinishAction(action.id, action.attempt, False, "none", error=why), LABOS)
         assert not isinstance(found, Rejection)
         return list(found)
 

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from labos.core.decide import decide
+from labos.core.decide import LABOS, decide
 from labos.core.decide._base import DECIDERS, Decision
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import SubmitRun
@@ -94,7 +94,7 @@ def test_believed_when_its_time_is_over_work_is_not_there(monkeypatch: pytest.Mo
 
     def believe(state: LabState, command: NoteOverdue) -> Decision:
         return real(state, command) and decide(
-            state, ResolveIntervention(command.intervention, "done", "nobody")
+            state, ResolveIntervention(command.intervention, "done", "nobody"), LABOS
         )
 
     monkeypatch.setitem(DECIDERS, NoteOverdue, believe)

@@ -26,10 +26,9 @@ from labos.core.decide.actions import (
     RefuseAction,
     StartStep,
 )
-from labos.core.decide.campaigns import ConcludeCampaign
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetLevel, StartKernel
+from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
 from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import SubmitRun
 from labos.core.effects import (
@@ -51,6 +50,7 @@ from labos.core.interventions import Intervention
 from labos.core.invariants import broken
 from labos.core.model import Hold, ModuleSpec, Plan, PlanStep, StationKind, StationSpec, Workcell
 from labos.core.registry import Event, decode, encode
+from labos.core.resources import LevelSet
 from labos.core.rules import examine
 from labos.core.runs import RunState, results_of
 from labos.core.state import LabState, from_picture, picture
@@ -273,7 +273,12 @@ class Driver:
         self.do(DeclareStation(StationName(full(name)), (labware,) * count))
 
     def level(self, name: str, resource: str, amount: float, capacity: float = 100.0) -> None:
-        self.do(SetLevel(ModuleName(full(name)), resource, amount, capacity))
+        self.set_level(LevelSet(ModuleName(full(name)), resource, amount, capacity))
+
+    def set_level(self, event: LevelSet) -> None:
+        """Somebody counted what is left."""
+        self.write(event)
+        self.keys.update(touched(self.state, event))
 
     def submit(self, what: Plan, user: str = "ada", **more: Any) -> RunId:
         self.do(SubmitRun(what, user, **more))
@@ -384,8 +389,6 @@ class Driver:
             self.scheduler.heed(self.state, keys)
             for command in self.scheduler.due(self.state, self.now):
                 self.do(command)
-            for campaign in tuple(self.state.campaigns.due):
-                self.do(ConcludeCampaign(campaign))
             for start in self.scheduler.proposals(self.state, keys, self.now):
                 self._carry_out(start.run, start.step)
                 started.append(f"{start.run}#{start.step}")

@@ -6,7 +6,6 @@ from labos.core.campaigns import Budget, Terms
 from labos.core.decide.campaigns import (
     AmendCampaign,
     CancelCampaign,
-    ConcludeCampaign,
     PauseCampaign,
     RefuseRow,
     ResumeCampaign,
@@ -51,15 +50,12 @@ def campaign_lab() -> Logbook:
     _row(book, second, 0)
     book.at(200)
     book.do(CancelCampaign(second, why="the wrong table"), "bo")
-    book.do(ConcludeCampaign(second), "labos")
     third = _submit(book, "trial", "bo", 2, Terms(budget=Budget(runs=1)))
     book.carry_through(_row(book, third, 0))
     book.do(SubmitRow(third, 1, mixes.PLANS["cp_newplate"].plan), "labos")
-    book.do(ConcludeCampaign(third), "labos")
     _row(book, first, 3)
     fourth = _submit(book, "plates", "ada", 1)
     book.do(RefuseRow(fourth, 0, "there is no such plate"), "labos")
-    book.do(ConcludeCampaign(fourth), "labos")
     return book
 
 

@@ -11,9 +11,8 @@ from labos.http.rights import ASKED_BY, BY_ITSELF, GIVES, needed_by
 from labos.http.routes import OPERATIONS
 from tests.docs.generate import commands
 
-BY_NOBODY = {"SetLevel", "RecordStop"}
-"""Commands that no operation gives as such: tests and older programs say levels; a stop is recorded by the
-lab."""
+BY_NOBODY = {"RecordStops"}
+"""Commands that no operation gives as such: a stop is recorded by the lab."""
 
 
 def test_each_operation_needs_what_its_commands_need() -> None:

@@ -16,14 +16,6 @@ def _new_roll(sealer: SealerOnWire, world: World) -> None:
     world.supply(sealer.name, "foil", 1000)
 
 
-def _open_door(sealer: SealerOnWire, world: World) -> None:
-    sealer.door_is_shut = False
-
-
-def _shut_door(sealer: SealerOnWire, world: World) -> None:
-    sealer.door_is_shut = True
-
-
 TORTURE = Torture(
     device=SealerOnWire,
     cases=(
@@ -35,7 +27,7 @@ TORTURE = Torture(
     ),
     faults=(
         Fault("out of foil", _out_of_foil, _new_roll),
-        Fault("its cleaning door is open", _open_door, _shut_door),
+        Fault.by_setting("its cleaning door is open", "door_is_shut", to=False, back=True),
         Fault("an empty nest, in which it jams", lambda sealer, world: world.carry(_plate(sealer), "")),
     ),
     waits={

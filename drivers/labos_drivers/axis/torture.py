@@ -14,22 +14,6 @@ def at_start(drive: DriveOnSlcan, world: World) -> None:
     drive.stands = drive.table.counts(START) + (drive._origin if drive.homed else 0.0)
 
 
-def _block(drive: DriveOnSlcan, world: World) -> None:
-    drive.blocked = True
-
-
-def _free(drive: DriveOnSlcan, world: World) -> None:
-    drive.blocked = False
-
-
-def _heat(drive: DriveOnSlcan, world: World) -> None:
-    drive.hot = True
-
-
-def _cool(drive: DriveOnSlcan, world: World) -> None:
-    drive.hot = False
-
-
 TORTURE = Torture(
     device=DriveOnSlcan,
     config=lambda address: {"channel": address, "interface": "slcan", "bus": {"sleep_after_open": 0}},
@@ -38,8 +22,8 @@ TORTURE = Torture(
         Case("move_to", {"position": GOAL}, prepare=at_start),
     ),
     faults=(
-        Fault("something is in its way", _block, _free),
-        Fault("it is too hot", _heat, _cool),
+        Fault.by_setting("something is in its way", "blocked"),
+        Fault.by_setting("it is too hot", "hot"),
     ),
     motion="move_to",
     waits={f"{HERE}:PATIENCE_S": 4.0},

@@ -9,14 +9,6 @@ from labos_drivers.barty.wire import BartyOnWire
 HERE = "labos_drivers.barty.driver"
 
 
-def _no_room(barty: BartyOnWire, world: World) -> None:
-    barty.refuses = True
-
-
-def _room(barty: BartyOnWire, world: World) -> None:
-    barty.refuses = False
-
-
 def _runs(barty: BartyOnWire, world: World) -> None:
     barty.press(PINS[2].enable)
 
@@ -30,7 +22,7 @@ TORTURE = Torture(
         Case("refill_ink", {"motors": ["motor_2"]}),
     ),
     faults=(
-        Fault("the daemon has no room for a dose", _no_room, _room),
+        Fault.by_setting("the daemon has no room for a dose", "refuses"),
         Fault("somebody has switched a pump on", _runs),
     ),
     foreign=(Foreign("pigpio's Python client", "1.78", "tests/drivers/test_barty_wire.py"),),

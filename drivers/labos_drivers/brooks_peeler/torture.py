@@ -12,14 +12,6 @@ def _empty_nest(peeler: PeelerOnWire, world: World) -> None:
     world.carry(peeler.top(peeler.place("default")), "")
 
 
-def _open_cover(peeler: PeelerOnWire, world: World) -> None:
-    peeler.cover_is_shut = False
-
-
-def _shut_cover(peeler: PeelerOnWire, world: World) -> None:
-    peeler.cover_is_shut = True
-
-
 def _out_of_tape(peeler: PeelerOnWire, world: World) -> None:
     world.supply(peeler.name, "tape", -(world.left(peeler.name, "tape") or 0.0))
 
@@ -45,7 +37,7 @@ TORTURE = Torture(
     ),
     faults=(
         Fault("no plate in the nest", _empty_nest),
-        Fault("the cover is open", _open_cover, _shut_cover),
+        Fault.by_setting("the cover is open", "cover_is_shut", to=False, back=True),
         Fault("out of tape", _out_of_tape, _new_tape),
     ),
     # As after power came back, or when somebody uses its front panel.

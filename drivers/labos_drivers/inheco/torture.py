@@ -16,14 +16,6 @@ def _pushed_in(incubator: InhecoOnWire, world: World) -> None:
     incubator.pull(open_=False)
 
 
-def _jammed(incubator: InhecoOnWire, world: World) -> None:
-    incubator.jammed = True
-
-
-def _freed(incubator: InhecoOnWire, world: World) -> None:
-    incubator.jammed = False
-
-
 TORTURE = Torture(
     device=InhecoOnWire,
     cases=(
@@ -36,7 +28,7 @@ TORTURE = Torture(
             record=lambda args: {"rpm": args["speed"], "mm": args["amplitude"]},
         ),
     ),
-    faults=(Fault("its drawer jams", _jammed, _freed),),
+    faults=(Fault.by_setting("its drawer jams", "jammed"),),
     foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_inheco_wire.py"),),
     motion="close_door",
     waits={f"{HERE}:DRAWER_S": 4.0, f"{HERE}:SHAKER_S": 4.0, f"{HERE}:POLL_S": 0.05, f"{HERE}:ANSWER_S": 1.5},

@@ -18,14 +18,6 @@ def _no_way(mir: MiROnWire, world: World) -> None:
     mir.fail("no path to the goal")
 
 
-def _block(mir: MiROnWire, world: World) -> None:
-    mir.is_blocked = True
-
-
-def _clear_way(mir: MiROnWire, world: World) -> None:
-    mir.is_blocked = False
-
-
 def _press_stop(mir: MiROnWire, world: World) -> None:
     mir.press_stop()
 
@@ -48,7 +40,7 @@ TORTURE = Torture(
     ),
     faults=(
         Fault("it finds no way", _no_way),
-        Fault("something stands in its way", _block, _clear_way),
+        Fault.by_setting("something stands in its way", "is_blocked"),
         Fault("its emergency stop is pressed", _press_stop, _release_stop),
         Fault("its key is turned to manual", _turn_key, _release_stop),
     ),

@@ -35,24 +35,8 @@ def _shut_door(robot: OT2OnWire, world: World) -> None:
     robot.shut_door()
 
 
-def _next_command_fails(robot: OT2OnWire, world: World) -> None:
-    robot.fails_with = "No tip detected."
-
-
-def _commands_work(robot: OT2OnWire, world: World) -> None:
-    robot.fails_with = ""
-
-
 def _empty_deck(robot: OT2OnWire, world: World) -> None:
     world.carry(robot.top(robot.place("deck1")), "")
-
-
-def _still_starting(robot: OT2OnWire, world: World) -> None:
-    robot.starting = True
-
-
-def _has_started(robot: OT2OnWire, world: World) -> None:
-    robot.starting = False
 
 
 TORTURE = Torture(
@@ -68,9 +52,9 @@ TORTURE = Torture(
     ),
     faults=(
         Fault("its front door is open", _open_door, _shut_door),
-        Fault("a command of the protocol fails", _next_command_fails, _commands_work),
+        Fault.by_setting("a command of the protocol fails", "fails_with", to="No tip detected.", back=""),
         Fault("an empty deck, into which it drives its tips", _empty_deck),
-        Fault("it has not started up yet", _still_starting, _has_started),
+        Fault.by_setting("it has not started up yet", "starting"),
     ),
     supplies={"color_A": 1e6},
     waits={

@@ -32,14 +32,6 @@ def _taken_target(arm: PF400OnWire, world: World) -> None:
     world.stock("bench.target", "plate96")
 
 
-def _slippery(arm: PF400OnWire, world: World) -> None:
-    arm.is_slippery = True
-
-
-def _dry(arm: PF400OnWire, world: World) -> None:
-    arm.is_slippery = False
-
-
 def _press_stop(arm: PF400OnWire, world: World) -> None:
     arm.press_stop()
 
@@ -69,7 +61,7 @@ TORTURE = Torture(
     faults=(
         Fault("no plate at the source", _no_plate),
         Fault("a plate at the target already", _taken_target),
-        Fault("it loses the plate on its way", _slippery, _dry),
+        Fault.by_setting("it loses the plate on its way", "is_slippery"),
         Fault("its emergency stop is pressed", _press_stop, _release_stop),
     ),
     poses={

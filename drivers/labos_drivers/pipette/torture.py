@@ -18,14 +18,6 @@ def _full(pipette: PipetteOnWire, world: World) -> None:
     pipette.put(pipette.kind.steps)
 
 
-def _sticks(pipette: PipetteOnWire, world: World) -> None:
-    pipette.stuck = True
-
-
-def _moves(pipette: PipetteOnWire, world: World) -> None:
-    pipette.stuck = False
-
-
 def _volume(args: dict[str, Any]) -> dict[str, Any]:
     return {"ul": args["volume"]}
 
@@ -37,7 +29,7 @@ TORTURE = Torture(
         Case("aspirate", {"volume": 100.0, "speed": 10.0}, prepare=_empty, record=_volume),
         Case("dispense", {"volume": 100.0, "speed": 50.0}, prepare=_full, record=_volume),
     ),
-    faults=(Fault("its plunger sticks", _sticks, _moves), Fault("it is full", _full)),
+    faults=(Fault.by_setting("its plunger sticks", "stuck"), Fault("it is full", _full)),
     motion="aspirate",
     waits={f"{HERE}:ANSWER_S": 1.0, f"{HERE}:LOST_S": 3.0, f"{HERE}:POLL_S": 0.05, f"{HERE}:START_S": 20.0},
 )

@@ -23,30 +23,6 @@ def stands_closed(hatch: Hatch, world: World) -> None:
     _stand(False, hatch, world)
 
 
-def _jam(hatch: Hatch, world: World) -> None:
-    hatch.jammed = True
-
-
-def _free(hatch: Hatch, world: World) -> None:
-    hatch.jammed = False
-
-
-def _reach_in(hatch: Hatch, world: World) -> None:
-    hatch.curtain = True
-
-
-def _step_back(hatch: Hatch, world: World) -> None:
-    hatch.curtain = False
-
-
-def _press(hatch: Hatch, world: World) -> None:
-    hatch.emergency = True
-
-
-def _release(hatch: Hatch, world: World) -> None:
-    hatch.emergency = False
-
-
 TORTURE = Torture(
     device=HatchOnTcp,
     config=lambda address: {"address": address},
@@ -55,9 +31,9 @@ TORTURE = Torture(
         Case("close", {"speed": 50.0}, prepare=stands_open),
     ),
     faults=(
-        Fault("the door is jammed", _jam, _free),
-        Fault("somebody reaches into the light curtain", _reach_in, _step_back),
-        Fault("the emergency stop is pressed", _press, _release),
+        Fault.by_setting("the door is jammed", "jammed"),
+        Fault.by_setting("somebody reaches into the light curtain", "curtain"),
+        Fault.by_setting("the emergency stop is pressed", "emergency"),
     ),
     motion="close",
     waits={f"{HERE}:PATIENCE_S": 4.0},

@@ -22,14 +22,6 @@ def _freed(reader: TecanOnWire, world: World) -> None:
     reader.free()
 
 
-def _refuses(reader: TecanOnWire, world: World) -> None:
-    reader.refuses = True
-
-
-def _obeys(reader: TecanOnWire, world: World) -> None:
-    reader.refuses = False
-
-
 def _pushed_in(reader: TecanOnWire, world: World) -> None:
     reader.push()
 
@@ -53,7 +45,7 @@ TORTURE = Torture(
     ),
     faults=(
         Fault("its carrier jams", _jammed, _freed),
-        Fault("it refuses whatever it is told", _refuses, _obeys),
+        Fault.by_setting("it refuses whatever it is told", "refuses"),
     ),
     motion="close_gate",  # that of a measurement: tests/drivers/tecan_measuring.py
     waits={f"{HERE}:GATE_S": 8.0, f"{HERE}:ROW_S": 4.0, f"{HERE}:INIT_S": 8.0, f"{HERE}:ANSWER_S": 1.5},

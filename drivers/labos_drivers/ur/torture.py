@@ -35,22 +35,6 @@ def _safety_fault(arm: UROnWire, world: World) -> None:
     arm.safety, arm.mode = "FAULT", protocol.OFF
 
 
-def _local(arm: UROnWire, world: World) -> None:
-    arm.remote = False
-
-
-def _remote(arm: UROnWire, world: World) -> None:
-    arm.remote = True
-
-
-def _stopped_by_hand(arm: UROnWire, world: World) -> None:
-    arm.stopped_by_hand = True
-
-
-def _left_alone(arm: UROnWire, world: World) -> None:
-    arm.stopped_by_hand = False
-
-
 def _on_its_way(arm: UROnWire, world: World) -> bool:
     return arm.state == protocol.PLAYING and not world.at(f"hand:{arm.name}")
 
@@ -78,10 +62,10 @@ TORTURE = Torture(
     faults=(
         Fault("no plate at the source", _no_plate),
         Fault("a plate at the target already", _taken_target),
-        Fault("the program is stopped on the pendant", _stopped_by_hand, _left_alone),
+        Fault.by_setting("the program is stopped on the pendant", "stopped_by_hand"),
         Fault("its emergency stop is pressed", _press_stop, _release_stop),
         Fault("a fault of its safety system", _safety_fault),
-        Fault("it is not in remote control", _local, _remote),
+        Fault.by_setting("it is not in remote control", "remote", to=False, back=True),
     ),
     settings={
         "gripper": "robotiq",

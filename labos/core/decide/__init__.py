@@ -7,83 +7,23 @@ worked out on the state that the ones before it have left.
 from collections import deque
 from collections.abc import Callable
 
-from labos.core.decide import (
-    access,
-    actions,
-    bookings,
-    campaigns,
-    cancelling,
-    control,
-    doubts,
-    experiments,
-    handover,
-    interventions,
-    lab,
-    labware,
-    nodes,
-    observation,
-    proposals,
-    runs,
-    shares,
-    shorter,
-    signatures,
-    stock,
-    teach,
-    users,
-    verification,
-    work,
-)
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
 from labos.core.decide.considering import attributed, considered
 from labos.core.decide.limits import bare_report, cut_report, misfit
 from labos.core.decide.reactions import REACTIONS
-from labos.core.decide.rights import Denied, denied
+from labos.core.decide.rights import Denied, denied  # its table loads every command
 from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.core.users import LABOS
 
-__all__ = [
-    "LABOS",
-    "REACTIONS",
-    "Command",
-    "Decision",
-    "Denied",
-    "Rejection",
-    "access",
-    "actions",
-    "bookings",
-    "campaigns",
-    "cancelling",
-    "carry_out",
-    "control",
-    "decide",
-    "doubts",
-    "experiments",
-    "handover",
-    "interventions",
-    "lab",
-    "labware",
-    "nodes",
-    "observation",
-    "proposals",
-    "runs",
-    "shares",
-    "shorter",
-    "signatures",
-    "stock",
-    "teach",
-    "users",
-    "verification",
-    "work",
-]
-
+__all__ = ["LABOS", "REACTIONS", "Command", "Decision", "Denied", "Rejection", "carry_out", "decide"]
 
 MOST_REACTIONS = 10_000
 """More events than that do not follow from a command, unless it has more than a tenth of that itself."""
 
 
 def carry_out(
-    state: LabState, command: Command, write: Callable[[Event], Event], actor: str = LABOS
+    state: LabState, command: Command, write: Callable[[Event], Event], actor: str
 ) -> list[Event] | Rejection:
     """Decide a command of ``actor``. Each of its events is folded by ``write``, which returns it as it is
     stored, before the next is worked out; then what follows from them, in their order, until nothing follows
@@ -107,7 +47,7 @@ def carry_out(
     return events
 
 
-def decide(state: LabState, command: Command, actor: str = LABOS) -> Decision:
+def decide(state: LabState, command: Command, actor: str) -> Decision:
     """The events that carry out a command of ``actor``, or why it cannot be carried out (``Denied`` if the
     actor may not). Changes nothing. What follows from the events is not among them."""
     if refusal := denied(state, command, actor):

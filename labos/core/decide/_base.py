@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import chain, islice
 from typing import Any, TypeVar
 
@@ -18,6 +18,11 @@ UNFIT = "unfit"
 
 class Command(msgspec.Struct, frozen=True, tag=True):
     """Somebody asks for something. Ids and times come in with the command."""
+
+    def parts(self) -> Sequence[Command]:
+        """The commands of which this one consists: whoever asks must be allowed each of them, and the texts
+        of each must be fit to be recorded. All of them are carried out, or none."""
+        return ()
 
 
 class Report(Command, frozen=True):

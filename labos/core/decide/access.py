@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
 import msgspec
@@ -10,6 +11,7 @@ from labos.core.actions import ActionStatus
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.by_hand import answered
 from labos.core.decide.cancelling import cancel_all
+from labos.core.decide.runs import SubmitRun, plan_digest, submit_run
 from labos.core.decide.work import work_on
 from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
 from labos.core.lab import AccessEnded, AccessGranted, AccessRequested
@@ -29,12 +31,16 @@ class Change(msgspec.Struct, frozen=True):
 
 
 class RequestAccess(Command, frozen=True):
-    """Let nothing start in a workcell but runs of the plans ``parking``."""
+    """Let nothing start in a workcell but the runs ``parking``, which bring its arms to rest. One of them
+    that cannot be submitted keeps nobody out."""
 
     workcell: str
     by: str
     why: str = ""
-    parking: tuple[str, ...] = ()
+    parking: tuple[SubmitRun, ...] = ()
+
+    def parts(self) -> Sequence[Command]:
+        return self.parking
 
 
 class GrantAccess(Command, frozen=True):
@@ -93,7 +99,16 @@ def request_access(state: LabState, command: RequestAccess) -> Decision:
             f"{inside.by} reaches into {cell} already{f' ({inside.why})' if inside.why else ''}.",
             f"Wait until that has ended: labos access {cell} --done",
         )
-    return [AccessRequested(cell, command.by, command.why, command.parking)]
+    parking = [run for run in command.parking if not isinstance(submit_run(state, run), Rejection)]
+    plans = tuple(dict.fromkeys(plan_digest(run.plan) for run in parking))
+    requested = AccessRequested(cell, command.by, command.why, plans)
+    return chain([requested], _submit_all(state, parking))
+
+
+def _submit_all(state: LabState, runs: Iterable[SubmitRun]) -> Iterator[Event]:
+    for run in runs:
+        decision = submit_run(state, run)
+        yield from () if isinstance(decision, Rejection) else decision
 
 
 @decides(GrantAccess)
@@ -118,7 +133,7 @@ def end_access(state: LabState, command: EndAccess) -> Decision:
     fresh = 0
     # What was taken away makes room for what was put there.
     for change in sorted(command.changes, key=lambda change: change.what != "empty"):
-        found = _changed(state, cell, command.by, change, left, fresh, kept)
+        found = _apply_change(state, cell, command.by, change, left, fresh, kept)
         if isinstance(found, Rejection):
             return found
         events += found
@@ -126,7 +141,7 @@ def end_access(state: LabState, command: EndAccess) -> Decision:
     return [*answered(state, events, command.by), *events]
 
 
-def _changed(
+def _apply_change(
     state: LabState,
     cell: str,
     by: str,
@@ -163,7 +178,7 @@ def _changed(
         )
     labware = state.bench.labware.get(LabwareId(change.what))
     if labware is None:
-        return _fresh(state, change, here, fresh)
+        return _place_new(state, change, here, fresh)
     if labware.maybe or labware.moving:
         return Rejection(
             "uncertain",
@@ -177,7 +192,9 @@ def _changed(
     return [LabwareObserved(labware.id, "", change.station, by)]
 
 
-def _fresh(state: LabState, change: Change, here: list[LabwareId], number: int) -> list[Event] | Rejection:
+def _place_new(
+    state: LabState, change: Change, here: list[LabwareId], number: int
+) -> list[Event] | Rejection:
     """Labware that the log has not seen before."""
     spec = state.bench.stations[change.station].spec
     if spec.kind in ("stack", "waste"):

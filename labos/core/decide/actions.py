@@ -130,18 +130,18 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     results = results_of(plan, run)
     args = fill_inputs(plan, results, step.args)
     if isinstance(args, str):
-        return _not_filled_in(state, run, step, args)
+        return _fail_start(state, run, step, args)
     given = name_returned_files(plan, step, args)
     if isinstance(given, str):
-        return _not_filled_in(state, run, step, given)
+        return _fail_start(state, run, step, given)
     args, files = given
-    effects = _name_new_labware(state, _filled(plan, results, found))
-    if fault := _misfit(state, effects):
-        return _not_filled_in(state, run, step, fault)
-    args = told_shelves(step.effects, effects, _of_labware(state, args, effects))
+    effects = _name_new_labware(state, _fill_in_wells(plan, results, found))
+    if fault := _find_liquid_fault(state, effects):
+        return _fail_start(state, run, step, fault)
+    args = told_shelves(step.effects, effects, _fill_in_from_labware(state, args, effects))
     events += _become_its_own(state, run, found)
     module = state.modules.by_name[step.module]
-    args = _told_what(state, args, effects)
+    args = _add_labware_types(state, args, effects)
     if "slow" in args and unproven(module, effects, args):
         args = {**args, "slow": True}
     events.append(
@@ -164,7 +164,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         events.append(asked_of_person(state, run, step, command.action, args, effects, command.now))
     unfit = recordable(events)
     if isinstance(unfit, Rejection):  # results of earlier steps were too large for it
-        return _not_filled_in(state, run, step, unfit.message)
+        return _fail_start(state, run, step, unfit.message)
     return events
 
 
@@ -182,11 +182,13 @@ def _become_its_own(
             yield LabwareHandedOver(name, run.id, owner, lent=lent)
 
 
-def _not_filled_in(state: LabState, run: RunState, step: PlanStep, why: str) -> Iterator[Event]:
+def _fail_start(state: LabState, run: RunState, step: PlanStep, why: str) -> Iterator[Event]:
     return give_up(state, run, f"step {step.key!r} cannot be filled in: {why}")
 
 
-def _of_labware(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]) -> dict[str, Any]:
+def _fill_in_from_labware(
+    state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]
+) -> dict[str, Any]:
     """Arguments ``{labware.slot}`` become what the labware that is worked on has for it; empty if
     nobody said."""
     subject = next((e.labware for e in effects if isinstance(e, Move | Needs) and e.labware), None)
@@ -199,7 +201,9 @@ def _of_labware(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect,
     }
 
 
-def _told_what(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]) -> dict[str, Any]:
+def _add_labware_types(
+    state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, ...]
+) -> dict[str, Any]:
     """Arguments with the types of what is carried, where the action takes them and the step is silent."""
     if args.get(LABWARE_TYPE) != "" and args.get(PLATE_TYPE) != "":
         return args
@@ -217,7 +221,9 @@ def _told_what(state: LabState, args: dict[str, Any], effects: tuple[AnyEffect, 
     return told
 
 
-def _filled(plan: Plan, results: dict[int, Any], effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:
+def _fill_in_wells(
+    plan: Plan, results: dict[int, Any], effects: tuple[AnyEffect, ...]
+) -> tuple[AnyEffect, ...]:
     """Lists of wells and volumes that an earlier step has worked out, written in."""
     out: list[AnyEffect] = []
     for effect in effects:
@@ -229,7 +235,7 @@ def _filled(plan: Plan, results: dict[int, Any], effects: tuple[AnyEffect, ...])
     return tuple(out)
 
 
-def _misfit(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
+def _find_liquid_fault(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
     """What is wrong with the liquids that an action would put into wells or draw; empty if nothing is."""
     fed = next((e.labware for e in effects if isinstance(e, Transfers | Draws) and e.labware), None)
     if fed is None:
@@ -271,7 +277,7 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     if state.shorter.since and action.status == ActionStatus.UNKNOWN and not command.final:
         return []  # another attempt may have been made behind the log's end: a person says how it ended
     # A recovery waits for no change of the module's status: tried again, it would be for ever.
-    final = command.final or _recovers(state, action)
+    final = command.final or _is_recovery(state, action)
     events: list[Event] = [
         ActionRejected(
             action.id,
@@ -290,7 +296,7 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
     return events
 
 
-def _recovers(state: LabState, action: Action) -> bool:
+def _is_recovery(state: LabState, action: Action) -> bool:
     """Whether the action is to bring its module out of an error."""
     run = state.runs.active.get(action.run)
     return run is not None and state.runs.plan_of(run).steps[action.step].recovers
@@ -301,7 +307,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     command = msgspec.structs.replace(command, result=kept(command.result))
     action = state.actions.open.get(command.action)
     if action is None:
-        return _evidence(state, command)
+        return _keep_evidence(state, command)
     if not 0 < command.attempt <= action.attempt:
         return Rejection(
             "no_attempt",
@@ -316,11 +322,11 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
         return []  # what it said is known, and is being looked at, or a person is asked
     places = looks(state, action) if command.succeeded else ()
     if places:
-        return [_reported(action, command, places)]
+        return [_report(action, command, places)]
     return finishing(state, action, command)
 
 
-def _reported(action: Action, command: FinishAction, places: tuple[StationName, ...]) -> ActionReported:
+def _report(action: Action, command: FinishAction, places: tuple[StationName, ...]) -> ActionReported:
     ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     return ActionReported(*ids, places, command.result, ended_ns)
@@ -336,7 +342,9 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> Iterato
         yield from effect_events(state, action, command.effects, why, command.result)
         return
     ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
-    recovered = state.modules.by_name[action.module].status == ModuleStatus.ERROR and _recovers(state, action)
+    recovered = state.modules.by_name[action.module].status == ModuleStatus.ERROR and _is_recovery(
+        state, action
+    )
     yield ActionSucceeded(*ids, command.result, ended_ns)
     yield from effect_events(state, action, "all", "", command.result)
     yield from readings(state, action, command.result)
@@ -344,7 +352,7 @@ def finishing(state: LabState, action: Action, command: FinishAction) -> Iterato
         yield NodeStateChanged(action.module, "IDLE")
 
 
-def _evidence(state: LabState, command: FinishAction) -> Decision:
+def _keep_evidence(state: LabState, command: FinishAction) -> Decision:
     """A result for what the log has settled: kept as evidence; a contradiction asks a person."""
     settled = state.actions.settled.get(command.action)
     if settled is None:
@@ -380,7 +388,7 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None or action.attempt != command.attempt or action.status != ActionStatus.REQUESTED:
         return []
-    if state.shorter.since and not _recovers(state, action):
+    if state.shorter.since and not _is_recovery(state, action):
         # A later attempt may have been made behind the log's end; and nothing moves on a bench unseen.
         return doubting(state, action, "its node never began this attempt, and the log has lost its end")
     run = state.runs.active.get(action.run)
@@ -412,11 +420,11 @@ def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     if action is None or action.looks or work_on(state, action) is not None:
         return []  # its device has said that it is done, or a person knows
     if action.status == ActionStatus.UNKNOWN:
-        return _seen_meanwhile(state, action)
+        return _settle_by_sight(state, action)
     return doubting(state, action, command.why)
 
 
-def _seen_meanwhile(state: LabState, action: Action) -> Iterable[Event]:
+def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:
     """Its node is back and knows nothing more, but where its labware stands has been seen while the node was
     away."""
     question = state.interventions.about(action.id)

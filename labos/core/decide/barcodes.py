@@ -44,11 +44,11 @@ def readings(state: LabState, action: Action, result: Any, by: str = "") -> list
             who = by or local(action.module)
             return [BarcodeRead(labware.id, action.run, code, who, action.id)]
         other = state.bench.labware[holder] if holder is not None else None
-        return _contradiction(state, action, labware, other, code)
+        return _report_contradiction(state, action, labware, other, code)
     return []
 
 
-def _contradiction(
+def _report_contradiction(
     state: LabState, action: Action, labware: Labware, other: Labware | None, code: str
 ) -> list[Event]:
     here = local(labware.station)
@@ -65,7 +65,7 @@ def _contradiction(
         barcode=code,
     )
     if other is not None:
-        known += f" {code} is the barcode of {other.id}, recorded at {_place(other)}."
+        known += f" {code} is the barcode of {other.id}, recorded at {_describe_place(other)}."
         if other.station and not other.moving:
             topic = msgspec.structs.replace(topic, other=other.id, elsewhere=other.station)
             places = (labware.station, other.station)
@@ -80,7 +80,7 @@ def _contradiction(
     ]
 
 
-def _place(labware: Labware) -> str:
+def _describe_place(labware: Labware) -> str:
     if labware.moving:
         return "a module that works on it"
     return local(labware.station) or " or ".join(local(place) or "nowhere" for place in labware.maybe)
@@ -89,7 +89,11 @@ def _place(labware: Labware) -> str:
 def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> list[Event]:
     """The events that follow when a person has looked at the plate. What has been found or taken
     away meanwhile stays as it is."""
-    labware, other, here = _doubted(state, topic.labware), _doubted(state, topic.other), topic.station
+    labware, other, here = (
+        _find_uncertain(state, topic.labware),
+        _find_uncertain(state, topic.other),
+        topic.station,
+    )
     events: list[Event] = []
     if other is not None:
         there = other.maybe[0] if choice not in ("swapped", "other") else here
@@ -110,6 +114,6 @@ def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> lis
     return events
 
 
-def _doubted(state: LabState, name: LabwareId) -> Labware | None:
+def _find_uncertain(state: LabState, name: LabwareId) -> Labware | None:
     labware = state.bench.labware.get(name)
     return labware if labware is not None and labware.maybe else None

@@ -18,23 +18,23 @@ WHERE_IT_IS = ("lost_labware", "failed_run")
 def answered(state: LabState, events: Sequence[Event], by: str) -> list[Event]:
     """The questions that answer themselves by what somebody took away or put somewhere: all that they are
     about was among it, or had left the bench before."""
-    told = {labware for event in events if (labware := _settled(state, event))}
+    told = {labware for event in events if (labware := _find_settled(state, event))}
     return [
         InterventionResolved(question.id, "withdrawn", "labos", f"taken away, or put elsewhere, by {by}")
         for question in state.interventions.open.values()
-        if (names := _about(question)) & told
+        if (names := _find_asked_for(question)) & told
         and all(n in told or n not in state.bench.labware for n in names)
     ]
 
 
-def _settled(state: LabState, event: Event) -> LabwareId | None:
+def _find_settled(state: LabState, event: Event) -> LabwareId | None:
     """The labware that has left the bench by it, or stands where no hand holds it."""
     if isinstance(event, LabwareObserved):
         return event.labware if state.bench.stations[event.station].spec.kind != "gripper" else None
     return event.labware if isinstance(event, LabwareRemoved) else None
 
 
-def _about(question: Intervention) -> set[LabwareId]:
+def _find_asked_for(question: Intervention) -> set[LabwareId]:
     """The labware whose place is asked for; none if some of it has no name yet."""
     if question.kind not in WHERE_IT_IS or any(what.stock for what in carried(question.motions)):
         return set()

@@ -109,12 +109,6 @@ class CancelCampaign(Command, frozen=True):
     why: str = ""
 
 
-class ConcludeCampaign(Command, frozen=True):
-    """Stop a campaign that must not go on, or end one of which nothing is left."""
-
-    campaign: CampaignId
-
-
 @decides(SubmitCampaign)
 def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
     if command.request and command.request in state.campaigns.requests:
@@ -142,7 +136,7 @@ def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
 
 @decides(SubmitRow)
 def submit_row(state: LabState, command: SubmitRow) -> Decision:
-    campaign = _next(state, command.campaign, command.row)
+    campaign = _expect_next(state, command.campaign, command.row)
     if isinstance(campaign, Rejection):
         return campaign
     lacks = lacks_role_for(state, campaign.user, command.plan)
@@ -165,8 +159,8 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
         return Rejection(NO_ROOM, answer.message)
     if isinstance(answer, Rejection):
         why = f"{answer.message} {answer.remedy}".strip()
-        return _refused(campaign, command.row, why)
-    reads = _reads(campaign, command.plan)
+        return _record_refusal(campaign, command.row, why)
+    reads = _find_steps_read(campaign, command.plan)
     member = {"campaign": campaign.id, "row": command.row, "reads": reads}
     return [
         msgspec.structs.replace(event, **member) if isinstance(event, RunSubmitted) else event
@@ -176,22 +170,22 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
 
 @decides(RefuseRow)
 def refuse_row(state: LabState, command: RefuseRow) -> Decision:
-    campaign = _next(state, command.campaign, command.row)
+    campaign = _expect_next(state, command.campaign, command.row)
     if isinstance(campaign, Rejection):
         return campaign
-    return _refused(campaign, command.row, command.why)
+    return _record_refusal(campaign, command.row, command.why)
 
 
 @decides(PauseCampaign)
 def pause_campaign(state: LabState, command: PauseCampaign) -> Decision:
-    campaign = _alive(state, command.campaign)
+    campaign = _expect_alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status == CampaignStatus.PAUSED:
         return repeated(campaign.id, "pause", command.why)
     if campaign.status != CampaignStatus.OPEN:
-        return _no_more(campaign)
-    waiting = [run for run in _queued(campaign) if not state.runs.queued[run].paused]
+        return _refuse_rows(campaign)
+    waiting = [run for run in _find_queued(campaign) if not state.runs.queued[run].paused]
     return [
         CampaignPaused(campaign.id, command.why),
         *(RunPaused(run, f"{campaign.id} is paused") for run in waiting),
@@ -200,24 +194,24 @@ def pause_campaign(state: LabState, command: PauseCampaign) -> Decision:
 
 @decides(ResumeCampaign)
 def resume_campaign(state: LabState, command: ResumeCampaign) -> Decision:
-    campaign = _alive(state, command.campaign)
+    campaign = _expect_alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status == CampaignStatus.OPEN:
         return []
     if campaign.status != CampaignStatus.PAUSED:
-        return _no_more(campaign)
-    waiting = [run for run in _queued(campaign) if state.runs.queued[run].paused]
+        return _refuse_rows(campaign)
+    waiting = [run for run in _find_queued(campaign) if state.runs.queued[run].paused]
     return [CampaignResumed(campaign.id), *map(RunResumed, waiting)]
 
 
 @decides(AmendCampaign)
 def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
-    campaign = _alive(state, command.campaign)
+    campaign = _expect_alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.is_ended:
-        return _no_more(campaign)
+        return _refuse_rows(campaign)
     unfit = unfit_terms(campaign, command.terms)
     if unfit is not None:
         return unfit
@@ -238,7 +232,7 @@ def unfit_terms(campaign: Campaign, terms: Terms) -> Rejection | None:
 
 @decides(CancelCampaign)
 def cancel_campaign(state: LabState, command: CancelCampaign) -> Decision:
-    campaign = _alive(state, command.campaign)
+    campaign = _expect_alive(state, command.campaign)
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status == CampaignStatus.CANCELLED:
@@ -251,34 +245,6 @@ def cancel_campaign(state: LabState, command: CancelCampaign) -> Decision:
 def _cancel(state: LabState, campaign: Campaign, command: CancelCampaign) -> Iterator[Event]:
     yield CampaignCancelled(campaign.id, command.why)
     yield from _cancel_runs(state, campaign.runs, command.why, stay=command.stay)
-
-
-@decides(ConcludeCampaign)
-def conclude_campaign(state: LabState, command: ConcludeCampaign) -> Decision:
-    campaign = state.campaigns.open.get(command.campaign)
-    if campaign is None:
-        return []
-    why = must_stop(campaign)
-    if why:
-        return _stop(state, campaign, why)
-    if not is_over(campaign):
-        return []
-    return [
-        CampaignCompleted(
-            campaign=campaign.id,
-            completed=campaign.completed,
-            failed=campaign.failed,
-            cancelled=campaign.cancelled,
-            refused=campaign.refused,
-            left=campaign.left,
-            why=campaign.why,
-        )
-    ]
-
-
-def _stop(state: LabState, campaign: Campaign, why: str) -> Iterator[Event]:
-    yield CampaignStopped(campaign.id, why, campaign.met_by)
-    yield from _cancel_runs(state, _queued(campaign), f"{campaign.id} was stopped")
 
 
 def beyond_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
@@ -317,7 +283,7 @@ def consumption(plan: Plan) -> dict[str, float]:
     return found
 
 
-def _reads(campaign: Campaign, plan: Plan) -> dict[str, int]:
+def _find_steps_read(campaign: Campaign, plan: Plan) -> dict[str, int]:
     """The steps whose results the stop rule reads."""
     if campaign.terms.until is None:
         return {}
@@ -325,7 +291,7 @@ def _reads(campaign: Campaign, plan: Plan) -> dict[str, int]:
     return {step.key: index for index, step in enumerate(plan.steps) if step.key in wanted}
 
 
-def _next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
+def _expect_next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
     """The campaign of which a row is the next to be submitted, and may be now."""
     campaign = state.campaigns.open.get(name)
     if campaign is None or campaign.status != CampaignStatus.OPEN or must_stop(campaign):
@@ -337,16 +303,16 @@ def _next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
     return campaign
 
 
-def _refused(campaign: Campaign, row: int, why: str) -> list[Event]:
+def _record_refusal(campaign: Campaign, row: int, why: str) -> list[Event]:
     return [CampaignRowRefused(campaign.id, row, cut(why, LONGEST_REASON))]
 
 
-def _alive(state: LabState, name: CampaignId) -> Campaign | Rejection:
+def _expect_alive(state: LabState, name: CampaignId) -> Campaign | Rejection:
     found = state.campaigns.open.get(name)
     return found or Rejection("no_campaign", f"There is no campaign {name} that has not ended.")
 
 
-def _no_more(campaign: Campaign) -> Rejection:
+def _refuse_rows(campaign: Campaign) -> Rejection:
     if campaign.status == CampaignStatus.PROPOSED:
         return Rejection(
             NOT_OPEN,
@@ -360,7 +326,7 @@ def _no_more(campaign: Campaign) -> Rejection:
     )
 
 
-def _queued(campaign: Campaign) -> list[RunId]:
+def _find_queued(campaign: Campaign) -> list[RunId]:
     return [run for run, started in campaign.runs.items() if not started]
 
 
@@ -375,21 +341,27 @@ def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool
 # -- reactions -----------------------------------------------------------------------------------
 
 
+def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
+    """A campaign that must not go on is stopped, and one of which nothing is left is completed."""
+    for name in list(state.campaigns.due):
+        campaign = state.campaigns.open[name]
+        if why := must_stop(campaign):
+            yield CampaignStopped(name, why, campaign.met_by)
+            yield from _cancel_runs(state, _find_queued(campaign), f"{name} was stopped")
+        elif is_over(campaign):
+            yield CampaignCompleted(
+                campaign=name,
+                completed=campaign.completed,
+                failed=campaign.failed,
+                cancelled=campaign.cancelled,
+                refused=campaign.refused,
+                left=campaign.left,
+                why=campaign.why,
+            )
+
+
 def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
     """The campaigns of a user who may not act any more submit no further row until somebody resumes them."""
     for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
         answer = pause_campaign(state, PauseCampaign(name, f"its user {event.user} was disabled"))
         yield from () if isinstance(answer, Rejection) else answer
-
-
-__all__ = [
-    "AmendCampaign",
-    "CancelCampaign",
-    "ConcludeCampaign",
-    "PauseCampaign",
-    "RefuseRow",
-    "ResumeCampaign",
-    "SubmitCampaign",
-    "SubmitRow",
-    "pause_campaigns",
-]

@@ -73,6 +73,3 @@ def give_up_way_out(state: LabState, command: GiveUpWayOut) -> Decision:
     if run is None or run.status != RunStatus.LEAVING or under_way(run):
         return []
     return ending(state, run, RunCancelled(run.id), "was cancelled, and its way out is blocked")
-
-
-__all__ = ["CancelRun", "GiveUpWayOut", "TakeWayOut", "cancel_all"]

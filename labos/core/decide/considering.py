@@ -6,6 +6,8 @@ approved run waits for its turn as any other.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -25,6 +27,7 @@ from labos.core.decide.campaigns import (
     SubmitCampaign,
     SubmitRow,
 )
+from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.holding_back import (
     Submission,
@@ -34,7 +37,7 @@ from labos.core.decide.holding_back import (
     service_of,
     too_high,
 )
-from labos.core.decide.runs import SubmitRun
+from labos.core.decide.runs import SubmitRun, submit_run
 from labos.core.experiments import ExperimentStarted
 from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event
@@ -60,14 +63,26 @@ def apply_policy(state: LabState, command: ApplyPolicy) -> Decision:
 def attributed(command: Command, actor: str) -> Command:
     """The command as it is recorded: what a service account says for a person is put down to both, so that
     nobody takes it for the person's own word."""
-    is_said = ON_BEHALF in actor and getattr(command, "by", "") == person_of(actor)
-    return msgspec.structs.replace(command, by=actor) if is_said else command
+    if ON_BEHALF not in actor:
+        return command
+    changed: dict[str, Any] = {}
+    for name in command.__struct_fields__:
+        value = getattr(command, name)
+        if name == "by" and value == person_of(actor):
+            changed[name] = actor
+        elif isinstance(value, Command):
+            changed[name] = attributed(value, actor)
+        elif isinstance(value, tuple) and any(isinstance(part, Command) for part in value):
+            changed[name] = tuple(attributed(part, actor) for part in value)
+    return msgspec.structs.replace(command, **changed) if changed else command
 
 
 def considered(state: LabState, command: Command, decision: Decision, actor: str) -> Decision:
     """What is decided of a submission of ``actor``, with the request for an approval if it takes one."""
     if not isinstance(command, _CONSIDERED) or isinstance(decision, Rejection):
         return decision
+    if isinstance(command, SubmitWithLabware):
+        return _with_labware(state, command, decision, actor)
     if isinstance(command, ApplyPolicy):
         return _not_by_program(state, actor) or decision
     events = list(decision)
@@ -90,7 +105,26 @@ def considered(state: LabState, command: Command, decision: Decision, actor: str
     return [*events, *([request] if request is not None else [])]
 
 
-_CONSIDERED = (ApplyPolicy, SubmitRun, SubmitCampaign, StartExperiment, AmendCampaign, SubmitRow)
+_CONSIDERED = (
+    ApplyPolicy,
+    SubmitRun,
+    SubmitWithLabware,
+    SubmitCampaign,
+    StartExperiment,
+    AmendCampaign,
+    SubmitRow,
+)
+
+
+def _with_labware(
+    state: LabState, command: SubmitWithLabware, decision: Iterable[Event], actor: str
+) -> Decision:
+    """A run that comes with labware is considered as any run; the labware stands there in any case."""
+    known = submit_run(state, command.run)
+    run = considered(state, command.run, known, actor)
+    if isinstance(run, Rejection):
+        return run
+    return chain(decision, [event for event in run if isinstance(event, ApprovalRequested)])
 
 
 def _not_by_program(state: LabState, actor: str) -> Rejection | None:

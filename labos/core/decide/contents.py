@@ -27,10 +27,10 @@ def recorded(state: LabState, name: StationName) -> list[str]:
     station, labware = state.bench.stations[name], state.bench.labware
     if station.spec.kind == "waste":
         return ["labware"] * station.level
-    return [*station.stock, *(_called(item, labware[item].lid) for item in station.labware)]
+    return [*station.stock, *(_name_with_lid(item, labware[item].lid) for item in station.labware)]
 
 
-def _called(name: str, lid: str) -> str:
+def _name_with_lid(name: str, lid: str) -> str:
     return f"{name}+{lid}" if lid else name
 
 
@@ -49,19 +49,19 @@ def contents_events(
         return [StationDeclared(name, tuple(contents))] if len(contents) != station.level else []
     pieces = [parts(item) for item in contents]
     named = [piece for pair in pieces for piece in pair if piece in state.bench.labware]
-    wrong = _unfit(state, station, pieces, named)
+    wrong = _refuse_misfit(state, station, pieces, named)
     if wrong:
         return wrong
     if station.spec.kind == "stack":
-        return _stacked(state, station, pieces, by)
+        return _stack(state, station, pieces, by)
     return [
-        *_missing(station, pieces, by),
-        *_standing(state, station, pieces, by),
+        *_remove_missing(station, pieces, by),
+        *_place_or_observe(state, station, pieces, by),
         StationObserved(name, by, len(contents)),
     ]
 
 
-def _unfit(
+def _refuse_misfit(
     state: LabState, station: Station, pieces: Sequence[tuple[str, str]], named: Sequence[str]
 ) -> Rejection | None:
     """Why that cannot stand there."""
@@ -89,7 +89,7 @@ def _unfit(
     return None
 
 
-def _stacked(
+def _stack(
     state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str
 ) -> list[Event] | Rejection:
     """A stack holds nameless pieces, and on top of them labware with names."""
@@ -108,21 +108,23 @@ def _stacked(
         events.append(StationDeclared(name, stock))
     above = pieces[top:]
     return [
-        *_missing(station, above, by),
+        *_remove_missing(station, above, by),
         *events,
-        *_standing(state, station, above, by),
+        *_place_or_observe(state, station, above, by),
         StationObserved(name, by, len(pieces)),
     ]
 
 
-def _missing(station: Station, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
+def _remove_missing(station: Station, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
     """What was recorded there and is not there: first of all, so that it makes room."""
     told = {piece for pair in pieces for piece in pair}
     why = f"{by} did not find it at {local(station.spec.name)}"
     return [LabwareUncertain(item, "", (GONE,), why) for item in station.labware if item not in told]
 
 
-def _standing(state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str) -> list[Event]:
+def _place_or_observe(
+    state: LabState, station: Station, pieces: Sequence[tuple[str, str]], by: str
+) -> list[Event]:
     """The events for labware with names, and for what gets one now."""
     name, labware = station.spec.name, state.bench.labware
     events: list[Event] = []
@@ -151,6 +153,3 @@ def _standing(state: LabState, station: Station, pieces: Sequence[tuple[str, str
             number += 1
             events.append(LabwarePlaced(LabwareId(f"P{number}"), "", lid, name, SHARED, on=stands))
     return events
-
-
-__all__ = ["contents_events", "recorded"]

@@ -50,7 +50,7 @@ class CancelExperiment(Command, frozen=True):
 
 @decides(PauseStarts)
 def pause_starts(state: LabState, command: PauseStarts) -> Decision:
-    unknown = _unknown(state, command.target)
+    unknown = _refuse_unknown(state, command.target)
     if unknown is not None:
         return unknown
     if command.target in state.lab.paused:
@@ -60,7 +60,7 @@ def pause_starts(state: LabState, command: PauseStarts) -> Decision:
 
 @decides(ResumeStarts)
 def resume_starts(state: LabState, command: ResumeStarts) -> Decision:
-    unknown = _unknown(state, command.target)
+    unknown = _refuse_unknown(state, command.target)
     if unknown is not None:
         return unknown
     return [StartsResumed(command.target, command.by)] if command.target in state.lab.paused else []
@@ -68,11 +68,11 @@ def resume_starts(state: LabState, command: ResumeStarts) -> Decision:
 
 @decides(CancelRuns)
 def cancel_runs(state: LabState, command: CancelRuns) -> Decision:
-    unknown = _unknown(state, command.target)
+    unknown = _refuse_unknown(state, command.target)
     if unknown is not None:
         return unknown
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
-    needing = [run for run in runs if _meant(state, run, command.target)]
+    needing = [run for run in runs if _is_meant(state, run, command.target)]
     return cancel_all(state, needing, command.stay, command.why)
 
 
@@ -100,7 +100,7 @@ def _names_one(state: LabState, target: str) -> bool:
     )
 
 
-def _unknown(state: LabState, target: str) -> Rejection | None:
+def _refuse_unknown(state: LabState, target: str) -> Rejection | None:
     if _names_one(state, target):
         return None
     return Rejection(
@@ -110,7 +110,7 @@ def _unknown(state: LabState, target: str) -> Rejection | None:
     )
 
 
-def _meant(state: LabState, run: RunState, target: str) -> bool:
+def _is_meant(state: LabState, run: RunState, target: str) -> bool:
     if run.closing:
         return False
     plan = state.runs.plan_of(run)
@@ -118,6 +118,3 @@ def _meant(state: LabState, run: RunState, target: str) -> bool:
         return True
     left = zip(plan.steps, run.steps, strict=True) if run.has_started else ()
     return any(step.module == target and at.status not in SETTLED for step, at in left)
-
-
-__all__ = ["CancelExperiment", "CancelRuns", "PauseStarts", "ResumeStarts"]

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from labos.core.actions import ActionReconciled, ActionRejected, ActionSucceeded
 from labos.core.conditions import by_key, holds
-from labos.core.experiments import ExperimentEnded
 from labos.core.expressions import ExpressionError
 from labos.core.ids import Owner, experiment_owner, local, run_owner, user_owner
 from labos.core.labware import LabwareHandedOver
@@ -155,10 +154,4 @@ def ending(
         yield state.interventions.ask(
             left, f"Run {run.id} ({run.workflow}) {what.rstrip('.')}. It left {stands}."
         )
-    if experiment is None or not run.closing:
-        yield end
-        return
-    for item in state.bench.owned(experiment_owner(run.experiment)):  # what it did not clear away
-        yield LabwareHandedOver(item.id, run.id, heir)
-    yield end
-    yield ExperimentEnded(run.experiment, experiment.closing)
+    yield end  # the last event in the run's stream

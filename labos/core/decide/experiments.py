@@ -21,7 +21,7 @@ from labos.core.ids import (
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
-from labos.core.open_experiments import ExperimentStatus
+from labos.core.open_experiments import Experiment, ExperimentStatus
 from labos.core.registry import Event
 from labos.core.rules import CLOSING_S, closes_late_at
 from labos.core.runs import RunCancelled, RunSubmitted
@@ -211,14 +211,30 @@ def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Even
                 planned_by=state.runs.planned_by(experiment.closing),
             ),
         ]
-    heir = user_owner(experiment.user)
+    return _end(state, experiment)
+
+
+def _end(state: LabState, experiment: Experiment) -> list[Event]:
+    """An experiment is over; what was not cleared away is its user's."""
+    owned = state.bench.owned(experiment_owner(experiment.id))
     return [
-        *(LabwareHandedOver(item.id, "", heir) for item in owned),
-        ExperimentEnded(name, experiment.closing),
+        *(LabwareHandedOver(item.id, "", user_owner(experiment.user)) for item in owned),
+        ExperimentEnded(experiment.id, experiment.closing),
     ]
 
 
 # -- reactions -----------------------------------------------------------------------------------
+
+
+def end_experiments(state: LabState, event: Event) -> Iterator[Event]:
+    """An experiment that was cancelled closes when its last run has ended; one that is closing is over when
+    its closing workflow has ended."""
+    for name in list(state.experiments.ending):
+        experiment = state.experiments.open[name]
+        if not experiment.runs and experiment.status == ExperimentStatus.CLOSING:
+            yield from _end(state, experiment)
+        elif not experiment.runs:
+            yield from close_experiment(state, name, "it was cancelled")
 
 
 def withdraw_experiment_question(

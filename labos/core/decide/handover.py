@@ -30,13 +30,17 @@ def hand_over(state: LabState, command: HandOver) -> Decision:
         return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
     if labware.owner == command.to:
         return []
-    wrong = _no_heir(state, command.to) or _in_use(state, labware) or _not_theirs(state, labware, command)
+    wrong = (
+        _refuse_heir(state, command.to)
+        or _refuse_in_use(state, labware)
+        or _refuse_not_theirs(state, labware, command)
+    )
     if wrong:
         return wrong
     return [LabwareHandedOver(labware.id, "", command.to, command.by, command.note)]
 
 
-def _no_heir(state: LabState, to: Owner) -> Rejection | None:
+def _refuse_heir(state: LabState, to: Owner) -> Rejection | None:
     kind, name = owner_parts(to)
     if kind == "user" and name and not state.users.is_open and state.users.get(name) is None:
         return no_user(name)
@@ -52,7 +56,7 @@ def _no_heir(state: LabState, to: Owner) -> Rejection | None:
     return None
 
 
-def _in_use(state: LabState, labware: Labware) -> Rejection | None:
+def _refuse_in_use(state: LabState, labware: Labware) -> Rejection | None:
     if labware.moving:
         return Rejection(
             "in_use", f"{labware.id} is being carried or worked on.", "Wait until that has ended."
@@ -74,7 +78,7 @@ def _in_use(state: LabState, labware: Labware) -> Rejection | None:
     return None
 
 
-def _not_theirs(state: LabState, labware: Labware, command: HandOver) -> Rejection | None:
+def _refuse_not_theirs(state: LabState, labware: Labware, command: HandOver) -> Rejection | None:
     kind, name = owner_parts(labware.owner)
     experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
     owner = experiment.user if experiment is not None else name

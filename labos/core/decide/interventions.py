@@ -79,31 +79,31 @@ def resolve_intervention(state: LabState, command: ResolveIntervention) -> Decis
             f"{command.choice!r} is no answer to {command.intervention}.",
             f"Choose one of: {', '.join(names)}.",
         )
-    follows = _follows(state, question, command)
+    follows = _decide_answer(state, question, command)
     if isinstance(follows, Rejection):
         return follows
     resolved = InterventionResolved(command.intervention, command.choice, command.by, command.note)
     return chain([resolved], follows)
 
 
-def _follows(state: LabState, question: Intervention, command: ResolveIntervention) -> Decision:
+def _decide_answer(state: LabState, question: Intervention, command: ResolveIntervention) -> Decision:
     """What each answer does."""
     topic, choice, by = question.topic, command.choice, command.by
     match topic:
         case UnknownAction():
             action = state.actions.open.get(topic.action)
-            return [] if action is None else _settled(state, action, command)
+            return [] if action is None else _settle_unknown(state, action, command)
         case PlannedWork():
             action = state.actions.open.get(topic.action)
-            return [] if action is None else _confirmed(state, action, command)
+            return [] if action is None else _confirm(state, action, command)
         case LostLabware():
-            return _with_room(state, lambda: found_again(state, topic.motions, choice, by))
+            return _expect_room(state, lambda: found_again(state, topic.motions, choice, by))
         case Barcode():
             return settle_barcode(state, topic, choice, by)
         case NotSeen() | SeenElsewhere() | Unexpected():
-            return _with_room(state, lambda: settle_sight(state, topic, choice, by))
+            return _expect_room(state, lambda: settle_sight(state, topic, choice, by))
         case LeftLabware():
-            return _cleared(state, topic, by) if choice == "removed" else []
+            return _clear_away(state, topic, by) if choice == "removed" else []
         case FailedStep():
             return answer_failed(state, topic, choice, by)
         case LateStep():
@@ -119,14 +119,14 @@ def _follows(state: LabState, question: Intervention, command: ResolveInterventi
         case ShorterLog():
             return compared(state, by, command.note)
         case LostExperiment():
-            return _closed(state, topic) if choice == "close" else []
+            return _close(state, topic) if choice == "close" else []
         case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | BookedPlace() | None:
             return []  # nothing but that somebody has seen to it
         case _:
             assert_never(topic)
 
 
-def _cleared(state: LabState, topic: LeftLabware, by: str) -> list[Event]:
+def _clear_away(state: LabState, topic: LeftLabware, by: str) -> list[Event]:
     return [
         event
         for name in topic.labware
@@ -135,7 +135,7 @@ def _cleared(state: LabState, topic: LeftLabware, by: str) -> list[Event]:
     ]
 
 
-def _closed(state: LabState, topic: LostExperiment) -> Decision:
+def _close(state: LabState, topic: LostExperiment) -> Decision:
     experiment = state.experiments.open.get(topic.experiment)
     if experiment is not None and experiment.runs:
         return Rejection(
@@ -146,17 +146,17 @@ def _closed(state: LabState, topic: LostExperiment) -> Decision:
     return close_experiment(state, topic.experiment, "its application was lost")
 
 
-def _confirmed(state: LabState, action: Action, command: ResolveIntervention) -> Decision:
+def _confirm(state: LabState, action: Action, command: ResolveIntervention) -> Decision:
     """Planned work ends by a person's word, whatever its node knows."""
     done = command.choice == "done"
-    unfit = _unfit_result(state, action, command) if done else None
+    unfit = _refuse_result(state, action, command) if done else None
     why = f"{command.by} says that it cannot be done{f': {command.note}' if command.note else ''}"
     end = FinishAction(action.id, action.attempt, True, "all", command.result)
     failed = FinishAction(action.id, action.attempt, False, "none", error=why)
     return unfit or finishing(state, action, end if done else failed)
 
 
-def _settled(state: LabState, action: Action, command: ResolveIntervention) -> Decision:
+def _settle_unknown(state: LabState, action: Action, command: ResolveIntervention) -> Decision:
     if may_still_act(state, action):
         module = local(action.module)
         return Rejection(
@@ -165,13 +165,13 @@ def _settled(state: LabState, action: Action, command: ResolveIntervention) -> D
             f"Start it again, or switch the device off, say so (labos out-of-service {module}), then answer.",
         )
     if command.choice != "done":
-        taken = _source_taken(state, action) if command.choice == "not_done" else None
+        taken = _refuse_taken_source(state, action) if command.choice == "not_done" else None
         return taken or settle(state, action, command.choice, command.by)
-    unfit = _unfit_result(state, action, command)
+    unfit = _refuse_result(state, action, command)
     return unfit or settle(state, action, command.choice, command.by, command.result)
 
 
-def _source_taken(state: LabState, action: Action) -> Rejection | None:
+def _refuse_taken_source(state: LabState, action: Action) -> Rejection | None:
     """Why labware cannot be put back that was seen elsewhere meanwhile: others were let in there."""
     for effect in action.effects:
         if not isinstance(effect, Move) or isinstance(effect, Unlid | Relid):
@@ -190,7 +190,7 @@ def _source_taken(state: LabState, action: Action) -> Rejection | None:
     return None
 
 
-def _unfit_result(state: LabState, action: Action, command: ResolveIntervention) -> Rejection | None:
+def _refuse_result(state: LabState, action: Action, command: ResolveIntervention) -> Rejection | None:
     """Why later steps, or the log, could not do with the result that was told."""
     if command.result is None and read_later(state, action):
         return Rejection(
@@ -207,7 +207,7 @@ def _unfit_result(state: LabState, action: Action, command: ResolveIntervention)
     return None
 
 
-def _with_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Decision:
+def _expect_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Decision:
     """Events that say where labware stands, unless there is no room for it."""
     stations = state.bench.stations
     for event in events():
@@ -219,13 +219,13 @@ def _with_room(state: LabState, events: Callable[[], Iterable[Event]]) -> Decisi
             continue  # it lies on the plate there
         if isinstance(event, LabwarePlaced) and event.stack == place:
             continue  # it only gets its name there
-        if station.count - _awaited(state, item, place) >= station.spec.capacity:
+        if station.count - _is_awaited(state, item, place) >= station.spec.capacity:
             held = ", ".join(station.labware) or "something is on its way there"
             return Rejection("occupied", f"{place} is full ({held}): the labware cannot stand there.")
     return events()
 
 
-def _awaited(state: LabState, item: Labware | None, place: StationName) -> bool:
+def _is_awaited(state: LabState, item: Labware | None, place: StationName) -> bool:
     """Whether what is expected at a place is this very piece."""
     if item is None:
         return False

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 
-from labos.core.bench import arrival, parts, taking
-from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.bench import Station, arrival, parts, taking
+from labos.core.decide._base import Command, Decision, Rejection, decides, many, recordable
 from labos.core.decide.shorter import found_shorter
 from labos.core.effects import Replaces, places
 from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
-from labos.core.model import Workcell
+from labos.core.model import StationSpec, Workcell
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.resources import LevelSet
@@ -35,9 +36,14 @@ class StartKernel(Command, frozen=True):
 
 
 class ApplyWorkcell(Command, frozen=True):
-    """Set up a workcell, or change it to a new description."""
+    """Set up a workcell, or change it to a new description. With ``contents``, the stations of which nobody
+    has said what stands there hold what it says, bottom to top; those that it does not name are empty."""
 
     workcell: Workcell
+    contents: dict[StationName, tuple[str, ...]] | None = None
+
+    def parts(self) -> Sequence[Command]:
+        return [DeclareStation(name, types) for name, types in (self.contents or {}).items()]
 
 
 class DeclareStation(Command, frozen=True):
@@ -45,16 +51,6 @@ class DeclareStation(Command, frozen=True):
 
     station: StationName
     contents: tuple[str, ...] = ()
-
-
-class SetLevel(Command, frozen=True):
-    """Say how much of a resource a module has."""
-
-    module: ModuleName
-    resource: str
-    level: float
-    capacity: float
-    lot: str = ""
 
 
 @decides(CreateLab)
@@ -68,10 +64,10 @@ def create_lab(state: LabState, command: CreateLab) -> Decision:
 def start_kernel(state: LabState, command: StartKernel) -> Decision:
     if command.epoch <= state.lab.epoch:
         return Rejection("old_epoch", f"Epoch {command.epoch} is not above {state.lab.epoch}.")
-    return _started(state, command)
+    return _start(state, command)
 
 
-def _started(state: LabState, command: StartKernel) -> Iterator[Event]:
+def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
     ended, leaps = state.position, state.lab.epoch and command.epoch - state.lab.epoch >= LEAP
     yield KernelStarted(command.epoch, command.version)
     if leaps:
@@ -92,7 +88,30 @@ def _started(state: LabState, command: StartKernel) -> Iterator[Event]:
 
 @decides(ApplyWorkcell)
 def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
-    cell = command.workcell
+    applied = _apply(state, command.workcell)
+    fit = applied if isinstance(applied, Rejection) else recordable(applied)
+    if isinstance(fit, Rejection) or command.contents is None:
+        return fit
+    for spec in command.workcell.places:
+        known = state.bench.stations.get(spec.name)
+        contents = command.contents.get(spec.name, ())
+        wrong = _refuse_contents(spec, contents) or recordable([StationDeclared(spec.name, contents)])
+        if isinstance(wrong, Rejection) and (known is None or not known.known):
+            return wrong
+    return chain(fit, _declare_rest(state, command.workcell, command.contents))
+
+
+def _declare_rest(
+    state: LabState, cell: Workcell, contents: dict[StationName, tuple[str, ...]]
+) -> Iterator[Event]:
+    """Declare the stations of which nobody has spoken, and where nothing is under way."""
+    for spec in cell.places:
+        station = state.bench.stations[spec.name]
+        if not station.known and not _refuse_occupied_or_doubtful(state, station):
+            yield from _declare(state, station, contents.get(spec.name, ()))
+
+
+def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
     if state.lab.workcells.get(cell.name) == cell.digest:
         return []
     forbidden = in_the_way(state, cell)
@@ -103,7 +122,7 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
     ]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
-    gone = _gone(state, cell)[1]
+    gone = _find_left_out(state, cell)[1]
     if gone:
         events.append(StationsApplied(cell.name, (), tuple(sorted(gone))))
     for spec in cell.modules:
@@ -115,18 +134,18 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
 
 def in_the_way(state: LabState, cell: Workcell) -> list[Rejection]:
     """Everything that keeps a workcell from being changed to a new description."""
-    return [*_removes_what_is_needed(state, cell), *_parked_at(state, cell), *_too_small(state, cell)]
+    return [*_find_needed(state, cell), *_find_parking(state, cell), *_find_too_small(state, cell)]
 
 
-def _gone(state: LabState, cell: Workcell) -> tuple[set[ModuleName], set[StationName]]:
+def _find_left_out(state: LabState, cell: Workcell) -> tuple[set[ModuleName], set[StationName]]:
     """The modules and stations that a new description leaves out."""
     modules = {*state.modules.in_cell.get(cell.name, ())} - {module.name for module in cell.modules}
     stations = {*state.bench.in_cell.get(cell.name, ())} - {station.name for station in cell.stations}
     return modules, stations
 
 
-def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
-    modules, stations = _gone(state, cell)
+def _find_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+    modules, stations = _find_left_out(state, cell)
     for module in sorted(modules):
         if state.modules.by_name[module].in_flight:
             yield Rejection(
@@ -137,7 +156,7 @@ def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejecti
     for place in sorted(stations):
         station = state.bench.stations[place]
         if station.labware or station.stock or station.expected or place in state.bench.haunted:
-            yield _occupied(state, place, f"cannot be removed from {cell.name}")
+            yield _refuse_occupied(state, place, f"cannot be removed from {cell.name}")
     gone: set[str] = {*modules, *stations}
     if not gone:
         return
@@ -151,12 +170,12 @@ def _removes_what_is_needed(state: LabState, cell: Workcell) -> Iterator[Rejecti
         for name in sorted(gone & needed):
             yield Rejection(
                 "plan_in_use",
-                f"The workflow {plan.plan.workflow!r} is in use{_by(by)} and needs {local(name)}.",
+                f"The workflow {plan.plan.workflow!r} is in use{_say_by_whom(by)} and needs {local(name)}.",
                 "Wait until its runs and experiments have ended, or cancel them.",
             )
 
 
-def _occupied(state: LabState, place: StationName, so: str) -> Rejection:
+def _refuse_occupied(state: LabState, place: StationName, so: str) -> Rejection:
     station = state.bench.stations[place]
     if place in state.bench.haunted:
         return Rejection(
@@ -174,9 +193,9 @@ def _occupied(state: LabState, place: StationName, so: str) -> Rejection:
     )
 
 
-def _parked_at(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+def _find_parking(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     """Experiments that are open come back to where they park."""
-    gone = _gone(state, cell)[1]
+    gone = _find_left_out(state, cell)[1]
     for experiment in state.experiments.open.values():
         for place in sorted(gone & set(experiment.parking)):
             yield Rejection(
@@ -186,15 +205,15 @@ def _parked_at(state: LabState, cell: Workcell) -> Iterator[Rejection]:
             )
 
 
-def _too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
+def _find_too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
     hotels = {spec.hotel for spec in cell.stations}
     for spec in cell.stations:
         known = state.bench.stations.get(spec.name)
         full = known is not None and (known.count or in_doubt(state.bench, spec.name))
         if known is not None and full and known.spec.kind != spec.kind:
-            yield _occupied(state, spec.name, f"cannot become a {spec.kind}")
+            yield _refuse_occupied(state, spec.name, f"cannot become a {spec.kind}")
         elif full and (spec.name in state.bench.shelves) != (spec.name in hotels):
-            yield _occupied(state, spec.name, "cannot be divided into shelves otherwise")
+            yield _refuse_occupied(state, spec.name, "cannot be divided into shelves otherwise")
         elif known is not None and known.count > spec.capacity:
             yield Rejection(
                 "station_occupied",
@@ -204,7 +223,7 @@ def _too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
             )
 
 
-def _by(runs: list[RunId]) -> str:
+def _say_by_whom(runs: list[RunId]) -> str:
     return f" by {', '.join(runs)}" if runs else ""
 
 
@@ -216,46 +235,44 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
     shelved = many(state, command.station)
     if shelved:
         return shelved
+    wrong = _refuse_occupied_or_doubtful(state, station) or _refuse_contents(station.spec, command.contents)
+    return wrong or _declare(state, station, command.contents)
+
+
+def _refuse_occupied_or_doubtful(state: LabState, station: Station) -> Rejection | None:
+    name = station.spec.name
     if station.labware or station.expected:
         return Rejection(
             "station_occupied",
-            f"{local(command.station)} holds {', '.join(station.labware) or 'an arrival under way'}; "
+            f"{local(name)} holds {', '.join(station.labware) or 'an arrival under way'}; "
             "what is known is not overwritten.",
             "Move or remove that labware first.",
         )
-    if command.station in state.bench.haunted or taking(state.bench, command.station):
+    if name in state.bench.haunted or taking(state.bench, name):
         return Rejection(
             "uncertain",
-            f"It is being found out what stands at {local(command.station)}.",
+            f"It is being found out what stands at {local(name)}.",
             "Answer the open intervention, or wait for the action, first.",
         )
-    if len(command.contents) > station.spec.capacity:
-        return Rejection(
-            "too_many",
-            f"{local(command.station)} holds {station.spec.capacity}, not {len(command.contents)}.",
-        )
-    wrong = next((t for t in command.contents if not station.spec.admits(parts(t)[0])), "")
+    return None
+
+
+def _refuse_contents(spec: StationSpec, contents: tuple[str, ...]) -> Rejection | None:
+    """Why a station could not hold this."""
+    if len(contents) > spec.capacity:
+        return Rejection("too_many", f"{local(spec.name)} holds {spec.capacity}, not {len(contents)}.")
+    wrong = next((kind for kind in contents if not spec.admits(parts(kind)[0])), "")
     if wrong:
-        why = station.spec.why_not(parts(wrong)[0])
-        return Rejection("not_accepted", f"{local(command.station)} {why}.")
+        return Rejection("not_accepted", f"{local(spec.name)} {spec.why_not(parts(wrong)[0])}.")
+    return None
+
+
+def _declare(state: LabState, station: Station, contents: tuple[str, ...]) -> Iterator[Event]:
+    name = station.spec.name
     if station.spec.kind in ("stack", "waste"):
-        return [StationDeclared(command.station, command.contents)]
-    return _declared(state, command)
-
-
-def _declared(state: LabState, command: DeclareStation) -> Iterator[Event]:
-    yield StationDeclared(command.station, ())
-    for kind, lid in map(parts, command.contents):
-        plate = LabwarePlaced(state.bench.next_id, "", kind, command.station, SHARED)
+        yield StationDeclared(name, contents)
+        return
+    yield StationDeclared(name, ())
+    for kind, lid in map(parts, contents):
+        plate = LabwarePlaced(state.bench.next_id, "", kind, name, SHARED)
         yield from arrival(state.bench, plate, lid)
-
-
-@decides(SetLevel)
-def set_level(state: LabState, command: SetLevel) -> Decision:
-    if command.module not in state.modules.by_name:
-        return Rejection("no_module", f"There is no module {local(command.module)}.")
-    if not 0 <= command.level <= command.capacity:
-        return Rejection(
-            "bad_level", f"{command.level} is not between 0 and the capacity {command.capacity}."
-        )
-    return [LevelSet(command.module, command.resource, command.level, command.capacity, command.lot)]

@@ -61,7 +61,7 @@ def misfit(command: Command) -> Rejection | None:
     for text, field in texts:
         if fault := fault_of(text, field):
             return Rejection(BAD_TEXT, fault, "Shorten it, or hand in long text as a file.")
-    return None
+    return next(filter(None, map(misfit, command.parts())), None)
 
 
 def fault_of(text: str, field: str) -> str:

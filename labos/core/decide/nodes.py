@@ -96,15 +96,14 @@ class EndOutage(Command, frozen=True):
     now: int
 
 
-class RecordStop(Report, frozen=True):
-    """A node says that somebody stopped it in an emergency."""
+class RecordStops(Report, frozen=True):
+    """Somebody has stopped modules in an emergency, at these times (UTC ns)."""
 
-    module: ModuleName
     by: str
-    stopped_at: int
+    stopped_at: dict[ModuleName, int]
 
 
-def _unknown(module: ModuleName) -> Rejection:
+def _refuse_unknown(module: ModuleName) -> Rejection:
     return Rejection(
         "no_module",
         f"No workcell of this lab has a module {local(module)}.",
@@ -116,7 +115,7 @@ def _unknown(module: ModuleName) -> Rejection:
 def join_node(state: LabState, command: JoinNode) -> Decision:
     module = state.modules.by_name.get(command.module)
     if module is None:
-        return _unknown(command.module)
+        return _refuse_unknown(command.module)
     if module.status != ModuleStatus.GONE and module.instance == command.instance:
         return []
     if module.status != ModuleStatus.GONE:
@@ -172,20 +171,20 @@ def report_state(state: LabState, command: ReportState) -> Decision:
 @decides(HearJournal)
 def hear_journal(state: LabState, command: HearJournal) -> Decision:
     if command.module not in state.modules.by_name:
-        return _unknown(command.module)
+        return _refuse_unknown(command.module)
     return told_by(state, command.module, command.found, command.beyond)
 
 
 @decides(TakeOut)
 def take_out(state: LabState, command: TakeOut) -> Decision:
     if command.module not in state.modules.by_name:
-        return _unknown(command.module)
+        return _refuse_unknown(command.module)
     if command.until and command.until <= command.now:
         return Rejection("past", "The time until which it is to be out of service is over already.")
-    return _taken_out(state, command)
+    return _take_out(state, command)
 
 
-def _taken_out(state: LabState, command: TakeOut) -> Iterator[Event]:
+def _take_out(state: LabState, command: TakeOut) -> Iterator[Event]:
     yield ModuleTakenOut(command.module, command.why or "no reason given", command.until)
     for action in list(state.actions.open.values()):
         if action.module == command.module and missed_at(state, action) is not None:
@@ -209,7 +208,7 @@ def quarantine(state: LabState, command: Quarantine) -> Decision:
 def put_back(state: LabState, command: PutBack) -> Decision:
     module = state.modules.by_name.get(command.module)
     if module is None:
-        return _unknown(command.module)
+        return _refuse_unknown(command.module)
     if not module.out_of_service:
         return []
     return [ModulePutBack(command.module)]
@@ -221,12 +220,10 @@ def end_outage(state: LabState, command: EndOutage) -> Decision:
     return [] if back_at is None or back_at > command.now else [ModulePutBack(command.module)]
 
 
-@decides(RecordStop)
-def record_stop(state: LabState, command: RecordStop) -> Decision:
+@decides(RecordStops)
+def record_stops(state: LabState, command: RecordStops) -> Decision:
     """Nodes tell it again with each heartbeat until they are reset: it is written once."""
-    module = state.modules.by_name.get(command.module)
-    if module is None:
-        return _unknown(command.module)
-    if command.stopped_at == module.stopped_at:
-        return []
-    return [EmergencyStopped(command.module, command.by, command.stopped_at)]
+    known = state.modules.by_name
+    stops = command.stopped_at.items()
+    fresh = [(name, at) for name, at in stops if name in known and known[name].stopped_at != at]
+    return [EmergencyStopped(name, command.by, at) for name, at in fresh]

@@ -56,7 +56,7 @@ def observe_station(state: LabState, command: ObserveStation) -> Decision:
     station = state.bench.stations.get(command.station)
     if station is None:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
-    wrong = many(state, command.station) or _not_to_be_seen(state, station, command)
+    wrong = many(state, command.station) or _refuse_sight(state, station, command)
     if wrong:
         return wrong
     events: list[Event] = [
@@ -68,13 +68,13 @@ def observe_station(state: LabState, command: ObserveStation) -> Decision:
         if labware.station == command.station:
             return events  # as recorded
         if labware.station or not sight.room(command.station):
-            return events + _elsewhere(state, labware, station, command.by)
+            return events + _report_elsewhere(state, labware, station, command.by)
         sight.stands(labware.id, command.station)
         return chain(events, sight.events())
-    return chain(events, _counted(state, sight, station, command))
+    return chain(events, _decide_count(state, sight, station, command))
 
 
-def _not_to_be_seen(state: LabState, station: Station, command: ObserveStation) -> Rejection | None:
+def _refuse_sight(state: LabState, station: Station, command: ObserveStation) -> Rejection | None:
     name = local(command.station)
     if station.spec.kind == "waste":
         return Rejection("waste", f"What was thrown into {name} is off the bench.")
@@ -96,7 +96,7 @@ def _not_to_be_seen(state: LabState, station: Station, command: ObserveStation) 
                 "Look again when it has ended.",
             )
     worked_on = [name for name in station.labware if state.bench.labware[name].moving]
-    if command.count == 0 and any(not _doubted(state, name) for name in worked_on):
+    if command.count == 0 and any(not _has_unknown_end(state, name) for name in worked_on):
         return Rejection("in_use", f"{', '.join(worked_on)} is being worked on at {name}.")
     if station.stock and command.count is not None and command.count < len(station.stock):
         return Rejection(
@@ -107,7 +107,7 @@ def _not_to_be_seen(state: LabState, station: Station, command: ObserveStation) 
     return None
 
 
-def _doubted(state: LabState, labware: LabwareId) -> bool:
+def _has_unknown_end(state: LabState, labware: LabwareId) -> bool:
     action = state.actions.open.get(ActionId(state.bench.labware[labware].moving))
     return action is not None and action.status == ActionStatus.UNKNOWN
 
@@ -245,35 +245,37 @@ class Sight:
         return choice
 
 
-def _counted(state: LabState, sight: Sight, station: Station, command: ObserveStation) -> Iterable[Event]:
+def _decide_count(
+    state: LabState, sight: Sight, station: Station, command: ObserveStation
+) -> Iterable[Event]:
     name = command.station
     here = [state.bench.labware[item] for item in station.labware]
     known = len(here) + len(station.stock)
     types = {item.type for item in here} | set(station.stock)
     if command.kind and known and command.kind not in types and not sight.room(name):
-        return _other_type(state, here, station, command)
+        return _doubt_other_type(state, here, station, command)
     fits = known and (not command.kind or command.kind in types)
     more = command.count - known if command.count is not None else (0 if fits else 1)
     if more < 0:
-        return _missing(state, here, station, command)
+        return _doubt_missing(state, here, station, command)
     if more == 0:
         sight.empty(name)
-        return chain(_no_longer_strange(state, name), sight.events())
+        return chain(_withdraw_strange(state, name), sight.events())
     if any(name in found for found in state.bench.searched.values()):
         return []  # it may be what came off a stack and has no name yet
     may_be = sight.may_be_at(name, command.kind)
     if len(may_be) < more:
-        taken = _taken(state, name)
+        taken = _find_take(state, name)
         if taken is not None:
-            return _took(state, taken, name, command.by)
-        return _unexpected(state, station, command)
+            return _settle_take(state, taken, name, command.by)
+        return _report_unexpected(state, station, command)
     if len(may_be) == more:
         for item in may_be:
             sight.stands(item, name)
     return sight.events()
 
 
-def _taken(state: LabState, place: StationName) -> Action | None:
+def _find_take(state: LabState, place: StationName) -> Action | None:
     """An action of which nobody knows whether it has brought something from a stack to a place."""
     for action in state.actions.open.values():
         takes = [e for e in carried(action.effects) if e.stock]
@@ -283,7 +285,7 @@ def _taken(state: LabState, place: StationName) -> Action | None:
     return None
 
 
-def _took(state: LabState, action: Action, place: StationName, by: str) -> Iterable[Event]:
+def _settle_take(state: LabState, action: Action, place: StationName, by: str) -> Iterable[Event]:
     """What came off a stack was seen: at its target the action was done."""
     motions = carried(action.effects)
     question = state.interventions.about(action.id)
@@ -294,21 +296,23 @@ def _took(state: LabState, action: Action, place: StationName, by: str) -> Itera
     return chain([withdrawn], settle(state, action, "done", by))
 
 
-def _no_longer_strange(state: LabState, place: StationName) -> list[Event]:
+def _withdraw_strange(state: LabState, place: StationName) -> list[Event]:
     """What nobody expected there is not there any more: the question about it is answered."""
-    question = _asked(state, place)
+    question = _find_question(state, place)
     if question is None or question.labware:
         return []
     return [InterventionResolved(question.id, "withdrawn", "labos", "seen not to be there any more")]
 
 
-def _asked(state: LabState, place: StationName) -> Intervention | None:
+def _find_question(state: LabState, place: StationName) -> Intervention | None:
     """The question about what was seen at a station."""
     asked = state.interventions.open_about(NotSeen, SeenElsewhere, Unexpected)
     return next((question for question in asked if question.subject == place), None)
 
 
-def _missing(state: LabState, here: list[Labware], station: Station, command: ObserveStation) -> list[Event]:
+def _doubt_missing(
+    state: LabState, here: list[Labware], station: Station, command: ObserveStation
+) -> list[Event]:
     place, names = station.spec.name, [item.id for item in here]
     seen = "empty" if not command.count else f"with {command.count}"
     what = f"{command.by} saw {local(place)} {seen}, where {', '.join(names)} should stand."
@@ -321,7 +325,7 @@ def _missing(state: LabState, here: list[Labware], station: Station, command: Ob
     ]
 
 
-def _other_type(
+def _doubt_other_type(
     state: LabState, here: list[Labware], station: Station, command: ObserveStation
 ) -> list[Event]:
     place, names = station.spec.name, [item.id for item in here]
@@ -337,7 +341,7 @@ def _other_type(
     ]
 
 
-def _elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> list[Event]:
+def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> list[Event]:
     """Labware was recognised where it should not be, or where something else is known to stand."""
     place = station.spec.name
     recorded = labware.station
@@ -362,10 +366,10 @@ def _elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> 
     ]
 
 
-def _unexpected(state: LabState, station: Station, command: ObserveStation) -> list[Event]:
+def _report_unexpected(state: LabState, station: Station, command: ObserveStation) -> list[Event]:
     """Something stands where the log knows of nothing: nobody puts anything there meanwhile."""
     place = station.spec.name
-    if _asked(state, place) is not None:
+    if _find_question(state, place) is not None:
         return []
     kind = command.kind or (station.spec.accepts[0] if len(station.spec.accepts) == 1 else "")
     named = "" if station.spec.kind == "gripper" else kind
@@ -394,15 +398,15 @@ def settle_sight(
             return [LabwarePlaced(state.bench.next_id, "", topic.type, here, SHARED)] if new else []
         case _:
             assert_never(topic)
-    return [_placed(name, place, by) for name, place in where.items() if _still_doubtful(state, name)]
+    return [_observe_at(name, place, by) for name, place in where.items() if _is_doubtful(state, name)]
 
 
-def _still_doubtful(state: LabState, name: LabwareId) -> bool:
+def _is_doubtful(state: LabState, name: LabwareId) -> bool:
     labware = state.bench.labware.get(name)
     return labware is not None and bool(labware.maybe)
 
 
-def _placed(labware: LabwareId, place: StationName, by: str) -> Event:
+def _observe_at(labware: LabwareId, place: StationName, by: str) -> Event:
     if place == GONE:
         return LabwareRemoved(labware, "", GONE, f"not where it was recorded ({by})")
     return LabwareObserved(labware, "", place, by)

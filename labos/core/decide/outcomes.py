@@ -126,12 +126,12 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
     for effect in action.effects:
         match effect:
             case Move() if choice == "not_done":
-                yield _found(state, effect, effect.source, action.run, by, action.id)
+                yield _find_at(state, effect, effect.source, action.run, by, action.id)
             case Move() if choice == "gone" and effect.labware in state.bench.labware:
                 why = f"taken away ({by})"
                 yield from removal(state.bench, effect.labware, action.run, StationName(""), why, action.id)
             case Take() if choice == "gone":
-                yield from _taken_away(state, action.run, effect, by)
+                yield from _take_away(state, action.run, effect, by)
             case Consumes() if choice == "gone":
                 yield from used_up(state, action, effect)
             case _:
@@ -154,8 +154,8 @@ def effect_events(
             case Move() if effect.labware in seen:
                 pass
             case Move() if done == "all":
-                yield from _moved(state, action, effect)
-                yield from _turned(state, action, effect)
+                yield from _move(state, action, effect)
+                yield from _turn(state, action, effect)
             case Move():
                 yield uncertain(action, effect, why)
             case Take() if done == "all":
@@ -173,19 +173,19 @@ def effect_events(
             case Releases() if done == "all":
                 yield SetpointReleased(action.module, effect.setpoint, action.run)
             case Transfers() if effect.labware:
-                yield from _transferred(state, action, effect, certain=done == "all")
+                yield from _transfer(state, action, effect, certain=done == "all")
             case Draws() if effect.labware:
-                yield from _drawn(state, action, effect, certain=done == "all")
+                yield from _draw(state, action, effect, certain=done == "all")
             case Consumes():
                 # Of a failed action it is not known how much was used: all is the safe answer.
                 yield from used_up(state, action, effect)
             case Replaces() if done == "all":
-                yield from _replaced(state, effect)
+                yield from _replace_pack(state, effect)
             case _:
                 pass
     lost = tuple(e for e in carried(action.effects) if e.labware not in seen)
     if done != "all" and lost:
-        yield _lost_track(state, action, lost, why)
+        yield _ask_where(state, action, lost, why)
 
 
 def used_up(state: LabState, action: Action, effect: Consumes) -> list[Event]:
@@ -199,7 +199,7 @@ def used_up(state: LabState, action: Action, effect: Consumes) -> list[Event]:
     ]
 
 
-def _replaced(state: LabState, effect: Replaces) -> list[Event]:
+def _replace_pack(state: LabState, effect: Replaces) -> list[Event]:
     """A full pack is in; nothing where nobody ever said how much the module holds."""
     module = ModuleName(effect.module)
     level = state.resources.of(module, effect.resource)
@@ -209,9 +209,9 @@ def _replaced(state: LabState, effect: Replaces) -> list[Event]:
     return [ResourceReplenished(module, effect.resource, *put_in, instead=True)]
 
 
-def _transferred(state: LabState, action: Action, effect: Transfers, *, certain: bool) -> list[Event]:
+def _transfer(state: LabState, action: Action, effect: Transfers, *, certain: bool) -> list[Event]:
     """What a pipette put into wells; nothing where there are no lists of them."""
-    pairs = _doses(state, effect)
+    pairs = _find_doses(state, effect)
     if not pairs:
         return []
     amount = sum(volume for _, volume in pairs)
@@ -222,16 +222,16 @@ def _transferred(state: LabState, action: Action, effect: Transfers, *, certain:
     return [LiquidTransferred(*about, names, amounts, lots, certain, action.id)]
 
 
-def _drawn(state: LabState, action: Action, effect: Draws, *, certain: bool) -> list[Event]:
+def _draw(state: LabState, action: Action, effect: Draws, *, certain: bool) -> list[Event]:
     """What a pipette drew out of wells; nothing where there are no lists of them."""
-    pairs = _doses(state, effect)
+    pairs = _find_doses(state, effect)
     if not pairs:
         return []
     names, amounts = zip(*pairs, strict=True)
     return [LiquidDrawn(effect.labware, action.run, action.module, names, amounts, certain, action.id)]
 
 
-def _doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, float]]:
+def _find_doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, float]]:
     try:
         doses = doses_of(effect)
     except ValueError:
@@ -248,7 +248,7 @@ def carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]
     return {item.id: item.station for item in items if item.station not in own or item.id in astray}
 
 
-def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
+def _move(state: LabState, action: Action, effect: Move) -> list[Event]:
     if state.bench.stations[effect.target].spec.kind == "waste":
         return removal(state.bench, effect.labware, action.run, effect.target, "discarded", action.id)
     labware = state.bench.labware[effect.labware]
@@ -259,7 +259,7 @@ def _moved(state: LabState, action: Action, effect: Move) -> list[Event]:
     return [LabwareMoved(effect.labware, action.run, source, effect.target, action.id, plate)]
 
 
-def _found(
+def _find_at(
     state: LabState, effect: Move, place: StationName, run: str, by: str, action: str = ""
 ) -> LabwareObserved | LabwareMoved:
     """Labware of a motion is at its start or its target. A lid that was seen off its plate meanwhile lies
@@ -271,7 +271,7 @@ def _found(
     return LabwareObserved(item.id, run, place, by)
 
 
-def _turned(state: LabState, action: Action, effect: Move) -> list[Event]:
+def _turn(state: LabState, action: Action, effect: Move) -> list[Event]:
     if effect.lid or state.bench.stations[effect.target].spec.kind == "waste":
         return []
     labware = state.bench.labware[effect.labware]
@@ -295,11 +295,11 @@ def back_in_place(state: LabState, action: Action) -> list[Event]:
     return [
         LabwareObserved(effect.labware, action.run, effect.source, local(action.module))
         for effect in moved(action.effects)
-        if _in_doubt(state, effect)
+        if _is_in_doubt(state, effect)
     ]
 
 
-def _in_doubt(state: LabState, effect: Move) -> bool:
+def _is_in_doubt(state: LabState, effect: Move) -> bool:
     """Whether it is this motion that labware is uncertain by."""
     return bool(state.bench.labware[effect.labware].maybe) and effect.labware not in state.shorter.astray
 
@@ -310,7 +310,7 @@ def topmost(state: LabState, effect: Take) -> tuple[str, str]:
     return stack.stock[-1], stack.lots[-1]
 
 
-def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
+def _take_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
     """A person took away what had come off a stack. It gets its name there: where it was to stand others
     may stand by now."""
     item, lot = topmost(state, effect)
@@ -320,7 +320,7 @@ def _taken_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]
     ]
 
 
-def _lost_track(
+def _ask_where(
     state: LabState, action: Action, motions: tuple[Move | Take, ...], why: str
 ) -> InterventionRequested:
     """A motion failed half-way: a person has to say where the labware is now."""
@@ -344,9 +344,9 @@ def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by
                 if state.bench.stations[place].spec.kind == "waste":
                     yield from removal(state.bench, effect.labware, "", place, f"discarded ({by})")
                 else:
-                    yield _found(state, effect, place, "", by)
+                    yield _find_at(state, effect, place, "", by)
             case Take(), "gone":
-                yield from _taken_away(state, "", effect, by)
+                yield from _take_away(state, "", effect, by)
             case Take(), "target":
                 yield from unstacked(state, effect, SHARED)
             case _:

@@ -28,7 +28,13 @@ from labos.core.bookings import (
     BookingNeared,
     BookingSkipped,
 )
-from labos.core.campaigns import CampaignCancelled, CampaignCompleted, CampaignStopped
+from labos.core.campaigns import (
+    CampaignAmended,
+    CampaignCancelled,
+    CampaignCompleted,
+    CampaignRowRefused,
+    CampaignStopped,
+)
 from labos.core.decide.approvals import ask_second_person
 from labos.core.decide.bookings import (
     tell_who_overruns,
@@ -36,14 +42,15 @@ from labos.core.decide.bookings import (
     withdraw_booking_questions,
     withdraw_what_was_cleared,
 )
-from labos.core.decide.campaigns import pause_campaigns
+from labos.core.decide.campaigns import conclude_campaigns, pause_campaigns
 from labos.core.decide.endings import end_recovery, end_run, skip_steps
-from labos.core.decide.experiments import withdraw_experiment_question
+from labos.core.decide.experiments import end_experiments, withdraw_experiment_question
 from labos.core.decide.proposals import ask_for_approval, withdraw_approval_question
 from labos.core.decide.steps import check_result, fail_spoilt, handle_failure, retry_step
 from labos.core.decide.waiting import withdraw_action_questions, withdraw_waiting
 from labos.core.decide.windows import withdraw_late_questions, withdraw_run_questions
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
+from labos.core.lab import KernelStarted
 from labos.core.labware import LabwareMoved, LabwareRemoved
 from labos.core.modules import NodeLeft, NodeStateChanged
 from labos.core.registry import Event
@@ -55,6 +62,8 @@ from labos.core.users import UserDisabled
 Reaction = Callable[[LabState, Any], Iterator[Event]]
 
 REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
+    # Logs of earlier versions may have left these to a command that was never given.
+    KernelStarted: (end_experiments, conclude_campaigns),
     NodeLeft: (withdraw_waiting,),
     NodeStateChanged: (withdraw_waiting,),
     ActionAccepted: (withdraw_action_questions,),
@@ -83,11 +92,13 @@ REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
     RunSubmitted: (ask_second_person,),
     RunStarted: (withdraw_run_questions,),
     RunResumed: (withdraw_late_questions,),
-    RunCompleted: (withdraw_run_questions,),
-    RunFailed: (withdraw_run_questions,),
-    RunCancelled: (withdraw_run_questions,),
+    RunCompleted: (withdraw_run_questions, end_experiments, conclude_campaigns),
+    RunFailed: (withdraw_run_questions, end_experiments, conclude_campaigns),
+    RunCancelled: (withdraw_run_questions, end_experiments, conclude_campaigns),
     ExperimentClosing: (withdraw_experiment_question, withdraw_approval_question),
     ExperimentEnded: (withdraw_experiment_question, withdraw_approval_question),
+    CampaignAmended: (conclude_campaigns,),
+    CampaignRowRefused: (conclude_campaigns,),
     UserDisabled: (pause_campaigns,),
     ApprovalRequested: (ask_for_approval,),
     ApprovalGiven: (ask_second_person,),

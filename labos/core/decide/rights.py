@@ -18,6 +18,7 @@ from labos.core.decide import (
     bookings,
     campaigns,
     cancelling,
+    composites,
     considering,
     control,
     doubts,
@@ -70,11 +71,11 @@ class Right(msgspec.Struct, frozen=True):
 def denied(state: LabState, command: Command, actor: str) -> Denied | None:
     """Why ``actor`` (a user's id, or ``on_behalf``) may not give a command; None if they may. Takes no
     longer than the command has targets."""
-    if _is_free(state, actor) or type(command) is nodes.RecordStop:
+    if _is_free(state, actor) or isinstance(command, nodes.RecordStops):
         return None
     right = RIGHTS[type(command)]
     service, _, person = actor.rpartition(ON_BEHALF)
-    wrong = _unfit(state, person, service)
+    wrong = _refuse_names(state, person, service)
     if wrong:
         return wrong
     if right.role is None:
@@ -87,10 +88,10 @@ def denied(state: LabState, command: Command, actor: str) -> Denied | None:
             "Leave it out who asks. Only a service account acts on behalf of others.",
         )
     for target in right.touches(state, command):
-        wrong = _not_allowed(state, target, person, service)
+        wrong = _refuse_target(state, target, person, service)
         if wrong:
             return wrong
-    return None
+    return next((wrong for part in command.parts() if (wrong := denied(state, part, actor))), None)
 
 
 def lacking(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> Denied | None:
@@ -99,7 +100,9 @@ def lacking(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> D
     if _is_free(state, actor):
         return None
     service, _, person = actor.rpartition(ON_BEHALF)
-    return _unfit(state, person, service) or _not_allowed(state, Target(needs, (cell,)), person, service)
+    return _refuse_names(state, person, service) or _refuse_target(
+        state, Target(needs, (cell,)), person, service
+    )
 
 
 def _is_free(state: LabState, actor: str) -> bool:
@@ -107,30 +110,30 @@ def _is_free(state: LabState, actor: str) -> bool:
     return state.users.is_open or actor == LABOS or "/" in actor
 
 
-def _unfit(state: LabState, person: str, service: str) -> Denied | None:
+def _refuse_names(state: LabState, person: str, service: str) -> Denied | None:
     """Why nobody may act under these names."""
-    return _stranger(state, person) or (_no_agent(state, service, person) if service else None)
+    return _refuse_stranger(state, person) or (_refuse_agent(state, service, person) if service else None)
 
 
-def _stranger(state: LabState, name: str) -> Denied | None:
+def _refuse_stranger(state: LabState, name: str) -> Denied | None:
     user = state.users.known.get(name)
     if user is None:
         return Denied(
             "unknown_user",
             f"{name!r} is no user of this lab.",
-            f"An admin adds users (labos user add): {_listed(state.users.admins())}.",
+            f"An admin adds users (labos user add): {_list_names(state.users.admins())}.",
         )
     if user.disabled:
         return Denied(
             "disabled",
             f"The user {name} is disabled.",
-            f"An admin can enable it: {_listed(state.users.admins())}.",
+            f"An admin can enable it: {_list_names(state.users.admins())}.",
         )
     return None
 
 
-def _no_agent(state: LabState, service: str, person: str) -> Denied | None:
-    wrong = _stranger(state, service)
+def _refuse_agent(state: LabState, service: str, person: str) -> Denied | None:
+    wrong = _refuse_stranger(state, service)
     if wrong or state.users.known[service].kind == "service":
         return wrong
     return Denied(
@@ -140,7 +143,7 @@ def _no_agent(state: LabState, service: str, person: str) -> Denied | None:
     )
 
 
-def _not_allowed(state: LabState, target: Target, person: str, service: str) -> Denied | None:
+def _refuse_target(state: LabState, target: Target, person: str, service: str) -> Denied | None:
     own = target.owner in ("", person)
     if target.owner_only and not own:
         return Denied(
@@ -153,13 +156,13 @@ def _not_allowed(state: LabState, target: Target, person: str, service: str) -> 
     for cell in target.cells:
         weak = next((name for name in askers if role_in(state, name, cell) < rank(needs)), None)
         if weak is not None:
-            return _refusal(state, target, weak, needs, cell, own=own)
+            return _word_refusal(state, target, weak, needs, cell, own=own)
     return None
 
 
-def _refusal(state: LabState, target: Target, who: str, needs: Role, cell: str, *, own: bool) -> Denied:
+def _word_refusal(state: LabState, target: Target, who: str, needs: Role, cell: str, *, own: bool) -> Denied:
     where = {WHOLE_LAB: " of the whole lab", ANYWHERE: ""}.get(cell, f" in {cell}")
-    may = _listed(_who_may(state, needs, cell))
+    may = _list_names(_find_who_may(state, needs, cell))
     if not own:
         return Denied(
             "not_yours",
@@ -177,18 +180,18 @@ def _refusal(state: LabState, target: Target, who: str, needs: Role, cell: str, 
     )
 
 
-def _who_may(state: LabState, needs: Role, cell: str) -> list[str]:
+def _find_who_may(state: LabState, needs: Role, cell: str) -> list[str]:
     """Persons with at least a role, those of the lowest such role first."""
-    people = [name for name, user in state.users.known.items() if _acts(user)]
+    people = [name for name, user in state.users.known.items() if _may_act(user)]
     ranks = {name: role_in(state, name, cell) for name in people}
     return sorted((name for name in people if ranks[name] >= rank(needs)), key=lambda name: ranks[name])
 
 
-def _acts(user: User) -> bool:
+def _may_act(user: User) -> bool:
     return user.kind == "person" and not user.disabled
 
 
-def _listed(names: list[str]) -> str:
+def _list_names(names: list[str]) -> str:
     more = ", …" if len(names) > MOST_NAMED else ""
     return f"{', '.join(names[:MOST_NAMED])}{more}" if names else "nobody yet"
 
@@ -208,6 +211,7 @@ RIGHTS: dict[type[Command], Right] = {
         targets.of_submission,
         "user",
     ),
+    composites.SubmitWithLabware: Right("submitter", "as for the run; for labware, an operator"),
     runs.PauseRun: Right("submitter", _OWN, targets.of_run),
     runs.ResumeRun: Right("submitter", _OWN, targets.of_run),
     cancelling.CancelRun: Right("submitter", _OWN, targets.of_run),
@@ -236,13 +240,16 @@ RIGHTS: dict[type[Command], Right] = {
     labware.NameBarcode: Right("submitter", _OWN, targets.of_label, "by"),
     # the bench
     lab.DeclareStation: Right("operator", _OPERATOR, targets.of_station),
-    lab.SetLevel: Right("operator", _OPERATOR, targets.of_module),
+    composites.DeclareStations: Right("operator", _OPERATOR),
     stock.LoadStation: Right("operator", _OPERATOR, targets.of_station),
     stock.UnloadStation: Right("operator", _OPERATOR, targets.of_station, "by"),
     stock.Replenish: Right("operator", _OPERATOR, targets.of_module),
     observation.ObserveStation: Right("operator", _OPERATOR, targets.of_station, "by"),
     shorter.SayContents: Right("operator", _OPERATOR, targets.of_station, "by"),
     shorter.ConfirmStations: Right("operator", _OPERATOR, targets.of_stations, "by"),
+    composites.ReportRound: Right(
+        "operator", "an operator; to finish it, of the whole lab", targets.of_round, "by"
+    ),
     interventions.ResolveIntervention: Right(
         "submitter",
         "an operator; what becomes of a run or an experiment: also its owner",
@@ -295,7 +302,6 @@ RIGHTS: dict[type[Command], Right] = {
     bookings.BeginBooking: _INSIDE,
     bookings.EndBooking: _INSIDE,
     bookings.NearBooking: _INSIDE,
-    campaigns.ConcludeCampaign: _INSIDE,
     campaigns.RefuseRow: _INSIDE,
     campaigns.SubmitRow: _INSIDE,
     cancelling.GiveUpWayOut: _INSIDE,
@@ -311,7 +317,7 @@ RIGHTS: dict[type[Command], Right] = {
     nodes.JoinNode: _INSIDE,
     nodes.LoseNode: _INSIDE,
     nodes.Quarantine: _INSIDE,
-    nodes.RecordStop: Right("viewer", "whoever stopped it: it is recorded in any case"),
+    nodes.RecordStops: Right("viewer", "whoever stopped it: it is recorded in any case"),
     nodes.ReportState: _INSIDE,
     runs.BreachWindow: _INSIDE,
     shorter.ReportShorterLog: _INSIDE,

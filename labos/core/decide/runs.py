@@ -303,16 +303,3 @@ def answer_late(state: LabState, topic: LateStep, choice: str) -> Iterator[Event
         yield from give_up(state, run, f"step {key!r} was too late and was given up")
     elif run.paused and not questions_of(state, run.id, LateStep):
         yield RunResumed(run.id)
-
-
-__all__ = [
-    "BreachWindow",
-    "PauseRun",
-    "ResumeRun",
-    "SubmitRun",
-    "alive",
-    "answer_late",
-    "flaw_in",
-    "plan_digest",
-    "record_plan",
-]

@@ -46,6 +46,3 @@ def apply_shares(state: LabState, command: ApplyShares) -> Decision:
     if (known.digest, known.groups) == (command.digest, groups):
         return []
     return [SharesApplied(command.digest, command.groups, command.users)]
-
-
-__all__ = ["ApplyShares"]

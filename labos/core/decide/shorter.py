@@ -91,16 +91,16 @@ def found_shorter(
     if state.shorter.evidence.get(evidence) == knows:
         return []
     events: list[Event] = [LogFoundShorter(evidence, knows, known, ended, workcell)]
-    if not _asked(state):
-        events.append(_question(state, evidence, knows, ended))
+    if not _is_asked(state):
+        events.append(_ask_for_round(state, evidence, knows, ended))
     return events
 
 
-def _asked(state: LabState) -> bool:
+def _is_asked(state: LabState) -> bool:
     return bool(state.interventions.open_about(ShorterLog))
 
 
-def _question(state: LabState, evidence: str, knows: str, ended: int) -> Event:
+def _ask_for_round(state: LabState, evidence: str, knows: str, ended: int) -> Event:
     return state.interventions.ask(
         ShorterLog(),
         f"This log has lost its end: it ends at position {ended}, and {local(evidence)} {knows}. Labware may "
@@ -130,7 +130,7 @@ def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond:
     found = [
         msgspec.structs.replace(
             entry,
-            effects=_credible(state, entry.effects),
+            effects=_find_credible(state, entry.effects),
             position=entry.position if 0 <= entry.position <= HIGHEST else 0,
         )
         for entry in found
@@ -167,10 +167,10 @@ def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond:
         ActionDiscovered(entry.action, module, entry.name, entry.status, entry.position, entry.effects)
         for entry in fresh
     ]
-    return events + _uncertain(state, module, fresh)
+    return events + _doubt_labware(state, module, fresh)
 
 
-def _credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tuple[AnyEffect, ...] | None:
+def _find_credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tuple[AnyEffect, ...] | None:
     """What a journal says that an action was to do, unless that names what this log does not know: then the
     whole workcell is in doubt."""
     if effects is None or len(effects) > MOST_EFFECTS:
@@ -179,7 +179,7 @@ def _credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tuple[A
     return on_labware if places(on_labware) <= state.bench.stations.keys() else None
 
 
-def _uncertain(state: LabState, module: ModuleName, found: Sequence[Found]) -> list[Event]:
+def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[Found]) -> list[Event]:
     """Where labware may be by now that these actions may have moved: where it was, on the way, or gone."""
     maybe: dict[LabwareId, list[StationName]] = {}
     for entry in found:
@@ -225,16 +225,16 @@ def say_contents(state: LabState, command: SayContents) -> Decision:
     station = state.bench.stations.get(command.station)
     if station is None:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
-    wrong = _no_round(state) or many(state, command.station) or _at_work(state, command)
+    wrong = _refuse_without_round(state) or many(state, command.station) or _refuse_at_work(state, command)
     if wrong:
         return wrong
     events = contents_events(state, station, command.contents, command.by)
     if isinstance(events, Rejection):
         return events
-    return [*_answered(state, command), *events, StationsChecked((command.station,), command.by)]
+    return [*_withdraw_answered(state, command), *events, StationsChecked((command.station,), command.by)]
 
 
-def _answered(state: LabState, command: SayContents) -> list[Event]:
+def _withdraw_answered(state: LabState, command: SayContents) -> list[Event]:
     """Questions about what stands there are older than what is said now: they are not asked any more."""
     words = {word for item in command.contents for word in parts(item)}
     here = words | {*state.bench.stations[command.station].labware}
@@ -244,17 +244,17 @@ def _answered(state: LabState, command: SayContents) -> list[Event]:
         asked = {*places(motions), hand_of(question.module), *state.bench.searched.get(question.id, ())}
         about = {e.labware for e in motions if e.labware} | {*question.labware}
         if command.station in asked or about & here:
-            found.append(_withdrawn(question.id, command.by))
+            found.append(_withdraw(question.id, command.by))
     return found
 
 
-def _withdrawn(question: InterventionId, by: str) -> Event:
+def _withdraw(question: InterventionId, by: str) -> Event:
     return InterventionResolved(question, "withdrawn", "labos", f"{by} has said what stands where")
 
 
 @decides(ConfirmStations)
 def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
-    wrong = _no_round(state)
+    wrong = _refuse_without_round(state)
     for name in command.stations:
         if name not in state.bench.stations:
             wrong = wrong or Rejection("no_station", f"There is no station {local(name)}.")
@@ -265,7 +265,9 @@ def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
                 "enough to confirm it.",
                 f"Say what stands there: labos bench round --say {local(name)}=WHAT",
             )
-        wrong = wrong or many(state, name) or _at_work(state, _as_recorded(state, name, command.by))
+        wrong = (
+            wrong or many(state, name) or _refuse_at_work(state, _say_as_recorded(state, name, command.by))
+        )
     if wrong:
         return wrong
     names = [name for name in dict.fromkeys(command.stations) if name not in state.shorter.said]
@@ -273,11 +275,11 @@ def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
     return [StationsChecked(tuple(names[first : first + STATIONS_PER_EVENT]), command.by) for first in steps]
 
 
-def _as_recorded(state: LabState, name: StationName, by: str) -> SayContents:
+def _say_as_recorded(state: LabState, name: StationName, by: str) -> SayContents:
     return SayContents(name, by, tuple(recorded(state, name)))
 
 
-def _no_round(state: LabState) -> Rejection | None:
+def _refuse_without_round(state: LabState) -> Rejection | None:
     if state.shorter.since:
         return None
     return Rejection(
@@ -287,7 +289,7 @@ def _no_round(state: LabState) -> Rejection | None:
     )
 
 
-def _at_work(state: LabState, command: SayContents) -> Rejection | None:
+def _refuse_at_work(state: LabState, command: SayContents) -> Rejection | None:
     """Why a word about a station would be old soon: something moves there, or it is asked how a motion that
     the log knows has ended. That is answered first; what is said afterwards counts."""
     name, bench = command.station, state.bench
@@ -307,7 +309,7 @@ def _at_work(state: LabState, command: SayContents) -> Rejection | None:
         if name not in reached and not held:
             continue
         if action.status == ActionStatus.UNKNOWN:
-            return _answer_first(state, action)
+            return _refuse_asked_first(state, action)
         if motions or any(item not in words or bench.labware[item].station != name for item in held):
             return Rejection(
                 "in_motion",
@@ -317,7 +319,7 @@ def _at_work(state: LabState, command: SayContents) -> Rejection | None:
     return None
 
 
-def _answer_first(state: LabState, action: Action) -> Rejection:
+def _refuse_asked_first(state: LabState, action: Action) -> Rejection:
     question = state.interventions.about(action.id)
     which = question.id if question is not None else "the question about it"
     return Rejection(
@@ -359,7 +361,7 @@ def compared(state: LabState, by: str, note: str) -> Decision:
     if held is not None:
         action = state.actions.open[ActionId(held.moving)]
         if action.status == ActionStatus.UNKNOWN:
-            return _answer_first(state, action)
+            return _refuse_asked_first(state, action)
         return Rejection(
             "in_motion",
             f"{local(action.module)} is at work on {held.id} ({action.name}), "
@@ -380,21 +382,7 @@ def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
         if not run.paused:
             yield RunPaused(run.id)
     for question in state.interventions.open_about(*get_args(WhereItStands)):
-        yield _withdrawn(question.id, by)
+        yield _withdraw(question.id, by)
     for item in [item for item in state.bench.labware.values() if item.maybe]:
         yield from removal(state.bench, item.id, "", GONE, f"not found on the round ({by})")
     yield BenchCompared(by, note)
-
-
-__all__ = [
-    "ConfirmStations",
-    "Found",
-    "ReportShorterLog",
-    "SayContents",
-    "compared",
-    "found_shorter",
-    "must_be_said",
-    "strange_motion",
-    "to_say",
-    "told_by",
-]

@@ -85,7 +85,7 @@ def check_result(state: LabState, event: ActionSucceeded) -> Iterator[Event]:
     try:
         if holds(expected, by_key(plan, results_of(plan, run)), event.result):
             return
-        why = f"expected {expected.text}, the result is {_short(event.result)}"
+        why = f"expected {expected.text}, the result is {_shorten(event.result)}"
     except ExpressionError as error:
         why = f"expected {expected.text}, which cannot be decided: {error.message.rstrip('.')}"
     yield StepUnexpected(run.id, event.step, f"step {plan.steps[event.step].key!r}: {why}")
@@ -102,7 +102,7 @@ def retry_step(state: LabState, event: ActionFailed) -> Iterator[Event]:
     if step.retry is None or number > step.retry.times:
         return
     if event.effects == "none" or can_be_repeated(step):
-        why = _why(step, event)
+        why = _describe_failure(step, event)
         yield StepRetried(run.id, event.step, number, step.retry.times, step.retry.delay_s, why)
 
 
@@ -113,7 +113,7 @@ def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepU
     if run is None or run.steps[event.step].status != FAILED:
         return
     plan, step = state.runs.plan_of(run), event.step
-    why, kind = _why(plan.steps[step], event), "software"
+    why, kind = _describe_failure(plan.steps[step], event), "software"
     if isinstance(event, ActionFailed):
         effects, kind = event.effects, event.kind
     elif isinstance(event, ActionRejected):
@@ -127,7 +127,7 @@ def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepU
     if policy is None or effects not in ("none", "all") or run.status == RunStatus.CANCELLING:
         yield from fail_run(state, run, why, kind)
     elif policy.do == "ask":
-        yield _question(state, run, step, effects, why)
+        yield _ask_about_step(state, run, step, effects, why)
     elif policy.do == "run":
         yield StepRecovering(run.id, step, why)
     elif policy.do == "skip" and (policy.may_skip or effects == "all"):
@@ -144,7 +144,7 @@ def fail_spoilt(state: LabState, event: ActionReconciled) -> Iterator[Event]:
         yield from fail_run(state, run, f"{name!r} on {local(event.module)} was spoilt ({event.by})")
 
 
-def _why(step: PlanStep, event: ActionFailed | ActionRejected | StepUnexpected) -> str:
+def _describe_failure(step: PlanStep, event: ActionFailed | ActionRejected | StepUnexpected) -> str:
     """Why a step failed, for people."""
     if isinstance(event, StepUnexpected):
         return event.why
@@ -153,7 +153,7 @@ def _why(step: PlanStep, event: ActionFailed | ActionRejected | StepUnexpected) 
     return f"{local(event.module)} could not {step.action!r}: {event.error}"
 
 
-def _short(result: Any) -> str:
+def _shorten(result: Any) -> str:
     text = canonical(result).decode()
     return text if len(text) <= 200 else f"{text[:199]}…"
 
@@ -165,7 +165,7 @@ def resets(plan: Plan, step: int) -> bool:
     return retry is not None and retry.reset == step
 
 
-def _question(
+def _ask_about_step(
     state: LabState, run: RunState, index: int, effects: EffectsDone, why: str
 ) -> InterventionRequested:
     """What a person is asked about a step that failed."""
@@ -209,16 +209,3 @@ def can_be_repeated(step: PlanStep) -> bool:
     changed = {(e.of, e.variable) for e in step.effects if isinstance(e, Sets)}
     needed = {(e.of, e.variable) for e in step.effects if isinstance(e, Requires)}
     return changed.isdisjoint(needed)
-
-
-__all__ = [
-    "TimeOutAction",
-    "answer_failed",
-    "can_be_repeated",
-    "check_result",
-    "doubting",
-    "fail_spoilt",
-    "handle_failure",
-    "resets",
-    "retry_step",
-]

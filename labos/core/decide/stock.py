@@ -120,14 +120,14 @@ def replenish(state: LabState, command: Replenish) -> Decision:
             f"Put in {room:g} at the most.",
         )
     short = functools.partial(_lacks, level=level, module=module, resource=resource, today=command.today)
-    awaited = _standing(state, short)
+    awaited = _find_waiting(state, short)
     put_in = (amount, command.lot, command.expires, awaited, command.instead)
     return [ResourceReplenished(module, resource, *put_in)]
 
 
 @decides(LoadStation)
 def load_station(state: LabState, command: LoadStation) -> Decision:
-    found = _free_of_doubt(state, command.station)
+    found = _expect_free_of_doubt(state, command.station)
     if isinstance(found, Rejection):
         return found
     name, spec = local(command.station), found.spec
@@ -169,16 +169,18 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
                 f"{found.labware[-1]} stands on top of {name}.",
                 f"Take it away first: labos unload {name} {found.labware[-1]}.",
             )
-        awaited = () if found.stock else _standing(state, functools.partial(_takes, stack=command.station))
+        awaited = (
+            () if found.stock else _find_waiting(state, functools.partial(_takes, stack=command.station))
+        )
         loaded = StationLoaded(command.station, command.labware, command.count, command.lot, awaited)
         events.append(loaded)
         return events
     if command.count > MOST_AT_ONCE:
         return Rejection("too_many", f"{command.count} are too many at once.", f"Load {MOST_AT_ONCE} a time.")
-    return chain(events, _placed(state, command, places))
+    return chain(events, _place(state, command, places))
 
 
-def _placed(state: LabState, command: LoadStation, places: Sequence[StationName]) -> Iterator[Event]:
+def _place(state: LabState, command: LoadStation, places: Sequence[StationName]) -> Iterator[Event]:
     kind, lid = parts(command.labware)
     for place in places:
         item = state.bench.next_id
@@ -193,7 +195,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     station = state.bench.stations.get(command.station)
     waste = station is not None and station.spec.kind == "waste"
     # What is in a waste is gone: whatever is being thrown in, or may have been, is not taken out of it.
-    found = station if waste and station is not None else _free_of_doubt(state, command.station)
+    found = station if waste and station is not None else _expect_free_of_doubt(state, command.station)
     if isinstance(found, Rejection):
         return found
     name = local(command.station)
@@ -213,7 +215,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     for item in named:
         if state.bench.labware[item].moving:
             return Rejection("in_motion", f"{item} is in motion at {name}.", "Wait until it stands still.")
-        needed_by = _alive(state, state.bench.labware[item].owner)
+        needed_by = _find_owner_alive(state, state.bench.labware[item].owner)
         if needed_by:
             return Rejection(
                 "in_use",
@@ -225,12 +227,12 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     events: list[Event] = [LabwareRemoved(item, "", stands[item].station, why) for item in named]
     if count:
         throws = functools.partial(_throws, waste=command.station)
-        awaited = _standing(state, throws) if waste and found.full else ()
+        awaited = _find_waiting(state, throws) if waste and found.full else ()
         events.append(StationUnloaded(command.station, count, awaited))
     return [*answered(state, events, command.by), *events]
 
 
-def _standing(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:
+def _find_waiting(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:
     """The runs under way whose next step lacks something."""
     return tuple(
         run.id
@@ -257,7 +259,7 @@ def _throws(step: PlanStep, waste: StationName) -> bool:
     return any(what.filled == waste for what in carried(step.effects))
 
 
-def _free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:
+def _expect_free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:
     """A station at which no arm is at work and nothing may stand unknown."""
     station = state.bench.stations.get(name)
     if station is None:
@@ -273,7 +275,7 @@ def _free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:
     return station
 
 
-def _alive(state: LabState, owner: Owner) -> str:
+def _find_owner_alive(state: LabState, owner: Owner) -> str:
     """The run or experiment that owns labware, if it has not ended; else empty."""
     kind, name = owner_parts(owner)
     if kind == "run" and state.runs.get(RunId(name)) is not None:

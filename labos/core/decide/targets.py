@@ -77,6 +77,11 @@ def of_stations(state: LabState, command: shorter.ConfirmStations) -> Iterable[T
     return [Target("operator", (workcell_of(name),)) for name in command.stations]
 
 
+def of_round(state: LabState, command: Any) -> Iterable[Target]:
+    """Its stations are looked at one by one."""
+    return (Target("operator", (WHOLE_LAB if command.finish else ANYWHERE,)),)
+
+
 def of_new_campaign(state: LabState, command: campaigns.SubmitCampaign) -> Iterable[Target]:
     return (Target("submitter", (command.workcell,)),)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.lab import WHOLE_LAB
@@ -32,10 +32,16 @@ _ID = re.compile(r"[^\W_][\w.-]{0,63}")
 
 
 class AddUser(Command, frozen=True):
-    """Let a person, or a program or agent (``service``), use the lab. The first user becomes its admin."""
+    """Let a person, or a program or agent (``service``), use the lab, with a ``role`` if one is named. The
+    first user becomes its admin, whatever is named."""
 
     user: str
     kind: Kind = "person"
+    role: Role | None = None
+    scope: str = WHOLE_LAB
+
+    def parts(self) -> Sequence[Command]:
+        return () if self.role is None else (GrantRole(user_subject(self.user), self.role, self.scope),)
 
 
 class DisableUser(Command, frozen=True):
@@ -87,17 +93,20 @@ def add_user(state: LabState, command: AddUser) -> Decision:
     if wrong:
         return wrong
     if known:
-        return [UserAdded(command.user, command.kind)]
+        wrong = _bad_scope(state, command.scope)
+        granted = () if command.role is None else (_grant(command.user, command.role, command.scope),)
+        return wrong or [UserAdded(command.user, command.kind), *granted]
     if command.kind == "service":
         return Rejection(
             "first_user",
             f"The first user of a lab is its admin, and {command.user} is a service account.",
             "Add the person first who is to look after the lab.",
         )
-    return [
-        UserAdded(command.user, command.kind),
-        RoleGranted(user_subject(command.user), "admin", WHOLE_LAB),
-    ]
+    return [UserAdded(command.user, command.kind), _grant(command.user, "admin", WHOLE_LAB)]
+
+
+def _grant(user: str, role: Role, scope: str) -> RoleGranted:
+    return RoleGranted(user_subject(user), role, scope)
 
 
 @decides(DisableUser)
@@ -127,10 +136,10 @@ def add_group(state: LabState, command: AddGroup) -> Decision:
 def remove_group(state: LabState, command: RemoveGroup) -> Decision:
     if command.group not in state.shares.groups:
         return _no_group(command.group)
-    return _removing(state, command.group)
+    return _remove(state, command.group)
 
 
-def _removing(state: LabState, group: str) -> Iterator[Event]:
+def _remove(state: LabState, group: str) -> Iterator[Event]:
     subject = group_subject(group)
     for scope in list(state.users.roles.get(subject, ())):
         yield RoleRevoked(subject, scope)
@@ -236,17 +245,3 @@ def _last_admin(state: LabState, user: str) -> Rejection | None:
         f"{user} is the only admin of this lab.",
         "Make another person admin first: labos role grant OTHER admin",
     )
-
-
-__all__ = [
-    "AddGroup",
-    "AddMember",
-    "AddUser",
-    "DisableUser",
-    "EnableUser",
-    "GrantRole",
-    "RemoveGroup",
-    "RemoveMember",
-    "RevokeRole",
-    "no_user",
-]

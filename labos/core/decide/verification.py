@@ -60,19 +60,19 @@ def verify_action(state: LabState, command: VerifyAction) -> Decision:
         StationObserved(seen.station, seen.by, seen.count, seen.labware) for seen in sights.values()
     ]
     verdicts = [
-        _verdict(state, action, effect, sights)
+        _judge_motion(state, action, effect, sights)
         for effect in carried(action.effects)
         if {*ends((effect,))} & {*action.looks}
     ]
-    what = _in_words(sights.values()) or command.unseen
+    what = _describe_sights(sights.values()) or command.unseen
     why = f"{local(action.module)} says that {action.name!r} is done; {what}"
     if "lost" in verdicts or {"done", "not_done"} <= {*verdicts}:
-        return chain(events, _refuted(state, action, "unknown", why, sights))
+        return chain(events, _refute(state, action, "unknown", why, sights))
     if "not_done" in verdicts:
-        return chain(events, _refuted(state, action, "none", why, sights))
+        return chain(events, _refute(state, action, "none", why, sights))
     if "unclear" in verdicts:
         why = f"{why}{f'; {command.unseen}' if command.unseen and sights else ''}"
-        return [*events, *doubting(state, action, why, _whereabouts(state, action, why, sights))]
+        return [*events, *doubting(state, action, why, _find_whereabouts(state, action, why, sights))]
     end = FinishAction(action.id, action.attempt, True, "all", action.result, ended_ns=action.ended_ns)
     return chain(events, finishing(state, action, end))
 
@@ -88,11 +88,13 @@ def disturbed(state: LabState, action: Action) -> bool:
     )
 
 
-def _verdict(state: LabState, action: Action, effect: Carrying, sights: dict[StationName, Seen]) -> Verdict:
+def _judge_motion(
+    state: LabState, action: Action, effect: Carrying, sights: dict[StationName, Seen]
+) -> Verdict:
     """What was seen of one motion. What was not to be looked at does not speak against it."""
     source, target = effect.emptied, effect.filled
-    there = _stands(state, action, effect, target, sights)
-    here = _stands(state, action, effect, source, sights)
+    there = _was_seen_at(state, action, effect, target, sights)
+    here = _was_seen_at(state, action, effect, source, sights)
     if there is True:
         return "done"
     if here is True and (there is False or target not in action.looks):
@@ -103,7 +105,7 @@ def _verdict(state: LabState, action: Action, effect: Carrying, sights: dict[Sta
     return "done" if left else "unclear"
 
 
-def _stands(
+def _was_seen_at(
     state: LabState, action: Action, effect: Carrying, place: StationName, sights: dict[StationName, Seen]
 ) -> bool | None:
     """Whether the labware of a motion was seen at a place; None if that cannot be told."""
@@ -114,7 +116,7 @@ def _stands(
         if seen.labware == effect.labware:
             return True
         return False if station.spec.capacity == 1 else None
-    least, most = _others(state, action, effect, station)
+    least, most = _count_others(state, action, effect, station)
     if seen.count is None:
         return True if not most else None
     if seen.count > most:
@@ -122,7 +124,7 @@ def _stands(
     return False if seen.count <= least else None
 
 
-def _others(state: LabState, action: Action, effect: Carrying, station: Station) -> tuple[int, int]:
+def _count_others(state: LabState, action: Action, effect: Carrying, station: Station) -> tuple[int, int]:
     """How many pieces beside the one in question stand at a station, at least and at most: labware
     that may be there, and what other modules say that they have brought or taken, counts as a maybe."""
     place, bench = station.spec.name, state.bench
@@ -141,12 +143,12 @@ def _others(state: LabState, action: Action, effect: Carrying, station: Station)
     return max(least, 0), max(most, 0)
 
 
-def _refuted(
+def _refute(
     state: LabState, action: Action, done: EffectsDone, why: str, sights: dict[StationName, Seen]
 ) -> Iterator[Event]:
     """What follows when an observer saw that it was not done, or not as it should have been."""
     run = state.runs.active.get(action.run)
-    maybe = _whereabouts(state, action, why, sights)
+    maybe = _find_whereabouts(state, action, why, sights)
     if run is not None and done != "none" and run.status != RunStatus.CANCELLING:
         policy = state.runs.plan_of(run).steps[action.step].on_error
         if policy is not None and policy.do == "ask":
@@ -159,7 +161,7 @@ def _refuted(
         yield narrow.get(event.labware, event) if isinstance(event, LabwareUncertain) else event
 
 
-def _whereabouts(
+def _find_whereabouts(
     state: LabState, action: Action, why: str, sights: dict[StationName, Seen]
 ) -> list[LabwareUncertain]:
     """Where labware may be that did not arrive as its module says: a place seen without it is none, and
@@ -167,14 +169,14 @@ def _whereabouts(
     found: list[LabwareUncertain] = []
     for effect in moved(action.effects):
         event = uncertain(action, effect, why)
-        stands = {place: _stands(state, action, effect, place, sights) for place in event.places}
+        stands = {place: _was_seen_at(state, action, effect, place, sights) for place in event.places}
         certain = [place for place, is_there in stands.items() if is_there]
         left = certain or [*(place for place in event.places if stands[place] is not False), GONE]
         found.append(msgspec.structs.replace(event, places=tuple(left)))
     return found
 
 
-def _in_words(sights: Iterable[Seen]) -> str:
+def _describe_sights(sights: Iterable[Seen]) -> str:
     """What was seen, for people."""
     told = []
     for seen in sights:

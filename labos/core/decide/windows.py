@@ -46,7 +46,7 @@ def anchors_of(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple[A
                 "Submit both runs in one experiment.",
             )
         past = state.runs.past.get(experiment, {})
-        name = _meant(past, window.of)
+        name = _choose_run(past, window.of)
         if name is None:
             return Rejection(
                 "no_anchor",
@@ -65,7 +65,7 @@ def anchors_of(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple[A
     return tuple(found.values())
 
 
-def _meant(past: dict[RunId, Past], of: str) -> RunId | None:
+def _choose_run(past: dict[RunId, Past], of: str) -> RunId | None:
     name = RunId(of)
     if name in past:
         return name

@@ -45,7 +45,9 @@ def asked_of_person(
     after the step's nominal duration."""
     within = args.get("within")
     within_s = float(within) if isinstance(within, int | float) and within > 0 else step.duration_s
-    what = "; ".join(filter(None, [*(_in_words(state, e) for e in effects), _words(args)]))
+    what = "; ".join(
+        filter(None, [*(_describe_effect(state, e) for e in effects), _describe_arguments(args)])
+    )
     return state.interventions.ask(
         PlannedWork(run=run.id, module=step.module, action=action),
         f"{local(step.module)}, please: {what or step.action} ({step.key!r} of {run.id}).",
@@ -67,24 +69,24 @@ def note_overdue(state: LabState, command: NoteOverdue) -> Decision:
     return [InterventionOverdue(question.id, question.run, question.due_at)]
 
 
-def _in_words(state: LabState, effect: AnyEffect) -> str:
+def _describe_effect(state: LabState, effect: AnyEffect) -> str:
     match effect:
         case Move():
-            what = _labware(state, effect.labware)
+            what = _describe_labware(state, effect.labware)
             return f"carry {what} from {local(effect.source)} to {local(effect.target)}"
         case Take():
             return f"take {effect.labware} from {local(effect.stack)} to {local(effect.target)}"
         case Needs() if effect.labware:
-            return f"with {_labware(state, effect.labware)}"
+            return f"with {_describe_labware(state, effect.labware)}"
     return ""
 
 
-def _labware(state: LabState, name: LabwareId) -> str:
+def _describe_labware(state: LabState, name: LabwareId) -> str:
     known = state.bench.labware.get(name)
     return f"{name} ({known.type})" if known is not None else str(name)
 
 
-def _words(args: dict[str, Any]) -> str:
+def _describe_arguments(args: dict[str, Any]) -> str:
     """What the arguments say beyond places and times."""
     told = {name: value for name, value in args.items() if name not in ("within", "source", "target")}
     if "instruction" in told:

@@ -38,7 +38,8 @@ async def answer_intervention(call: Call, path: OfIntervention, body: Interventi
 
 
 async def place_labware(call: Call, body: LabwarePlacement) -> LabwareReference:
-    return LabwareReference(await call.service.place(body.station, body.labware, body.by))
+    names = await load(call.service, Load(station=body.station, labware=body.labware), body.by)
+    return LabwareReference(names[0] if names else "")
 
 
 async def load_station(call: Call, body: Load) -> LoadResult:

@@ -58,7 +58,7 @@ async def add_user(call: Call, body: NewUser) -> UserView:
             "who that is.",
             remedy=f"On the lab's computer: labos user add {body.user} --home FOLDER",
         )
-    return await _changed_user(call, AddUser(body.user, body.kind), body.by)
+    return await _changed_user(call, AddUser(body.user, body.kind, body.role, body.scope), body.by)
 
 
 async def disable_user(call: Call, path: OfUser, body: By) -> UserView:

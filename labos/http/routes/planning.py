@@ -17,6 +17,7 @@ from labos.errors import NotFound
 from labos.http.bodies import NewRun
 from labos.http.limits import LARGEST_BODY
 from labos.http.operation import Call, Operation
+from labos.http.placing import loads_of
 from labos.http.queries import OfModule
 from labos.spec.about import described
 from labos.spec.findings import Finding
@@ -110,9 +111,9 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
     """Nothing is submitted, nothing is kept."""
     service, state = call.service, call.kernel.state
     service.expect_role(body.user, "submitter")  # before anything is planned
-    compiled = await service.compile(
-        body.workflow, body.payload, body.workcell, body.place, body.user, keep=False
-    )
+    workcell = await service.workcell_for(body.workflow, body.workcell)
+    loads = loads_of(service, body.place, workcell, body.user)
+    compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
     plan = compiled.plan
     command = SubmitRun(
         plan,

@@ -80,7 +80,6 @@ def test_a_refusal_leaves_the_simulated_bench_as_it_is(tmp_path: Path) -> None:
     async def scene(lab: LabRuntime) -> None:
         service = lab.service
         tries: list[Callable[[], Awaitable[object]]] = [
-            lambda: service.place("press.nest", "plate96", "ada"),
             lambda: load(service, Load(station="press.nest", labware="plate96", by="ada"), "ada"),
             lambda: declare_bench(service, {"press.nest": ["plate96"]}, "", "ada", empty=False),
             lambda: service.submit(FLOW, {}, user="ada", place=[NEST]),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.clock import SystemClock, Uuid7Ids
+from labos.clock import Ids, SystemClock, Uuid7Ids
 from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.decide import REACTIONS
 from labos.core.decide._base import DECIDERS, Command, Decision
@@ -17,10 +17,11 @@ from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import PauseRun, SubmitRun
 from labos.core.ids import ActionId, ModuleName, RunId
+from labos.core.model import Workcell
 from labos.core.registry import Event
 from labos.core.runs import RunPaused, RunResumed
 from labos.core.state import LabState
-from labos.errors import InternalFault, Refused, StoreUnavailable
+from labos.errors import InternalFault, StoreUnavailable
 from labos.http.views import run_view
 from labos.planning.scheduler import Scheduler, Start
 from labos.runtime import kernel as kernel_module
@@ -78,17 +79,19 @@ def in_kernel(
     plan_with: type[Scheduler] = Flawed,
     *,
     furnish: bool = True,
+    cell: Workcell = CELL,
+    ids: Ids | None = None,
 ) -> None:
     """Do something in a kernel with one module; then what it remembers must be what the log holds."""
     url = f"sqlite:///{path}/labos.db"
 
     async def main() -> None:
         store = open_store(url)
-        kernel = Kernel(ThreadWriter(store), SystemClock(), Uuid7Ids(), KernelSettings(), plan_with)
+        kernel = Kernel(ThreadWriter(store), SystemClock(), ids or Uuid7Ids(), KernelSettings(), plan_with)
         try:
             await kernel.open()
             if furnish:
-                await kernel.execute(ApplyWorkcell(CELL), "ada")
+                await kernel.execute(ApplyWorkcell(cell), "ada")
                 join = JoinNode(DEV, "journal", "instance", "driver", "1", "about", "IDLE")
                 await kernel.execute(join, "dev")
             await work(kernel)
@@ -200,19 +203,6 @@ def test_what_was_decided_before_a_turn_that_fails_is_written(tmp_path: Path, co
         with pytest.raises(InternalFault):
             await kernel.execute(Contradict(), "dev")
         assert await before
-
-    in_kernel(tmp_path, work)
-
-
-def test_commands_that_belong_together_are_one_commit_or_none(tmp_path: Path) -> None:
-    async def work(kernel: Kernel) -> None:
-        before = kernel.durable
-        with pytest.raises(Refused):
-            await kernel.execute_all([SubmitRun(PLAN, "ada"), PauseRun(RunId("R77"))], "ada")
-        await reopened(kernel)
-        assert kernel.durable == kernel.state.position == before
-        await kernel.execute_all([SubmitRun(PLAN, "ada"), SubmitRun(PLAN, "ada")], "ada")
-        assert len(kernel.state.runs.active) + len(kernel.state.runs.queued) == 2
 
     in_kernel(tmp_path, work)
 

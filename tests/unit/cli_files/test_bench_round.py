@@ -60,7 +60,9 @@ class Lab:
     def __init__(self) -> None:
         self.heard: tuple[str, dict[str, list[str]], list[str]] = ("", {}, [])
 
-    def say(self, by: str, stations: dict[str, list[str]], as_recorded: list[str]) -> dict[str, Any]:
+    def say(
+        self, by: str, stations: dict[str, list[str]], as_recorded: list[str], *, finish: bool
+    ) -> dict[str, Any]:
         self.heard = (by, stations, as_recorded)
         return {"said": [], "refused": [], "left": []}
 

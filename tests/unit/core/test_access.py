@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.core.decide.access import Change, EndAccess, RequestAccess
-from labos.core.decide.runs import plan_digest
+from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName
 from tests.support.bench import CELL, Driver, full, plan, route, small, step
 
@@ -12,13 +12,13 @@ def inside(lab: Driver, *changes: tuple[str, str]) -> EndAccess:
     return EndAccess(CELL, "ada", "", tuple(Change(StationName(full(s)), what) for s, what in changes))
 
 
-def held(*, parking: tuple[str, ...] = ()) -> Driver:
+def held() -> Driver:
     """Two runs, one of them in flight, and somebody who wants to reach in."""
     lab = small()
     lab.submit(route("stack", "a", "b", "trash"))
     lab.submit(route("stack", "c", "trash", arm="arm2"))
     lab.start("R1", 0)
-    lab.do(RequestAccess(CELL, "ada", "oil", parking))
+    lab.do(RequestAccess(CELL, "ada", "oil"))
     lab.pump()
     return lab
 
@@ -40,8 +40,7 @@ def test_what_is_in_flight_ends_first_and_nothing_starts() -> None:
 def test_arms_are_parked_before_it_is_granted_and_not_after() -> None:
     home = plan(step("arm2", action="home"), name="do arm2.home")
     lab = small()
-    lab.submit(home)
-    lab.do(RequestAccess(CELL, "ada", "", (plan_digest(home),)))
+    lab.do(RequestAccess(CELL, "ada", "", (SubmitRun(home, "ada"),)))
     assert lab.pump() == ["R1#0"]
     assert lab.types()[-1] == "action.requested"
     lab.finish(lab.flying()[0])

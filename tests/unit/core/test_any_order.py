@@ -18,7 +18,7 @@ from labos.core.decide.experiments import EndExperiment, LoseExperiment, StartEx
 from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import DeclareStation
-from labos.core.decide.nodes import HearJournal, LoseNode, PutBack, RecordStop, ReportState, TakeOut
+from labos.core.decide.nodes import HearJournal, LoseNode, PutBack, RecordStops, ReportState, TakeOut
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.shorter import ConfirmStations, Found, SayContents, to_say
@@ -147,7 +147,7 @@ class Chaos:
                 TakeOut(name, "service"),
                 TakeOut(name, "service", lab.now + rng.randrange(20) * SECOND, lab.now),
                 PutBack(name),
-                RecordStop(name, "ada", lab.now),
+                RecordStops("ada", {name: lab.now}),
                 HearJournal(name, (self.strange(),)),
             ]
         )

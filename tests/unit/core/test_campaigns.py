@@ -6,13 +6,12 @@ from typing import Any
 
 import pytest
 
-from labos.core.campaigns import ROWS_QUEUED, Budget, Campaign, Terms
+from labos.core.campaigns import ROWS_QUEUED, Budget, Campaign, CampaignCancelled, Terms
 from labos.core.conditions import condition
 from labos.core.decide import Rejection
 from labos.core.decide.campaigns import (
     AmendCampaign,
     CancelCampaign,
-    ConcludeCampaign,
     PauseCampaign,
     RefuseRow,
     ResumeCampaign,
@@ -20,6 +19,7 @@ from labos.core.decide.campaigns import (
     SubmitRow,
 )
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.lab import StartKernel
 from labos.core.expressions import parse_expression
 from labos.core.ids import CampaignId, RunId
 from labos.core.model import Condition, Plan
@@ -60,7 +60,6 @@ class Lab:
             if isinstance(answer, Rejection):
                 assert answer.code == "no_room"
                 break
-        self.conclude()
         return [f"R{number + 1}" for number in range(first, self.lab.state.runs.named)]
 
     def work(self, result: Any = None) -> None:
@@ -69,11 +68,6 @@ class Lab:
         action = self.lab.start(run)
         self.lab.wait(600.0)
         self.lab.finish(action, result)
-        self.conclude()
-
-    def conclude(self) -> None:
-        while self.lab.state.campaigns.due:
-            self.lab.do(ConcludeCampaign(C1))
 
     def to_the_end(self) -> None:
         while C1 in self.lab.state.campaigns.open:
@@ -145,7 +139,6 @@ def test_so_many_runs_may_fail(stop_after: int, done: int) -> None:
     while C1 in lab.lab.state.campaigns.open:
         lab.feed()
         lab.lab.fail(lab.lab.start(next(iter(lab.campaign.runs))), "none")
-        lab.conclude()
     assert lab.lab.log[-1].event.failed == done  # type: ignore[attr-defined]
 
 
@@ -178,7 +171,6 @@ def test_a_cancelled_one_cancels_its_runs_and_nobody_elses() -> None:
     other = lab.lab.submit(READ, "bo")
     lab.feed()
     lab.lab.do(CancelCampaign(C1, why="wrong plate"))
-    lab.conclude()
     assert lab.lab.log[-1].event.TYPE == "campaign.completed"
     assert lab.lab.state.runs.get(other) is not None
     assert lab.lab.state.campaigns.members == {}
@@ -213,3 +205,11 @@ def test_room_in_the_state_does_not_grow_with_the_rows() -> None:
         return len(picture(lab.lab.state))
 
     assert size(100_000) - size(10) < 16
+
+
+def test_one_that_an_earlier_version_left_undecided_is_completed_when_a_kernel_starts() -> None:
+    lab = Lab(rows=2)
+    lab.lab.write(CampaignCancelled(C1, "the wrong table"))
+    assert C1 in lab.lab.state.campaigns.open
+    events = lab.lab.do(StartKernel(2, "0"))
+    assert [event.TYPE for event in events] == ["kernel.started", "campaign.completed"]

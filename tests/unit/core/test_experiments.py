@@ -9,7 +9,9 @@ from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.control import CancelExperiment
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.lab import StartKernel
 from labos.core.decide.runs import SubmitRun
+from labos.core.experiments import ExperimentCancelled
 from labos.core.fold import evolve
 from labos.core.ids import ExperimentId, StationName
 from labos.core.runs import REQUESTS_KEPT
@@ -195,4 +197,14 @@ def test_runs_park_only_where_their_experiment_does() -> None:
     lab.submit(route("stack", "b"))  # of no experiment
     anywhere = lab.experiment("other")
     lab.submit(route("stack", "b"), experiment=anywhere)
+    lab.check_log()
+
+
+def test_one_that_an_earlier_version_left_open_closes_when_a_kernel_starts() -> None:
+    lab = small()
+    name = lab.experiment()
+    lab.write(ExperimentCancelled(name, "it was cancelled"))
+    assert name in lab.state.experiments.open
+    lab.do(StartKernel(2, "0"))
+    assert name not in lab.state.experiments.open
     lab.check_log()

@@ -6,13 +6,13 @@ import msgspec
 import pytest
 
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.lab import ApplyWorkcell, SetLevel
+from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.stock import Replenish
 from labos.core.effects import Replaces
 from labos.core.expiry import day_of
 from labos.core.ids import InterventionId, ModuleName, RunId
 from labos.core.model import PlanStep
-from labos.core.resources import ResourceReplenished
+from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
 from tests.support.bench import Driver, consumes, full, plan, small, small_cell, step
@@ -28,7 +28,7 @@ def today(lab: Driver, days: float = 0.0) -> str:
 def stocked(*packs: tuple[str, float, float]) -> Driver:
     """A device with packs (lot, amount, days that it is still good)."""
     lab = small()
-    lab.do(SetLevel(DEV, "foil", 0, 100))
+    lab.set_level(LevelSet(DEV, "foil", 0, 100))
     for lot, amount, days in packs:
         lab.do(Replenish(DEV, "foil", amount, lot, today(lab, days)))
     return lab

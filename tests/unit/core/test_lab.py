@@ -5,10 +5,10 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, SetLevel, StartKernel
+from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
 from labos.core.ids import LabId
 from labos.core.modules import VariableSet
-from labos.core.resources import Lot
+from labos.core.resources import LevelSet, Lot
 from tests.support.bench import (
     Driver,
     Workcell,
@@ -55,7 +55,7 @@ def test_a_workcell_is_applied_once_in_portions() -> None:
 def test_a_new_description_adds_changes_and_removes() -> None:
     lab = small()
     lab.stock("a", 1)
-    lab.do(SetLevel("cell/dev", "tips", 3.0, 10.0))  # type: ignore[arg-type]
+    lab.set_level(LevelSet("cell/dev", "tips", 3.0, 10.0))  # type: ignore[arg-type]
     lab.write(VariableSet("cell/dev", "lid", "closed"))  # type: ignore[arg-type]
     cell = small_cell()
     dev = msgspec.structs.replace(cell.modules[2], variables={"lid": "open", "lamp": "off"})
@@ -193,11 +193,8 @@ def test_a_waste_is_emptied_by_declaring_it() -> None:
 
 def test_levels_have_bounds_and_a_module() -> None:
     lab = small()
-    lab.do(SetLevel("cell/dev", "tips", 5.0, 8.0, "lot 7"))  # type: ignore[arg-type]
+    lab.set_level(LevelSet("cell/dev", "tips", 5.0, 8.0, "lot 7"))  # type: ignore[arg-type]
     assert lab.state.resources.levels["cell/dev:tips"].lots == [Lot("lot 7", 5.0)]
-    assert lab.refused(SetLevel("cell/dev", "tips", 9.0, 8.0)).code == "bad_level"  # type: ignore[arg-type]
-    assert lab.refused(SetLevel("cell/dev", "tips", -1.0, 8.0)).code == "bad_level"  # type: ignore[arg-type]
-    assert lab.refused(SetLevel("cell/nix", "tips", 1.0, 8.0)).code == "no_module"  # type: ignore[arg-type]
 
 
 def test_needs_of_a_plan_count_as_dependence_too() -> None:

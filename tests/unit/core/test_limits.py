@@ -8,11 +8,11 @@ import msgspec
 import pytest
 
 from labos.core.actions import ActionFailed, ActionSucceeded
-from labos.core.decide import Command, Rejection, decide
+from labos.core.decide import LABOS, Command, Rejection, decide
 from labos.core.decide._base import DECIDERS, Report
 from labos.core.decide.actions import DoubtAction, FinishAction, RefuseAction
 from labos.core.decide.limits import BAD_TEXT, fault_of
-from labos.core.decide.nodes import JoinNode, LoseNode, RecordStop, ReportState
+from labos.core.decide.nodes import JoinNode, LoseNode, RecordStops, ReportState
 from labos.core.ids import ActionId, ModuleName
 from labos.core.modules import EmergencyStopped, NodeStateChanged
 from labos.core.registry import encode
@@ -65,7 +65,7 @@ def test_a_request_is_refused_for_a_text_that_cannot_be_recorded(
             continue
         command = example(kind, **{field: text})
         assert command is not None
-        decision = decide(lab.state, command)
+        decision = decide(lab.state, command, LABOS)
         assert isinstance(decision, Rejection)
         assert decision.code == BAD_TEXT
         assert repr(field) in decision.message
@@ -77,7 +77,7 @@ def test_there_are_requests_to_try() -> None:
 
 REPORTS: list[Report] = [
     ReportState(DEV, "ERROR", LONG),
-    RecordStop(DEV, LONG, 5),
+    RecordStops(LONG, {DEV: 5}),
     LoseNode(DEV, "instance-dev", LONG),
     JoinNode(DEV, LONG, LONG, "driver", LONG, LONG, "IDLE"),
     JoinNode(
@@ -88,7 +88,7 @@ REPORTS: list[Report] = [
 
 @pytest.mark.parametrize("report", REPORTS, ids=lambda report: type(report).__name__)
 def test_what_a_node_reports_is_recorded_whatever_its_words(lab: Driver, report: Report) -> None:
-    decision = decide(lab.state, report)
+    decision = decide(lab.state, report, LABOS)
     if isinstance(decision, Rejection):
         assert decision.code != "unfit"
     else:
@@ -104,7 +104,7 @@ def test_a_nodes_words_are_cut_and_say_so(lab: Driver) -> None:
 
 
 def test_who_stopped_a_module_is_cut(lab: Driver) -> None:
-    stop = next(e for e in lab.do(RecordStop(DEV, "eve\x00" + LONG, 5)) if isinstance(e, EmergencyStopped))
+    stop = next(e for e in lab.do(RecordStops("eve\x00" + LONG, {DEV: 5})) if isinstance(e, EmergencyStopped))
     assert stop.by.startswith("eve�x")
     assert len(stop.by) <= LONGEST_REPORT
 

@@ -12,7 +12,7 @@ from labos.core.decide.nodes import (
     JoinNode,
     LoseNode,
     PutBack,
-    RecordStop,
+    RecordStops,
     ReportState,
     TakeOut,
 )
@@ -126,7 +126,7 @@ def test_the_last_word_on_when_it_comes_back_counts() -> None:
 
 def test_an_emergency_stop_is_recorded_once_and_leaves_an_error() -> None:
     lab = small()
-    stop = RecordStop(DEV, "ada", lab.now)
+    stop = RecordStops("ada", {DEV: lab.now})
     lab.do(stop)
     assert (dev(lab).status, dev(lab).stopped_at) == ("ERROR", lab.now)
     assert dev(lab).error == "Stopped in an emergency by ada; reset the module to go on."
@@ -135,9 +135,9 @@ def test_an_emergency_stop_is_recorded_once_and_leaves_an_error() -> None:
     assert lab.do(ReportState(DEV, "IDLE")) != []
     assert lab.do(stop) == [], "told late, after its reset"
     lab.do(LoseNode(DEV, "i1", "silent"))
-    lab.do(RecordStop(DEV, "", lab.now + 1))
+    lab.do(RecordStops("", {DEV: lab.now + 1}))
     assert dev(lab).status == "GONE"
-    assert lab.refused(RecordStop(ModuleName("cell/nix"), "ada", 1)).code == "no_module"
+    assert lab.do(RecordStops("ada", {ModuleName("cell/nix"): 1})) == []
     lab.check_log()
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from labos.core.decide import REACTIONS, Command, Decision, Rejection, carry_out
+from labos.core.decide import LABOS, REACTIONS, Command, Decision, Rejection, carry_out
 from labos.core.decide._base import DECIDERS, UNFIT
 from labos.core.decide.control import CancelRuns
 from labos.core.envelope import MAX_PAYLOAD_BYTES
@@ -89,7 +89,7 @@ def test_what_follows_without_end_is_stopped(monkeypatch: pytest.MonkeyPatch) ->
         return event
 
     with pytest.raises(RuntimeError, match="What follows from Answer does not come to an end"):
-        carry_out(LabState(), Answer(), write)
+        carry_out(LabState(), Answer(), write, LABOS)
     assert len(written) == 10_002
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from labos.core.decide import Command
 from labos.core.decide.access import RequestAccess
-from labos.core.decide.campaigns import CancelCampaign, PauseCampaign, SubmitCampaign
+from labos.core.decide.campaigns import CancelCampaign, PauseCampaign, SubmitCampaign, SubmitRow
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts
 from labos.core.decide.runs import PauseRun
@@ -39,6 +39,7 @@ def lab_at_work() -> Driver:
     lab.experiment(closing=route("a", "trash"))
     lab.submit(route("stack", "a", "b"), experiment=E1)
     lab.do(SubmitCampaign("screen", "ada", "flow", CELL, 3, "t", "d"))
+    lab.do(SubmitRow(C1, 0, plan(step("arm2"))))
     lab.pump()
     return lab
 

@@ -12,6 +12,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import StartKernel
 from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, ReportState, TakeOut
 from labos.core.decide.observation import ObserveStation
+from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shorter import (
     ConfirmStations,
     Found,
@@ -287,8 +288,8 @@ def test_labware_that_is_worked_on_is_not_given_up() -> None:
 
 def test_a_person_is_let_in_meanwhile() -> None:
     lab = carried()
-    parking = lab.submit(plan(step("arm", action="home")))
-    lab.do(RequestAccess("cell", "ada", parking=(lab.run(parking).plan,)))
+    home = SubmitRun(plan(step("arm", action="home")), "ada")
+    lab.do(RequestAccess("cell", "ada", parking=(home,)))
     assert lab.pump() == [], "no arm moves, not even out of the way"
     assert lab.state.lab.access["cell"].granted
 

@@ -8,13 +8,13 @@ import pytest
 
 from labos.core.binding import unpromised
 from labos.core.decide import Rejection
-from labos.core.decide.lab import DeclareStation, SetLevel
+from labos.core.decide.lab import DeclareStation
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.effects import Transfers
 from labos.core.ids import LabwareId, ModuleName, RunId, StationName
 from labos.core.labware import LiquidTransferred
-from labos.core.resources import Lot
+from labos.core.resources import LevelSet, Lot
 from labos.core.waits import Wait
 from tests.support.bench import CELL, Driver, consumes, full, needs, plan, route, small, step
 
@@ -24,7 +24,7 @@ DEV = ModuleName(f"{CELL}/dev")
 def dry(level: float = 10.0, capacity: float = 100.0) -> Driver:
     """A small lab whose device has so much foil, of a lot ``old``."""
     lab = small()
-    lab.do(SetLevel(DEV, "foil", level, capacity, "old"))
+    lab.set_level(LevelSet(DEV, "foil", level, capacity, "old"))
     return lab
 
 
@@ -149,7 +149,7 @@ def test_who_ran_dry_stands_in_nobodys_calculation() -> None:
     steps = [*route("stack", "dev.n1").steps, step("dev", needs("dev.n1"), consumes("foil", 2))]
     run = lab.submit(plan(*steps, *route("dev.n1", "trash").steps, name="sealed"))
     lab.step(run, 0)
-    lab.do(SetLevel(DEV, "foil", 0, 100))
+    lab.set_level(LevelSet(DEV, "foil", 0, 100))
     beside = lab.submit(route("stack", "a", "trash", name="beside"))
     through = lab.submit(route("stack", "a", "dev.n1", "trash", name="through"))
     assert lab.pump() == [f"{beside}#0"]

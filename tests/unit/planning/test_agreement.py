@@ -14,7 +14,7 @@ import msgspec
 import pytest
 
 from labos.core.bench import Bench
-from labos.core.decide import Rejection, carry_out
+from labos.core.decide import LABOS, Rejection, carry_out
 from labos.core.decide.actions import FinishAction, StartStep
 from labos.core.effects import Carrying, Needs, arrivals
 from labos.core.fold import evolve
@@ -148,7 +148,7 @@ class Trial:
             evolve(self.state, event, self.state.position + 1, self.state.recorded_at)
             return event
 
-        answer = carry_out(self.state, command, write)
+        answer = carry_out(self.state, command, write, LABOS)
         assert not isinstance(answer, Rejection), answer
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from labos.core.branches import main_steps
 from labos.core.canonical import digest
-from labos.core.decide import Command, Rejection, carry_out
+from labos.core.decide import LABOS, Command, Rejection, carry_out
 from labos.core.decide.actions import AcceptAction, FinishAction, StartStep
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
 from labos.core.decide.nodes import JoinNode
@@ -83,7 +83,7 @@ class Logbook:
             self._keep(self.ledger.write(event, actor, cause))
             return self.entries[-1].event
 
-        events = carry_out(self.state, command, write)
+        events = carry_out(self.state, command, write, LABOS)
         assert not isinstance(events, Rejection), events
         return events
 

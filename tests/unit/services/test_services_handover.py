@@ -6,10 +6,10 @@ from pathlib import Path
 
 from labos.core.decide.actions import DoubtAction
 from labos.core.decide.handover import HandOver
-from labos.core.decide.lab import SetLevel
 from labos.core.decide.nodes import TakeOut
 from labos.core.decide.stock import Replenish
 from labos.core.ids import LabwareId, ModuleName, Owner
+from labos.core.resources import LevelSet
 from labos.services.handover import Handover, handover
 from labos.store import open_store
 from tests.unit.services.logbook import SECOND, START_NS, Logbook
@@ -29,7 +29,7 @@ def a_day() -> Logbook:
     """R1 ends; R2 stands before a question; R3 and R4 are queued, one of them with foil past its date."""
     book = Logbook()
     book.furnish()
-    book.do(SetLevel(SEALER, "foil", 2, 100, "old"))
+    book.write([LevelSet(SEALER, "foil", 2, 100, "old")])
     book.do(Replenish(SEALER, "foil", 1, "new", "2025-01-31"))
     book.at(10)
     book.carry_through(book.submit("pcr"), seconds=10)

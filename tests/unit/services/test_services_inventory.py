@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from labos.core.decide.lab import SetLevel
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.ids import ModuleName, StationName
+from labos.core.resources import LevelSet
 from labos.services.inventory import Contents, LotLeft, earliest, inventory
 from tests.support.bench import SECOND, Driver, consumes, full, plan, route, small, step
 
@@ -19,7 +19,7 @@ def sealing(lab: Driver, seconds: float = 10.0, **more: object) -> str:
 
 def foiled(level: float) -> Driver:
     lab = small()
-    lab.do(SetLevel(DEV, "foil", level, 100, "old"))
+    lab.set_level(LevelSet(DEV, "foil", level, 100, "old"))
     return lab
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from labos.core.decide.access import EndAccess, RequestAccess
-from labos.core.decide.lab import SetLevel
 from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.decide.stock import Replenish
 from labos.core.ids import ModuleName, RunId, StationName
+from labos.core.resources import LevelSet
 from labos.services.inventory import inventory
 from labos.services.losses import Account, account
 from labos.services.next_touch import next_touches
@@ -20,7 +20,7 @@ FOIL = (ModuleName("rpl/sealer"), "foil")
 def book() -> Logbook:
     found = Logbook()
     found.furnish()
-    found.do(SetLevel(*FOIL, 10, 1000))
+    found.write([LevelSet(*FOIL, 10, 1000)])
     found.submit("pcr")
     found.at(10)
     return found
@@ -81,7 +81,7 @@ def test_who_waits_for_one_that_stands_still_is_charged_with_the_same_cause() ->
 def test_what_is_used_up_is_charged_to_its_module_before_anything_has_begun_too() -> None:
     lab = Logbook()
     lab.furnish()
-    lab.do(SetLevel(*FOIL, 0, 1000))
+    lab.write([LevelSet(*FOIL, 0, 1000)])
     lab.submit("pcr")
     lab.at(600)
     lab.do(Replenish(*FOIL, 1000, "F2"))
@@ -96,7 +96,7 @@ def test_what_is_used_up_is_charged_to_its_module_before_anything_has_begun_too(
 
 def test_the_next_touches_are_what_waits_and_what_will() -> None:
     lab = book()
-    lab.do(SetLevel(*FOIL, 1, 1000))
+    lab.write([LevelSet(*FOIL, 1, 1000)])
     lab.submit("pcr")
     lab.do(TakeOut(ModuleName("rpl/biometra"), "smoke"))
     lab.carry_through("R1", seconds=10, steps=1)

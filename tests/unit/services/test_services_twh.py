@@ -9,7 +9,7 @@ import pytest
 
 from labos.core.actions import ActionSucceeded
 from labos.core.decide.actions import DoubtAction
-from labos.core.decide.lab import ApplyWorkcell, DeclareStation, SetLevel
+from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
@@ -188,7 +188,7 @@ def test_time_without_a_kernel_counts_for_nothing() -> None:
 def test_set_up_and_what_follows_from_an_answer_are_not_counted() -> None:
     book = Logbook()
     book.furnish()
-    book.do(SetLevel(ModuleName("rpl/sealer"), "foil", 10, 1000))
+    book.write([LevelSet(ModuleName("rpl/sealer"), "foil", 10, 1000)])
     book.submit("pcr")
     book.at(10)
     book.carry_through("R1", seconds=10, steps=2)
@@ -231,7 +231,7 @@ def test_a_refill_in_time_is_planned_and_one_that_is_awaited_a_rescue() -> None:
     book = Logbook()
     book.furnish()
     refill = Replenish(ModuleName("rpl/sealer"), "foil", 5, "F2")
-    book.do(SetLevel(ModuleName("rpl/sealer"), "foil", 10, 1000))
+    book.write([LevelSet(ModuleName("rpl/sealer"), "foil", 10, 1000)])
     book.do(refill)
     book.submit("pcr")
     book.at(10)

@@ -1,0 +1,122 @@
+"""Requests of which several things follow that belong together: one command, so that all of them happen, or
+none.
+
+Whether each of them can be carried out is seen before anything happens: on the state before the first of
+them. So none may be in the way of another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+
+from labos.core.decide._base import Command, Decider, Decision, Rejection, decides, recordable
+from labos.core.decide.interventions import ResolveIntervention, resolve_intervention
+from labos.core.decide.lab import DeclareStation, declare_station
+from labos.core.decide.runs import SubmitRun, submit_run
+from labos.core.decide.shorter import ConfirmStations, SayContents, confirm_stations, say_contents, to_say
+from labos.core.decide.stock import LoadStation, load_station
+from labos.core.ids import StationName, local
+from labos.core.labware import LabwarePlaced, StationLoaded
+from labos.core.registry import Event
+from labos.core.state import LabState
+from labos.core.topics import ShorterLog
+
+
+class SubmitWithLabware(Command, frozen=True):
+    """Queue a run, and say which labware was put on the bench for it."""
+
+    run: SubmitRun
+    loads: tuple[LoadStation, ...] = ()
+
+    def parts(self) -> Sequence[Command]:
+        return (self.run, *self.loads)
+
+
+class DeclareStations(Command, frozen=True):
+    """Say what stands at several stations."""
+
+    stations: tuple[DeclareStation, ...]
+
+    def parts(self) -> Sequence[Command]:
+        return self.stations
+
+
+class ReportRound(Command, frozen=True):
+    """Somebody who goes round the bench says what stands at ``stations``, and which are ``as_recorded``.
+    Of each station that can be spoken of so, it is recorded; ``finish``: once nothing is left to be said,
+    the question that asked for the round is answered."""
+
+    by: str
+    stations: tuple[SayContents, ...] = ()
+    as_recorded: tuple[StationName, ...] = ()
+    finish: bool = False
+
+    def parts(self) -> Sequence[Command]:
+        return (*self.stations, ConfirmStations(self.as_recorded, self.by))
+
+
+@decides(SubmitWithLabware)
+def submit_with_labware(state: LabState, command: SubmitWithLabware) -> Decision:
+    if command.run.request and command.run.request in state.runs.requests:
+        return []
+    filled: set[StationName] = set()
+    for load in command.loads:
+        decision = load_station(state, load)
+        if isinstance(decision, Rejection):
+            return decision
+        places = {e.station for e in decision if isinstance(e, LabwarePlaced | StationLoaded)}
+        if places & filled:
+            return Rejection(
+                "twice",
+                f"Labware was put at {local(min(places & filled))} twice.",
+                "Put it there one after the other: labos load STATION --type TYPE",
+            )
+        filled |= places
+    run = submit_run(state, command.run)
+    fit = run if isinstance(run, Rejection) else recordable(run)
+    return fit if isinstance(fit, Rejection) else chain(_carry_out(state, command.loads, load_station), fit)
+
+
+@decides(DeclareStations)
+def declare_stations(state: LabState, command: DeclareStations) -> Decision:
+    names = [declared.station for declared in command.stations]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        return Rejection("twice", f"{local(twice)} is declared twice.", "Say it once.")
+    for declared in command.stations:
+        decision = declare_station(state, declared)
+        fit = decision if isinstance(decision, Rejection) else recordable(decision)
+        if isinstance(fit, Rejection):
+            return fit
+    return _carry_out(state, command.stations, declare_station)
+
+
+def _carry_out(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
+    """The events of parts of which it is known that they can be carried out."""
+    for part in parts:
+        decision = decider(state, part)
+        if isinstance(decision, Rejection):
+            raise RuntimeError(f"A part of a request is in the way of another: {decision.message}")
+        yield from decision
+
+
+@decides(ReportRound)
+def report_round(state: LabState, command: ReportRound) -> Decision:
+    wrong = confirm_stations(state, ConfirmStations((), command.by))
+    return wrong if isinstance(wrong, Rejection) else _report_round(state, command)
+
+
+def _report_round(state: LabState, command: ReportRound) -> Iterator[Event]:
+    for said in command.stations:
+        yield from _as_far_as_possible(say_contents(state, said))
+    for name in command.as_recorded:
+        yield from _as_far_as_possible(confirm_stations(state, ConfirmStations((name,), command.by)))
+    asked = state.interventions.open_about(ShorterLog)
+    if command.finish and asked and not to_say(state):
+        answer = ResolveIntervention(asked[0].id, "checked", command.by, "the bench was gone round")
+        yield from _as_far_as_possible(resolve_intervention(state, answer))
+
+
+def _as_far_as_possible(decision: Decision) -> Iterable[Event]:
+    return () if isinstance(decision, Rejection) else decision
