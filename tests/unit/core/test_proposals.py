@@ -20,7 +20,8 @@ from labos.core.decide.campaigns import (
     SubmitRow,
 )
 from labos.core.decide.cancelling import CancelRun
-from labos.core.decide.considering import ApplyPolicy, more_than
+from labos.core.decide.composites import ReportRound, SubmitWithLabware
+from labos.core.decide.considering import ApplyPolicy, attributed, more_than
 from labos.core.decide.control import CancelExperiment
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
@@ -28,15 +29,18 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.proposals import ApproveProposal, RefuseProposal
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shares import ApplyShares
+from labos.core.decide.shorter import SayContents
+from labos.core.decide.stock import LoadStation
 from labos.core.decide.users import GrantRole
-from labos.core.ids import CampaignId, ExperimentId, LabwareId, RunId, experiment_owner
+from labos.core.ids import CampaignId, ExperimentId, LabwareId, RunId, StationName, experiment_owner
+from labos.core.labware import LabwarePlaced
 from labos.core.model import Plan
 from labos.core.policy import Policy
 from labos.core.registry import Event
 from labos.core.shares import Group, Member, Quota
 from labos.core.state import from_picture, picture
 from labos.core.users import on_behalf
-from tests.support.bench import Driver, consumes, plan, route, small, step
+from tests.support.bench import Driver, consumes, full, move, plan, route, small, step
 from tests.unit.core.test_rights import peopled
 
 ROBOT = on_behalf("robot", "ada")
@@ -100,6 +104,32 @@ def test_what_a_program_submits_waits_unless_the_policy_says_otherwise(actor: st
     )
     assert len(lab.questions("approval")) == 3
     lab.check_log()
+
+
+def test_a_run_that_comes_with_labware_waits_too() -> None:
+    """The labware stands there in any case, each piece under a name of its own."""
+    lab = lab_with()
+    lab.do(GrantRole("user:robot", "operator"), "root-1")
+    lab.do(GrantRole("user:ada", "operator"), "root-1")
+    a, b = (LoadStation(StationName(full(name)), "plate", 1) for name in "ab")
+    run = SubmitRun(plan(step("arm", move("a", "c"))), "ada", request="key")
+    events = lab.do(SubmitWithLabware(run, (a, b)), ROBOT)
+    assert len({e.labware for e in events if isinstance(e, LabwarePlaced)}) == 2
+    assert codes(lab, "R1") == ["program"]
+    assert lab.pump() == []
+    assert lab.do(SubmitWithLabware(run, (a, b)), ROBOT) == [], "the same request again"
+    approve(lab, "R1", "root-1")
+    assert lab.pump() != []
+    lab.check_log()
+
+
+def test_what_a_program_says_for_a_person_is_put_down_to_both_in_each_part() -> None:
+    a = StationName(full("a"))
+    report = ReportRound("ada", (SayContents(a, "ada", ("empty",)),), (a,))
+    told = attributed(report, ROBOT)
+    assert isinstance(told, ReportRound)
+    assert (told.by, told.stations[0].by) == (ROBOT, ROBOT)
+    assert attributed(report, "ada") is report
 
 
 def test_trusted_programs_and_people_do_not_wait() -> None:
