@@ -287,8 +287,8 @@ def _kinds(*of: type[Effect]) -> frozenset[type[Effect]]:
     return frozenset(kind for kind in get_args(AnyEffect) if issubclass(kind, of))
 
 
-_CARRYING, _MOVES, _WORKED_ON = _kinds(Carrying), _kinds(Move), _kinds(Move, Needs)
-_LIDS = (Unlid, Relid)
+_CARRYING, _MOVES = _kinds(Carrying), _kinds(Move)
+_WORKED_ON, _LIDS = _kinds(Move, Needs), _kinds(Unlid, Relid)
 _PLACES = {
     kind: [name for name in ("source", "target", "via", "stack", "station") if name in kind.__struct_fields__]
     for kind in get_args(AnyEffect)
@@ -389,6 +389,5 @@ def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
     """Labware that exists before the action and that the action carries or works on."""
     found: list[Move | Needs] = [effect for effect in effects if type(effect) in _WORKED_ON]  # type: ignore[misc]
     names = [effect.labware for effect in found if effect.labware]
-    return names + [
-        effect.plate for effect in found if isinstance(effect, _LIDS) and effect.labware and effect.plate
-    ]
+    lids: list[Unlid | Relid] = [e for e in found if type(e) in _LIDS and e.labware]  # type: ignore[misc]
+    return names + [effect.plate for effect in lids if effect.plate]

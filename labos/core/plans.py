@@ -49,7 +49,8 @@ class PlanStepsRecorded(Event, frozen=True):
 class PlanState(msgspec.Struct):
     """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
     ``starts`` are the steps that wait for no other, ``windowed`` those with a window, ``uses_up`` is
-    what its steps use up (step, module, resource, amount), ``dangers`` those that take a second person."""
+    what its steps use up (step, module, resource, amount), ``dangers`` those that take a second person,
+    ``conditional`` those that are left out if their condition does not hold."""
 
     plan: Plan
     shape: str
@@ -60,6 +61,7 @@ class PlanState(msgspec.Struct):
     windowed: tuple[int, ...] = ()
     uses_up: tuple[tuple[int, ModuleName, str, float], ...] = ()
     dangers: tuple[int, ...] = ()
+    conditional: tuple[int, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -120,6 +122,7 @@ def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
         state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
         state.uses_up = uses_up(state.plan.steps)
         state.dangers = tuple(i for i, step in enumerate(state.plan.steps) if step.dangerous)
+        state.conditional = tuple(i for i, step in enumerate(state.plan.steps) if step.when is not None)
 
 
 def release_plan(plans: Plans, digest: str) -> None:

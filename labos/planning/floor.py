@@ -333,9 +333,9 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if motion.back:
         return _may_go_back(floor, actor, motion)
     if not motion.target:
-        return (not motion.uses or may_use(floor, actor, motion.uses)) and all(
-            _may_grab(floor, actor, key, value) for key, value in motion.grabs
-        )
+        if motion.uses and not may_use(floor, actor, motion.uses):
+            return False
+        return not motion.grabs or all(_may_grab(floor, actor, key, value) for key, value in motion.grabs)
     mover = Mover(floor, actor)
     if motion.step <= CLOSING - END and _nothing_to_clear(mover, motion):
         return True
@@ -374,9 +374,15 @@ def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
-    return not floor.held or (
-        _may_hold(floor, actor, door_key(module), None) and _may_hold(floor, actor, hold_key(module), None)
+    held = floor.held
+    return not held or (
+        _holds_alone(actor, held.get(door_key(module))) and _holds_alone(actor, held.get(hold_key(module)))
     )
+
+
+def _holds_alone(actor: Actor, holders: dict[str, Any] | None) -> bool:
+    """Whether nobody else is among the holders of something."""
+    return not holders or (len(holders) == 1 and actor.name in holders)
 
 
 def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
@@ -417,11 +423,15 @@ def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
     for who, number in holders.items() if holders else ():
         if not number or who == actor.name:
             continue
-        pools = [floor.pools.get(owner, {}) for owner in actor.inputs]
-        usable = sum(n for pool in pools for place, n in pool.items() if floor.claims.get(place) == claim)
-        if who != OTHERS or number > usable:
+        if who != OTHERS or number > _usable(floor, actor, claim):
             return False
     return True
+
+
+def _usable(floor: Floor, actor: Actor, claim: str) -> int:
+    """How much of what an actor may use stands where a claim is held."""
+    pools = [floor.pools.get(owner, {}) for owner in actor.inputs]
+    return sum(n for pool in pools for place, n in pool.items() if floor.claims.get(place) == claim)
 
 
 Counts = dict[StationName, int]
