@@ -20,7 +20,7 @@ from labos.core.model import Plan
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
 from labos.core.state import LabState
-from labos.planning.paths import END, Motion, door_key, hold_key, kept_by, setpoint_key
+from labos.planning.paths import END, Motion, door_key, guards, hold_key, kept_by, setpoint_key
 
 OTHERS = "others"
 """Holder of what belongs to no actor."""
@@ -353,7 +353,10 @@ def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
 
 def _nothing_to_clear(mover: Mover, motion: Motion) -> bool:
     """Whether a motion of a closing workflow is left out, as nothing stands there."""
-    return any(mover.stands(motion, p) for p in motion.stands)
+    for place in motion.stands:
+        if mover.stands(motion, place):
+            return True
+    return False
 
 
 def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
@@ -375,9 +378,11 @@ def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     held = floor.held
-    return not held or (
-        _holds_alone(actor, held.get(door_key(module))) and _holds_alone(actor, held.get(hold_key(module)))
-    )
+    if held:
+        for key in guards(module):
+            if not _holds_alone(actor, held.get(key)):
+                return False
+    return True
 
 
 def _holds_alone(actor: Actor, holders: dict[str, Any] | None) -> bool:
