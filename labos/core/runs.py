@@ -218,7 +218,7 @@ class RunState(msgspec.Struct):
 
     def has(self, *statuses: StepStatus) -> bool:
         """Whether some step has one of these statuses."""
-        for step in self.steps:  # asked too often for a generator
+        for step in self.steps:  # noqa: SIM110  (asked too often for a generator)
             if step.status in statuses:
                 return True
         return False

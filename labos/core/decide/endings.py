@@ -70,7 +70,7 @@ def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | Step
     plan = state.runs.plan_of(run)
     for index in state.runs.plans[run.plan].conditional:
         step = plan.steps[index]
-        if run.steps[index].status != PENDING:
+        if step.when is None or run.steps[index].status != PENDING:
             continue
         if any(run.steps[before].status not in SETTLED for before in step.after):
             continue
