@@ -47,7 +47,7 @@ def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
     return register
 
 
-_ENCODED_KEPT = 32
+_ENCODED_KEPT = 16
 _encoded: dict[int, tuple[Event, bytes]] = {}
 """The last events that were encoded, by identity: each is tried when it is decided, and again when it is
 written. Nobody changes an event in between."""
