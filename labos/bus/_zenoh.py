@@ -156,7 +156,7 @@ class ZenohBus:
             key,
             lambda: self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True),
         )
-        self._served.append((key, handle))
+        self._served = [*(served for served in self._served if not served[1].closed), (key, handle)]
         return handle
 
     async def publish(self, key: str, payload: bytes) -> None:
@@ -263,8 +263,7 @@ class ZenohBus:
 
     def _destination(self, key: str) -> Any:
         """Who may answer: Zenoh picks the best of the others, but would ask its own session too."""
-        self._served = [served for served in self._served if not served[1].closed]
-        ours = any(served == key for served, _ in self._served)
+        ours = any(served == key and not handle.closed for served, handle in self._served)
         return zenoh.Locality.SESSION_LOCAL if ours else zenoh.Locality.REMOTE
 
     async def _declare(self, key: str, declare: Callable[[], Any]) -> Declared:

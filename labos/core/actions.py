@@ -267,7 +267,9 @@ def ended(actions: Actions, event: ActionRejected | ActionSucceeded | ActionFail
 
 def _end(actions: Actions, event: ActionEvent) -> None:
     action = actions.open.pop(event.action)
-    actions.in_cell.get(workcell_of(action.module), {}).pop(event.action, None)
+    here = actions.in_cell.get(workcell_of(action.module))
+    if here is not None:
+        here.pop(event.action, None)
     ended = actions.ended.setdefault(event.module, [])
     ended.append(event.action)
     if len(ended) > ENDED_KEPT:

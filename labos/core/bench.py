@@ -15,7 +15,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.effects import AnyEffect, Carrying, arrivals, carried, hand_of, touched, turn
+from labos.core.effects import AnyEffect, Carrying, carried, hand_of, touched, turn
 from labos.core.ids import (
     NOBODY,
     ActionId,
@@ -380,15 +380,12 @@ def requested(bench: Bench, event: ActionRequested, at: int) -> None:
     if event.action in bench.reserved:
         return  # another attempt at the same action
     bench.reserved[event.action] = event.effects
-    for place in arrivals(event.effects):
-        for station in _rooms(bench, place):
-            station.expected += 1
-    for name in touched(event.effects):
-        bench.labware[name].moving = event.action
     for what in carried(event.effects):
+        _expect(bench, what, 1)
         if what.stock:
             bench.named = max(bench.named, _number(what.labware))
-            bench.stations[what.stock].taking += 1
+    for name in touched(event.effects):
+        bench.labware[name].moving = event.action
 
 
 def discovered(bench: Bench, event: ActionDiscovered, at: int) -> None:
@@ -405,15 +402,21 @@ def ended(
 ) -> None:
     """What the action had reserved is free; its effects follow as events of their own."""
     effects = bench.reserved.pop(event.action, ())
-    for place in arrivals(effects):
-        for station in _rooms(bench, place):
-            station.expected -= 1
     for what in carried(effects):
-        if what.stock:
-            bench.stations[what.stock].taking -= 1
+        _expect(bench, what, -1)
     for name in touched(effects):
-        if name in bench.labware and bench.labware[name].moving == event.action:
-            bench.labware[name].moving = ""
+        labware = bench.labware.get(name)
+        if labware is not None and labware.moving == event.action:
+            labware.moving = ""
+
+
+def _expect(bench: Bench, what: Carrying, change: int) -> None:
+    """So much more labware is about to come to where a motion needs room, and to be taken off a stack."""
+    for place in what.room:
+        for station in _rooms(bench, place):
+            station.expected += change
+    if what.stock:
+        bench.stations[what.stock].taking += change
 
 
 def taking(bench: Bench, stack: StationName) -> int:

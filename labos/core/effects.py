@@ -281,7 +281,14 @@ AnyEffect = (
 )
 
 
-_WORKED_ON, _LIDS = (Move, Needs), (Unlid, Relid)
+def _kinds(*of: type[Effect]) -> frozenset[type[Effect]]:
+    """The kinds of effects that are one of these. A fold asks so often that ``isinstance`` takes too long,
+    which is slow for structs."""
+    return frozenset(kind for kind in get_args(AnyEffect) if issubclass(kind, of))
+
+
+_CARRYING, _MOVES = _kinds(Carrying), _kinds(Move)
+_WORKED_ON, _LIDS = _kinds(Move, Needs), _kinds(Unlid, Relid)
 _PLACES = {
     kind: [name for name in ("source", "target", "via", "stack", "station") if name in kind.__struct_fields__]
     for kind in get_args(AnyEffect)
@@ -291,12 +298,12 @@ _PLACES = {
 
 def carried(effects: Iterable[AnyEffect]) -> list[Move | Take]:
     """Those of some effects by which something is carried."""
-    return [effect for effect in effects if isinstance(effect, Carrying)]
+    return [effect for effect in effects if type(effect) in _CARRYING]  # type: ignore[misc]
 
 
 def moved(effects: Iterable[AnyEffect]) -> list[Move]:
     """Those of some effects by which labware is carried that had a name before."""
-    return [effect for effect in effects if isinstance(effect, Move)]
+    return [effect for effect in effects if type(effect) in _MOVES]  # type: ignore[misc]
 
 
 QUARTER = {("narrow", "wide"): 90, ("wide", "narrow"): -90}
@@ -401,11 +408,7 @@ def _changed(effect: AnyEffect) -> TypeGuard[Sets | Transfers]:
 
 def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
     """Labware that exists before the action and that the action carries or works on."""
-    names: list[LabwareId] = []
-    plates: list[LabwareId] = []
-    for effect in effects:
-        if isinstance(effect, _WORKED_ON) and effect.labware:
-            names.append(effect.labware)
-            if isinstance(effect, _LIDS) and effect.plate:
-                plates.append(effect.plate)
-    return names + plates
+    found: list[Move | Needs] = [effect for effect in effects if type(effect) in _WORKED_ON]  # type: ignore[misc]
+    names = [effect.labware for effect in found if effect.labware]
+    lids: list[Unlid | Relid] = [e for e in found if type(e) in _LIDS and e.labware]  # type: ignore[misc]
+    return names + [effect.plate for effect in lids if effect.plate]

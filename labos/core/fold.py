@@ -96,8 +96,9 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
         runs.submitted(state.runs, event, recorded_at, position)  # type: ignore[arg-type]
     stream, versions = event.stream(), state.versions
     versions[stream] = versions.get(stream, 0) + 1
-    if kind in _STREAM_ENDS:
-        versions.pop(getattr(event, _STREAM_ENDS[kind]), None)
+    ends = _STREAM_ENDS.get(kind)
+    if ends is not None:
+        versions.pop(getattr(event, ends), None)
     elif kind in (InterventionResolved, BookingCancelled) or getattr(event, "over", None) is True:
         del versions[stream]
     state.position, state.recorded_at = position, recorded_at

@@ -393,9 +393,12 @@ def requested(modules: Modules, event: ActionRequested, at: int) -> None:
     module = modules.by_name[event.module]
     flight = module.in_flight[event.action] = Flight(event.exclusive)
     if event.exclusive:
-        still = () if module.status == ModuleStatus.IDLE else module.reached
-        own = [StationName(event.module)] if module.spec.zone else []
-        module.reached = tuple(sorted({*still, *own, *places(event.effects)}))
+        reached = places(event.effects)
+        if module.status != ModuleStatus.IDLE:
+            reached.update(module.reached)
+        if module.spec.zone:
+            reached.add(StationName(event.module))
+        module.reached = tuple(sorted(reached))
     if event.args.get("slow") is True:
         flight.proving = unproven(module, event.effects, event.args)
 
@@ -415,7 +418,7 @@ def ended(
     modules: Modules, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
     module = modules.by_name[event.module]
-    flight = module.in_flight.pop(event.action, Flight(False))
+    flight = module.in_flight.pop(event.action, None) or Flight(False)
     if flight.exclusive and isinstance(event, _CAME_BACK):
         module.reached = ()
     if isinstance(event, ActionFailed) and event.effects != "none":

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeVar
 
 import msgspec
 
-from labos.core.canonical import canonical
 from labos.core.ids import ModuleName
 from labos.core.model import MAIN, Hold, Plan, PlanStep
 from labos.core.registry import Event, event
@@ -49,7 +49,8 @@ class PlanStepsRecorded(Event, frozen=True):
 class PlanState(msgspec.Struct):
     """``by`` is in whose stream it was recorded; ``uses`` counts runs and experiments that need it;
     ``starts`` are the steps that wait for no other, ``windowed`` those with a window, ``uses_up`` is
-    what its steps use up (step, module, resource, amount), ``dangers`` those that take a second person."""
+    what its steps use up (step, module, resource, amount), ``dangers`` those that take a second person,
+    ``conditional`` those that are left out if their condition does not hold."""
 
     plan: Plan
     shape: str
@@ -60,6 +61,7 @@ class PlanState(msgspec.Struct):
     windowed: tuple[int, ...] = ()
     uses_up: tuple[tuple[int, ModuleName, str, float], ...] = ()
     dangers: tuple[int, ...] = ()
+    conditional: tuple[int, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -72,15 +74,21 @@ T = TypeVar("T")
 
 PARTS_KEPT = 4096
 _parts: dict[bytes, object] = {}
-"""Parts of plans by their canonical bytes, the newest last."""
+"""Parts of plans by how they are written, the newest last."""
+
+# What was read of a log or a picture has its keys in order: it need not be brought into one again.
+_written = msgspec.json.Encoder().encode
 
 
-def _one_of_all_equal(part: T) -> T:
+def _one_of_all_equal(part: T, make: Callable[[T], T] = lambda part: part) -> T:
     """The part of another plan that is written the same, if one is known: ten thousand waiting plans
-    differ in little, and nobody changes a plan."""
-    known = _parts.setdefault(canonical(part), part)
-    if known is part and len(_parts) > PARTS_KEPT:
-        del _parts[next(iter(_parts))]
+    differ in little, and nobody changes a plan. One that is new is kept as ``make`` makes it."""
+    key = _written(part)
+    known = _parts.get(key)
+    if known is None:
+        known = _parts[key] = make(part)
+        if len(_parts) > PARTS_KEPT:
+            del _parts[next(iter(_parts))]
     return known  # type: ignore[return-value]  # what is written the same is of one type
 
 
@@ -92,10 +100,11 @@ def share_plans(plans: Plans) -> None:
 
 def _shared(steps: tuple[PlanStep, ...]) -> tuple[PlanStep, ...]:
     """The same steps, in as little memory as those of other plans leave them to take."""
-    return tuple(
-        _one_of_all_equal(msgspec.structs.replace(step, effects=_one_of_all_equal(step.effects)))
-        for step in steps
-    )
+    return tuple(_one_of_all_equal(step, _with_shared_effects) for step in steps)
+
+
+def _with_shared_effects(step: PlanStep) -> PlanStep:
+    return msgspec.structs.replace(step, effects=_one_of_all_equal(step.effects))
 
 
 def plan_recorded(plans: Plans, event: PlanRecorded) -> None:
@@ -113,6 +122,7 @@ def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
         state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
         state.uses_up = uses_up(state.plan.steps)
         state.dangers = tuple(i for i, step in enumerate(state.plan.steps) if step.dangerous)
+        state.conditional = tuple(i for i, step in enumerate(state.plan.steps) if step.when is not None)
 
 
 def release_plan(plans: Plans, digest: str) -> None:

@@ -47,9 +47,26 @@ def event(name: str, *, schema: int = 1) -> Callable[[E], E]:
     return register
 
 
+_ENCODED_KEPT = 16
+_encoded: dict[int, tuple[Event, bytes]] = {}
+"""The last events that were encoded, by identity: each is tried when it is decided, and again when it is
+written. Nobody changes an event in between."""
+
+
 def encode(value: Event) -> bytes:
     """The event's payload. Raises ValueError above 64 KB (what is larger belongs into a blob), for values
     that ``canonical`` refuses, and for a NUL character in the name of what it is about."""
+    known = _encoded.get(id(value))
+    if known is not None and known[0] is value:
+        return known[1]
+    payload = _encode(value)
+    if len(_encoded) >= _ENCODED_KEPT:
+        _encoded.clear()
+    _encoded[id(value)] = value, payload
+    return payload
+
+
+def _encode(value: Event) -> bytes:
     payload = canonical(value)
     if "\0" in value.stream():
         raise ValueError(

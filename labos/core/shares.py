@@ -87,9 +87,11 @@ class Week(msgspec.Struct):
     consumed: dict[int, dict[str, float]] = {}
 
     def forget_before(self, day: int) -> None:
+        last = day - WEEK_DAYS
         for table in (self.spent_ns, self.consumed):
-            for old in [known for known in table if known <= day - WEEK_DAYS]:
-                del table[old]
+            if table and min(table) <= last:
+                for old in [known for known in table if known <= last]:
+                    del table[old]
 
     def lab_ns(self, now: int) -> int:
         """Module time of the last seven days."""
@@ -223,9 +225,16 @@ def _count_groups(shares: Shares, at: int) -> None:
 
 def _had(shares: Shares, user: str) -> list[Had]:
     """What a user, and the user's group, have had."""
-    found = [shares.had.setdefault(user, Had())]
+    own = shares.had.get(user) or shares.had.setdefault(user, Had())
     group = shares.group_of.get(user)
-    return [*found, shares.group_had.setdefault(group, Had())] if group is not None else found
+    if group is None:
+        return [own]
+    return [own, shares.group_had.get(group) or shares.group_had.setdefault(group, Had())]
+
+
+def _used(table: dict[str, Usage], name: str, at: int) -> Usage:
+    """What somebody has used, to be added to."""
+    return table.get(name) or table.setdefault(name, Usage(at=at))
 
 
 def submitted(shares: Shares, event: RunSubmitted, at: int) -> None:
@@ -264,10 +273,10 @@ def clock_stops(
     user = shares.users.get(event.run)
     if user is None:
         return
-    shares.usage.setdefault(user, Usage(at=at)).add(at - began, at)
+    _used(shares.usage, user, at).add(at - began, at)
     group = shares.group_of.get(user)
     if group is not None:
-        shares.group_usage.setdefault(group, Usage(at=at)).add(at - began, at)
+        _used(shares.group_usage, group, at).add(at - began, at)
     day = at // DAY_NS
     for had in _had(shares, user):
         had.week.forget_before(day)

@@ -28,13 +28,15 @@ def ends(effects: Iterable[AnyEffect]) -> tuple[StationName, ...]:
 def looks(state: LabState, action: Action) -> tuple[StationName, ...]:
     """The stations that are looked at when the module of an action says that it is done. What a person
     has done by hand the person has seen."""
+    bench = state.bench
+    if not bench.watched:
+        return ()
     run = state.runs.active.get(action.run)
     if run is not None and state.runs.plan_of(run).steps[action.step].by_person:
         return ()
     module = state.modules.by_name[action.module]
     flight = module.in_flight.get(action.id)
     doubtful = module.doubted or (flight is not None and bool(flight.proving))
-    bench = state.bench
     return tuple(
         place
         for place in ends(action.effects)

@@ -29,7 +29,8 @@ def zones_reached(
     """The zones of an action of a module whose ``own`` zone may be empty; ``zone_at`` tells that of
     a station."""
     zones = dict.fromkeys([own, *map(zone_at, _reached(effects))])
-    return tuple(zone for zone in zones if zone)
+    zones.pop("", None)
+    return tuple(zones)
 
 
 def _reached(effects: Iterable[AnyEffect]) -> list[StationName]:
@@ -65,7 +66,8 @@ def barred(state: LabState, cell: str) -> dict[str, ModuleName]:
     """Zones of a workcell that nobody else can use before a person or a device has done something, and the
     module in each of them."""
     found: dict[str, ModuleName] = {}
-    for name, module in state.modules.within(cell):
+    for name in state.modules.in_cell.get(cell, ()):
+        module = state.modules.by_name[name]
         if module.reached and module.status in (ModuleStatus.ERROR, ModuleStatus.GONE):
             found.update(dict.fromkeys(_left_in(state, module), name))
     for action in state.actions.within(cell):

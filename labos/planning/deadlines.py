@@ -141,7 +141,8 @@ def _due(state: LabState, name: ActionId) -> int | None:
     if action is None:
         return None
     times = (due_at(state, action), missed_at(state, action), stuck_at(state, action))
-    return min((due + 1 for due in times if due is not None), default=None)
+    known = [due for due in times if due is not None]
+    return min(known) + 1 if known else None
 
 
 def _windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:

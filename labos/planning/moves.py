@@ -15,7 +15,7 @@ from labos.core.binding import same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.planning.floor import CLOSING, OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim
-from labos.planning.paths import END, Motion, door_key, hold_key, kept_by
+from labos.planning.paths import END, Motion, door_key, guards, kept_by
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -67,11 +67,11 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if motion.wants and not all(_is_set(floor, key, value) for key, value in motion.wants):
         return False
     if not motion.target:
-        return (
-            (not motion.uses or may_use(floor, actor, motion.uses))
-            and all(_may_grab(floor, actor, key, value) for key, value in motion.grabs)
-            and all(found_at(floor, actor, places) for places in motion.needs)
-        )
+        if motion.uses and not may_use(floor, actor, motion.uses):
+            return False
+        if motion.grabs and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
+            return False
+        return not motion.needs or all(found_at(floor, actor, places) for places in motion.needs)
     mover = Mover(floor, actor)
     if motion.step <= CLOSING - END and _nothing_to_clear(mover, motion):
         return True
@@ -113,7 +113,10 @@ def _usable(floor: Floor, actor: Actor, place: StationName) -> list[Owner | None
 
 def _nothing_to_clear(mover: Mover, motion: Motion) -> bool:
     """Whether a motion of a closing workflow is left out, as nothing stands there."""
-    return any(mover.stands(motion, p) for p in motion.stands)
+    for place in motion.stands:  # noqa: SIM110  (asked too often for a generator)
+        if mover.stands(motion, place):
+            return True
+    return False
 
 
 def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
@@ -134,9 +137,17 @@ def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
-    return not floor.held or (
-        _may_hold(floor, actor, door_key(module), None) and _may_hold(floor, actor, hold_key(module), None)
-    )
+    held = floor.held
+    if held:
+        for key in guards(module):
+            if not _holds_alone(actor, held.get(key)):
+                return False
+    return True
+
+
+def _holds_alone(actor: Actor, holders: dict[str, Any] | None) -> bool:
+    """Whether nobody else is among the holders of something."""
+    return not holders or (len(holders) == 1 and actor.name in holders)
 
 
 def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
@@ -177,11 +188,15 @@ def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
     for who, number in holders.items() if holders else ():
         if not number or who == actor.name:
             continue
-        pools = [floor.pools.get(owner, {}) for owner in actor.inputs]
-        usable = sum(n for pool in pools for place, n in pool.items() if floor.claims.get(place) == claim)
-        if who != OTHERS or number > usable:
+        if who != OTHERS or number > _usable_at_claim(floor, actor, claim):
             return False
     return True
+
+
+def _usable_at_claim(floor: Floor, actor: Actor, claim: str) -> int:
+    """How much of what an actor may use stands where a claim is held."""
+    pools = [floor.pools.get(owner, {}) for owner in actor.inputs]
+    return sum(n for pool in pools for place, n in pool.items() if floor.claims.get(place) == claim)
 
 
 class Held(msgspec.Struct):

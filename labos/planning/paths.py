@@ -281,6 +281,12 @@ def hold_key(module: ModuleName) -> str:
     return f"hold:{module}"
 
 
+@cache
+def guards(module: ModuleName) -> tuple[str, str]:
+    """What a run holds that keeps others from reaching into a module: by its door, or by its plan's word."""
+    return door_key(module), hold_key(module)
+
+
 def kept_by(key: str) -> ModuleName:
     """The module that a run keeps by its plan's word if it holds this; empty if it is something else."""
     return ModuleName(key.removeprefix("hold:") if key.startswith("hold:") else "")

@@ -47,6 +47,9 @@ from labos.planning.paths import Motion, Path, path_of
 from labos.planning.stuck import reaches_into, stuck_on
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
 
+OVER = (*SETTLED, IN_FLIGHT)
+"""Steps with such a status have nothing left to do: what is in flight counts as done."""
+
 SEARCH_LIMIT = 200
 """Interleavings looked at before an order is given up."""
 
@@ -129,10 +132,14 @@ class Safety:
             return []
         actors = self.actors(state, cell)
         found: dict[View, Known] = {}
+        grounds: dict[bool, Floor] = {}
         for view in self._views(state, run, cell, actors):
             here = [as_seen(actor, view) for actor in actors]
-            ground = lay_out(state, cell, here, hopeful=view.hopeful)
-            after = self._after(state, run, step, ground, here, view)
+            # Only lost labware stands elsewhere in one view than in another.
+            hopeful = view.hopeful or not state.bench.lost
+            if hopeful not in grounds:
+                grounds[hopeful] = lay_out(state, cell, actors, hopeful=hopeful)
+            after = self._after(state, run, step, copy(grounds[hopeful]), here, view)
             if isinstance(after, list):
                 return after
             found[view] = after
@@ -281,7 +288,7 @@ class Safety:
         path, plan = self.path(state, run.plan), state.runs.plan_of(run)
         # What may have been done is taken for done, as the floor has it.
         states = [IN_FLIGHT if status == UNKNOWN else status for status in statuses_of(plan, run)]
-        over = {i for i, status in enumerate(states) if status in (*SETTLED, IN_FLIGHT)}
+        over = {i for i, status in enumerate(states) if status in OVER}
         owners = [run_owner(run.id)]
         experiment = state.experiments.open.get(run.experiment)
         if experiment is not None and tail:

@@ -387,7 +387,7 @@ def ready(state: LabState, run: RunState) -> list[int]:
     plan, steps = state.runs.plan_of(run), run.steps
     found: list[int] = []
     for index, step in enumerate(steps):
-        if step.status == PENDING:
+        if step.status is PENDING:
             for before in plan.steps[index].after:
                 if steps[before].status not in SETTLED:
                     break

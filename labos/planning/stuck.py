@@ -93,8 +93,9 @@ def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
 
 def _cut_off(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
     """A device that a run's labware has to come to or from, and that stopped in the midst of something."""
-    for _, module in state.modules.within(state.runs.plan_of(run).workcell):
-        if module.cut_off and any(reaches_into(state, module.spec.name, places(s.effects)) for s in left):
+    for name in state.modules.in_cell.get(state.runs.plan_of(run).workcell, ()):
+        module = state.modules.by_name[name]
+        if module.cut_off and any(reaches_into(state, name, places(s.effects)) for s in left):
             return laid_up(module)
     return None
 
@@ -119,8 +120,9 @@ def _barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | 
 
 def _dry(state: LabState, run: RunState) -> Wait | None:
     """A resource of which less is left than one of the run's steps needs."""
-    states = statuses_of(state.runs.plan_of(run), run)
-    for index, module, resource, amount in state.runs.plans[run.plan].uses_up:
+    used = state.runs.plans[run.plan].uses_up
+    states = statuses_of(state.runs.plan_of(run), run) if used else ()
+    for index, module, resource, amount in used:
         if states[index] in (*SETTLED, IN_FLIGHT):
             continue
         if state.resources.of(module, resource) is None:

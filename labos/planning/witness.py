@@ -39,8 +39,10 @@ def greedy(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
 
 
 def _ends_in_waste(floor: Floor, actor: Actor) -> bool:
-    last = next((motion for motion in reversed(actor.motions) if motion.target), None)
-    return last is not None and last.target in floor.endless
+    for motion in reversed(actor.motions):
+        if motion.target:
+            return motion.target in floor.endless
+    return False
 
 
 def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
@@ -126,13 +128,15 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
 
     def deeper(trail: Trail) -> bool:
         """Whether a way was found; it is then in ``trail``."""
-        for actor, stops in zip(actors, ends, strict=True):
+        for number, (actor, stops) in enumerate(zip(actors, ends, strict=True)):
             if budget[0] <= 0:
                 return False
             if actor.done >= len(stops):
                 continue
             end = stops[actor.done]
-            where = tuple(end if other is actor else other.done for other in actors)
+            done = [other.done for other in actors]
+            done[number] = end
+            where = tuple(done)
             here = len(trail)
             if where in seen or not take_step(floor, actor, end, trail):
                 continue

@@ -244,7 +244,7 @@ class Kernel(KernelLog):
     def _plan(self, turn: _Turn, *, is_wake: bool) -> None:
         """Carry out what is due, and start what may start. A part that keeps failing is suspended: commands
         are carried out without it, and it is tried again by itself."""
-        now_s = self.clock.monotonic()
+        state, now_s = self.state, self.clock.monotonic()
         parts = [part for part in (self._deadlines, self._starts) if part.allows(now_s, is_wake)]
         parts = parts if self._may_plan else []
         looked_at = 0
@@ -252,7 +252,7 @@ class Kernel(KernelLog):
             before = len(turn.entries)
             keys, self._keys = self._keys, set()
             turn.part = parts[0]
-            self.scheduler.heed(self.state, keys)
+            self.scheduler.heed(state, keys)
             if self._deadlines in parts:
                 turn.part = self._deadlines
                 self._carry_out_due(turn.entries, looked_at)
@@ -266,7 +266,7 @@ class Kernel(KernelLog):
                 break
         if self._deadlines in parts:
             turn.part = self._deadlines
-            turn.deadline = self.scheduler.next_deadline(self.state)
+            turn.deadline = self.scheduler.next_deadline(state)
         elif self._starts in parts:
             turn.deadline = self.scheduler.next_wake()
         # What breaks an invariant now may be what planning has added.

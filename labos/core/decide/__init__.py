@@ -4,7 +4,6 @@
 worked out on the state that the ones before it have left.
 """
 
-from collections import deque
 from collections.abc import Callable
 
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
@@ -34,14 +33,10 @@ def carry_out(
         return decision
     events = [write(event) for event in decision]
     most = len(events) + max(MOST_REACTIONS, 10 * len(events))
-    waiting = deque(events)
-    while waiting:
-        event = waiting.popleft()
+    for event in events:  # also those that are added meanwhile
         for react in REACTIONS.get(type(event), ()):
             for follows in react(state, event):
-                stored = write(follows)
-                events.append(stored)
-                waiting.append(stored)
+                events.append(write(follows))
                 if len(events) > most:
                     raise RuntimeError(f"What follows from {type(command).__name__} does not come to an end.")
     return events

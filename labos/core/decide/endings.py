@@ -67,7 +67,8 @@ def skip_steps(state: LabState, event: ActionSucceeded | ActionReconciled | Step
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status not in SETTLED:
         return
     plan = state.runs.plan_of(run)
-    for index, step in enumerate(plan.steps):
+    for index in state.runs.plans[run.plan].conditional:
+        step = plan.steps[index]
         if step.when is None or run.steps[index].status != PENDING:
             continue
         if any(run.steps[before].status not in SETTLED for before in step.after):
@@ -90,7 +91,8 @@ def end_run(
     run = state.runs.active.get(event.run)
     if run is None or run.steps[event.step].status == FAILED:
         return
-    if set(run.statuses) <= set(SETTLED):
+    # From behind: what is to come stands there.
+    if all(step.status in SETTLED for step in reversed(run.steps)):
         if run.status == RunStatus.LEAVING:
             yield from ending(state, run, RunCancelled(run.id), "was cancelled")
         else:

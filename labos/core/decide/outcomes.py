@@ -85,6 +85,8 @@ def question_about(
 def kept(result: Any) -> Any:
     """A result, or the note that it was too large for the log or cannot be written there: nodes keep to the
     limits, and a result that does not is not worth a stopped lab."""
+    if result is None:
+        return None
     try:
         size = len(canonical([result])) - len("[]")  # in its event it stands one level deeper
     except (ValueError, TypeError) as error:
