@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import secrets
 import time
-from math import hypot
+from math import hypot, isfinite
 from typing import Any
 
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
@@ -254,10 +254,14 @@ class MiRDriver(Wired):
 
     def _away(self, status: dict[str, Any], position: dict[str, Any]) -> float:
         here = status.get("position") or {}
+        unclear = Garbled(f"{self.name}: the answer does not tell where the robot is.")
         try:
-            return hypot(here["x"] - position["pos_x"], here["y"] - position["pos_y"])
+            away = hypot(here["x"] - position["pos_x"], here["y"] - position["pos_y"])
         except (KeyError, TypeError) as error:
-            raise Garbled(f"{self.name}: the answer does not tell where the robot is.") from error
+            raise unclear from error
+        if not isfinite(away):
+            raise unclear
+        return away
 
     def _refuse_unless_ready(self, status: dict[str, Any]) -> None:
         if not isinstance(status.get("errors"), list):

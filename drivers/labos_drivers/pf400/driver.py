@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from math import dist
+from math import dist, isfinite
 from typing import Any, NamedTuple
 
 from labos.errors import BadInput, Collision, DeviceError, Garbled, LinkError
@@ -230,13 +230,13 @@ class PF400Driver(Wired):
     def reset(self) -> None:
         """Power on, homed if it is not, then straight up and folded; what it holds it goes on holding."""
         self.resume()
-        if self._number("hp") == 0:
+        if self._number("hp") != protocol.ON:
             self._ask(f"hp 1 {POWER_S:g}", POWER_S + ANSWER_S)
         self._attach()
         self._ask(protocol.ALL_HOLD)
         self._is_free = None
         with self.under_way():
-            if self._number(f"pd {protocol.HOMED}") == 0:
+            if self._number(f"pd {protocol.HOMED}") != protocol.ON:
                 self._ask("home", HOME_S)
             self._profiles(slow=True)
             self._up_and_folded()
@@ -427,7 +427,7 @@ class PF400Driver(Wired):
                 raise DeviceError(
                     f"{self.name}: somebody guides it by hand.", remedy="Step back, then end_free_mode."
                 )
-            if self._number(f"pd {protocol.HOMED}") == 0:
+            if self._number(f"pd {protocol.HOMED}") != protocol.ON:
                 raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
             self._attach()
             here = self._joints()
@@ -469,7 +469,7 @@ class PF400Driver(Wired):
         return all(abs(a - b) < FOLDED for a, b in zip(joints[1:4], self._neutral[1:], strict=True))
 
     def _needs_power(self) -> None:
-        if self._number("hp") == 0:
+        if self._number("hp") != protocol.ON:
             raise DeviceError(f"{self.name}: its power is off.", remedy="Reset the module.")
 
     def _attach(self) -> None:
@@ -570,7 +570,7 @@ class PF400Driver(Wired):
         data = self._ask(question)
         try:
             return int(float(data))
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             raise Garbled(f"{self.name}: {data!r} is no number, the answer to {question!r}.") from error
 
     def _joints(self) -> Joints:
@@ -579,6 +579,8 @@ class PF400Driver(Wired):
             joints = tuple(float(value) for value in data.split())
         except ValueError as error:
             raise Garbled(f"{self.name}: {data!r} does not say where the arm is.") from error
+        if not all(map(isfinite, joints)):
+            raise Garbled(f"{self.name}: {data!r} does not say where the arm is.")
         if not RAIL <= len(joints) <= len(protocol.AXES):
             raise Garbled(
                 f"{self.name}: {data!r} has {len(joints)} joints; an arm has five, or six with a rail."

@@ -21,7 +21,7 @@ from labos.node import Setup
 from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Variable
 from labos_drivers.plc.points import Points, filled, link_to
-from labos_drivers.plc.values import Told, fits, in_words
+from labos_drivers.plc.values import Told, fits, in_words, leaves_open
 
 POLL_S = 0.1
 PATIENCE_S = 30.0
@@ -83,9 +83,13 @@ class PlcDriver(Wired):
 
     @aside
     def is_idle(self) -> bool:
-        busy = self.mapping.state.busy
-        seen = self.points.read({condition.point for condition in busy})
-        return not any(fits(condition, seen[condition.point]) for condition in busy)
+        seen = self.points.read({condition.point for condition in self.mapping.state.busy})
+        return not self._is_busy(seen)
+
+    def _is_busy(self, seen: dict[str, Told]) -> bool:
+        """Unless it says that it is not."""
+        told = ((condition, seen[condition.point]) for condition in self.mapping.state.busy)
+        return any(fits(condition, value) or leaves_open(condition, value) for condition, value in told)
 
     @aside
     def look(self) -> dict[str, Any]:
@@ -96,7 +100,8 @@ class PlcDriver(Wired):
         seen = self.points.read(points | {each.point for each in mapping.variables.values() if each.point})
         told: dict[str, Any] = {name: _variable(each, seen) for name, each in mapping.variables.items()}
         if mapping.labware:
-            told["labware"] = {place: _all_hold(each, seen) for place, each in mapping.labware.items()}
+            sure = {place: each for place, each in mapping.labware.items() if not _is_open(each, seen)}
+            told["labware"] = {place: _all_hold(each, seen) for place, each in sure.items()}
         return told
 
     @aside
@@ -165,9 +170,8 @@ class PlcDriver(Wired):
     def _refuse_unless_fit(self, action: MappedAction, seen: dict[str, Told]) -> None:
         if (error := self._error(seen)) is not None:
             raise error
-        for condition in self.mapping.state.busy:
-            if fits(condition, seen[condition.point]):
-                raise DeviceError(f"{self.name} is busy.", remedy="Wait until it is idle.")
+        if self._is_busy(seen):
+            raise DeviceError(f"{self.name} is busy.", remedy="Wait until it is idle.")
         for condition in action.needs:
             value = seen[condition.point]
             if not fits(condition, value):
@@ -209,7 +213,7 @@ class PlcDriver(Wired):
             sure = sure or self._is_the_same(seen, begun)
             if sure:
                 self._raise_if_failed(name, action, seen)
-                busy = any(fits(told, seen[told.point]) for told in self.mapping.state.busy)
+                busy = self._is_busy(seen)
                 began_seen = began_seen or busy or time.monotonic() - began > BEGIN_S
                 if not busy and self._has_ended(action, begun, seen, began_seen):
                     return self._result(action)
@@ -353,6 +357,10 @@ class PlcDriver(Wired):
 
 def _all_hold(conditions: Iterable[Condition], seen: dict[str, Told]) -> bool:
     return all(fits(condition, seen[condition.point]) for condition in conditions)
+
+
+def _is_open(conditions: Iterable[Condition], seen: dict[str, Told]) -> bool:
+    return any(leaves_open(condition, seen[condition.point]) for condition in conditions)
 
 
 def _variable(variable: Variable, seen: dict[str, Told]) -> Any:
