@@ -62,6 +62,7 @@ class _Withdrawn(DeviceError):
 class PlcDriver(Wired):
     """Commands of a PLC with this ``mapping``."""
 
+    deadlines = ("patience", "take", "reset")
     where = ("address", "10.0.7.5")
     mapping: ClassVar[PlcMapping]
 
@@ -196,7 +197,7 @@ class PlcDriver(Wired):
 
     def _see_end(self, name: str, action: MappedAction, begun: Begun, *, sure: bool) -> Any:
         began = silent_since = time.monotonic()
-        until = began + (action.timeout or LONGER * action.duration + PATIENCE_S)
+        until = began + (action.timeout or LONGER * action.duration + self.limit_s("patience", PATIENCE_S))
         began_seen, handshake = False, self.mapping.handshake
         while True:
             try:
@@ -204,7 +205,7 @@ class PlcDriver(Wired):
             except LinkError:
                 self._unless_halted(name)
                 sure = False
-                if time.monotonic() - silent_since > PATIENCE_S:
+                if time.monotonic() - silent_since > self.limit_s("patience", PATIENCE_S):
                     raise
                 time.sleep(POLL_S)
                 continue
@@ -218,7 +219,7 @@ class PlcDriver(Wired):
                 if not busy and self._has_ended(action, begun, seen, began_seen):
                     return self._result(action)
             taken = handshake is None or seen[handshake.taken] == begun.number
-            if not taken and time.monotonic() - began > TAKE_S:
+            if not taken and time.monotonic() - began > self.limit_s("take", TAKE_S):
                 self._withdraw(name, begun, seen)
             if time.monotonic() > until:
                 waited = ", ".join(in_words(c, seen[c.point]) for c in action.done) or "it has not ended"
@@ -317,7 +318,7 @@ class PlcDriver(Wired):
                 time.sleep(CYCLE_S)
         self.points.write_all(self.mapping.reset, {})
         time.sleep(CYCLE_S)  # before that, neither a stop nor the reset need have been seen
-        until = time.monotonic() + RESET_S
+        until = time.monotonic() + self.limit_s("reset", RESET_S)
         while (error := self._error(self.points.read(self._watched()))) is not None:
             if time.monotonic() > until:
                 error.effects = "unknown"
