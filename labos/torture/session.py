@@ -431,12 +431,12 @@ class Session:
 
     def motion_of(self, case: Case) -> float:
         """How long its device moves, in s: by the bench, and never for as long as only its node says."""
-        took_s = min(self.took_s[case.action], self.spec(case).duration_s / self.pace)
+        took_s = min(self.took_s[case.action], self.motion_s)
         return self.moved_s[case.action] if self._shows_its_end(case) else took_s
 
     def _shows_its_end(self, case: Case) -> bool:
-        nominal_s = self.spec(case).duration_s / self.pace
-        return self.moved_s.get(case.action, 0) >= LEAST_SHARE * min(self.took_s[case.action], nominal_s)
+        took_s = min(self.took_s[case.action], self.motion_s)
+        return self.moved_s[case.action] >= LEAST_SHARE * took_s
 
     def _is_over(self, done: Done) -> bool:
         """Whether all of it is done on the bench, whatever its node says; nothing is in mid-motion then."""
