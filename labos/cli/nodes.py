@@ -82,7 +82,7 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
         for one in found:
             if one["answer"] not in ("IDLE", "BUSY"):
                 remedy = REMEDIES.get(one["answer"], "").format(module=local(one["module"]))
-                click.echo(f"{local(one['name'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
+                click.echo(f"{local(one['module'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
     if any(one["answer"] not in ("IDLE", "BUSY") for one in found):
         raise SystemExit(FAILED)
 
