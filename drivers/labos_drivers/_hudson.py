@@ -20,8 +20,9 @@ from typing import Any, ClassVar, Protocol
 import msgspec
 
 from labos.errors import DeviceError, Garbled, NoReply
-from labos.link import Link, SerialWire, Terminated, Wire
+from labos.link import Link, Terminated, Wire
 from labos.node import Setup
+from labos_drivers._limits import serial_wire
 from labos_drivers._simulation import place_of
 from labos_drivers._wired import Behind, Wired, off_loop
 
@@ -89,6 +90,7 @@ class HudsonDriver(Wired):
     """Moves one axis after the other: up, in, round, out, down. After each motion it looks where the
     arm is. There is no stop command."""
 
+    deadlines = ("echo", "answer", "motion", "home", "later")
     dialect: ClassVar[Dialect]
     sizes: ClassVar[Sizes]
     limits: ClassVar[dict[str, tuple[float, float]]]
@@ -118,7 +120,7 @@ class HudsonDriver(Wired):
         )
 
     def wire(self, address: str) -> Wire:
-        return SerialWire(address, baudrate=BAUDRATE)
+        return serial_wire(self._of, address, baudrate=BAUDRATE)
 
     # -- plates ------------------------------------------------------------------------------
 
@@ -258,7 +260,7 @@ class HudsonDriver(Wired):
             return
         self.unless_stopped()
         self._do(self.dialect.load(POINT, target))
-        self._do(f"MOVE {POINT}", MOTION_S)
+        self._do(f"MOVE {POINT}", self.limit_s("motion", MOTION_S))
         here = self._here()
         if here.away(target) > self._sizes.near:
             raise DeviceError(
@@ -270,7 +272,7 @@ class HudsonDriver(Wired):
     def _touch(self, floor: float) -> float:
         """Down until something is touched, at most to the floor; returns the height."""
         self.unless_stopped()
-        self._do(f"JOG Z,{_number(floor - self._here().z)}", MOTION_S)
+        self._do(f"JOG Z,{_number(floor - self._here().z)}", self.limit_s("motion", MOTION_S))
         return self._here().z
 
     def _home(self) -> None:
@@ -279,7 +281,7 @@ class HudsonDriver(Wired):
             with suppress(_Refused):  # in an error it takes nothing but this
                 self._lift()
                 self._to(self._here().to(y=self._sizes.retracted_y))
-        self._do("HOME", HOME_S)
+        self._do("HOME", self.limit_s("home", HOME_S))
 
     def _ready(self) -> None:
         """Raises DeviceError."""
@@ -383,7 +385,7 @@ class HudsonDriver(Wired):
     def _ask(self, question: str, is_data: Callable[[str], bool]) -> str:
         """The data of the answer, which may come behind the code or on a later line: the first text that
         ``is_data``, else the last one. Raises DeviceError for a code that is not zero."""
-        line = self._result(question, ANSWER_S)
+        line = self._result(question, self.limit_s("answer", ANSWER_S))
         while True:
             found = RESULT.fullmatch(line)
             if found is not None and int(found[1]):
@@ -392,13 +394,13 @@ class HudsonDriver(Wired):
             if is_data(text):
                 return text
             try:
-                line = self._next_line(LATER_S)
+                line = self._next_line(self.limit_s("later", LATER_S))
             except NoReply:
                 return text
 
-    def _do(self, command: str, limit_s: float = ANSWER_S) -> None:
+    def _do(self, command: str, limit_s: float = 0.0) -> None:
         """A command that answers with a code, when it is done. Raises DeviceError."""
-        line = self._result(command, limit_s)
+        line = self._result(command, limit_s or self.limit_s("answer", ANSWER_S))
         code = line.split()[0] if line.split() else ""
         if not re.fullmatch(r"\d{2}|\d{4}", code):
             raise Garbled(f"{self.name}: {line!r} is no result of {command}.")
@@ -407,7 +409,7 @@ class HudsonDriver(Wired):
 
     def _result(self, command: str, limit_s: float) -> str:
         """The line after the echo."""
-        self.link.exchange(command.encode(), ECHO_S)
+        self.link.exchange(command.encode(), self.limit_s("echo", ECHO_S))
         return self._next_line(limit_s)
 
     def _next_line(self, limit_s: float) -> str:

@@ -18,6 +18,7 @@ from labos.errors import DeviceError
 from labos.link.life import Life
 from labos.node import Setup, see_unit, under_way
 from labos.node.worker import Worker
+from labos_drivers._limits import deadlines_in
 from labos_drivers._simulation import Instrument, Simulated
 
 D = TypeVar("D", bound="Wired")
@@ -69,20 +70,28 @@ def aside(
 
 class Wired:
     """Base of drivers, which set ``link``. ``simulator`` is the simulated device behind the wire, if
-    there is one; ``where`` is the key of the workcell file that names a real one, with an example."""
+    there is one; ``where`` is the key of the workcell file that names a real one, with an example;
+    ``deadlines`` are those that the file may set."""
 
     where: ClassVar[tuple[str, str]] = ("port", "/dev/ttyUSB0")
+    deadlines: ClassVar[tuple[str, ...]] = ()
     link: Life
     under_way = staticmethod(under_way)
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         self.name = setup.name
         self._of = setup
+        self._deadlines = deadlines_in(setup, self.deadlines)
         self.run = Worker(f"{setup.name} driver")
         self.ask = Worker(f"{setup.name} questions")
         self.moving = False
         self._simulator = simulator
         self._halted = threading.Event()
+
+    def limit_s(self, deadline: str, usual_s: float) -> float:
+        """How long something may take: as ``deadlines:`` of the config says, else as usual."""
+        assert deadline in self.deadlines, deadline
+        return self._deadlines.get(deadline, usual_s)
 
     def see_unit(self, serial: Any) -> None:
         """What the device tells as its serial number, when it is recognised. Raises WrongDevice."""

@@ -6,6 +6,7 @@ back, so the implementation for PV Access has to keep it from doing so.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -15,7 +16,7 @@ from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 from labos.spec.signals import Condition
 
-__all__ = ["Channels", "NoResponse", "Reading", "fits", "missing_package"]
+__all__ = ["Channels", "NoResponse", "Reading", "fits", "leaves_open", "missing_package"]
 
 SETTLED = 3
 """How often in a row a device must say that it does nothing before its silence on an action is believed."""
@@ -57,14 +58,32 @@ class Channels(Protocol):
 def fits(condition: Condition, told: Reading) -> bool:
     """Whether a condition holds for what was told."""
     if condition.is_ is not None:
-        wanted = condition.is_ if isinstance(condition.is_, list) else [condition.is_]
-        return told.value in wanted or (bool(told.label) and told.label in wanted)
-    if not isinstance(told.value, int | float):
+        return _is_among(told, condition.is_)
+    if not _is_number(told):
         return False
     if condition.near is not None and abs(told.value - float(condition.near)) > condition.within:
         return False
     low, high = condition.minimum, condition.maximum
     return (low is None or told.value >= low) and (high is None or told.value <= high)
+
+
+def leaves_open(condition: Condition, told: Reading) -> bool:
+    """Whether what was told neither fits a condition nor says the opposite: no number where one is wanted,
+    or a value that is not among those that do."""
+    if fits(condition, told):
+        return False
+    if condition.not_ is not None:
+        return not _is_among(told, condition.not_)
+    return condition.is_ is None and not _is_number(told)
+
+
+def _is_among(told: Reading, wanted: Any) -> bool:
+    values = wanted if isinstance(wanted, list) else [wanted]
+    return told.value in values or (bool(told.label) and told.label in values)
+
+
+def _is_number(told: Reading) -> bool:
+    return isinstance(told.value, int | float) and math.isfinite(told.value)
 
 
 def text_of(data: bytes) -> str | None:

@@ -13,7 +13,15 @@ from typing import Any, ClassVar
 
 import msgspec
 
-from labos.adapter._channels import SETTLED, SEVERITIES, Channels, NoResponse, Reading, fits
+from labos.adapter._channels import (
+    SETTLED,
+    SEVERITIES,
+    Channels,
+    NoResponse,
+    Reading,
+    fits,
+    leaves_open,
+)
 from labos.adapter._foreign import ForeignNode
 from labos.adapter._placeholders import fill
 from labos.core.model import ActionSpec
@@ -122,7 +130,8 @@ class SignalNode(ForeignNode):
             return False
         if not self.tells_busy:
             return await super().is_idle()
-        return not any([await self._holds(told) for told in self.mapping.state.busy])
+        seen = [(told, await self._get(told.pv)) for told in self.mapping.state.busy]
+        return not any(fits(told, now) or leaves_open(told, now) for told, now in seen)
 
     async def trouble(self) -> str:
         if absent := self._silent():
@@ -154,8 +163,8 @@ class SignalNode(ForeignNode):
             told = await self._get(name)
             seen[variable] = told.label or told.value
         if self.mapping.labware:
-            places = self.mapping.labware.items()
-            seen["labware"] = {place: await self._holds(told) for place, told in places}
+            told_of = [(at, told, await self._get(told.pv)) for at, told in self.mapping.labware.items()]
+            seen["labware"] = {at: fits(told, now) for at, told, now in told_of if not leaves_open(told, now)}
         return seen
 
     async def resources(self) -> dict[str, float]:

@@ -57,7 +57,7 @@ class MadsciRestNode(HttpNode):
 
     async def is_idle(self) -> bool:
         status = await self._status()
-        return not (status.get("busy") or status.get("running_actions") or status.get("initializing"))
+        return not (status["busy"] or status.get("running_actions") or status.get("initializing"))
 
     async def trouble(self) -> str:
         try:
@@ -91,7 +91,11 @@ class MadsciRestNode(HttpNode):
         return state if isinstance(state, dict) else {"state": state}
 
     async def _status(self) -> dict[str, Any]:
-        return await self._table("/status")
+        """Raises DeviceError (``none``), also for an answer that does not say whether the node works."""
+        status = await self._table("/status")
+        if not isinstance(status.get("busy"), bool):
+            raise DeviceError(f"/status answered {status!r}, which does not say `busy`.", effects="none")
+        return status
 
     async def _info(self) -> dict[str, Any]:
         return await self._table("/info")
@@ -126,8 +130,9 @@ class MadsciRestNode(HttpNode):
             told = read_json(await self.http.send("POST", f"/admin/{name}"))
         except NoResponse as lost:
             raise DeviceError(f"{name}: no answer came ({lost}).") from lost
-        if isinstance(told, dict) and not told.get("success", True):
-            raise DeviceError(f"{name}: {_errors(told)}")
+        if not isinstance(told, dict) or told.get("success") is not True:
+            why = _errors(told) if isinstance(told, dict) else ""
+            raise DeviceError(f"{name}: {why or f'the foreign node answered {told!r}'}")
 
     # -- actions -----------------------------------------------------------------------------
 

@@ -56,13 +56,15 @@ class RestNode(HttpNode):
     async def is_idle(self) -> bool:
         """By its own word; a device that has none is asked whether it is there."""
         status, _ = await self._state()
-        return status != "busy" if self.tells_busy else await super().is_idle()
+        return status not in ("busy", "not known") if self.tells_busy else await super().is_idle()
 
     async def trouble(self) -> str:
         try:
             status, why = await self._state()
         except DeviceError as missing:
             return str(missing)
+        if status == "not known":
+            return f"The device says that it is {why}; `rest: state` does not tell what that means."
         return f"The device is in error: {why}. Reset the module." if status == "error" else ""
 
     async def resources(self) -> dict[str, float]:
@@ -72,7 +74,7 @@ class RestNode(HttpNode):
         return levels_in(found if isinstance(found, dict) else {})
 
     async def _state(self) -> tuple[str, str]:
-        """(busy, error or nothing; why)."""
+        """(busy, error, not known or nothing; why). Raises DeviceError (``none``) for no status."""
         told = self.mapping.state
         if told is None:
             return "", ""
@@ -80,7 +82,11 @@ class RestNode(HttpNode):
         status = field(answer, told.status)
         if status in told.error:
             return "error", str(field(answer, told.why) if told.why else status)
-        return ("busy" if status in told.busy else ""), ""
+        if status in told.busy:
+            return "busy", ""
+        if status is None:
+            raise DeviceError(f"{told.path} tells no {told.status or 'status'!r}.", effects="none")
+        return ("not known", repr(status)) if told.idle and status not in told.idle else ("", "")
 
     # -- recovery ----------------------------------------------------------------------------
 

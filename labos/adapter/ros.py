@@ -123,7 +123,13 @@ class RosNode(ForeignNode):
         """By its state, if it tells one and has told it."""
         if not self.tells_busy:
             return await super().is_idle()
-        return bool(self._state) and not self._is_busy
+        return bool(self._state) and not self._is_busy and not self._is_strange
+
+    @property
+    def _is_strange(self) -> bool:
+        """Whether its state is in none of the lists of the mapping, if that has one of states at rest."""
+        state = self.mapping.state
+        return state is not None and bool(state.idle) and not self._says([*state.idle, *state.error])
 
     async def trouble(self) -> str:
         try:
@@ -135,6 +141,8 @@ class RosNode(ForeignNode):
         state = self.mapping.state
         if state is not None and self._says(state.error):
             return f"The node is in error: {self._state.strip()}. Reset the module."
+        if self._state and self._is_strange and not self._is_busy:
+            return f"The node says {self._state.strip()!r}, which is not known to mean that it is idle."
         return ""
 
     async def _is_there(self) -> bool:

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import io
 import json
+import math
 import zipfile
 from typing import Any
 
@@ -62,7 +63,7 @@ class WeiRestNode(HttpNode):
 
     async def is_idle(self) -> bool:
         flags, _ = await self._state()
-        return not works(flags)
+        return rests(flags)
 
     async def trouble(self) -> str:
         try:
@@ -81,6 +82,9 @@ class WeiRestNode(HttpNode):
             return f"The foreign node is in error: {error or 'it does not say why'}. Reset the module."
         if halted := flags & HALTED:
             return f"The foreign node is {min(halted).lower()} on its own side. Unlock or reset it there."
+        if not works(flags) and not rests(flags):
+            said = ", ".join(sorted(flags)) or "nothing of its status"
+            return f"The foreign node says {said}, which is not known to mean that it is idle."
         return ""
 
     async def learn(self) -> None:
@@ -299,14 +303,19 @@ def works(flags: set[str]) -> bool:
     return bool(flags & (BUSY | STARTING)) and "ERROR" not in flags
 
 
+def rests(flags: set[str]) -> bool:
+    """Whether a node says that it carries nothing out. A state that is not known does not say that."""
+    return not works(flags) and bool(flags & (READY | HALTED | {"ERROR"}))
+
+
 def levels_in(told: dict[str, Any]) -> dict[str, float]:
     """The numbers of a table of resources, at the first level or as ``quantity`` below it."""
     levels = {}
     for name, value in told.items():
         number = value.get("quantity", value.get("level")) if isinstance(value, dict) else value
         with contextlib.suppress(TypeError, ValueError):
-            if not isinstance(number, bool):
-                levels[str(name)] = float(number)  # type: ignore[arg-type]
+            if not isinstance(number, bool) and math.isfinite(level := float(number)):  # type: ignore[arg-type]
+                levels[str(name)] = level
     return levels
 
 

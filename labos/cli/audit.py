@@ -29,7 +29,7 @@ def command() -> None:
 
 
 @command.command("project")
-@click.option("--follow", is_flag=True, help="Go on with what is added, until Ctrl-C.")
+@click.option("-f", "--follow", is_flag=True, help="Go on with what is added, until Ctrl-C.")
 @click.option(
     "--every",
     type=click.FloatRange(min=0.1),

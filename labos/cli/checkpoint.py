@@ -41,7 +41,7 @@ POLL_S = 2.0
     help="Accept only cosignatures that this public key checks.",
 )
 @click.option("--timestamp", "stamp", metavar="URL", default="", help="An RFC 3161 time stamp authority.")
-@click.option("--follow", is_flag=True, help="Go on until Ctrl-C: one checkpoint every so many events.")
+@click.option("-f", "--follow", is_flag=True, help="Go on until Ctrl-C: one checkpoint every so many events.")
 @click.option(
     "--every",
     type=click.IntRange(min=1),

@@ -150,8 +150,8 @@ def _carry_out(
 
 def _queue(job: Any, home: str | None, *, as_json: bool) -> None:
     from labos.cli._lab import need_lab
-    from labos.cli.run import submit
+    from labos.cli.run import places_of, submit
 
     with need_lab(home) as client:
-        run = submit(client, job, job.workcell, ())
+        run = submit(client, job, job.workcell, places_of(job.placed))
     click.echo(f'{{"run": "{run}"}}' if as_json else run)

@@ -59,7 +59,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
         known = _last_known(where)
     else:
         with need_lab_of(where) as client:
-            known = client.state(waits=False)["modules"]
+            known = [_named(one) for one in client.state(waits=False)["modules"]]
     if as_json:
         show_json(known)
         return
@@ -71,7 +71,7 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
     from labos.cli._out import show_json, show_table
 
     with need_lab_of(where) as client:
-        found = client.check_nodes(names)
+        found = [_named(one) for one in client.check_nodes(names)]
     if as_json:
         show_json(found)
     else:
@@ -81,21 +81,26 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
         )
         for one in found:
             if one["answer"] not in ("IDLE", "BUSY"):
-                remedy = REMEDIES.get(one["answer"], "").format(module=local(one["name"]))
-                click.echo(f"{local(one['name'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
+                remedy = REMEDIES.get(one["answer"], "").format(module=local(one["module"]))
+                click.echo(f"{local(one['module'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
     if any(one["answer"] not in ("IDLE", "BUSY") for one in found):
         raise SystemExit(FAILED)
+
+
+def _named(one: dict[str, Any]) -> dict[str, Any]:
+    """What the API tells of a module, with its name as all commands call it."""
+    return {"module": one["name"], **{key: value for key, value in one.items() if key != "name"}}
 
 
 def _checked(one: dict[str, Any]) -> tuple[str, ...]:
     checked = one["checked"]
     if checked is None:
-        return (one["name"], one["answer"], "", "", "", "", "")
+        return (one["module"], one["answer"], "", "", "", "", "")
     driver = f"{checked['driver']} {checked['version']}{' (simulated)' if checked['simulated'] else ''}"
     sees = ", ".join(f"{name} {value}" for name, value in _flat(checked["sees"]))
     seen = checked["sees_nothing"] or sees or "nothing"
     device = (checked["unit"], checked["firmware"])
-    return (one["name"], one["answer"], driver, checked["labos"], *device, seen)
+    return (one["module"], one["answer"], driver, checked["labos"], *device, seen)
 
 
 def _flat(seen: dict[str, Any]) -> list[tuple[str, Any]]:
@@ -116,7 +121,7 @@ def _last_known(where: Where) -> list[dict[str, Any]]:
     doing = state.actions.open
     return [
         {
-            "name": name,
+            "module": name,
             "driver": module.driver or module.spec.driver,
             "simulated": module.simulated,
             "status": "not known",
@@ -144,4 +149,4 @@ def _row(module: dict[str, Any]) -> tuple[str, ...]:
     is_well = module["status"] in ("IDLE", "BUSY") and not module["out_of_service"]
     problem = "" if is_well else module["problem"]
     driver = f"{module['driver']}{' (simulated)' if module['simulated'] else ''}"
-    return (module["name"], driver, module["status"], doing, str(process.get("pid") or ""), problem)
+    return (module["module"], driver, module["status"], doing, str(process.get("pid") or ""), problem)

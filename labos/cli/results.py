@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import sys
 from collections.abc import Iterable
 from typing import TextIO
 
@@ -19,23 +20,26 @@ from labos.services.times import Moment, iso_time, show_time
 
 @click.command("results", short_help="What a run measured, well by well.")
 @click.argument("run", shell_complete=completes("run"))
+@click.option("--csv", "as_csv", is_flag=True, help="CSV, for spreadsheets; times in UTC.")
 @click.option(
-    "--csv",
+    "-o",
+    "--output",
     "file",
     type=click.File("w", encoding="utf-8", lazy=True),
     metavar="FILE",
-    help="Write them to a CSV file (- for the terminal); times in UTC.",
+    help="Write the CSV to this file.",
 )
 @json_option
 @at_option
 @log_options
-def command(where: Where, run: str, file: TextIO | None, as_json: bool, moment: Moment) -> None:
+def command(where: Where, run: str, as_csv: bool, file: TextIO | None, as_json: bool, moment: Moment) -> None:
     """The results of RUN's steps that are tables by well, each value with the sample that was in
     its well.
 
     \b
     labos results R3
-    labos results R3 --csv r3.csv
+    labos results R3 --csv
+    labos results R3 -o r3.csv
     """
     with open_log(where) as store, contents(where) as blobs:
         if moment == Moment():
@@ -43,8 +47,8 @@ def command(where: Where, run: str, file: TextIO | None, as_json: bool, moment: 
         found = readings(store, blobs, run, position_at(store, moment))
     if as_json:
         show_json([dict(zip(COLUMNS, _row(r, iso_time(r.time)), strict=True)) for r in found])
-    elif file is not None:
-        _write(file, found)
+    elif as_csv or file is not None:
+        _write(file or sys.stdout, found)
     elif found:
         show_table(COLUMNS, [tuple(map(str, _row(r, show_time(r.time)))) for r in found])
     else:

@@ -19,7 +19,7 @@ from labos.cli._options import home_option, json_option, user_option, who, why_o
 )
 @why_option()
 @click.option(
-    "--labware", default="", metavar="TYPE", help="For labware of this type only; else for all other."
+    "--type", "kind", default="", metavar="TYPE", help="For labware of this type only; else for all other."
 )
 @user_option
 @home_option
@@ -29,7 +29,7 @@ def teach(
     station: str,
     pose: str,
     why: str,
-    labware: str,
+    kind: str,
     user: str | None,
     home: str | None,
     as_json: bool,
@@ -40,7 +40,7 @@ def teach(
 
     \b
     labos teach pf400 sealer.default --pose 190.1,10.2,50.5,260.0,640.7,-480.2
-    labos teach pf400 sealer.default --labware pcr96 --pose 188.6,10.2,50.5,260.0,640.7,-480.2
+    labos teach pf400 sealer.default --type pcr96 --pose 188.6,10.2,50.5,260.0,640.7,-480.2
     """
     from labos.cli._lab import need_lab
     from labos.cli._out import tell
@@ -50,9 +50,9 @@ def teach(
     except ValueError:
         raise click.BadParameter(f"{pose!r} is no list of numbers.", param_hint="--pose") from None
     with need_lab(home) as client:
-        version = client.teach(module, station, numbers, who(user), why, labware_type=labware)
-    what = f"{station} with a {labware}" if labware else station
-    facts = {"module": module, "station": station, "labware": labware, "version": version}
+        version = client.teach(module, station, numbers, who(user), why, labware_type=kind)
+    what = f"{station} with a {kind}" if kind else station
+    facts = {"module": module, "station": station, "type": kind, "version": version}
     tell(f"{module} finds {what} by version {version}.", facts, as_json=as_json)
 
 
@@ -79,7 +79,7 @@ def locations(module: str, as_json: bool, home: str | None) -> None:
         for kind, at in (("", own), *sorted(own.get("types", {}).items()))
     ]
     show_table(
-        ["station", "labware", "version", "tried", "pose"],
+        ["station", "type", "version", "tried", "pose"],
         [
             [name, kind, str(at["version"]), "yes" if at["proven"] else "no", ", ".join(map(str, at["pose"]))]
             for name, kind, at in rows

@@ -60,7 +60,7 @@ def create(label: str, scope: str, days: float, user: str, home: str | None, as_
 
 
 @command.command("list")
-@click.option("--of", "user", metavar="USER", default="", help="Whose, if not yours; for admins.")
+@click.option("--for", "user", metavar="USER", default="", help="Whose, if not yours; for admins.")
 @home_option
 @json_option
 def list_(user: str, home: str | None, as_json: bool) -> None:

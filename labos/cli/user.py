@@ -68,10 +68,14 @@ def add(
         found = client.user(name)
     if as_json:
         show_json(found)
-    elif is_first:
+        return
+    if is_first:
         click.echo(f"{name} is the admin of this lab. From now on nobody but its users may do anything.")
-    if not as_json and not service:
-        click.echo(f"Next: labos user password {name}")
+    else:
+        what = "a service account" if service else "a user"
+        click.echo(f"{name} is {what} of this lab: {in_words(found['roles']) or 'may look'}.")
+    next_step = f"token create LABEL --for {name}" if service else f"user password {name}"
+    click.echo(f"Next: labos {next_step}")
 
 
 @command.command("list")

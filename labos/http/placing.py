@@ -7,12 +7,17 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from labos.core.decide.stock import LoadStation
+from labos.core.bench import parts
+from labos.core.decide.stock import FOLLOWS, LoadStation
+from labos.core.effects import Requires, Sets
 from labos.core.ids import StationName, local, workcell_of
 from labos.errors import BadInput
 from labos.http.limits import Name, Variables
 from labos.http.stock import expect, put_there
 from labos.spec import Bench, Stock
+from labos.spec.about import described
+from labos.spec.bench import DEFAULT_LID
+from labos.spec.findings import near
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -32,30 +37,52 @@ def loads_of(service: LabService, placings: Sequence[Placing], workcell: str, by
     cannot stand there."""
     loads: dict[StationName, LoadStation] = {}
     for placing in placings:
-        service.expect_labware(placing.labware)
         written = placing.station
         name = service.station(f"{workcell}/{written}" if workcell and "/" not in written else written)
         there = loads.get(name)
-        variables = placing.variables
+        labware, variables = _in_full(service, placing)
+        service.expect_labware(labware)
         put_on = tuple(name for name in variables if variables[name])
         left_off = tuple(name for name in variables if not variables[name])
-        alike = there is None or (there.labware, there.set, there.unset) == (
-            placing.labware,
-            put_on,
-            left_off,
-        )
+        alike = there is None or (there.labware, there.set, there.unset) == (labware, put_on, left_off)
         if there is not None and not alike:
             raise BadInput(
-                f"On {local(name)}, {there.labware} and {placing.labware} are to be put at once."
-                if there.labware != placing.labware
+                f"On {local(name)}, {there.labware} and {labware} are to be put at once."
+                if there.labware != labware
                 else f"On {local(name)}, {there.labware} is to be put in two ways: {variables}.",
                 remedy="Put them there one after the other: labos load STATION --type TYPE",
             )
         count = 1 if there is None else there.count + 1
-        loads[name] = LoadStation(name, placing.labware, count, set=put_on, unset=left_off)
+        loads[name] = LoadStation(name, labware, count, set=put_on, unset=left_off)
     for command in loads.values():
         expect(service, command, by)
     return list(loads.values())
+
+
+def _in_full(service: LabService, placing: Placing) -> tuple[str, dict[str, bool]]:
+    """The type with its lid, and what else is said of a piece. Raises BadInput for what nothing in this lab
+    asks about."""
+    variables, labware = dict(placing.variables), placing.labware
+    is_lidded = variables.pop("lidded", None)
+    if is_lidded is False and parts(labware)[1]:
+        raise BadInput(f"{labware} has a lid, and is said not to be lidded.", remedy="Leave one of them out.")
+    if is_lidded and not parts(labware)[1]:
+        labware = f"{labware}+{DEFAULT_LID}"
+    known = {*_asked_about(service), *FOLLOWS}
+    for name in variables:
+        if name not in known:
+            raise BadInput(
+                f"No action of this lab asks whether labware is {name!r}.", remedy=near(name, known)
+            )
+    return labware, variables
+
+
+def _asked_about(service: LabService) -> set[str]:
+    """The variables of labware that the lab's actions need or set."""
+    modules = service.kernel.state.modules.by_name.values()
+    known = (described(module.spec, service.parts.descriptions) for module in modules)
+    effects = (effect for about in known if about for spec in about.actions for effect in spec.effects)
+    return {e.variable for e in effects if isinstance(e, Requires | Sets) and e.of == "labware"}
 
 
 def with_loads(bench: Bench, loads: Sequence[LoadStation]) -> Bench:

@@ -277,13 +277,17 @@ class Planner:
             for name in [name for name, value in entry.args.items() if value is None and name not in known]:
                 del written[name]
 
+        taught = _taught(module)
+
         def tell(name: str, message: str, remedy: str) -> None:
             if name not in broken:
+                if close := _nearly(taught, written.get(name)):
+                    message = f"{message.rstrip('.')}; {close}."
                 at = (*path, "args", name) if name else (*path, "args")
                 unknown = bool(name) and name not in known
                 self.remarks.error(f"Step {entry.name!r}: {message}", at, remedy, key=unknown)
 
-        args = bind(action, written, tell)
+        args = bind(action, _with_places(taught, action, written), tell)
         for arg in action.args:
             value = args.get(arg.name)
             at = (*path, "args", *[name for name in entry.args if name in (arg.name, *arg.aliases)][:1])
@@ -493,3 +497,32 @@ def _holds_result(value: Any) -> bool:
     if isinstance(value, dict):
         return "$result" in value or any(_holds_result(item) for item in value.values())
     return result_of(value) is not None
+
+
+def _taught(module: ModuleSpec) -> dict[str, Any]:
+    """The joint angles that a module knows for places, by station."""
+    config = module.config.get("config") or {}
+    return {**(config.get("representations") or {}), **(module.config.get("poses") or {})}
+
+
+def _with_places(taught: Mapping[str, Any], action: ActionSpec, written: dict[str, Any]) -> dict[str, Any]:
+    """The arguments with the station in the place of joint angles, where they are those of one place that was
+    taught, and of no other."""
+    known = {alias for arg in action.args if arg.type == "station" for alias in (arg.name, *arg.aliases)}
+    found = dict(written)
+    for name in known & written.keys() if taught else ():
+        if isinstance(written[name], list):
+            places = [place for place, pose in taught.items() if pose and pose == written[name]]
+            found[name] = places[0] if len(places) == 1 else written[name]
+    return found
+
+
+def _nearly(taught: Mapping[str, Any], angles: Any) -> str:
+    """Which place has these joint angles but for one; empty if none has."""
+    for place, pose in taught.items() if isinstance(angles, list) else ():
+        if isinstance(pose, list) and len(pose) == len(angles):
+            apart = [n for n, (one, other) in enumerate(zip(pose, angles, strict=True)) if one != other]
+            if len(apart) == 1:
+                at = apart[0]
+                return f"these joint angles are those of {place}, but {angles[at]} in the place of {pose[at]}"
+    return ""

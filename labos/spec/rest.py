@@ -48,11 +48,13 @@ class Job(Part):
 
 
 class State(Part):
-    """How the device says that it is busy or in error."""
+    """How the device says that it is busy or in error. With ``idle``, a status in none of the lists is not
+    idle; an answer that tells no status never is."""
 
     path: str
     status: str = ""
     busy: list[Any] = []
+    idle: list[Any] = []
     error: list[Any] = []
     why: str = ""
 

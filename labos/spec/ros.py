@@ -39,12 +39,14 @@ class Call(Part):
 
 
 class RosState(Part):
-    """The topic on which a node tells its state. A word counts wherever it stands in the text."""
+    """The topic on which a node tells its state. A word counts wherever it stands in the text. With ``idle``,
+    a text with none of the words is not idle."""
 
     topic: str
     type: str = "std_msgs/msg/String"
     field: str = "data"
     busy: list[str] = ["BUSY", "RUNNING"]
+    idle: list[str] = []
     error: list[str] = ["ERROR"]
 
 
@@ -65,6 +67,10 @@ class RosMapping(Part):
         return self.actions.get(action) or self.action
 
 
+WEI_AT_REST = ["READY", "IDLE", "OK", "COMPLETED", "LOCKED", "PAUSED", "CANCELLED"]
+"""What WEI's ROS nodes say when they carry nothing out; others, as ``UNKNOWN``, do not say that."""
+
+
 def wei_mapping(address: str) -> dict[str, Any]:
     """What WEI's ROS nodes have below their names (``wei_services``, as its own client calls them)."""
     service = {"status": "action_response", "done": [0], "error": "action_msg", "result": "action_msg"}
@@ -73,7 +79,7 @@ def wei_mapping(address: str) -> dict[str, Any]:
     told = {"type": "wei_services/srv/WeiDescription", "result": "description_response"}
     return {
         "action": {"service": action, "type": "wei_services/srv/WeiActions", "fields": fields, **service},
-        "state": {"topic": f"{address}/state"},
+        "state": {"topic": f"{address}/state", "idle": WEI_AT_REST},
         "about": {"service": f"{address}/description_handler", **told},
     }
 

@@ -33,10 +33,13 @@ class Put(Part):
 
 class Condition(Part):
     """What a process variable tells: ``is`` one of these values or an enumeration's labels, ``near`` a
-    number ``within`` a tolerance, not below ``minimum``, not above ``maximum``."""
+    number ``within`` a tolerance, not below ``minimum``, not above ``maximum``. With ``not``, only its
+    values say the opposite: any other says nothing, so that a module is not idle and a place not empty by
+    it."""
 
     pv: Variable
     is_: Any = Field(default=None, alias="is")
+    not_: Any = Field(default=None, alias="not")
     near: Any = None
     within: float = 0.0
     minimum: float | None = None

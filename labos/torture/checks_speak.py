@@ -102,7 +102,7 @@ async def happy(on: Session) -> None:
         used = {name: on.bench.world.left("device", name) for name in {**on.about.levels, **on.about.units}}
         began = on.now()
         done = await on.ask_for(case)
-        outcome = await on.end(done)
+        outcome = await on.learn(done)
         on.took_s[case.action] = on.now() - began
         if case.refused:
             _declined(case.action, case.refused, outcome)

@@ -117,3 +117,11 @@ def test_a_command_that_exists_is_none() -> None:
     assert not what_is_wrong('labos submit pcr --payload \'{"a": "b > c; d"}\' --wait | tail -1', strict=True)
     assert not what_is_wrong("labos explain", strict=False)
     assert what_is_wrong("labos explain", strict=True)
+
+
+def test_pip_is_not_told_to_be_quiet_where_a_newcomer_waits_for_it() -> None:
+    """It takes minutes, in which it says what it does."""
+    readme = (ROOT / "README.md").read_text()
+    demo = readme.partition("<!-- demo -->")[2].partition("<!-- end -->")[0]
+    assert "pip install . " in demo
+    assert not re.search(r"\s-(q|-quiet)\b", demo)

@@ -106,6 +106,25 @@ def test_trouble_on_the_way(base: MiROnWire, world: World, how: str, why: str) -
     assert [motion.facts["target"] for motion in world.motions("drive")] == ["bench1"]
 
 
+@pytest.mark.parametrize("x", [float("nan"), float("inf"), None, "3"])
+def test_a_robot_that_does_not_know_where_it_is_has_not_arrived(base: MiROnWire, x: Any) -> None:
+    """Nor is it away from all positions."""
+    here = base._here
+
+    async def body() -> None:
+        async with driven(base) as node:
+            base._here = lambda: (x, 0.0)  # type: ignore[method-assign,return-value,assignment]
+            with pytest.raises(Garbled, match="does not tell where the robot is"):
+                await node.observe()
+            with pytest.raises(Garbled, match="does not tell where the robot is") as told:
+                await node.move("bench2")
+            assert told.value.effects == "unknown"
+            base._here = here  # type: ignore[method-assign]
+            assert await node.observe() == {"position": "bench2"}
+
+    run(body)
+
+
 def test_a_mission_that_was_broken_off_while_it_was_made_gets_its_step(base: MiROnWire, world: World) -> None:
     name = "labos move p-bench1"
     base.missions["mission-1"] = {"guid": "mission-1", "name": name, "actions": []}

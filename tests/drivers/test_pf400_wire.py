@@ -441,15 +441,38 @@ def test_who_is_no_pf400_is_not_driven(
     thread.join()
 
 
-def test_a_garbled_position_is_no_position() -> None:
+@pytest.mark.parametrize("joint", [b"17\xff7.1", b"nan", b"inf", b""])
+def test_a_garbled_position_is_no_position(joint: bytes) -> None:
+    """Nothing is as near to a joint that is no number as to one that stands still."""
     who = (b"0\r\n", b"0\r\n", b"0 12\r\n", b"0 0,0\r\n", b"0 0,0\r\n")
-    end, thread = answering(*who, b"0 400.0 1.4 17\xff7.1 537.1 90.0 0.0\r\n")
+    where = b"0 400.0 1.4 %s 537.1 90.0 0.0\r\n" % joint if joint else b"0 \r\n"
+    end, thread = answering(*who, where)
 
     async def body() -> None:
         node = at_port(PF400, "pf400", end.address, key="host")
         await node.connect()
-        with pytest.raises(Garbled, match="does not say where the arm is"):
+        with pytest.raises(Garbled, match=r"does not say where the arm is|has 0 joints"):
             await node.is_idle()
+        await node.close()
+
+    run(body)
+    end.close()
+    thread.join()
+
+
+@pytest.mark.parametrize("told", [(b"0 2", b"0 1"), (b"0 -1", b"0 1"), (b"0 1", b"0 2"), (b"0 1", b"0 -1")])
+def test_only_its_word_says_that_it_is_powered_and_homed(told: tuple[bytes, bytes]) -> None:
+    who = (b"0\r\n", b"0\r\n", b"0 12\r\n", b"0 0,0\r\n", b"0 0,0\r\n", b"0 A1\r\n", b"0 1\r\n")
+    where = b"0 400.0 1.4 177.1 537.1 90.0 0.0\r\n"
+    end, thread = answering(*who, where, *(each + b"\r\n" for each in told), b"-1046\r\n")
+
+    async def body() -> None:
+        node = at_port(PF400, "pf400", end.address, key="host", **TOLD)
+        await node.connect()
+        with pytest.raises(DeviceError, match=r"its power is off\.|it is not homed\.") as caught:
+            await node.transfer("sealer.default", "ot2.deck2")
+        assert caught.value.effects == "none"
+        assert "-1046" not in str(caught.value), "it was not asked to move"
         await node.close()
 
     run(body)

@@ -12,14 +12,16 @@ import pytest
 from labos.bootstrap import descriptions
 from labos.core.effects import Sets
 from labos.errors import BadInput, DeviceError
+from labos.node import Setup
 from labos.node.mapping import told_by
 from labos.spec import load_workcell, parse_workcell
 from labos.spec.about import described
 from labos.spec.source import plain, read
 from labos_drivers.plc.about import TABLE, describe
+from labos_drivers.plc.driver import PlcDriver
 from labos_drivers.plc.interface import HATCH, Plc
-from labos_drivers.plc.mapping import Point
-from labos_drivers.plc.values import decoded, encoded
+from labos_drivers.plc.mapping import Condition, PlcMapping, Point
+from labos_drivers.plc.values import decoded, encoded, fits, leaves_open
 
 WORKCELL = (
     "labos: 1\nname: lab\nmodules:\n  - name: hatch\n    driver: plc\n    config:\n      address: 10.0.7.5\n"
@@ -52,6 +54,34 @@ def test_what_a_module_offers_follows_from_its_mapping(tmp_path: Path) -> None:
     assert told == plain(read(HATCH).data)
     own = Plc.for_config({"plc": told}).describe()
     assert own.actions[:-1] == about.actions[: len(own.actions) - 1]
+
+
+@pytest.mark.parametrize(
+    ("condition", "value", "holds", "is_open"),
+    [
+        ({"is": [2, 3]}, 7, False, False),
+        ({"is": [2, 3], "not": [0, 1]}, 3, True, False),
+        ({"is": [2, 3], "not": [0, 1]}, 1, False, False),
+        ({"is": [2, 3], "not": [0, 1]}, 7, False, True),
+        ({"minimum": 2, "not": 0}, 1, False, True),
+    ],
+)
+def test_a_value_that_says_neither_leaves_it_open(
+    condition: dict[str, Any], value: int, holds: bool, is_open: bool
+) -> None:
+    meant = Condition.model_validate({"point": "mode", **condition})
+    assert (fits(meant, value), leaves_open(meant, value)) == (holds, is_open)
+
+
+@pytest.mark.parametrize(("mode", "busy"), [(0, False), (2, True), (7, True)])
+def test_a_mode_that_is_not_known_is_no_rest(mode: int, busy: bool) -> None:
+    table = plain(read(HATCH).data) | {"state": {"busy": {"point": "fault", "is": 2, "not": 0}}}
+
+    class Hatch(PlcDriver):
+        mapping = PlcMapping.model_validate(table)
+
+    driver = Hatch(Setup("hatch", "lab", {}), "127.0.0.1:1")
+    assert driver._is_busy({"fault": mode}) is busy
 
 
 def test_a_changed_mapping_is_another_workcell(tmp_path: Path) -> None:

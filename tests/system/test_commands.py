@@ -123,6 +123,14 @@ def test_a_missing_plate_is_waited_for_and_can_be_placed(tmp_path: Path) -> None
         up.clean_up()
 
 
+WHAT_THEY_ARE = {
+    "pf400": "Four-axis plate arm on a rail.",
+    "biometra": "Thermal cycler with a motorised, heated lid.",
+    "ot2_pcr_alpha": "Liquid handler with eleven deck slots.",
+}
+"""A newcomer does not know the names of models."""
+
+
 @pytest.mark.smoke
 def test_the_demonstration(tmp_path: Path) -> None:
     home = tmp_path / "demo"
@@ -130,6 +138,10 @@ def test_the_demonstration(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("completed all 14 steps") == 2
     assert "Longest time without human intervention" in done.stdout
+    assert "14 simulated modules" in done.stdout
+    for module, what in WHAT_THEY_ARE.items():
+        assert f"  {module:<16}{what}" in done.stdout.splitlines(), done.stdout
+    assert "Ada submits two PCRs, Bo an application that picks a colour." in done.stdout
     assert "labos verify --home" in done.stdout
     assert find_kernel(home) is None
     up = Up(home)

@@ -63,6 +63,38 @@ def test_what_is_refused_leaves_nothing_on_the_bench(lab: Up, tmp_path: Path) ->
     assert (lab.bench(), changes(lab)) == (before, told), "nothing is half-done"
 
 
+def test_what_labware_is_may_be_said_with_it(lab: Up) -> None:
+    """A seal and a lid, in the lab's own record and on the bench."""
+    home = ("--home", str(lab.home), "--user", "ada")
+    for words, why in (
+        ("peeler.default=plate96,sealled", "'sealled'. Did you mean 'sealed'?"),
+        ("hidex.default=plate96+lid96,not lidded", "has a lid, and is said not to be lidded"),
+        ("peeler.default=plate96,", "is not STATION=TYPE"),
+    ):
+        refused = labos("do", "peeler", "peel", "--place", words, *home)
+        assert (refused.returncode, why in refused.stderr) != (0, False), refused.stderr
+        assert why in refused.stderr, refused.stderr
+    peeled = labos("do", "peeler", "peel", "--place", "peeler.default=plate96,sealed", "--quiet", *home)
+    assert peeled.returncode == 0, peeled.stdout + peeled.stderr
+    place = ("--place", "camera_module.plate_station=plate96,lidded", "--quiet")
+    taken = labos("do", "camera_module", "take_picture", "file_name=a.jpg", *place, *home)
+    assert taken.returncode == 0, taken.stdout + taken.stderr
+    # It is queued with its labware, as what is waited for is.
+    queued = labos("do", "peeler", "peel", "--place", "wc.output=plate96,not sealed", "--no-wait", *home)
+    assert queued.returncode == 0, queued.stderr
+    with lab.client() as client:
+        plates = {item["station"]: item for item in client.state()["labware"]}
+        waits = [wait["why"] for run in client.state()["runs"] for wait in run["waits"]]
+        client.cancel(queued.stdout.strip(), "ada")
+    assert plates["peeler.default"]["variables"] == {"sealed": False}
+    seen = plates["camera_module.plate_station"]
+    assert (seen["type"], bool(seen["lid"])) == ("plate96", True)
+    assert plates["wc.output.1"]["variables"] == {"sealed": False}
+    assert waits, "nothing that is sealed stands at the peeler"
+    assert lab.interrupt() == 0
+    assert lab.disagreements() == ["person did seal 1 times, the log says 0"], "whoever brought it sealed"
+
+
 @pytest.mark.smoke
 def test_what_is_accepted_stands_there_and_runs(lab: Up, tmp_path: Path) -> None:
     good = tmp_path / "good.yaml"

@@ -84,7 +84,7 @@ def test_an_arm_finds_each_type_where_it_is(tmp_path: Path) -> None:
         with pytest.raises(BadInput, match="crane has one pose for all labware"):
             client.teach("crane", "wc.right", OTHER, "ada", labware_type="pcr96")
         pose = ",".join(map(str, OTHER))
-        taught = labos("teach", "arm", "wc.right", "--labware", "pcr96", "--pose", pose, *at)
+        taught = labos("teach", "arm", "wc.right", "--type", "pcr96", "--pose", pose, *at)
         assert taught.stdout == "arm finds wc.right with a pcr96 by version 1.\n", taught.stderr
         assert carried("plate96") == [("plate96", False)] * 2
         assert carried("pcr96") == [("pcr96", True), ("pcr96", False)]

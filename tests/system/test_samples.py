@@ -108,7 +108,7 @@ def test_samples_meet_their_values(client: LabClient, home: Path, tmp_path: Path
 
     run = client.submit(home / "read.yaml", user="ada")
     assert client.wait(run, timeout_s=PATIENCE_S).status == "completed"
-    written = labos("results", run, "--csv", "-", "--home", str(home))
+    written = labos("results", run, "--csv", "--home", str(home))
     assert written.returncode == 0, written.stderr
     rows = {row["well"]: row for row in csv.DictReader(io.StringIO(written.stdout))}
     assert len(rows) == 96

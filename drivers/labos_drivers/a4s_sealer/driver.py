@@ -7,8 +7,9 @@ import time
 from typing import Any
 
 from labos.errors import DeviceError, Garbled, HalfReply, NoReply
-from labos.link import Link, SerialWire
+from labos.link import Link
 from labos.node import Setup
+from labos_drivers._limits import serial_wire
 from labos_drivers._wired import Behind, Wired, off_loop
 from labos_drivers.a4s_sealer import protocol
 from labos_drivers.a4s_sealer.protocol import Status
@@ -26,13 +27,14 @@ class SealerDriver(Wired):
     waits until the streamed status shows what was asked for; and the record read just after a
     command is an old one, so that a cycle has to be seen to begin before its end is believed."""
 
+    deadlines = ("record", "accept", "shuttle", "heat", "begin", "cycle")
     link: Link
 
     def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, port, simulator)
         self._status: Status | None = None
         self.link = Link(
-            SerialWire(port, baudrate=protocol.BAUDRATE),
+            serial_wire(setup, port, baudrate=protocol.BAUDRATE),
             protocol.framing(),
             name=setup.name,
             answers=lambda _, message: message[:1] in (b"Y", b"N", b"X"),
@@ -65,7 +67,7 @@ class SealerDriver(Wired):
         with self.under_way():
             self._wait(
                 "come to rest",
-                SHUTTLE_S,
+                self.limit_s("shuttle", SHUTTLE_S),
                 lambda s: s.system == protocol.IDLE and s.shuttle == protocol.SHUTTLE_OUT,
                 fails=False,
             )
@@ -82,7 +84,7 @@ class SealerDriver(Wired):
     def _command(self, name: bytes, argument: int | None = None) -> None:
         """Send, and hear it accepted. Raises DeviceError: nothing has moved if it is rejected."""
         text = b"00" + name + b"=" + (b"" if argument is None else b"%04d" % argument)
-        answer = self.link.exchange(text, ACCEPT_S)
+        answer = self.link.exchange(text, self.limit_s("accept", ACCEPT_S))
         if answer[:1] == b"Y":
             return
         self._pass_over_acceptance()
@@ -108,12 +110,16 @@ class SealerDriver(Wired):
         with self.under_way():
             status = self._wait(
                 "begin to seal",
-                BEGIN_S,
+                self.limit_s("begin", BEGIN_S),
                 lambda s: s.system in running or (s.system == protocol.FINISHED != before),
             )
             if status.system in running:
                 self._end_cycle(status)
-            self._wait("hand the plate out", SHUTTLE_S, lambda s: s.shuttle == protocol.SHUTTLE_OUT)
+            self._wait(
+                "hand the plate out",
+                self.limit_s("shuttle", SHUTTLE_S),
+                lambda s: s.shuttle == protocol.SHUTTLE_OUT,
+            )
 
     def _end_cycle(self, begun: Status) -> None:
         """Wait until it rests. One that has restarted rests, too: its clock begins anew, or it stops counting
@@ -133,10 +139,11 @@ class SealerDriver(Wired):
             last = status
             return status.system in (protocol.IDLE, protocol.FINISHED)
 
-        self._wait("end the cycle", CYCLE_S, has_ended)
+        self._wait("end the cycle", self.limit_s("cycle", CYCLE_S), has_ended)
 
     def _await_heat(self, temperature_c: float) -> None:
-        deadline = time.monotonic() + HEAT_S
+        limit_s = self.limit_s("heat", HEAT_S)
+        deadline = time.monotonic() + limit_s
         while True:
             status = self._fresh()
             self._refuse_unless_fit(status)
@@ -146,7 +153,7 @@ class SealerDriver(Wired):
                 return
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"{self.name}: the block is at {status.temperature_c:g} °C after {HEAT_S:g} s, not at "
+                    f"{self.name}: the block is at {status.temperature_c:g} °C after {limit_s:g} s, not at "
                     f"{temperature_c:g} °C.",
                     effects="none",
                     remedy="Check the heater.",
@@ -206,7 +213,7 @@ class SealerDriver(Wired):
         return self._next_status(self.link)
 
     def _next_status(self, link: Link) -> Status:
-        deadline = time.monotonic() + RECORD_S
+        deadline = time.monotonic() + self.limit_s("record", RECORD_S)
         while True:
             try:
                 message = link.receive(max(deadline - time.monotonic(), 0.0))

@@ -56,6 +56,7 @@ class Goal(msgspec.Struct, frozen=True):
 class AxisDriver(Wired):
     """Commands of a drive with this ``table``."""
 
+    deadlines = ("state", "patience")
     where = ("channel", "can0")
     table: ClassVar[AxisTable]
 
@@ -162,7 +163,7 @@ class AxisDriver(Wired):
             self._control(profile.RESET_FAULT, anyway=True)
             self._control(profile.DISABLE_VOLTAGE, anyway=True)
         if state is not State.NOT_READY:
-            until = time.monotonic() + STATE_S
+            until = time.monotonic() + self.limit_s("state", STATE_S)
             while state_of(self.drive.status()) not in (State.DISABLED, State.READY):
                 if time.monotonic() > until:
                     raise self.drive.fault()
@@ -193,7 +194,7 @@ class AxisDriver(Wired):
     def _power_on(self, mode: int) -> None:
         """Step by step to the state in which it moves, in a mode. Raises DeviceError."""
         self.drive.write(profile.MODE, mode, 1)
-        until = time.monotonic() + STATE_S
+        until = time.monotonic() + self.limit_s("state", STATE_S)
         asked = None
         while (state := state_of(self.drive.status())) is not State.ENABLED:
             if state in (State.FAULT, State.REACTING):
@@ -229,7 +230,7 @@ class AxisDriver(Wired):
             except LinkError:
                 self._unless_halted()
                 sure = False
-                if time.monotonic() - silent_since > PATIENCE_S:
+                if time.monotonic() - silent_since > self.limit_s("patience", PATIENCE_S):
                     raise
                 time.sleep(POLL_S)
                 continue
@@ -303,7 +304,7 @@ class AxisDriver(Wired):
                 progress.taken = True
             elif progress.was_lost and not self.drive.read(profile.CONTROL, 2) & profile.START:
                 progress.taken = True  # or it never heard of it: then it stands elsewhere
-            elif progress.age_s > STATE_S:
+            elif progress.age_s > self.limit_s("state", STATE_S):
                 raise DeviceError(
                     f"{self.name}: the drive does not take the target.", remedy="Reset the module."
                 )

@@ -46,6 +46,7 @@ class BartyDriver(Wired):
     """A dose is checked, stored, journalled, started, and watched until the daemon says that it ended.
     There is no sensor of flow: that a motor turned so long is all that is known."""
 
+    deadlines = ("answer", "lost")
     where = ("host", "192.168.0.50")
     link: Link
 
@@ -225,7 +226,7 @@ class BartyDriver(Wired):
 
     def _again(self, dose: Dose) -> tuple[int, tuple[int, ...]]:
         """Status and parameters of a script; a daemon that is out of reach for a while is asked again."""
-        deadline = time.monotonic() + LOST_S
+        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
         while True:
             try:
                 result, more = self._ask(protocol.PROCP, dose.script)
@@ -250,14 +251,14 @@ class BartyDriver(Wired):
     def _ask(self, command: int, p1: int = 0, p2: int = 0, more: bytes = b"") -> tuple[int, bytes]:
         """The result, and what follows it."""
         question = protocol.question(command, p1, p2, more)
-        answer = self.link.exchange(question, ANSWER_S)
+        answer = self.link.exchange(question, self.limit_s("answer", ANSWER_S))
         told = protocol.HEADER.unpack_from(answer)
         if told[:3] != (command, p1, p2):
             raise Garbled(f"{self.name}: {answer[:16]!r} is no answer to command {command}.")
         return told[3], answer[protocol.HEADER.size :]
 
     def _recognise(self) -> str:
-        answer = self.link.exchange(protocol.question(protocol.PIGPV), ANSWER_S)
+        answer = self.link.exchange(protocol.question(protocol.PIGPV), self.limit_s("answer", ANSWER_S))
         command, _, _, version = protocol.HEADER.unpack_from(answer)
         return WHO if command == protocol.PIGPV and version > 0 else f"what answers {answer[:16]!r}"
 

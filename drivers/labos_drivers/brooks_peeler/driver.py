@@ -7,8 +7,9 @@ import time
 from typing import Any
 
 from labos.errors import DeviceError, Garbled, NoReply, NotConnected, OutcomeUnknown, StrayReply
-from labos.link import Link, SerialWire, Terminated
+from labos.link import Link, Terminated
 from labos.node import Setup
+from labos_drivers._limits import serial_wire
 from labos_drivers._wired import Behind, Wired, off_loop
 from labos_drivers.brooks_peeler import protocol
 from labos_drivers.brooks_peeler.protocol import CODES, Code
@@ -24,6 +25,7 @@ class PeelerDriver(Wired):
     """Commands of the device. ``*ack`` is not the end of a motion, and a ``*ready`` before it tells
     of an earlier one."""
 
+    deadlines = ("ack", "answer", "homing", "motion", "silent")
     link: Link
 
     def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
@@ -31,7 +33,7 @@ class PeelerDriver(Wired):
         self._restarted = False
         self._tape: dict[str, float] = {}
         self.link = Link(
-            SerialWire(port, baudrate=protocol.BAUDRATE),
+            serial_wire(setup, port, baudrate=protocol.BAUDRATE),
             Terminated(protocol.END),
             name=setup.name,
             unasked=self._hear,
@@ -46,7 +48,7 @@ class PeelerDriver(Wired):
         except NotConnected as error:
             if not isinstance(error.__cause__, NoReply):
                 raise
-            self.link.open(SILENT_S)
+            self.link.open(self.limit_s("silent", SILENT_S))
 
     @off_loop
     def find_seal(self) -> None:
@@ -111,7 +113,7 @@ class PeelerDriver(Wired):
     @off_loop
     def reset(self) -> None:
         """Fresh tape, then the elevator and the conveyor home; the nest comes out."""
-        self._judge(self._move(b"*reset", HOMING_S))
+        self._judge(self._move(b"*reset", self.limit_s("homing", HOMING_S)))
         self.resume()
 
     @off_loop
@@ -143,11 +145,13 @@ class PeelerDriver(Wired):
 
     def _ask(self, question: bytes, beginning: bytes) -> bytes:
         """A question that moves nothing."""
-        return self.link.exchange(question, ANSWER_S, answers=lambda _, line: line.startswith(beginning))
+        return self.link.exchange(
+            question, self.limit_s("answer", ANSWER_S), answers=lambda _, line: line.startswith(beginning)
+        )
 
     def _last_codes(self) -> tuple[int, ...]:
         """Of the last motion, when it has ended."""
-        deadline = time.monotonic() + MOTION_S
+        deadline = time.monotonic() + self.limit_s("motion", MOTION_S)
         while True:
             try:
                 return self._codes_in(self._ask(b"*stat", b"*ready:"))
@@ -163,9 +167,11 @@ class PeelerDriver(Wired):
 
     def _move(self, command: bytes, limit_s: float | None = None) -> tuple[int, ...]:
         """Send a command that moves, and wait for its end; returns its error codes."""
-        deadline = time.monotonic() + (MOTION_S if limit_s is None else limit_s)
+        deadline = time.monotonic() + (self.limit_s("motion", MOTION_S) if limit_s is None else limit_s)
         self._restarted = False
-        self.link.exchange(command, ACK_S, answers=lambda _, line: line.startswith(b"*ack"))
+        self.link.exchange(
+            command, self.limit_s("ack", ACK_S), answers=lambda _, line: line.startswith(b"*ack")
+        )
         with self.under_way():
             while True:
                 line = self.link.receive(max(deadline - time.monotonic(), 0.0))
@@ -212,11 +218,11 @@ class PeelerDriver(Wired):
 
     def _recognise(self, link: Link) -> str:
         """It answers with its firmware's version once it has homed."""
-        deadline = time.monotonic() + HOMING_S
+        deadline = time.monotonic() + self.limit_s("homing", HOMING_S)
         while True:
             self._restarted = False
             try:
-                self.note_firmware(_version(link))
+                self.note_firmware(self._version(link))
                 return WHO
             except NoReply:
                 if not self._restarted or time.monotonic() > deadline:
@@ -226,10 +232,10 @@ class PeelerDriver(Wired):
                 if "*ready:" not in error.message or time.monotonic() > deadline:
                     raise
 
-
-def _version(link: Link) -> str:
-    told = link.exchange(b"*version", ANSWER_S, answers=lambda _, line: bool(VERSION.fullmatch(line)))
-    return told.decode().lstrip("*")
+    def _version(self, link: Link) -> str:
+        answer_s = self.limit_s("answer", ANSWER_S)
+        told = link.exchange(b"*version", answer_s, answers=lambda _, line: bool(VERSION.fullmatch(line)))
+        return told.decode().lstrip("*")
 
 
 class NoPlate(DeviceError):

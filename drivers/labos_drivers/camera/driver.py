@@ -21,12 +21,13 @@ class CameraDriver(Wired):
     """A camera moves nothing: a stop only throws away the picture that is being taken."""
 
     where = ("source", "/dev/video0")
+    deadlines = ("open", "frame", "answer")
 
     def __init__(self, setup: Setup, address: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, address, simulator)
         self._views = views_of(setup)
         self._reads = bool(setup.config.get("reads"))
-        self._source = source_of(setup.name, address, setup.config)
+        self._source = source_of(setup.name, address, setup.config, self.limit_s)
         self.link = self._source.link
 
     @off_loop

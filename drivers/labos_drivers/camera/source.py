@@ -21,6 +21,7 @@ from labos.node.secrets import secret_of
 from labos_drivers.camera.vision import Picture, cv, decoded
 
 T = TypeVar("T")
+Limit = Callable[[str, float], float]
 
 OPEN_S, FRAME_S, ANSWER_S = 10.0, 10.0, 10.0
 SETTLES, REFOCUSES = 5, 30
@@ -41,14 +42,14 @@ class Source(Protocol):
         need not be a good picture. Raises DeviceError."""
 
 
-def source_of(name: str, address: str, config: Mapping[str, Any]) -> Source:
-    """The source that an address names."""
+def source_of(name: str, address: str, config: Mapping[str, Any], limit_s: Limit) -> Source:
+    """The source that an address names; ``limit_s`` says how long something may take."""
     if address.startswith(("http://", "https://")):
-        return NetworkCamera(name, address, config)
+        return NetworkCamera(name, address, config, limit_s)
     path = Path(address)
     if not address.isdecimal() and (path.is_dir() or path.suffix.lower() in PICTURES):
         return StoredPictures(name, path)
-    return VideoDevice(name, address)
+    return VideoDevice(name, address, limit_s)
 
 
 class VideoDevice(Life):
@@ -56,8 +57,9 @@ class VideoDevice(Life):
     OpenCV opens as a video: a stream, a recording. It is opened for each picture, so that no old frame
     waits in a buffer, and other programs get at it in between."""
 
-    def __init__(self, name: str, address: str) -> None:
+    def __init__(self, name: str, address: str, limit_s: Limit) -> None:
         super().__init__(name)
+        self._limit_s = limit_s
         self.link: Life = self
         self._where: int | str = int(address) if address.isdecimal() else address
 
@@ -65,11 +67,11 @@ class VideoDevice(Life):
         if not self.is_open:
             self.open()
         with self._judged():
-            return self._within(FRAME_S, lambda: self._frames(focus))
+            return self._within(self._limit_s("frame", FRAME_S), lambda: self._frames(focus))
 
     def _connect(self) -> None:
         try:
-            self._within(OPEN_S, lambda: self._opened().release())
+            self._within(self._limit_s("open", OPEN_S), lambda: self._opened().release())
         except LinkLost as error:
             raise NotConnected(error.message, remedy=error.remedy) from error
 
@@ -143,7 +145,8 @@ class NetworkCamera:
     is thrown away, so that exposure and white balance have settled. A glance is one picture, compared with
     the last."""
 
-    def __init__(self, name: str, url: str, config: Mapping[str, Any]) -> None:
+    def __init__(self, name: str, url: str, config: Mapping[str, Any], limit_s: Limit) -> None:
+        self._limit_s = limit_s
         parts = urlsplit(url)
         self._path = f"{parts.path or '/'}{f'?{parts.query}' if parts.query else ''}"
         self._name = name
@@ -169,7 +172,7 @@ class NetworkCamera:
         return [first, self._last]
 
     def _shot(self) -> Picture:
-        reply = self._http.get(self._path, timeout_s=FRAME_S)
+        reply = self._http.get(self._path, timeout_s=self._limit_s("frame", FRAME_S))
         if not reply.ok:
             raise NoReply(
                 f"{self._name}: the camera answers {reply.status} in the place of a picture.",
@@ -185,7 +188,7 @@ class NetworkCamera:
 
     def _recognise(self) -> str:
         """By its headers: a picture would be one more than was asked for."""
-        reply = self._http.exchange("HEAD", self._path, timeout_s=ANSWER_S)
+        reply = self._http.exchange("HEAD", self._path, timeout_s=self._limit_s("answer", ANSWER_S))
         if reply.status in (401, 403):
             raise NotConnected(
                 f"{self._name}: the camera does not know this user and password.",

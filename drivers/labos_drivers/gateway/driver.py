@@ -38,6 +38,7 @@ class GatewayDriver(Wired):
     """Starts actions under names of its own, which the node journals before, and asks for their end by
     name. A name is started once, whatever gets lost."""
 
+    deadlines = ("answer", "lost")
     where = ("url", "http://192.168.0.30:2100")
     instrument: ClassVar[str] = ""
     link: HttpLink
@@ -51,6 +52,10 @@ class GatewayDriver(Wired):
             identify=lambda _: self._recognise(),
             expected=self._who(self.instrument),
         )
+
+    @property
+    def _answer_s(self) -> float:
+        return self.limit_s("answer", ANSWER_S)
 
     async def call(self, action: str, **args: Any) -> Any:
         """Carry an action out; returns its result. Raises DeviceError."""
@@ -94,7 +99,7 @@ class GatewayDriver(Wired):
     def stop(self) -> None:
         """Raises DeviceError if the instrument cannot be stopped from its PC."""
         self._halted.set()
-        if not self._told(self.link.post("/stop", timeout_s=ANSWER_S)).get("stopped") and self.moving:
+        if not self._told(self.link.post("/stop", timeout_s=self._answer_s)).get("stopped") and self.moving:
             raise DeviceError(
                 f"{self.name}: its own software takes no stop; it ends what it has begun.",
                 remedy="Use the button or switch on the device.",
@@ -116,7 +121,7 @@ class GatewayDriver(Wired):
         self.unless_stopped()
         order = {"action": action, "args": dict(args), "journal": start.journal}
         try:
-            reply = self.link.exchange("PUT", f"/actions/{start.name}", json=order, timeout_s=ANSWER_S)
+            reply = self.link.exchange("PUT", f"/actions/{start.name}", json=order, timeout_s=self._answer_s)
             answer = self._read(reply)
         except LinkError as error:
             if error.effects == "none":
@@ -169,10 +174,12 @@ class GatewayDriver(Wired):
 
     def _again(self, method: str, start: Start) -> dict[str, Any]:
         """Ask for an action; a gateway that is out of reach for a while is asked again."""
-        deadline = time.monotonic() + LOST_S
+        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
         while True:
             try:
-                return self._told(self.link.exchange(method, f"/actions/{start.name}", timeout_s=ANSWER_S))
+                return self._told(
+                    self.link.exchange(method, f"/actions/{start.name}", timeout_s=self._answer_s)
+                )
             except WrongDevice:
                 raise
             except LinkError:
@@ -183,7 +190,7 @@ class GatewayDriver(Wired):
     # -- one answer --------------------------------------------------------------------------
 
     def _state(self) -> dict[str, Any]:
-        return self._told(self.link.get("/state", timeout_s=ANSWER_S))
+        return self._told(self.link.get("/state", timeout_s=self._answer_s))
 
     def _told(self, reply: HttpReply) -> dict[str, Any]:
         """Raises DeviceError for what is no success."""
@@ -199,7 +206,7 @@ class GatewayDriver(Wired):
         return body
 
     def _recognise(self) -> str:
-        reply = self.link.get("/", timeout_s=ANSWER_S)
+        reply = self.link.get("/", timeout_s=self._answer_s)
         try:
             body = json.loads(reply.body)
         except ValueError:

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 from labos.errors import DeviceError, Garbled
-from labos.link import Link, SerialWire
+from labos.link import Link
 from labos.node import Setup
+from labos_drivers._limits import serial_wire
 from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.inheco import protocol
 
@@ -36,6 +37,7 @@ class InhecoDriver(Wired):
     until they are where they should be. Answers bear no check sum, so that only what an answer to the
     question can be is believed."""
 
+    deadlines = ("answer", "drawer", "shaker")
     link: Link
 
     def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
@@ -44,7 +46,7 @@ class InhecoDriver(Wired):
         self._floor = whole(setup, "floor", 0, 0, 5)
         self._target_c: float | None = None
         self.link = Link(
-            SerialWire(port, baudrate=protocol.BAUDRATE),
+            serial_wire(setup, port, baudrate=protocol.BAUDRATE),
             protocol.Answers(self._device),
             name=setup.name,
             identify=lambda _: self._recognise(),
@@ -67,9 +69,13 @@ class InhecoDriver(Wired):
         if self._ask("RSE", "[012]") != "0":
             raise DeviceError(f"{self.name}: it shakes.", effects="none", remedy="Stop shaking first.")
         self.unless_stopped()
-        self._order(command, DRAWER_S)
+        self._order(command, self.limit_s("drawer", DRAWER_S))
         with self.under_way():
-            self._await(lambda: self._drawer() == goal, DRAWER_S, "the drawer has not come to its end")
+            self._await(
+                lambda: self._drawer() == goal,
+                self.limit_s("drawer", DRAWER_S),
+                "the drawer has not come to its end",
+            )
 
     def _drawer(self) -> str:
         """``0`` closed, ``1`` open, empty in between."""
@@ -133,7 +139,9 @@ class InhecoDriver(Wired):
             self._order("ASE1")
             with self.under_way():
                 self._await(
-                    lambda: self._ask("RSE", "[012]") == protocol.SHAKES, SHAKER_S, "the shaker does not run"
+                    lambda: self._ask("RSE", "[012]") == protocol.SHAKES,
+                    self.limit_s("shaker", SHAKER_S),
+                    "the shaker does not run",
                 )
 
     @off_loop
@@ -144,7 +152,11 @@ class InhecoDriver(Wired):
     def _stop_shaking(self) -> None:
         self._order("ASE0")
         with self.under_way():
-            self._await(lambda: self._ask("RSE", "[012]") == "0", SHAKER_S, "the shaker does not rest")
+            self._await(
+                lambda: self._ask("RSE", "[012]") == "0",
+                self.limit_s("shaker", SHAKER_S),
+                "the shaker does not rest",
+            )
 
     # -- the device itself -------------------------------------------------------------------
 
@@ -152,9 +164,11 @@ class InhecoDriver(Wired):
     def reset(self) -> None:
         """Initialise it, which closes its drawer and stops heater and shaker; what it was set to is set
         again."""
-        self._order("AID", DRAWER_S, again=True)
+        self._order("AID", self.limit_s("drawer", DRAWER_S), again=True)
         with self.under_way():
-            self._await(lambda: self._drawer() == "0", DRAWER_S, "the drawer has not closed")
+            self._await(
+                lambda: self._drawer() == "0", self.limit_s("drawer", DRAWER_S), "the drawer has not closed"
+            )
             if self._target_c is not None:
                 self._heat(self._target_c)
         self.resume()
@@ -208,7 +222,7 @@ class InhecoDriver(Wired):
     def _ask(self, command: str, form: str, limit_s: float = 0.0) -> str:
         """Raises Refused, and Garbled for what cannot be the answer."""
         message = self.link.exchange(
-            protocol.question(command, self._floor, self._device), limit_s or ANSWER_S
+            protocol.question(command, self._floor, self._device), limit_s or self.limit_s("answer", ANSWER_S)
         )
         code, text = message[0], message[1:].decode("ascii", "replace").strip("\0 ")
         if code:

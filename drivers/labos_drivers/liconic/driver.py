@@ -9,8 +9,8 @@ from typing import Any
 
 from labos.errors import DeviceError, Garbled
 from labos.link import Link, SerialWire, Terminated
-from labos.link.serial import Parity
 from labos.node import Setup
+from labos_drivers._limits import serial_wire
 from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.liconic import protocol
 
@@ -26,17 +26,18 @@ class LiconicDriver(Wired):
     """Commands of the device. ``OK`` is not the end of a motion: that is seen by its plate sensors, and
     by the ready flag, which may still show the state before."""
 
+    deadlines = ("answer", "begin", "move", "start")
     link: Link
 
     def __init__(self, setup: Setup, port: str, simulator: Behind | None = None) -> None:
         super().__init__(setup, port, simulator)
         # A pseudo-terminal takes even parity once; who connects again is refused.
-        parity: Parity = "N" if simulator is not None else setup.config.get("parity", protocol.PARITY)
+        real = simulator is None
         self.link = Link(
-            SerialWire(port, baudrate=protocol.BAUDRATE, parity=parity),
+            serial_wire(setup, port, baudrate=protocol.BAUDRATE, parity="E") if real else SerialWire(port),
             Terminated(protocol.ANSWER_END, send_end=protocol.ASK_END),
             name=setup.name,
-            identify=_recognise,
+            identify=self._recognise,
             expected=WHO,
         )
 
@@ -95,7 +96,7 @@ class LiconicDriver(Wired):
         self._set(protocol.RESET)
         time.sleep(RESET_PAUSE_S)
         self._set(protocol.INITIALISE)
-        self._await_end(lambda: False, START_S, begins=False)
+        self._await_end(lambda: False, self.limit_s("start", START_S), begins=False)
         self.resume()
 
     @aside
@@ -182,7 +183,7 @@ class LiconicDriver(Wired):
         """Until it is ready again: it has to be seen busy, or a sensor has to show what was done. Just after
         a command, "ready" may still be the state before; only a motion that need not begin (``begins`` is
         false) is over if it is ready for ``BEGIN_S``. Raises DeviceError."""
-        limit_s = MOVE_S if limit_s is None else limit_s
+        limit_s = self.limit_s("move", MOVE_S) if limit_s is None else limit_s
         began = time.monotonic()
         was_busy = False
         while True:
@@ -193,9 +194,9 @@ class LiconicDriver(Wired):
             passed_s = time.monotonic() - began
             if ready and (was_busy or shows()):
                 return
-            if ready and passed_s > BEGIN_S and not begins:
+            if ready and passed_s > self.limit_s("begin", BEGIN_S) and not begins:
                 return
-            if ready and passed_s > BEGIN_S:
+            if ready and passed_s > self.limit_s("begin", BEGIN_S):
                 raise DeviceError(
                     f"{self.name}: it took the command, but does not move.",
                     remedy="Look at the transfer station, then reset the module.",
@@ -222,7 +223,7 @@ class LiconicDriver(Wired):
     # -- one question ------------------------------------------------------------------------
 
     def _ask(self, question: bytes) -> str:
-        answer = self.link.exchange(question, ANSWER_S).decode("ascii", "replace")
+        answer = self.link.exchange(question, self.limit_s("answer", ANSWER_S)).decode("ascii", "replace")
         if answer.startswith("E"):
             why = protocol.REFUSALS.get(answer, "it refuses")
             raise DeviceError(
@@ -254,8 +255,7 @@ class LiconicDriver(Wired):
         if (answer := self._ask(command)) != "OK":
             raise Garbled(f"{self.name}: {answer!r} is no answer to {command.decode()}.")
 
-
-def _recognise(link: Link) -> str:
-    """Only a controller of this kind opens so."""
-    answer = link.exchange(b"CR", ANSWER_S)
-    return WHO if answer == b"CC" else f"what answers {answer!r}"
+    def _recognise(self, link: Link) -> str:
+        """Only a controller of this kind opens so."""
+        answer = link.exchange(b"CR", self.limit_s("answer", ANSWER_S))
+        return WHO if answer == b"CC" else f"what answers {answer!r}"

@@ -11,7 +11,6 @@ Sources: PyLabRobot/pylabrobot, pylabrobot/legacy/storage/liconic; the PyPI pack
 from __future__ import annotations
 
 BAUDRATE = 9600
-PARITY = "E"
 ASK_END, ANSWER_END = b"\r", b"\r\n"
 
 INITIALISE, RESET = 1801, 1900

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import secrets
 import time
-from math import hypot
+from math import hypot, isfinite
 from typing import Any
 
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
@@ -30,6 +30,7 @@ class MiRDriver(Wired):
     """Each journey is an entry in the robot's queue that bears a name of ours, under which it is found
     again; only that entry is watched, for others may use the queue too."""
 
+    deadlines = ("answer", "drive", "lost")
     where = ("url", "http://192.168.12.20")
     link: HttpLink
 
@@ -48,6 +49,10 @@ class MiRDriver(Wired):
             identify=lambda _: self._recognise(),
             expected=WHO,
         )
+
+    @property
+    def _answer_s(self) -> float:
+        return self.limit_s("answer", ANSWER_S)
 
     async def move(self, target: str) -> None:
         await self._go("move", target)
@@ -71,7 +76,7 @@ class MiRDriver(Wired):
         would go on with it by itself."""
         self.resume()
         self._give_up()
-        self._data(self.link.exchange("PUT", "/status", json={"clear_error": True}, timeout_s=ANSWER_S))
+        self._data(self.link.exchange("PUT", "/status", json={"clear_error": True}, timeout_s=self._answer_s))
         self._set(protocol.READY)
         status = self._status()
         if status["state_id"] not in (protocol.READY, protocol.EXECUTING):
@@ -145,7 +150,9 @@ class MiRDriver(Wired):
     def _queue(self, mission: str, name: str) -> int:
         body = {"mission_id": mission, "priority": 0, "message": name}
         try:
-            return int(self._data(self.link.post("/mission_queue", json=body, timeout_s=ANSWER_S))["id"])
+            return int(
+                self._data(self.link.post("/mission_queue", json=body, timeout_s=self._answer_s))["id"]
+            )
         except LinkError as error:
             if error.effects == "none":
                 raise
@@ -157,13 +164,14 @@ class MiRDriver(Wired):
 
     def _see_through(self, entry: int) -> None:
         self._entry = entry
-        deadline = time.monotonic() + DRIVE_S
+        limit_s = self.limit_s("drive", DRIVE_S)
+        deadline = time.monotonic() + limit_s
         with self.under_way():
             while True:
                 if self._halted.is_set():
                     self._give_up()  # it may have been queued just after the stop
                 told = self._again(
-                    lambda: self._data(self.link.get(f"/mission_queue/{entry}", timeout_s=ANSWER_S))
+                    lambda: self._data(self.link.get(f"/mission_queue/{entry}", timeout_s=self._answer_s))
                 )
                 state = told.get("state")
                 if state == protocol.DONE:
@@ -181,7 +189,7 @@ class MiRDriver(Wired):
                     )
                 if time.monotonic() > deadline:
                     raise DeviceError(
-                        f"{self.name}: it has not arrived within {DRIVE_S:g} s "
+                        f"{self.name}: it has not arrived within {limit_s:g} s "
                         f"({status.get('state_text')}: {status.get('mission_text')}).",
                         remedy="Look what it waits for; it may ask a person something.",
                     )
@@ -191,7 +199,7 @@ class MiRDriver(Wired):
     def _give_up(self) -> None:
         """Our entry leaves the queue, if there is one."""
         if entry := self._entry:
-            reply = self.link.exchange("DELETE", f"/mission_queue/{entry}", timeout_s=ANSWER_S)
+            reply = self.link.exchange("DELETE", f"/mission_queue/{entry}", timeout_s=self._answer_s)
             if reply.status != 404:
                 self._data(reply)
             self._entry = 0
@@ -199,7 +207,7 @@ class MiRDriver(Wired):
     def _find(self, name: str) -> int | None:
         """The entry of the queue with this message."""
         wanted = {"filters": [{"fieldname": "message", "operator": "=", "value": name}]}
-        found = self._list(self.link.post("/mission_queue/search", json=wanted, timeout_s=ANSWER_S))
+        found = self._list(self.link.post("/mission_queue/search", json=wanted, timeout_s=self._answer_s))
         return int(found[-1]["id"]) if found else None
 
     def _mission(self, kind: str, position: str) -> str:
@@ -207,21 +215,21 @@ class MiRDriver(Wired):
         broken off while it was made has no step yet."""
         name = f"labos {kind} {position}"
         wanted = {"filters": [{"fieldname": "name", "operator": "=", "value": name}]}
-        found = self._list(self.link.post("/missions/search", json=wanted, timeout_s=ANSWER_S))
+        found = self._list(self.link.post("/missions/search", json=wanted, timeout_s=self._answer_s))
         guid = str((found[0] if found else self._new_mission(name))["guid"])
         steps = f"/missions/{guid}/actions"
-        if not self._list(self.link.get(steps, timeout_s=ANSWER_S)):
-            self._data(self.link.post(steps, json=protocol.steps(kind, position), timeout_s=ANSWER_S))
+        if not self._list(self.link.get(steps, timeout_s=self._answer_s)):
+            self._data(self.link.post(steps, json=protocol.steps(kind, position), timeout_s=self._answer_s))
         return guid
 
     def _new_mission(self, name: str) -> Any:
-        groups = self._data(self.link.get("/mission_groups", timeout_s=ANSWER_S))
+        groups = self._data(self.link.get("/mission_groups", timeout_s=self._answer_s))
         body = {"name": name, "description": "", "group_id": groups[0]["guid"]}
-        return self._data(self.link.post("/missions", json=body, timeout_s=ANSWER_S))
+        return self._data(self.link.post("/missions", json=body, timeout_s=self._answer_s))
 
     def _again(self, ask: Any) -> Any:
         """A robot that is out of reach for a while, as between two access points, is asked again."""
-        deadline = time.monotonic() + LOST_S
+        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
         while True:
             try:
                 return ask()
@@ -235,29 +243,33 @@ class MiRDriver(Wired):
     # -- one answer --------------------------------------------------------------------------
 
     def _status(self) -> dict[str, Any]:
-        status = self._data(self.link.get("/status", timeout_s=ANSWER_S))
+        status = self._data(self.link.get("/status", timeout_s=self._answer_s))
         if not isinstance(status, dict) or not isinstance(status.get("state_id"), int):
             raise Garbled(f"{self.name}: the answer does not tell the robot's state.")
         return status
 
     def _set(self, state: int) -> None:
-        self._data(self.link.exchange("PUT", "/status", json={"state_id": state}, timeout_s=ANSWER_S))
+        self._data(self.link.exchange("PUT", "/status", json={"state_id": state}, timeout_s=self._answer_s))
 
     def _positions(self, status: dict[str, Any]) -> list[dict[str, Any]]:
-        found = self._list(self.link.get(f"/maps/{status.get('map_id')}/positions", timeout_s=ANSWER_S))
+        found = self._list(self.link.get(f"/maps/{status.get('map_id')}/positions", timeout_s=self._answer_s))
         return [self._detail(position) if "pos_x" not in position else position for position in found]
 
     def _detail(self, position: dict[str, Any]) -> dict[str, Any]:
         if "pos_x" in position:
             return position
-        return dict(self._data(self.link.get(f"/positions/{position['guid']}", timeout_s=ANSWER_S)))
+        return dict(self._data(self.link.get(f"/positions/{position['guid']}", timeout_s=self._answer_s)))
 
     def _away(self, status: dict[str, Any], position: dict[str, Any]) -> float:
         here = status.get("position") or {}
+        unclear = Garbled(f"{self.name}: the answer does not tell where the robot is.")
         try:
-            return hypot(here["x"] - position["pos_x"], here["y"] - position["pos_y"])
+            away = hypot(here["x"] - position["pos_x"], here["y"] - position["pos_y"])
         except (KeyError, TypeError) as error:
-            raise Garbled(f"{self.name}: the answer does not tell where the robot is.") from error
+            raise unclear from error
+        if not isfinite(away):
+            raise unclear
+        return away
 
     def _refuse_unless_ready(self, status: dict[str, Any]) -> None:
         if not isinstance(status.get("errors"), list):
@@ -291,7 +303,7 @@ class MiRDriver(Wired):
         return data
 
     def _recognise(self) -> str:
-        reply = self.link.get("/status", timeout_s=ANSWER_S)
+        reply = self.link.get("/status", timeout_s=self._answer_s)
         if reply.status == 401:
             raise NotConnected(
                 f"{self.name}: the robot does not know this user and password.",

@@ -30,6 +30,7 @@ class OT2Driver(Wired):
     """A protocol is uploaded and analysed, and a run of it made, before anything moves; only ``play``
     moves. The robot names its run, under which it is found again."""
 
+    deadlines = ("answer", "upload", "create", "analysis", "home", "begin", "lost")
     where = ("url", f"http://192.168.0.20:{protocol.PORT}")
     link: HttpLink
 
@@ -48,6 +49,10 @@ class OT2Driver(Wired):
             expected=WHO,
         )
 
+    @property
+    def _answer_s(self) -> float:
+        return self.limit_s("answer", ANSWER_S)
+
     # -- a run -------------------------------------------------------------------------------
 
     @off_loop
@@ -63,13 +68,17 @@ class OT2Driver(Wired):
                 files += [("files", definition) for definition in self._definitions]
             given = {"runTimeParameterValues": dict(parameters)} if parameters else {}
             form = {key: json.dumps(value) for key, value in given.items()}
-            uploaded = self._data(self.link.post("/protocols", files=files, form=form, timeout_s=UPLOAD_S))
+            uploaded = self._data(
+                self.link.post(
+                    "/protocols", files=files, form=form, timeout_s=self.limit_s("upload", UPLOAD_S)
+                )
+            )
             held = self._name_of(uploaded)
             self._await_analysis(held)
             body: dict[str, dict[str, Any]] = {"data": {"protocolId": held, **given}}
             if self._offsets:
                 body["data"]["labwareOffsets"] = self._offsets
-            made = self._data(self.link.post("/runs", json=body, timeout_s=CREATE_S))
+            made = self._data(self.link.post("/runs", json=body, timeout_s=self.limit_s("create", CREATE_S)))
             run = self._name_of(made)
             self._check_offsets(run, made)
             return run
@@ -114,7 +123,9 @@ class OT2Driver(Wired):
                 effects="none",
             )
         self._data(
-            self.link.post(f"/runs/{run}/actions", json={"data": {"actionType": action}}, timeout_s=ANSWER_S)
+            self.link.post(
+                f"/runs/{run}/actions", json={"data": {"actionType": action}}, timeout_s=self._answer_s
+            )
         )
 
     # -- the device itself -------------------------------------------------------------------
@@ -125,7 +136,7 @@ class OT2Driver(Wired):
         self._halted.set()
         if self._run:
             reply = self.link.post(
-                f"/runs/{self._run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=ANSWER_S
+                f"/runs/{self._run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=self._answer_s
             )
             if reply.status not in (404, 409):  # it has ended by itself
                 self._data(reply)
@@ -136,11 +147,15 @@ class OT2Driver(Wired):
         self.resume()
         run = self._current()
         if run and self._state(run)["status"] not in (protocol.IDLE, *protocol.TERMINAL):
-            self.link.post(f"/runs/{run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=ANSWER_S)
+            self.link.post(
+                f"/runs/{run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=self._answer_s
+            )
             with self.under_way(), suppress(_Ended):
                 self._see_through(run)
         with self.under_way():
-            reply = self.link.post("/robot/home", json={"target": "robot"}, timeout_s=HOME_S)
+            reply = self.link.post(
+                "/robot/home", json={"target": "robot"}, timeout_s=self.limit_s("home", HOME_S)
+            )
             if not reply.ok:
                 raise self._refused(reply, "unknown")
 
@@ -189,10 +204,11 @@ class OT2Driver(Wired):
         )
 
     def _await_analysis(self, name: str) -> None:
-        deadline = time.monotonic() + ANALYSIS_S
+        limit_s = self.limit_s("analysis", ANALYSIS_S)
+        deadline = time.monotonic() + limit_s
         while True:
             self.unless_stopped()
-            analyses = self._data(self.link.get(f"/protocols/{name}/analyses", timeout_s=ANSWER_S))
+            analyses = self._data(self.link.get(f"/protocols/{name}/analyses", timeout_s=self._answer_s))
             last = analyses[-1] if analyses else {}
             if last.get("status") == "completed":
                 # An older robot tells no result, but the errors, if only that there are none.
@@ -210,14 +226,15 @@ class OT2Driver(Wired):
                 return
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"{self.name}: the protocol was not analysed within {ANALYSIS_S:g} s.", effects="none"
+                    f"{self.name}: the protocol was not analysed within {limit_s:g} s.",
+                    effects="none",
                 )
             time.sleep(POLL_S)
 
     def _play(self, run: str) -> None:
         self.unless_stopped()
         reply = self.link.post(
-            f"/runs/{run}/actions", json={"data": {"actionType": "play"}}, timeout_s=ANSWER_S
+            f"/runs/{run}/actions", json={"data": {"actionType": "play"}}, timeout_s=self._answer_s
         )
         if reply.status >= 500:
             raise Garbled(f"{self.name}: {self._refused(reply, '').message} It may have begun.")
@@ -258,7 +275,7 @@ class OT2Driver(Wired):
                 self.waits_for = protocol.WAITS_FOR.get(status, "")
                 if status in protocol.TERMINAL:
                     break
-                if status == protocol.IDLE and time.monotonic() - began > BEGIN_S:
+                if status == protocol.IDLE and time.monotonic() - began > self.limit_s("begin", BEGIN_S):
                     raise DeviceError(
                         f"{self.name}: the robot took the start of run {run}, but does not begin.",
                         remedy="Look at the robot, then reset the module.",
@@ -288,7 +305,7 @@ class OT2Driver(Wired):
     def _state_again(self, run: str) -> dict[str, Any]:
         """The state of a run that goes on without us: a robot that is out of reach for a while is asked
         again."""
-        deadline = time.monotonic() + LOST_S
+        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
         while True:
             try:
                 return self._state(run)
@@ -300,7 +317,7 @@ class OT2Driver(Wired):
             time.sleep(POLL_S)
 
     def _state(self, run: str) -> dict[str, Any]:
-        reply = self.link.get(f"/runs/{run}", timeout_s=ANSWER_S)
+        reply = self.link.get(f"/runs/{run}", timeout_s=self._answer_s)
         if reply.status == 404:
             raise _Forgotten(
                 f"{self.name}: the robot does not know the run {run} any more.",
@@ -313,7 +330,7 @@ class OT2Driver(Wired):
 
     def _current(self) -> str:
         """The run that the robot has in hand; empty if there is none."""
-        reply = self.link.get("/runs", params={"pageLength": 1}, timeout_s=ANSWER_S)
+        reply = self.link.get("/runs", params={"pageLength": 1}, timeout_s=self._answer_s)
         self._data(reply)
         links = reply.json().get("links")
         current = links.get("current") if isinstance(links, dict) else ""
@@ -331,7 +348,7 @@ class OT2Driver(Wired):
 
     def _retire(self, run: str) -> HttpReply:
         return self.link.exchange(
-            "PATCH", f"/runs/{run}", json={"data": {"current": False}}, timeout_s=ANSWER_S
+            "PATCH", f"/runs/{run}", json={"data": {"current": False}}, timeout_s=self._answer_s
         )
 
     # -- one answer --------------------------------------------------------------------------
@@ -374,7 +391,7 @@ class OT2Driver(Wired):
             raise
 
     def _recognise(self) -> str:
-        reply = self.link.get("/health", timeout_s=ANSWER_S)
+        reply = self.link.get("/health", timeout_s=self._answer_s)
         if reply.status == 503:
             raise NotConnected(f"{self.name}: the robot is still starting.", remedy="Wait some minutes.")
         health = reply.json()

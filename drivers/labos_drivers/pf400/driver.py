@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from math import dist
+from math import dist, isfinite
 from typing import Any, NamedTuple
 
 from labos.errors import BadInput, Collision, DeviceError, Garbled, LinkError
@@ -61,6 +61,7 @@ class PF400Driver(Wired):
     """Commands of the device. Behind ``waitForEom`` it would hear no ``halt``: the end of a motion is
     seen by asking where the arm is."""
 
+    deadlines = ("answer", "power", "fingers", "home", "move", "begin")
     where = ("host", "192.168.0.1")
     link: Link
     _is_free: bool | None = None
@@ -230,14 +231,15 @@ class PF400Driver(Wired):
     def reset(self) -> None:
         """Power on, homed if it is not, then straight up and folded; what it holds it goes on holding."""
         self.resume()
-        if self._number("hp") == 0:
-            self._ask(f"hp 1 {POWER_S:g}", POWER_S + ANSWER_S)
+        if self._number("hp") != protocol.ON:
+            power_s = self.limit_s("power", POWER_S)
+            self._ask(f"hp 1 {power_s:g}", power_s + self.limit_s("answer", ANSWER_S))
         self._attach()
         self._ask(protocol.ALL_HOLD)
         self._is_free = None
         with self.under_way():
-            if self._number(f"pd {protocol.HOMED}") == 0:
-                self._ask("home", HOME_S)
+            if self._number(f"pd {protocol.HOMED}") != protocol.ON:
+                self._ask("home", self.limit_s("home", HOME_S))
             self._profiles(slow=True)
             self._up_and_folded()
 
@@ -246,7 +248,7 @@ class PF400Driver(Wired):
         """It halts where it is, with its power on, and goes on holding what it holds. While it homes or
         moves its fingers it does not hear this before it has done so."""
         self._halted.set()
-        self._ask("halt", HOME_S)
+        self._ask("halt", self.limit_s("home", HOME_S))
 
     @aside
     def is_idle(self) -> bool:
@@ -318,7 +320,9 @@ class PF400Driver(Wired):
         self._release(grip)
         self._come(spot)
         self._go(spot.pose, APPROACH)
-        answer = self._ask(f"GraspPlate {grip.closed_mm:g} {FINGERS_PERCENT} {FORCE_N}", FINGERS_S)
+        answer = self._ask(
+            f"GraspPlate {grip.closed_mm:g} {FINGERS_PERCENT} {FORCE_N}", self.limit_s("fingers", FINGERS_S)
+        )
         width = self._joints()[GRIPPER]
         self._too_wide_mm = width if answer == "-1" and self._hand.looks_open(width) else None
         held = answer == "-1" and self._too_wide_mm is None
@@ -381,7 +385,7 @@ class PF400Driver(Wired):
     def _release(self, grip: Grip) -> None:
         self.unless_stopped()
         self._hand.forget()
-        self._ask(f"ReleasePlate {grip.open_mm:g} {FINGERS_PERCENT}", FINGERS_S)
+        self._ask(f"ReleasePlate {grip.open_mm:g} {FINGERS_PERCENT}", self.limit_s("fingers", FINGERS_S))
 
     # -- one motion --------------------------------------------------------------------------
 
@@ -406,7 +410,9 @@ class PF400Driver(Wired):
             if at_rest and _apart(here, joints) < NEAR:
                 return
             # Just after the command it may not have begun to move.
-            if (at_rest and passed_s > BEGIN_S) or passed_s > MOVE_S:
+            if (at_rest and passed_s > self.limit_s("begin", BEGIN_S)) or passed_s > self.limit_s(
+                "move", MOVE_S
+            ):
                 raise self._stopped_short(joints, here)
 
     def _stopped_short(self, wanted: Joints, here: Joints) -> DeviceError:
@@ -427,7 +433,7 @@ class PF400Driver(Wired):
                 raise DeviceError(
                     f"{self.name}: somebody guides it by hand.", remedy="Step back, then end_free_mode."
                 )
-            if self._number(f"pd {protocol.HOMED}") == 0:
+            if self._number(f"pd {protocol.HOMED}") != protocol.ON:
                 raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
             self._attach()
             here = self._joints()
@@ -469,7 +475,7 @@ class PF400Driver(Wired):
         return all(abs(a - b) < FOLDED for a, b in zip(joints[1:4], self._neutral[1:], strict=True))
 
     def _needs_power(self) -> None:
-        if self._number("hp") == 0:
+        if self._number("hp") != protocol.ON:
             raise DeviceError(f"{self.name}: its power is off.", remedy="Reset the module.")
 
     def _attach(self) -> None:
@@ -548,9 +554,10 @@ class PF400Driver(Wired):
 
     # -- one question ------------------------------------------------------------------------
 
-    def _ask(self, question: str, timeout_s: float = ANSWER_S) -> str:
+    def _ask(self, question: str, timeout_s: float = 0.0) -> str:
         """The data of the answer. Raises DeviceError for a negative code."""
-        answer = self.link.exchange(question.encode(), timeout_s).decode("ascii", "replace")
+        answer_s = timeout_s or self.limit_s("answer", ANSWER_S)
+        answer = self.link.exchange(question.encode(), answer_s).decode("ascii", "replace")
         code, _, data = answer.partition(" ")
         try:
             number = int(code)
@@ -570,7 +577,7 @@ class PF400Driver(Wired):
         data = self._ask(question)
         try:
             return int(float(data))
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             raise Garbled(f"{self.name}: {data!r} is no number, the answer to {question!r}.") from error
 
     def _joints(self) -> Joints:
@@ -579,6 +586,8 @@ class PF400Driver(Wired):
             joints = tuple(float(value) for value in data.split())
         except ValueError as error:
             raise Garbled(f"{self.name}: {data!r} does not say where the arm is.") from error
+        if not all(map(isfinite, joints)):
+            raise Garbled(f"{self.name}: {data!r} does not say where the arm is.")
         if not RAIL <= len(joints) <= len(protocol.AXES):
             raise Garbled(
                 f"{self.name}: {data!r} has {len(joints)} joints; an arm has five, or six with a rail."

@@ -41,6 +41,9 @@ SERIAL_NUMBER = 16000
 """The robot's own, in its calibration data (calib01.pac)."""
 
 HOMED, SOFT_MAXIMA, SOFT_MINIMA = 2800, 16077, 16078
+ON = 1
+"""What ``hp`` and ``pd 2800`` say of an arm that is powered, and homed. Nothing else says so."""
+
 HARD_STOP, ATTACHED = 15, 21
 """Of ``sysState``."""
 

@@ -9,9 +9,10 @@ from typing import Any
 import msgspec
 
 from labos.errors import DeviceError, Garbled, LinkError
-from labos.link import Link, SerialWire, TcpWire, Wire
+from labos.link import Link, TcpWire, Wire
 from labos.node import Setup
 from labos.node.node import handle_keeper
+from labos_drivers._limits import serial_wire
 from labos_drivers._wired import Behind, Wired, aside, host_and_port, off_loop
 from labos_drivers.pipette import protocol
 from labos_drivers.pipette.protocol import Answer, Kind
@@ -41,6 +42,7 @@ class PipetteDriver(Wired):
     """Moves are absolute, so that a stroke can be told from where the plunger stands afterwards. Nothing
     feels the liquid: that the plunger went so far is all that is known."""
 
+    deadlines = ("answer", "lost", "start", "eject", "slack")
     where = ("port", "192.168.0.40")
     link: Link
 
@@ -48,13 +50,17 @@ class PipetteDriver(Wired):
         super().__init__(setup, address, simulator)
         self._kind = kind_of(setup)
         self.link = Link(
-            self._wire(address), protocol.Frames(), name=setup.name, identify=self._recognise, expected=WHO
+            self._wire(setup, address),
+            protocol.Frames(),
+            name=setup.name,
+            identify=self._recognise,
+            expected=WHO,
         )
 
     @staticmethod
-    def _wire(address: str) -> Wire:
+    def _wire(setup: Setup, address: str) -> Wire:
         if address.startswith("/") or "://" in address or re.fullmatch(r"COM\d+", address):
-            return SerialWire(address, baudrate=protocol.BAUDRATE)
+            return serial_wire(setup, address, baudrate=protocol.BAUDRATE)
         return TcpWire(*host_and_port(address, protocol.TOOL_PORT))
 
     # -- strokes -----------------------------------------------------------------------------
@@ -98,7 +104,7 @@ class PipetteDriver(Wired):
         steps_s = round(speed_ul_s / self._ul_a_step)
         steps_s = min(max(steps_s, protocol.SLOWEST_STEPS_S), protocol.FASTEST_STEPS_S)
         with self.motion():
-            limit_s = abs(stroke.target - stroke.start) / steps_s + SLACK_S
+            limit_s = abs(stroke.target - stroke.start) / steps_s + self.limit_s("slack", SLACK_S)
             try:
                 self._order(f"V{steps_s}A{stroke.target}")
             except LinkError as error:
@@ -115,7 +121,8 @@ class PipetteDriver(Wired):
         with self.motion():
             stroke = Stroke.read(handle)
             return self._see_through(
-                stroke, abs(stroke.target - stroke.start) / protocol.SLOWEST_STEPS_S + SLACK_S
+                stroke,
+                abs(stroke.target - stroke.start) / protocol.SLOWEST_STEPS_S + self.limit_s("slack", SLACK_S),
             )
 
     def _see_through(self, stroke: Stroke, limit_s: float) -> float:
@@ -142,14 +149,14 @@ class PipetteDriver(Wired):
                 answer = self._ask("Q")
             except LinkError:
                 lost_since = lost_since or time.monotonic()
-                if time.monotonic() > lost_since + LOST_S:
+                if time.monotonic() > lost_since + self.limit_s("lost", LOST_S):
                     raise
             else:
                 lost_since = 0.0
                 self._refuse(answer, "it moved", "unknown")
                 if answer.ready:
                     return
-            if time.monotonic() > deadline + LOST_S:
+            if time.monotonic() > deadline + self.limit_s("lost", LOST_S):
                 raise DeviceError(f"{self.name}: the plunger has not come to rest within {limit_s:.0f} s.")
             time.sleep(POLL_S)
 
@@ -157,7 +164,7 @@ class PipetteDriver(Wired):
         """One that had no power stands somewhere, and calls it zero. To be told to go where it is moves
         nothing."""
         self._refuse(self._ask(f"A{here}R"), "it was asked where it is", "unknown")
-        self._await_rest(SLACK_S)
+        self._await_rest(self.limit_s("slack", SLACK_S))
 
     # -- the device itself -------------------------------------------------------------------
 
@@ -170,7 +177,7 @@ class PipetteDriver(Wired):
     def _initialise(self) -> None:
         self._order(self._kind.initialise)
         with self.under_way():
-            self._await_rest(START_S)
+            self._await_rest(self.limit_s("start", START_S))
             self._needs_initialised(self._position())
 
     @off_loop
@@ -184,7 +191,7 @@ class PipetteDriver(Wired):
         with self.motion():
             self._order(self._kind.eject)
             with self.under_way():
-                self._await_rest(EJECT_S)
+                self._await_rest(self.limit_s("eject", EJECT_S))
 
     @aside
     def volume(self) -> float:
@@ -238,10 +245,10 @@ class PipetteDriver(Wired):
             )
 
     def _ask(self, question: str) -> Answer:
-        return protocol.read(self.link.exchange(question.encode(), ANSWER_S))
+        return protocol.read(self.link.exchange(question.encode(), self.limit_s("answer", ANSWER_S)))
 
     def _recognise(self, link: Link) -> str:
-        protocol.read(link.exchange(b"Q", ANSWER_S))
+        protocol.read(link.exchange(b"Q", self.limit_s("answer", ANSWER_S)))
         return WHO
 
 

@@ -21,7 +21,7 @@ from labos.node import Setup
 from labos_drivers._wired import Behind, Wired, aside, off_loop
 from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Variable
 from labos_drivers.plc.points import Points, filled, link_to
-from labos_drivers.plc.values import Told, fits, in_words
+from labos_drivers.plc.values import Told, fits, in_words, leaves_open
 
 POLL_S = 0.1
 PATIENCE_S = 30.0
@@ -62,6 +62,7 @@ class _Withdrawn(DeviceError):
 class PlcDriver(Wired):
     """Commands of a PLC with this ``mapping``."""
 
+    deadlines = ("patience", "take", "reset")
     where = ("address", "10.0.7.5")
     mapping: ClassVar[PlcMapping]
 
@@ -83,9 +84,13 @@ class PlcDriver(Wired):
 
     @aside
     def is_idle(self) -> bool:
-        busy = self.mapping.state.busy
-        seen = self.points.read({condition.point for condition in busy})
-        return not any(fits(condition, seen[condition.point]) for condition in busy)
+        seen = self.points.read({condition.point for condition in self.mapping.state.busy})
+        return not self._is_busy(seen)
+
+    def _is_busy(self, seen: dict[str, Told]) -> bool:
+        """Unless it says that it is not."""
+        told = ((condition, seen[condition.point]) for condition in self.mapping.state.busy)
+        return any(fits(condition, value) or leaves_open(condition, value) for condition, value in told)
 
     @aside
     def look(self) -> dict[str, Any]:
@@ -96,7 +101,8 @@ class PlcDriver(Wired):
         seen = self.points.read(points | {each.point for each in mapping.variables.values() if each.point})
         told: dict[str, Any] = {name: _variable(each, seen) for name, each in mapping.variables.items()}
         if mapping.labware:
-            told["labware"] = {place: _all_hold(each, seen) for place, each in mapping.labware.items()}
+            sure = {place: each for place, each in mapping.labware.items() if not _is_open(each, seen)}
+            told["labware"] = {place: _all_hold(each, seen) for place, each in sure.items()}
         return told
 
     @aside
@@ -165,9 +171,8 @@ class PlcDriver(Wired):
     def _refuse_unless_fit(self, action: MappedAction, seen: dict[str, Told]) -> None:
         if (error := self._error(seen)) is not None:
             raise error
-        for condition in self.mapping.state.busy:
-            if fits(condition, seen[condition.point]):
-                raise DeviceError(f"{self.name} is busy.", remedy="Wait until it is idle.")
+        if self._is_busy(seen):
+            raise DeviceError(f"{self.name} is busy.", remedy="Wait until it is idle.")
         for condition in action.needs:
             value = seen[condition.point]
             if not fits(condition, value):
@@ -192,7 +197,7 @@ class PlcDriver(Wired):
 
     def _see_end(self, name: str, action: MappedAction, begun: Begun, *, sure: bool) -> Any:
         began = silent_since = time.monotonic()
-        until = began + (action.timeout or LONGER * action.duration + PATIENCE_S)
+        until = began + (action.timeout or LONGER * action.duration + self.limit_s("patience", PATIENCE_S))
         began_seen, handshake = False, self.mapping.handshake
         while True:
             try:
@@ -200,7 +205,7 @@ class PlcDriver(Wired):
             except LinkError:
                 self._unless_halted(name)
                 sure = False
-                if time.monotonic() - silent_since > PATIENCE_S:
+                if time.monotonic() - silent_since > self.limit_s("patience", PATIENCE_S):
                     raise
                 time.sleep(POLL_S)
                 continue
@@ -209,12 +214,12 @@ class PlcDriver(Wired):
             sure = sure or self._is_the_same(seen, begun)
             if sure:
                 self._raise_if_failed(name, action, seen)
-                busy = any(fits(told, seen[told.point]) for told in self.mapping.state.busy)
+                busy = self._is_busy(seen)
                 began_seen = began_seen or busy or time.monotonic() - began > BEGIN_S
                 if not busy and self._has_ended(action, begun, seen, began_seen):
                     return self._result(action)
             taken = handshake is None or seen[handshake.taken] == begun.number
-            if not taken and time.monotonic() - began > TAKE_S:
+            if not taken and time.monotonic() - began > self.limit_s("take", TAKE_S):
                 self._withdraw(name, begun, seen)
             if time.monotonic() > until:
                 waited = ", ".join(in_words(c, seen[c.point]) for c in action.done) or "it has not ended"
@@ -313,7 +318,7 @@ class PlcDriver(Wired):
                 time.sleep(CYCLE_S)
         self.points.write_all(self.mapping.reset, {})
         time.sleep(CYCLE_S)  # before that, neither a stop nor the reset need have been seen
-        until = time.monotonic() + RESET_S
+        until = time.monotonic() + self.limit_s("reset", RESET_S)
         while (error := self._error(self.points.read(self._watched()))) is not None:
             if time.monotonic() > until:
                 error.effects = "unknown"
@@ -353,6 +358,10 @@ class PlcDriver(Wired):
 
 def _all_hold(conditions: Iterable[Condition], seen: dict[str, Told]) -> bool:
     return all(fits(condition, seen[condition.point]) for condition in conditions)
+
+
+def _is_open(conditions: Iterable[Condition], seen: dict[str, Told]) -> bool:
+    return any(leaves_open(condition, seen[condition.point]) for condition in conditions)
 
 
 def _variable(variable: Variable, seen: dict[str, Told]) -> Any:

@@ -101,11 +101,13 @@ class Write(Part):
 
 class Condition(Part):
     """What a point tells: ``is`` one of these values, ``near`` a number ``within`` a tolerance, not below
-    ``minimum``, not above ``maximum``; nothing of it: a bit that is set. ``why`` and ``remedy`` are what
-    a person is told by it."""
+    ``minimum``, not above ``maximum``; nothing of it: a bit that is set. With ``not``, only its values say
+    the opposite: any other says nothing, so that the module is not idle and a place not empty by it. ``why``
+    and ``remedy`` are what a person is told by it."""
 
     point: str
     is_: Value | list[Value] | None = Field(default=None, alias="is")
+    not_: Value | list[Value] | None = Field(default=None, alias="not")
     near: float | int | str | None = None
     within: float = Field(default=0.0, ge=0)
     minimum: float | None = None

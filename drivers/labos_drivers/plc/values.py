@@ -77,6 +77,13 @@ def fits(condition: Condition, value: Told) -> bool:
     return (low is None or value >= low) and (high is None or value <= high)
 
 
+def leaves_open(condition: Condition, value: Told) -> bool:
+    """Whether a value neither fits a condition nor is among those that say the opposite."""
+    if condition.not_ is None or fits(condition, value):
+        return False
+    return value not in (condition.not_ if isinstance(condition.not_, list) else [condition.not_])
+
+
 def in_words(condition: Condition, value: Told | None = None) -> str:
     """A condition as a person reads it: its own words, or what its point says."""
     if condition.why:

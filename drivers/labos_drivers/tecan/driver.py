@@ -8,8 +8,9 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from labos.errors import DeviceError, Garbled, LinkError
-from labos.link import Link, SerialWire, UsbWire, Wire
+from labos.link import Link, UsbWire, Wire
 from labos.node import Attachment, Setup
+from labos_drivers._limits import serial_wire
 from labos_drivers._wired import Behind, Wired, off_loop
 from labos_drivers.tecan import protocol
 from labos_drivers.tecan.protocol import Calibration, Grid
@@ -27,6 +28,7 @@ class TecanDriver(Wired):
     """``BY`` is no end: the carrier is believed to be where it says it is when it has come to rest, and a
     row is measured when each of its wells has been told of."""
 
+    deadlines = ("answer", "gate", "row", "init")
     where = ("port", "usb")
     link: Link
 
@@ -35,7 +37,7 @@ class TecanDriver(Wired):
         self._frames = protocol.Frames()
         self._scans = False
         self.link = Link(
-            self._wire(address, str(setup.config.get("serial", ""))),
+            self._wire(setup, address),
             self._frames,
             name=setup.name,
             identify=self._recognise,
@@ -43,10 +45,12 @@ class TecanDriver(Wired):
         )
 
     @staticmethod
-    def _wire(address: str, serial: str) -> Wire:
+    def _wire(setup: Setup, address: str) -> Wire:
         if address == "usb":
-            return UsbWire(protocol.USB_VENDOR, protocol.USB_PRODUCT, serial=serial)
-        return SerialWire(address)
+            return UsbWire(
+                protocol.USB_VENDOR, protocol.USB_PRODUCT, serial=str(setup.config.get("serial", ""))
+            )
+        return serial_wire(setup, address)
 
     # -- carrier -----------------------------------------------------------------------------
 
@@ -62,7 +66,7 @@ class TecanDriver(Wired):
 
     def _drive(self, goal: str) -> None:
         self.unless_stopped()
-        self._order(f"ABSOLUTE MTP,{goal}", GATE_S)
+        self._order(f"ABSOLUTE MTP,{goal}", self.limit_s("gate", GATE_S))
         with self.under_way():
             if (found := self._position()) != goal:
                 raise DeviceError(
@@ -160,7 +164,9 @@ class TecanDriver(Wired):
         self._order("RATIO LABELS=1")
 
     def _calibration(self, nm: float) -> Calibration:
-        packets = self._packets(ROW_S, lambda found: any(map(protocol.is_calibration, found)))
+        packets = self._packets(
+            self.limit_s("row", ROW_S), lambda found: any(map(protocol.is_calibration, found))
+        )
         if not packets:
             raise Garbled(f"{self.name}: no calibration has come at {nm:g} nm.")
         return protocol.read_calibration(next(filter(protocol.is_calibration, packets)))
@@ -173,7 +179,9 @@ class TecanDriver(Wired):
         self._order(f"ABSOLUTE MTP,X={first},Y={y}")
         self._order("SCAN DIRECTION=ALTUP")
         self.link.send(f"SCANX {first},{last},{len(columns)}".encode())
-        packets = self._packets(ROW_S, lambda found: sum(map(protocol.is_measurement, found)) >= len(columns))
+        packets = self._packets(
+            self.limit_s("row", ROW_S), lambda found: sum(map(protocol.is_measurement, found)) >= len(columns)
+        )
         packets = [packet for packet in packets if protocol.is_measurement(packet)]
         if len(packets) != len(columns):
             raise Garbled(f"{self.name}: {len(packets)} of {len(columns)} wells of a row were told of.")
@@ -211,7 +219,7 @@ class TecanDriver(Wired):
     def reset(self) -> None:
         """All axes find their ends, and the carrier comes out."""
         self.resume()
-        self._order("INIT FORCE", INIT_S)
+        self._order("INIT FORCE", self.limit_s("init", INIT_S))
         with self.under_way():
             self._order("KEYLOCK OFF")
             self._drive(protocol.OUT)
@@ -246,7 +254,7 @@ class TecanDriver(Wired):
     def _ask(self, question: str, limit_s: float = 0.0) -> str:
         """What is said to it. Raises DeviceError."""
         self._frames.forget()
-        message = self.link.exchange(question.encode(), limit_s or ANSWER_S)
+        message = self.link.exchange(question.encode(), limit_s or self.limit_s("answer", ANSWER_S))
         if message[:1] == b"\0":
             raise Garbled(f"{self.name}: numbers are no answer to {question!r}.")
         text = message.decode()
@@ -262,7 +270,7 @@ class TecanDriver(Wired):
         busy = protocol.BUSY.fullmatch(text)
         if busy is None:
             raise Garbled(f"{self.name}: {text!r} is no answer to {command!r}.")
-        deadline = time.monotonic() + (limit_s or ANSWER_S)
+        deadline = time.monotonic() + (limit_s or self.limit_s("answer", ANSWER_S))
         with self.under_way():
             while text != protocol.STANDBY:
                 message = self.link.receive(max(deadline - time.monotonic(), 0.0))
@@ -280,7 +288,7 @@ class TecanDriver(Wired):
     def _recognise(self, link: Link) -> str:
         self._frames.forget()
         try:
-            text = link.exchange(b"QQ", ANSWER_S)
+            text = link.exchange(b"QQ", self.limit_s("answer", ANSWER_S))
         except LinkError as error:
             error.remedy = error.remedy or "Check that no other program uses the reader."
             raise

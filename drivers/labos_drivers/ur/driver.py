@@ -44,6 +44,7 @@ class URDriver(Wired):
     """What the arm does stands in programs that were taught on the controller; the workcell file says
     which of them carries what from where to where."""
 
+    deadlines = ("answer", "load", "begin", "program", "power", "fingers")
     where = ("host", "192.168.0.40")
     link: Link
     _gripper: Link | None = None
@@ -197,7 +198,7 @@ class URDriver(Wired):
         with ExitStack() as end:
             with self.at_rest():
                 self._refuse_unless_ready()
-                self._order(f"load {program}", "Loading program", limit_s=LOAD_S)
+                self._order(f"load {program}", "Loading program", limit_s=self.limit_s("load", LOAD_S))
                 self.unless_stopped()
                 states = end.enter_context(self._watched())
             self._play(program)
@@ -209,7 +210,7 @@ class URDriver(Wired):
 
     def _see_through(self, program: str, states: Iterator[str]) -> bool | None:
         """Wait for its end, and for the arm to stand still."""
-        began = time.monotonic()
+        began, limit_s = time.monotonic(), self.limit_s("program", PROGRAM_S)
         played = False
         held = None
         for state in states:
@@ -219,15 +220,15 @@ class URDriver(Wired):
             if (holds := self._held()) is not None:
                 held = held or holds
             passed_s = time.monotonic() - began
-            if not played and passed_s > BEGIN_S:
+            if not played and passed_s > self.limit_s("begin", BEGIN_S):
                 raise DeviceError(
                     f"{self.name}: {program} was started, but was not seen to run.",
                     remedy="Look at the arm, then reset the module.",
                 )
             if state == protocol.PAUSED:
                 self._refuse_unless_safe(program)
-            if passed_s > PROGRAM_S:
-                raise DeviceError(f"{self.name}: {program} has not ended within {PROGRAM_S:g} s.")
+            if passed_s > limit_s:
+                raise DeviceError(f"{self.name}: {program} has not ended within {limit_s:g} s.")
         return held
 
     @contextmanager
@@ -329,11 +330,12 @@ class URDriver(Wired):
     def _held_at_rest(self) -> bool | None:
         """What the gripper tells when its fingers stand still; None if there is none that could tell. Raises
         DeviceError if they do not come to rest: what they hold is not known then."""
-        deadline = time.monotonic() + FINGERS_S
+        limit_s = self.limit_s("fingers", FINGERS_S)
+        deadline = time.monotonic() + limit_s
         while (held := self._held()) is None and self._gripper_tells:
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"{self.name}: its gripper says for {FINGERS_S:g} s that its fingers move: whether it "
+                    f"{self.name}: its gripper says for {limit_s:g} s that its fingers move: whether it "
                     "holds something is not known.",
                     remedy="Look at the gripper. If it was switched off, activate it: on the pendant, or "
                     "by a program.",
@@ -347,7 +349,8 @@ class URDriver(Wired):
             return self._stream.now().input(self._gripper_input)
         if self._gripper is None:
             return None
-        answer = self._gripper.exchange(b"GET OBJ", ANSWER_S).decode("ascii", "replace").strip()
+        told = self._gripper.exchange(b"GET OBJ", self.limit_s("answer", ANSWER_S))
+        answer = told.decode("ascii", "replace").strip()
         found = re.fullmatch(r"OBJ ([0-3])", answer)
         if found is None:
             raise Garbled(f"{self.name}: {answer!r} does not tell what the gripper holds.")
@@ -357,7 +360,7 @@ class URDriver(Wired):
     # -- one question ------------------------------------------------------------------------
 
     def _ask(self, question: str, limit_s: float = 0.0) -> str:
-        answer = self.link.exchange(question.encode(), limit_s or ANSWER_S)
+        answer = self.link.exchange(question.encode(), limit_s or self.limit_s("answer", ANSWER_S))
         return answer.decode("utf-8", "replace").strip()
 
     def _told(self, question: str, begins: str) -> str:
@@ -396,18 +399,19 @@ class URDriver(Wired):
             )
 
     def _await_told(self, what: str, ask: Callable[[], str], *wanted: str) -> None:
-        deadline = time.monotonic() + POWER_S
+        limit_s = self.limit_s("power", POWER_S)
+        deadline = time.monotonic() + limit_s
         while (told := ask()) not in wanted:
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"{self.name}: its {what} is {told} after {POWER_S:g} s.",
+                    f"{self.name}: its {what} is {told} after {limit_s:g} s.",
                     effects="none",
                     remedy="Look at the pendant.",
                 )
             time.sleep(POLL_S)
 
     def _recognise(self, link: Link) -> str:
-        greeting = link.receive(ANSWER_S)
+        greeting = link.receive(self.limit_s("answer", ANSWER_S))
         if not greeting.startswith(protocol.GREETING):
             return f"what says {greeting[:40]!r}"
         serial = self._ask("get serial number")  # controllers before 5.6 and 3.12 do not know it

@@ -13,7 +13,7 @@ import contextlib
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from typing import Any, ClassVar
 
-from labos.adapter._channels import SETTLED, Reading, fits
+from labos.adapter._channels import SETTLED, Reading, fits, leaves_open
 from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
 from labos.adapter._http import NoResponse
 from labos.adapter.sila.client import Client, SilaError, certificate_in
@@ -113,7 +113,8 @@ class SilaNode(ForeignNode):
         if not self.tells_busy:
             await self.client.alive()
             return await super().is_idle()
-        return not any([await self._holds(told) for told in self.mapping.state.busy])
+        seen = [(told, await self._reading(told)) for told in self.mapping.state.busy]
+        return not any(fits(told, now) or leaves_open(told, now) for told, now in seen)
 
     async def trouble(self) -> str:
         try:
@@ -167,8 +168,8 @@ class SilaNode(ForeignNode):
         await self._learn()
         seen = {variable: await self._value(name) for variable, name in self.mapping.observe.items()}
         if self.mapping.labware:
-            places = self.mapping.labware.items()
-            seen["labware"] = {place: await self._holds(told) for place, told in places}
+            told_of = [(at, told, await self._reading(told)) for at, told in self.mapping.labware.items()]
+            seen["labware"] = {at: fits(told, now) for at, told, now in told_of if not leaves_open(told, now)}
         return seen
 
     async def resources(self) -> dict[str, float]:
@@ -176,7 +177,10 @@ class SilaNode(ForeignNode):
         return {what: float(await self._value(name)) for what, name in self.mapping.resources.items()}
 
     async def _holds(self, condition: Condition) -> bool:
-        return fits(condition, Reading(await self._value(condition.pv)))
+        return fits(condition, await self._reading(condition))
+
+    async def _reading(self, condition: Condition) -> Reading:
+        return Reading(await self._value(condition.pv))
 
     async def _value(self, name: str) -> Any:
         """A property's value now, or an element of it. Raises DeviceError (``none``)."""

@@ -49,6 +49,7 @@ def workcell(source: Source, report: Report) -> Source:
         told = others.get(str(module["name"]))
         if told is not None:
             modules[-1]["config"].put("representations", told, told.at, told.at)
+    _tell_positions(reader, modules, locations)
     names = {str(module["name"]) for module in modules}
     nobodys = {owner: told for owner, told in others.items() if owner not in names and owner != "workcell"}
     if nobodys:
@@ -123,6 +124,28 @@ def _positions(reader: Reader, module: Table, path: Path_, locations: Table) -> 
         at = written.keys_at[name]
         if place not in owner and f"{module.get('name')}" != "None":
             owner.put(place, Row(at), at, at)
+
+
+def _tell_positions(reader: Reader, modules: Row, locations: Table) -> None:
+    """The joints of ``positions`` are those of whatever module a step sends there: its node is told them, as
+    WEI did, and not our name for the place. What the module has of its own goes before them, and nothing but
+    zeros was never taught."""
+    taught = Table(modules.at)
+    for index, module in enumerate(reader.row("modules", "the modules")):
+        written = module.get("positions") if isinstance(module, Table) else None
+        for name, joints in written.items() if isinstance(written, Table) else ():
+            if isinstance(joints, list) and any(joints) and all(map(is_number, joints)):
+                at = reader.source.place(("modules", index, "positions", name))
+                taught.put(f"{modules[index]['name']}.{name}", joints, at, at)
+    for module in modules if taught else ():
+        config = module["config"]
+        own = locations.get(str(module["name"])) or {}
+        told = Table(taught.at)
+        ways = {place: way for place, way in taught.items() if not own.get(place)}
+        for place, way in {**ways, **(config.get("representations") or {})}.items():
+            told.put(place, way, taught.at, taught.at)
+        if told:
+            config.put("representations", told, told.at, told.at)
 
 
 def _locations(reader: Reader) -> tuple[Table, dict[str, Table]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -25,8 +26,10 @@ modules:
       stations: {nest: {}}
       actions:
         squeeze: {effects: [{needs: {}}], duration: 2}
+        rest: {duration: 3000}
 """
 FLOW = "labos: 1\nname: Squeeze\nsteps:\n  - {name: squeeze it, module: press, action: squeeze}\n"
+LONG = FLOW.replace("squeeze it", "rest").replace("action: squeeze", "action: rest")
 
 
 @pytest.fixture
@@ -63,3 +66,29 @@ def test_a_run_says_what_it_waits_for(lab: LabThread, monkeypatch: pytest.Monkey
     assert [result.status for result in results] == ["completed"]
     assert "press.squeeze succeeded" in "\n".join(lines)
     assert lines.count(f"            What can be done: labos explain {run}") == 1, "it is said once"
+
+
+def test_a_long_step_is_told_with_what_is_left(lab: LabThread, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_narrate, "SILENCE_S", 0.3)
+    said, over = threading.Event(), threading.Event()
+
+    def note(text: str) -> None:
+        lines.append(text)
+        if " left" in text:
+            said.set()
+
+    lines: list[str] = []
+    monkeypatch.setattr(_narrate.click, "echo", note)
+    with LabClient(lab.url) as client, LabClient(lab.url) as other:
+        watcher = Narrator(other, client.health()["position"])
+        thread = threading.Thread(target=lambda: watcher.follow(over))
+        thread.start()
+        run = client.submit({"name": "rest.yaml", "text": LONG, "files": {}}, user="ada")
+        try:
+            assert said.wait(20), lines
+            assert client.wait(run).succeeded
+        finally:
+            over.set()
+            thread.join(20)
+    (line,) = [line for line in lines if " left" in line]
+    assert re.fullmatch(rf" +{run} 'rest': press is at rest, about \d\d min( \d+ s)? left", line), line

@@ -58,6 +58,19 @@ def test_people_are_added_grouped_and_given_roles(home: Path) -> None:
     assert told(home, "group", "list") == []
 
 
+def test_whoever_is_added_is_told_with_what_to_do_next(home: Path) -> None:
+    assert said(home, "user", "add", "ada").endswith("Next: labos user password ada\n")
+    bo = said(home, "user", "add", "bo")
+    assert bo == "bo is a user of this lab: may look.\nNext: labos user password bo\n"
+    planner = said(home, "user", "add", "planner", "--service", "--role", "operator")
+    assert planner.splitlines() == [
+        "planner is a service account of this lab: operator.",
+        "Next: labos token create LABEL --for planner",
+    ]
+    assert "planner" in said(home, "token", "create", "agent", "--for", "planner")
+    assert [token["label"] for token in told(home, "token", "list", "--for", "planner")] == ["agent"]
+
+
 def test_who_may_not_is_told_who_may(home: Path) -> None:
     said(home, "user", "add", "ada")
     said(home, "user", "add", "bo")

@@ -106,6 +106,10 @@ BUGS: dict[str, Bug] = {
         ),
         "it did nothing",
     ),
+    # Its motion is over long before it says so: what is interrupted is the motion, not the waiting after it.
+    "takes a restart for the end after a long wait": Bug(
+        "restart", ((ENDS, 'if state == "IDLE" and asked - begun > 2:'), (UNLESS_DONE, "")), "it did nothing"
+    ),
     "takes an error for the end": Bug(
         "device error",
         (

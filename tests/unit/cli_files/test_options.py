@@ -21,6 +21,8 @@ ONE_NAME = {
     "--quiet": ("--silent",),
     "--dry-run": ("--check-only", "--what-if"),
     "--simulate": ("--simulation", "--simulated", "--sim"),
+    "--for": ("--of", "--whose"),
+    "--type": ("--kind", "--labware-type"),
     "--since": ("--after", "--begin", "--start"),
     "--until": ("--before", "--end", "--stop"),
     "--last": ("--limit", "--max", "--tail", "-n"),
@@ -63,6 +65,46 @@ def test_no_name_has_two_forms() -> None:
             assert (option.is_flag, option.name) == (True, "as_json"), path
         if {"--all", "--force", "--yes", "--quiet", "--simulate"} & set(said):
             assert option.is_flag, path
+
+
+TWO_FORMS = {
+    "--bundle": "a bundle that is checked; that each run's is put into a crate",
+    "--check": "a check of the torture; that nodes are checked",
+    "--keep": "a folder for what was tortured; that the demonstration's lab runs on",
+    "--simulate": "a device, or the bench of a lab, which may be real as well",
+    "--secure": "a bus, or that of a lab, which may do without",
+    "--trace": "the wire of one node, into this file; those of all nodes, each into its own",
+    "--witness": "who cosigns a checkpoint; the key with which others' are cosigned",
+}
+"""Names that say something by themselves in one command, and something of a value in another: what they mean
+there is not the same."""
+
+
+def test_a_name_takes_a_value_everywhere_or_nowhere() -> None:
+    forms: dict[str, set[tuple[bool, bool]]] = {}
+    for _, option in options():
+        for said in option.opts:
+            if said.startswith("--"):
+                forms.setdefault(said, set()).add((option.is_flag, bool(option.secondary_opts)))
+    assert {said for said, found in forms.items() if len(found) > 1} == TWO_FORMS.keys()
+
+
+def test_a_short_name_goes_with_its_long_one_everywhere() -> None:
+    short = {
+        long: said
+        for _, option in options()
+        for long in option.opts
+        for said in option.opts
+        if long.startswith("--") and not said.startswith("--")
+    }
+    assert short == {"--follow": "-f", "--output": "-o", "--payload": "-p"}
+    lacking = [
+        f"{path} {name}"
+        for path, option in options()
+        for name in short
+        if name in option.opts and short[name] not in option.opts
+    ]
+    assert lacking == []
 
 
 @pytest.mark.parametrize(

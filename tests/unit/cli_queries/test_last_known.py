@@ -65,7 +65,7 @@ def test_without_a_kernel_it_is_said_how_old_is_what_is_shown(words: str, home: 
 @pytest.mark.usefixtures("ask")
 def test_nodes_the_inbox_and_locations_are_told_as_they_were_last_known(home: Path) -> None:
     told = CliRunner().invoke(group, ["nodes", "--json"])
-    nodes = {node["name"]: node for node in json.loads(told.stdout)}
+    nodes = {node["module"]: node for node in json.loads(told.stdout)}
     assert nodes["rpl/sealer"]["driver"] == "a4s_sealer"
     asked = InterventionRequested(InterventionId("I1"), PlannedWork.KIND, "R2", "Put in foil", ())
     append(home, asked)

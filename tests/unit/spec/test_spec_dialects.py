@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import msgspec
@@ -10,7 +11,14 @@ import pytest
 from labos.core.canonical import digest
 from labos.core.effects import Move, Take
 from labos.core.model import Plan
-from labos.spec import compile_workflow, load_workcell, parse_workflow, validate_workflow
+from labos.spec import (
+    SpecErrors,
+    compile_workflow,
+    load_workcell,
+    parse_workcell,
+    parse_workflow,
+    validate_workflow,
+)
 from labos.spec.dialects import workflow_form
 from labos.spec.findings import Report
 from labos.spec.models import WorkflowFile
@@ -163,3 +171,71 @@ def test_module_and_action_from_the_payload() -> None:
     assert (step.module, step.action) == ("wc1/cycler", "open_lid")
     findings = validate_workflow(source, {}, BENCH.workcell, DESCRIPTIONS)
     assert [where(finding) for finding in findings] == [(4, 23), (4, 44)]
+
+
+POSITIONS = """\
+modules:
+  - {name: pf400, type: wei_ros_node, model: pf400, config: {ros_node: /std_ns/pf400Node}}
+  - name: sealer
+    type: wei_ros_node
+    model: sealer
+    config: {ros_node: /std_ns/SealerNode}
+    positions: {default: [231.8, -27.2, 313.0, 342.3, 0.0, 683.7]}
+  - name: peeler
+    type: wei_ros_node
+    model: peeler
+    config: {ros_node: /std_ns/PeelerNode}
+    positions: {default: [264.6, -29.4, 284.4, 372.3, 0.0, 651.6], spare: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]}
+"""
+CARRY = """\
+name: carry
+flowdef:
+  - name: Move
+    module: pf400
+    action: transfer
+    args: {source: [231.8, -27.2, 313.0, 342.3, 0.0, 683.7], target: peeler.positions.default}
+"""
+
+
+def test_positions_without_an_owner_are_told_to_whoever_is_sent_there() -> None:
+    """As WEI did; nobody was taught a place that is nothing but zeros."""
+    cell = parse_workcell(POSITIONS, DESCRIPTIONS).workcell
+    (arm,) = [module for module in cell.modules if module.name.endswith("pf400")]
+    assert arm.config["config"]["representations"] == {
+        "sealer.default": [231.8, -27.2, 313.0, 342.3, 0.0, 683.7],
+        "peeler.default": [264.6, -29.4, 284.4, 372.3, 0.0, 651.6],
+    }
+
+
+def test_joint_angles_of_one_place_mean_that_place() -> None:
+    cell = parse_workcell(POSITIONS, DESCRIPTIONS)
+    plan = compile_workflow(parse_workflow(CARRY), {}, cell.workcell, DESCRIPTIONS, simulate=True).plan
+    (step,) = plan.steps
+    assert (step.args["source"], step.args["target"]) == ("sealer.default", "peeler.default")
+
+
+@pytest.mark.parametrize(
+    ("angles", "says"),
+    [
+        (
+            "[231.8, -27.2, 313.0, 342.3, 20.0, 683.7]",
+            "are those of sealer.default, but 20.0 in the place of 0.0",
+        ),
+        ("[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "joint angles alone do not say what is there"),
+        ("[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]", "joint angles alone do not say what is there"),
+    ],
+)
+def test_joint_angles_of_no_place_are_refused(angles: str, says: str) -> None:
+    cell = parse_workcell(POSITIONS, DESCRIPTIONS)
+    text = CARRY.replace("[231.8, -27.2, 313.0, 342.3, 0.0, 683.7]", angles)
+    with pytest.raises(SpecErrors, match=re.escape(says)):
+        compile_workflow(parse_workflow(text), {}, cell.workcell, DESCRIPTIONS, simulate=True)
+
+
+def test_joint_angles_that_two_places_have_mean_neither() -> None:
+    text = POSITIONS.replace(
+        "spare: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "spare: [231.8, -27.2, 313.0, 342.3, 0.0, 683.7]"
+    )
+    cell = parse_workcell(text, DESCRIPTIONS)
+    with pytest.raises(SpecErrors, match="joint angles alone do not say what is there"):
+        compile_workflow(parse_workflow(CARRY), {}, cell.workcell, DESCRIPTIONS, simulate=True)
