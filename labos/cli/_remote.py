@@ -36,6 +36,7 @@ FOLDER = frozenset(
         "labos key rotate",
         "labos key show",
         "labos node accept-unit",
+        "labos node install",
         "labos node reset-epoch",
         "labos node start",
         "labos pki admit",

@@ -242,7 +242,7 @@ def _time_on(client: Any, booking: str, on: str) -> int:
     if not times:
         raise BadInput(
             f"{booking} has no time that begins on {on}.",
-            remedy=f"Its times: labos calendar --target {known['target']}",
+            remedy=f"Its times: labos calendar {known['target']}",
         )
     return int(times[0])
 

@@ -12,8 +12,8 @@ DAYS = 7
 
 
 @click.command("calendar", short_help="When what is booked.")
-@click.option(
-    "--target", metavar="NAME", default="", help="A module or a workcell.", shell_complete=completes("module")
+@click.argument(
+    "target", required=False, default="", metavar="[MODULE|WORKCELL]", shell_complete=completes("module")
 )
 @click.option("--week", "day", metavar="DAY", help="The week of this day; this one if not given.")
 @click.option("--days", type=click.IntRange(1, 60), default=DAYS, show_default=True, help="How many days.")
@@ -28,7 +28,7 @@ def command(
 
     \b
     labos calendar
-    labos calendar --target ot2_pcr_alpha --week 2026-12-01
+    labos calendar ot2_pcr_alpha --week 2026-12-01
     labos calendar --ical > lab.ics
     """
     from datetime import datetime, timedelta

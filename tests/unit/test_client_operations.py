@@ -9,7 +9,7 @@ from pathlib import Path
 import labos.client
 from labos.http.routes import OPERATIONS
 
-ASKING = {"_get": "GET", "_post": "POST", "_request": "", "_ask": ""}
+ASKING = {"_get": "GET", "_fetch": "GET", "_post": "POST", "_request": "", "_ask": ""}
 """The client's own methods that send something; of the last two the first argument is the method."""
 
 NOT_ASKED = {"follow_events"}

@@ -142,7 +142,7 @@ def cancel_booking(state: LabState, command: CancelBooking) -> Decision:
         return Rejection(
             "no_time",
             f"The booking {booking.id} has no time that begins at {in_zone(command.begins, booking.zone)}.",
-            f"Its times: labos calendar --target {local(booking.target)}",
+            f"Its times: labos calendar {local(booking.target)}",
         )
     return [BookingSkipped(booking.id, command.begins, command.by, command.why)]
 

@@ -129,7 +129,7 @@ def test_repeated_bookings_keep_their_hour_over_a_change_of_clocks(lab: LabThrea
     assert "Thu 01 Apr -" in say("calendar", "--week", "2027-04-01")
     assert "has no time that begins on 2027-04-01" in say(*skip, fails=True)
 
-    parsed = Calendar.from_ical(say("calendar", "--ical", "--target", "reader"))
+    parsed = Calendar.from_ical(say("calendar", "--ical", "reader"))
     (event,) = parsed.walk("VEVENT")
     assert event["UID"].startswith(f"{name}@")
     assert event["RRULE"].to_ical() == b"FREQ=WEEKLY"
@@ -180,7 +180,7 @@ HOUR = ("book", "reader", "--from", "now", "--to", "+1h")
         ((*HOUR, "--for", "group:none"), "no group 'none'"),
         ((*HOUR, "--for", "ada", "--maintenance"), "nobody's runs"),
         (("book", "cancel", "B99"), "B99"),
-        (("calendar", "--target", "nothing"), "nothing"),
+        (("calendar", "nothing"), "nothing"),
     ],
 )
 def test_what_is_wrong_is_said_with_a_remedy(say: Say, words: tuple[str, ...], told: str) -> None:

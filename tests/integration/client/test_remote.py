@@ -54,6 +54,7 @@ READ = {
     "bookings": "labos bookings",
     "calendar": "labos calendar",
     "role list": "labos role list",
+    "sign R1": "labos sign",
 }
 """Questions whose answers in JSON are the same by the address as from the folder."""
 
@@ -243,6 +244,7 @@ def test_what_needs_the_folder_says_so(path: str, capsys: pytest.CaptureFixture[
         "labos restore": ["from"],
         "labos db writer": ["kernel"],
         "labos node accept-unit": ["rpl/pf400"],
+        "labos node install": ["rpl/pf400", "--connect", "tcp/lab:7447"],
         "labos node reset-epoch": ["rpl/pf400", "--epoch", "1", "--why", "x"],
         "labos node start": ["pf400", "--name", "pf400", "--workcell", "rpl"],
         "labos notifications test": ["ada"],

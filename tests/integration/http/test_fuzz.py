@@ -208,6 +208,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "/round": {"by": "ada", "stations": {"sealer.default": ["plate96"]}, "as_recorded": ["ot2.deck1"]},
     "/labware/{labware}/barcode": {"barcode": "B1", "by": "ada", "replace": True},
     "/labware/{labware}/owner": {"to": "user:bo", "by": "ada", "force": True, "note": "x"},
+    "/runs/{run}/signatures": {"meaning": "reviewed", "password": "four words of mine", "why": "x"},
     "/samples": {
         "text": "well,sample\nA1,s1\n",
         "by": "ada",
