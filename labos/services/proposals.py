@@ -24,7 +24,7 @@ MOST_VALUES = 200
 """So many values are compared that differ."""
 
 
-class Difference(msgspec.Struct, frozen=True):
+class ChangedPart(msgspec.Struct, frozen=True):
     """A part that was another one when something of this name was approved last. ``lines`` say how, as far as
     that can be told: lines of a text that are gone (``-``) and new (``+``), or values with what they were."""
 
@@ -42,17 +42,17 @@ def sentence(state: LabState, subject: str) -> str:
     return f"{what} waits for approval, because {why}. An operator answers: labos approve {subject}"
 
 
-def differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal) -> list[Difference]:
+def differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal) -> list[ChangedPart]:
     """How a proposal differs from what was approved last of its name. Reads the log and texts that are kept
     beside it."""
     if proposal.kind == "amendment":
         campaign = state.campaigns.open.get(CampaignId(proposal.subject))
         was = msgspec.to_builtins(campaign.terms) if campaign is not None else {}
-        return [Difference("terms", tuple(compared(was, msgspec.to_builtins(proposal.terms))))]
+        return [ChangedPart("terms", tuple(compared(was, msgspec.to_builtins(proposal.terms))))]
     past = state.approvals.past.get(f"{proposal.kind}:{proposal.name}")
     if past is None:
         return []
-    return [Difference(part, _lines(log, blobs, proposal, past, part)) for part in proposal.changed]
+    return [ChangedPart(part, _lines(log, blobs, proposal, past, part)) for part in proposal.changed]
 
 
 def _lines(log: Log, blobs: BlobReader, proposal: Proposal, past: Past, part: str) -> tuple[str, ...]:

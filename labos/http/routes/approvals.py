@@ -20,7 +20,7 @@ from labos.http.campaigns import amended
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.operation import Call, Operation
 from labos.http.tail import PAGE
-from labos.services.proposals import Difference, differences, sentence
+from labos.services.proposals import ChangedPart, differences, sentence
 from labos.spec.policy import parse_policy
 
 
@@ -69,7 +69,7 @@ class ProposalDetail(msgspec.Struct, frozen=True):
     """A proposal, and how it differs from what was approved last of its name."""
 
     proposal: ProposalView
-    differences: list[Difference]
+    differences: list[ChangedPart]
 
 
 class ProposalAnswer(msgspec.Struct, frozen=True):

@@ -34,7 +34,7 @@ class ArgumentView(msgspec.Struct, frozen=True):
     unit: str
     minimum: float | None
     maximum: float | None
-    choices: tuple[Any, ...]
+    choices: tuple[str | int | float | bool, ...]
 
 
 class ActionView(msgspec.Struct, frozen=True):

@@ -22,7 +22,10 @@ modules:
   - name: press
     about:
       stations: {nest: {}}
-      actions: {squeeze: {effects: [{needs: {}}], duration: 2}}
+      actions:
+        squeeze:
+          effects: [{needs: {}}, {sets: {of: labware, variable: squeezed, value: true}}]
+          duration: 2
 """
 FLOW = """
 labos: 1
