@@ -64,9 +64,11 @@ def test_from_the_first_user_to_a_program(lab: Up, folder: Path) -> None:
         run(folder, "token", "create", "picker", "--for", "robot", "--scope", "operator", "--json")
     )
     (folder / "seal.yaml").write_text(FLOW)
+    (folder / "policy.yaml").write_text("labos: 1\ntrusted: [robot]\n")
+    run(folder, "policy", "--apply", str(folder / "policy.yaml"))
     place = ("--place", "sealer.default=plate96")
     run(folder, "run", str(folder / "seal.yaml"), *place, LABOS_TOKEN=made["secret"])
-    assert "robot" in run(folder, "token", "list", "--of", "robot")
+    assert "robot" in run(folder, "token", "list", "--for", "robot")
     run(folder, "token", "revoke", made["token"]["id"])
     assert "revoked" in run(folder, "pause", "lab", LABOS_TOKEN=made["secret"], fails=True)
 
