@@ -140,6 +140,9 @@ class Report:
 def near(name: str, known: Iterable[str], what: str = "name") -> str:
     """A remedy that offers the known name nearest to what was written, or the few that hold it."""
     names = sorted(set(known))
+    alike = [candidate for candidate in names if candidate.lower() == name.lower()]
+    if alike:
+        return f"Did you mean {' or '.join(map(repr, alike))}? Upper and lower case count."
     by_lower = {candidate.lower(): candidate for candidate in names}
     found = difflib.get_close_matches(name[:LONGEST].lower(), by_lower, n=2, cutoff=0.6)
     if found:

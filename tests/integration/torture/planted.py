@@ -331,6 +331,18 @@ BUGS: dict[str, Bug] = {
     "believes that all went well": Bug(
         "power cut", (take_up("        return None\n"),), "says that all was done"
     ),
+    "takes an error after a restart for the end": Bug(
+        "node killed",
+        (
+            take_up(
+                '        while (state := await asyncio.to_thread(self.ask, "STAT")) == "BUSY":\n'
+                "            await asyncio.sleep(0.02)\n"
+                '        if not state.startswith("FAULT"):\n'
+                '            raise DeviceError("Nobody knows how it ended.")\n'
+            ),
+        ),
+        "says that all was done",
+    ),
     "believes that nothing was done": Bug(
         "node killed",
         (take_up('        raise DeviceError("It was not begun.", effects="none")\n'),),

@@ -217,6 +217,7 @@ def test_a_way_that_cannot_be_is_refused_with_its_line(way: str, says: str, reme
         ("ot2", "Did you mean 'ot2_alpha' or 'ot2_beta'?"),
         ("xyz", "Known: ot2_alpha, ot2_beta, pf400."),
         ("pf40", "Did you mean 'pf400'?"),
+        ("PF400", "Did you mean 'pf400'? Upper and lower case count."),
     ],
 )
 def test_a_name_that_is_part_of_others_is_offered_those(name: str, says: str) -> None:
