@@ -12,9 +12,6 @@ from labos.core.ids import local
 from labos.core.recurrence import zone_of
 from labos.core.state import LabState
 
-MEDIA_TYPE = "text/calendar"
-
-
 YEARS = 30
 """For so long after the latest booking a time zone is described."""
 
@@ -67,4 +64,4 @@ def _at(at: int, zone: str) -> datetime:
     return datetime.fromtimestamp(at // 1_000_000_000, where)
 
 
-__all__ = ["MEDIA_TYPE", "ical"]
+__all__ = ["ical"]

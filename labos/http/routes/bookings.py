@@ -27,7 +27,8 @@ from labos.http.bookings import (
     view,
 )
 from labos.http.operation import Call, Operation
-from labos.services.ical import MEDIA_TYPE, ical
+
+MEDIA_TYPE = "text/calendar"
 
 
 async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
@@ -78,6 +79,8 @@ async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
 async def export_calendar(call: Call, query: LinkQuery) -> Response:
     """All bookings as iCalendar (RFC 5545). Calendar programs subscribe to it with a token of scope `viewer`
     in the address."""
+    from labos.services.ical import ical  # a large library, which most labs never use
+
     found = ical(call.kernel.state, bookings_of(call.service, query.target))
     await call.kernel.written()
     headers = {"cache-control": "private, max-age=300"}
