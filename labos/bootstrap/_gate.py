@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import structlog
 
@@ -25,11 +26,13 @@ from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.services.accounts import HOME, Accounts, make_secret
 from labos.services.accounts.accounts import FRESH_S
-from labos.services.accounts.oidc import Provider
 from labos.services.accounts.provider_file import load_provider
 from labos.settings import OIDC, Settings
 from labos.store import open_accounts
 from labos.telemetry.signing import Signing
+
+if TYPE_CHECKING:
+    from labos.services.accounts.oidc import Provider
 
 _log = structlog.get_logger(__name__)
 
@@ -158,6 +161,8 @@ def _provider(settings: Settings, clock: Clock) -> Provider | None:
     """The identity provider that the file in the lab's folder names. Raises SpecErrors, BadInput."""
     if not os.environ.get(OIDC) and not settings.providers.is_file():
         return None
+    from labos.services.accounts.oidc import Provider  # few labs have one
+
     return Provider(load_provider(settings.providers), clock, WAY_BACK)
 
 

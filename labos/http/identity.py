@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Callable
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import msgspec
 import structlog
@@ -13,7 +13,9 @@ from starlette.requests import Request
 from labos.core.users import User, on_behalf
 from labos.errors import Forbidden, LabosError, NotSignedIn, StoreUnavailable
 from labos.services.accounts import HOME, Accounts, Credential, Need, allows, digest_of
-from labos.services.accounts.oidc import Provider
+
+if TYPE_CHECKING:
+    from labos.services.accounts.oidc import Provider
 
 COOKIE = "labos-session"
 SECURE_COOKIE = f"__Host-{COOKIE}"

@@ -18,11 +18,11 @@ from labos.errors import NotSignedIn, Refused
 from labos.http.door import WAY_BACK
 from labos.http.signing import give_cookie
 from labos.ports import Person
-from labos.services.accounts.oidc import Claims, Provider
 from labos.services.accounts.secrets import make_id
 
 if TYPE_CHECKING:
     from labos.http.operation import Api
+    from labos.services.accounts.oidc import Claims, Provider
 
 START = "/login/oidc"
 COOKIE = "labos-way-back"
