@@ -69,7 +69,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if not motion.target:
         if motion.uses and not may_use(floor, actor, motion.uses):
             return False
-        if motion.grabs and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
+        asks = bool(motion.grabs) and not motion.recovers  # a recovery asks nobody
+        if asks and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
             return False
         return not motion.needs or all(found_at(floor, actor, places) for places in motion.needs)
     mover = Mover(floor, actor)

@@ -45,10 +45,10 @@ class Motion(msgspec.Struct, frozen=True):
     that nobody else may hold then. ``needs``: labware that it has not brought itself has to stand at one of
     these places, for each need, and is lent to the run; if it ``keeps`` it, for good. ``returns``: what is
     lent to the run goes back. ``wants`` are variables of modules and the values that they must have, ``sets``
-    those that they have afterwards; doors and lids, which have a rest, are held instead. ``back``: it is
-    known how something in flight ended. It failed, and its labware is at ``target`` (as before on a stack,
-    if ``new``) instead of at ``source``; or without a ``target``, ``source`` need not be kept free for it any
-    more.
+    those that they have afterwards; doors and lids, which have a rest, are held instead. What ``recovers`` a
+    module asks nobody who holds something. ``back``: it is known how something in flight ended. It failed,
+    and its labware is at ``target`` (as before on a stack, if ``new``) instead of at ``source``; or without a
+    ``target``, ``source`` need not be kept free for it any more.
 
     What it needs and does beside is as its effect says (see ``effects.Carrying``). All needs of a step are
     asked before any of it is done, so they stand with its first motion: where it needs labware or room
@@ -67,6 +67,7 @@ class Motion(msgspec.Struct, frozen=True):
     returns: bool = False
     wants: Settings = ()
     sets: Settings = ()
+    recovers: bool = False
     lid: Lid = ""
     back: bool = False
     stock: StationName = NOWHERE
@@ -237,6 +238,7 @@ def motions_of_steps(
                     needs=needs,
                     keeps=keeps and bool(needs),
                     wants=() if moving else wants,
+                    recovers=step.recovers,
                 )
             )
         for places in needs:
