@@ -376,11 +376,12 @@ class LabClient(BenchCalls, BookingCalls, ApprovalCalls, CampaignCalls, AccountC
 
         deadline = time.monotonic() + self._patience()
         pause = 0.05
+        own = options.pop("headers", {})
         while True:
             asked = time.monotonic()
             try:
                 base = self._base()
-                headers = {**options.pop("headers", {}), **self._shown(base)}
+                headers = {**own, **self._shown(base)}
                 response = self._http.request(method, base + API + path, headers=headers, **options)
             except (httpx.ConnectError, httpx.ConnectTimeout) as error:
                 why: Exception = error
