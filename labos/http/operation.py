@@ -87,6 +87,11 @@ class Call:
         return self.who.actor if self.who.is_known else wire.asker(self.request)
 
     @property
+    def is_sent_on(self) -> bool:
+        """Whether an API process has worked on it before, and sent it on to the kernel."""
+        return ADMITTED in self.request.scope
+
+    @property
     def key(self) -> str:
         """The idempotency key; empty if there is none. Raises BadInput."""
         return wire.key_of(self.request)

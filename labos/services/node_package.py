@@ -21,7 +21,6 @@ from labos.errors import BadInput
 ENDPOINT = re.compile(r"(?:tcp|tls)/[A-Za-z0-9.\-:\[\]]+:\d{1,5}")
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
 
-
 UNITS = ("labos-node@.service", "labos.sysusers.conf")
 """Files of ``deploy/systemd`` that go along."""
 
@@ -36,8 +35,8 @@ def read_units() -> dict[str, str]:
 
 class NodePackage(msgspec.Struct, frozen=True):
     """A node that is to be installed. ``certificate`` is the folder of its own, if the bus is secure;
-    ``options`` go to ``labos node start``; ``requirement`` is what pip installs, or the name of a wheel in
-    ``wheels``."""
+    ``options`` go to ``labos node start``; ``requirement`` is what pip installs, from ``wheels`` if there are
+    any."""
 
     workcell: str
     name: str
@@ -126,7 +125,8 @@ own root:labos "$ROOT/etc/labos/certificates"
 #
 #     sh install.sh
 #
-# It may be run again. ROOT=/some/folder installs below that folder, and starts nothing.
+# It may be run again. ROOT=/some/folder installs below that folder, and starts nothing; LABOS_KEEP_PROGRAM=1
+# leaves the program as it is.
 set -eu
 HERE=$(cd "$(dirname "$0")" && pwd)
 ROOT=${{ROOT:-}}
@@ -164,8 +164,8 @@ say "unit"
 install -D -m 0644 "$HERE/labos-node@.service" "$ROOT/etc/systemd/system/labos-node@.service"
 if [ -z "$ROOT" ]; then
   systemctl daemon-reload
-  systemctl enable --now labos-node@{package.name}
-  systemctl restart labos-node@{package.name}
+  systemctl enable labos-node@{package.name}
+  systemctl restart labos-node@{package.name} # one that is at work finishes its action first
   say "runs: systemctl status labos-node@{package.name}"
 fi
 """

@@ -230,6 +230,46 @@ def test_the_key_of_the_folder_is_the_kernels_alone(lab: LabThread, both: Sequen
         is_problem(owner.get("/state"), 401, "not_signed_in")
 
 
+def test_a_signature_is_made_at_any_process_and_its_password_stays_there(
+    lab: LabThread, both: Sequence[ApiThread], ada: str
+) -> None:
+    """Somebody else on the bus, who is asked along with the kernel, hears the request without it."""
+
+    async def listen(run: str) -> tuple[list[bytes], list[httpx.Response]]:
+        heard: list[bytes] = []
+
+        async def hear(key: str, payload: bytes) -> bytes:
+            heard.append(payload)
+            await asyncio.sleep(30)  # the kernel is the first who answers
+            return b""
+
+        bus = await open_bus(connect=[lab.runtime.bus_endpoint])
+        try:
+            await bus.serve_all(Keys(lab.runtime.kernel.lab).requests_of("*", lab.runtime.kernel.epoch), hear)
+            signed = [
+                await asyncio.to_thread(sign, run, password) for password in ("a guess", PASSWORDS["ada"])
+            ]
+            return heard, signed
+        finally:
+            await bus.close()
+
+    def sign(run: str, password: str) -> httpx.Response:
+        with both[0].client(ada) as one:
+            return one.post(f"/runs/{run}/signatures", json={"meaning": "reviewed", "password": password})
+
+    with both[0].client(ada) as one:
+        run = one.post("/runs", json={"workflow": {"text": FLOW}, "payload": {}}).json()["run"]
+        assert one.post(f"/runs/{run}/cancel", json={}).status_code == 200
+    heard, (wrong, signed) = asyncio.run(listen(run))
+    is_problem(wrong, 403, "forbidden")
+    assert (signed.status_code, signed.json()["by"]) == (200, "ada"), signed.text
+    assert any(b"/signatures" in payload for payload in heard)
+    assert not any(password.encode() in payload for payload in heard for password in PASSWORDS.values())
+    with both[1].client(ada) as two:
+        found = two.get(f"/runs/{run}/signatures").json()["signatures"]
+        assert [(each["meaning"], each["holds"]) for each in found] == [("reviewed", True)]
+
+
 def test_metrics_of_each_process_are_found(lab: LabThread, both: Sequence[ApiThread], ada: str) -> None:
     shown = {"authorization": f"Bearer {ada}"}
 
