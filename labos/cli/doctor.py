@@ -88,7 +88,7 @@ def _examine(where: Where) -> Iterator[Finding]:
     if kernel is None:
         yield _no_kernel(where)
     else:
-        yield from _kernel(kernel)
+        yield from _kernel(where.home, kernel)
     yield _checkpoint(where.home)
     yield check_rehearsal(where.home, now_ns())
 
@@ -175,11 +175,11 @@ def _no_kernel(where: Where) -> Finding:
     return Finding("kernel", "ok", "No kernel runs this lab; the last one ended in order.")
 
 
-def _kernel(kernel: KernelInfo) -> Iterator[Finding]:
+def _kernel(home: Path, kernel: KernelInfo) -> Iterator[Finding]:
     from labos.client import LabClient
 
     try:
-        with LabClient(kernel.url, patience_s=5.0) as client:
+        with LabClient(home=home, patience_s=5.0) as client:  # the folder's owner may look
             health = client.health()
             heard = client.check_nodes()
     except LabosError as error:

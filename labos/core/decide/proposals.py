@@ -243,7 +243,7 @@ def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Even
     why = "; ".join(why.text for why in event.why)
     text = (
         f"{what} {event.subject} ({event.name}) of {event.user} waits for approval, because {why}. "
-        f"Look at it: labos approvals {event.subject}"
+        f"Look at it (labos approvals {event.subject})."
     )
     run = event.subject if event.kind == "run" else ""
     yield state.interventions.ask(

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from labos.cli.app import main
 from labos.http.asking import _ahead_s
 from labos.pki import Authority, Identity
 from labos.services.doctor import (
@@ -21,6 +22,7 @@ from labos.services.doctor import (
 )
 from labos.settings import KernelInfo, Ports, announce, remember_ports
 from labos.version import VERSION
+from tests.integration.http.signed import lab_with_users
 from tests.integration.trust.conftest import Lab
 from tests.support.lab_process import Up, labos, until
 from tests.unit.services.logbook import two_users
@@ -180,3 +182,14 @@ def test_a_running_lab_with_its_nodes(tmp_path: Path) -> None:
     assert found["kernel"]["state"] == found["bus"]["state"] == "ok", said.stdout
     assert len([name for name in found if name.startswith("node rpl/")]) == 14
     assert [one for name, one in found.items() if name.startswith(("clock", "version"))] == []
+
+
+def test_the_owner_of_the_folder_looks_at_a_lab_with_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody has signed in, as in a timer of the system."""
+    monkeypatch.delenv("LABOS_TOKEN", raising=False)
+    with lab_with_users(tmp_path):
+        main(["doctor", "--json", "--home", str(tmp_path / "lab")])
+    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)["findings"]}
+    assert (found["kernel"]["state"], "log is at" in found["kernel"]["told"]) == ("ok", True), found["kernel"]
