@@ -152,6 +152,10 @@ class RunCancelled(RunEvent, frozen=True):
     why: str = ""
 
 
+RUN_ENDS = (RunCompleted.TYPE, RunFailed.TYPE, RunCancelled.TYPE)
+"""The types of the events with which a run ends."""
+
+
 class StepState(msgspec.Struct, omit_defaults=True):
     """How far one step of a run has come. ``result`` is what later steps read of it, ``ended_at`` when it
     ended (UTC ns); it is ``breached`` if its window is lost. ``retries`` is how often it was done again,

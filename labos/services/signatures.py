@@ -8,15 +8,13 @@ import msgspec
 
 from labos.core.envelope import Record
 from labos.core.registry import decode
-from labos.core.runs import RunCancelled, RunCompleted, RunFailed
+from labos.core.runs import RUN_ENDS, RunSubmitted
 from labos.core.signatures import RunSigned, digest_of_records
 from labos.errors import NotFound, Refused
 from labos.ports import LogQuery
 from labos.services.log import Log
 from labos.services.times import iso_time
 from labos.services.verification import Part
-
-ENDS = (RunCompleted.TYPE, RunFailed.TYPE, RunCancelled.TYPE)
 
 
 class Signature(msgspec.Struct, frozen=True):
@@ -47,9 +45,9 @@ def record_of(log: Log, run: str) -> RunRecord:
     """The record of a run that has ended. Raises NotFound, Refused."""
     records = list(log.select(LogQuery(streams=(run,))))
     kinds = {record.head.type for record in records}
-    if "run.submitted" not in kinds:
+    if RunSubmitted.TYPE not in kinds:
         raise NotFound(f"There is no run {run!r}.", remedy="List them: labos runs --all")
-    if kinds.isdisjoint(ENDS):
+    if kinds.isdisjoint(RUN_ENDS):
         raise Refused(
             f"The run {run} has not ended: its record is not complete.",
             remedy=f"Wait for its end: labos runs {run}",

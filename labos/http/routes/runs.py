@@ -6,6 +6,7 @@ import asyncio
 from itertools import islice
 
 from labos.core.envelope import Record
+from labos.core.runs import RUN_ENDS
 from labos.http.answers import (
     ExperimentReference,
     HeartbeatReply,
@@ -56,7 +57,7 @@ async def list_runs(call: Call, query: RunsQuery) -> Runs:
 async def _ended(call: Call, query: RunsQuery) -> list[Record]:
     """The last ends of runs before a position, in order."""
     upto = query.before - 1 if query.before else None
-    wanted = LogQuery(types=("run.completed", "run.failed", "run.cancelled"), last=query.ended, upto=upto)
+    wanted = LogQuery(types=RUN_ENDS, last=query.ended, upto=upto)
     read = call.service.parts.store.select
     return await asyncio.to_thread(lambda: list(islice(read(wanted), query.ended)))
 

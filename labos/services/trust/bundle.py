@@ -25,7 +25,7 @@ import msgspec
 from labos.core.envelope import Record
 from labos.core.merkle import Tree, inclusion_ranges, leaf_hash, proof_of
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
-from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
+from labos.core.runs import RUN_ENDS, RunSubmitted
 from labos.core.signatures import RunSigned
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.ports import BlobStore
@@ -36,7 +36,6 @@ from labos.services.trust.notes import Note
 from labos.services.verification import needed_blobs
 
 FORMAT = "labos-bundle/1"
-ENDS = (RunCompleted.TYPE, RunFailed.TYPE, RunCancelled.TYPE)
 SIGNED = RunSigned.TYPE
 PLANS = (PlanRecorded.TYPE, PlanStepsRecorded.TYPE)
 ABOUT, NOTE, STAMP, ROTATIONS, EVENTS = (
@@ -87,7 +86,7 @@ def make_bundle(log: Log, blobs: BlobStore, run: str, beside: Attachments) -> tu
             f"There is no run {run!r} in this log up to position {head.size}.", remedy="labos runs --all"
         )
     last = [record.head.type for record in records if record.head.stream == run]
-    if not any(kind in ENDS for kind in last):
+    if not any(kind in RUN_ENDS for kind in last):
         raise Refused(
             f"The run {run} has not ended: what is missing could not be told from what was taken away.",
             remedy="Wait for its end, then make a checkpoint.",

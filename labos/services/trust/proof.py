@@ -13,14 +13,13 @@ import msgspec
 from labos.core.canonical import digest
 from labos.core.envelope import Envelope
 from labos.core.merkle import is_included, leaf_hash
-from labos.core.runs import RunSubmitted
+from labos.core.runs import RUN_ENDS, RunSubmitted
 from labos.core.signatures import RunSigned, digest_of_records
 from labos.errors import BadInput
 from labos.services.times import iso_time
 from labos.services.trust.bundle import (
     ABOUT,
     BLOBS,
-    ENDS,
     EVENTS,
     FORMAT,
     NOTE,
@@ -229,7 +228,7 @@ def _check_story(about: About, events: Sequence[_Event]) -> Part:
     kinds = [event.head.type for event in own]
     if RunSubmitted.TYPE not in kinds:
         faults.append(f"The submission of {about.run} is missing.")
-    if not any(kind in ENDS for kind in kinds):
+    if not any(kind in RUN_ENDS for kind in kinds):
         faults.append(f"The end of {about.run} is missing.")
     strange = [
         event
