@@ -11,7 +11,7 @@ import msgspec
 from labos.core.campaigns import Budget, Campaign, Terms
 from labos.core.conditions import read_by
 from labos.core.decide.campaigns import SubmitCampaign, consumption, module_time_s
-from labos.core.decide.holding_back import demand_of
+from labos.core.decide.policy import demand_of
 from labos.core.ids import CampaignId, local
 from labos.core.model import MAIN, Plan
 from labos.core.users import person_of

@@ -22,7 +22,6 @@ from labos.core.decide.campaigns import (
 )
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import DeclareStations, ReportRound, SubmitWithLabware
-from labos.core.decide.considering import ApplyPolicy
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
 from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
@@ -38,6 +37,7 @@ from labos.core.decide.shares import ApplyShares
 from labos.core.decide.shorter import ConfirmStations, SayContents
 from labos.core.decide.signatures import SignRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
+from labos.core.decide.submissions import ApplyPolicy
 from labos.core.decide.teach import TeachLocation
 from labos.core.decide.users import (
     AddGroup,

@@ -7,10 +7,10 @@ worked out on the state that the ones before it have left.
 from collections.abc import Callable
 
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
-from labos.core.decide.considering import attributed, considered
 from labos.core.decide.limits import bare_report, cut_report, misfit
 from labos.core.decide.reactions import REACTIONS
 from labos.core.decide.rights import Denied, denied  # its table loads every command
+from labos.core.decide.submissions import attribute, hold_for_approval
 from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.core.users import LABOS
@@ -60,6 +60,6 @@ def decide(state: LabState, command: Command, actor: str) -> Decision:
 
 
 def _decide(state: LabState, command: Command, actor: str) -> Decision:
-    command = attributed(command, actor)
-    decision = considered(state, command, DECIDERS[type(command)](state, command), actor)
+    command = attribute(command, actor)
+    decision = hold_for_approval(state, command, DECIDERS[type(command)](state, command), actor)
     return decision if isinstance(decision, Rejection) else recordable(decision)

@@ -9,8 +9,8 @@ import msgspec
 
 from labos.core.approvals import Demand, Proposal, Why
 from labos.core.campaigns import Terms
-from labos.core.decide.considering import ApplyPolicy
 from labos.core.decide.proposals import ApproveProposal, RefuseProposal
+from labos.core.decide.submissions import ApplyPolicy
 from labos.core.ids import CampaignId
 from labos.core.policy import Policy
 from labos.core.state import LabState

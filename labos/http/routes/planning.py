@@ -8,7 +8,7 @@ import msgspec
 
 from labos.core.approvals import ApprovalRequested, Demand
 from labos.core.decide import Rejection, decide
-from labos.core.decide.holding_back import demand_of
+from labos.core.decide.policy import demand_of
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ExperimentId, local
 from labos.core.model import MAIN

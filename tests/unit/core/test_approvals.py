@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from labos.core.decide.cancelling import CancelRun
-from labos.core.decide.considering import ApplyPolicy
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.runs import SubmitRun
+from labos.core.decide.submissions import ApplyPolicy
 from labos.core.decide.users import AddUser, GrantRole
 from labos.core.ids import RunId
 from labos.core.interventions import Intervention

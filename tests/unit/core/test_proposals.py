@@ -21,7 +21,6 @@ from labos.core.decide.campaigns import (
 )
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import ReportRound, SubmitWithLabware
-from labos.core.decide.considering import ApplyPolicy, attributed, more_than
 from labos.core.decide.control import CancelExperiment
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
@@ -31,6 +30,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shares import ApplyShares
 from labos.core.decide.shorter import SayContents
 from labos.core.decide.stock import LoadStation
+from labos.core.decide.submissions import ApplyPolicy, allows_more, attribute
 from labos.core.decide.users import GrantRole
 from labos.core.ids import CampaignId, ExperimentId, LabwareId, RunId, StationName, experiment_owner
 from labos.core.labware import LabwarePlaced
@@ -126,10 +126,10 @@ def test_a_run_that_comes_with_labware_waits_too() -> None:
 def test_what_a_program_says_for_a_person_is_put_down_to_both_in_each_part() -> None:
     a = StationName(full("a"))
     report = ReportRound("ada", (SayContents(a, "ada", ("empty",)),), (a,))
-    told = attributed(report, ROBOT)
+    told = attribute(report, ROBOT)
     assert isinstance(told, ReportRound)
     assert (told.by, told.stations[0].by) == (ROBOT, ROBOT)
-    assert attributed(report, "ada") is report
+    assert attribute(report, "ada") is report
 
 
 def test_trusted_programs_and_people_do_not_wait() -> None:
@@ -459,7 +459,7 @@ def test_a_program_may_only_ask_for_less() -> None:
     ],
 )
 def test_which_changes_ask_for_more(old: Terms, new: Terms, more: bool) -> None:
-    assert more_than(old, new) is more
+    assert allows_more(old, new) is more
 
 
 def test_a_campaign_that_waits_can_neither_be_paused_nor_resumed() -> None:

@@ -66,7 +66,7 @@ def dangers_of(plan: Plan) -> tuple[str, ...]:
 # -- priority ------------------------------------------------------------------------------------
 
 
-def too_high(state: LabState, command: Any, actor: str) -> Rejection | None:
+def refuse_priority(state: LabState, command: Any, actor: str) -> Rejection | None:
     """Why a submission may not have the priority that it asks for."""
     if isinstance(command, SubmitCampaign | AmendCampaign):
         priority = command.terms.priority

@@ -29,13 +29,13 @@ from labos.core.decide.campaigns import (
 )
 from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import StartExperiment
-from labos.core.decide.holding_back import (
+from labos.core.decide.policy import (
     Submission,
     dangers_of,
     demand_of,
     reasons_for,
+    refuse_priority,
     service_of,
-    too_high,
 )
 from labos.core.decide.runs import SubmitRun, submit_run
 from labos.core.experiments import ExperimentStarted
@@ -60,7 +60,7 @@ def apply_policy(state: LabState, command: ApplyPolicy) -> Decision:
     return [PolicyApplied(command.digest, command.policy)]
 
 
-def attributed(command: Command, actor: str) -> Command:
+def attribute(command: Command, actor: str) -> Command:
     """The command as it is recorded: what a service account says for a person is put down to both, so that
     nobody takes it for the person's own word."""
     if ON_BEHALF not in actor:
@@ -71,15 +71,15 @@ def attributed(command: Command, actor: str) -> Command:
         if name == "by" and value == person_of(actor):
             changed[name] = actor
         elif isinstance(value, Command):
-            changed[name] = attributed(value, actor)
+            changed[name] = attribute(value, actor)
         elif isinstance(value, tuple) and any(isinstance(part, Command) for part in value):
-            changed[name] = tuple(attributed(part, actor) for part in value)
+            changed[name] = tuple(attribute(part, actor) for part in value)
     return msgspec.structs.replace(command, **changed) if changed else command
 
 
-def considered(state: LabState, command: Command, decision: Decision, actor: str) -> Decision:
+def hold_for_approval(state: LabState, command: Command, decision: Decision, actor: str) -> Decision:
     """What is decided of a submission of ``actor``, with the request for an approval if it takes one."""
-    if not isinstance(command, _CONSIDERED) or isinstance(decision, Rejection):
+    if not isinstance(command, _SUBMISSIONS) or isinstance(decision, Rejection):
         return decision
     if isinstance(command, SubmitWithLabware):
         return _with_labware(state, command, decision, actor)
@@ -90,7 +90,7 @@ def considered(state: LabState, command: Command, decision: Decision, actor: str
         return events  # it is known already
     if isinstance(command, SubmitRow):
         return _of_row(state, command, events)
-    high = too_high(state, command, actor)
+    high = refuse_priority(state, command, actor)
     if high is not None:
         return high
     match command:
@@ -105,7 +105,7 @@ def considered(state: LabState, command: Command, decision: Decision, actor: str
     return [*events, *([request] if request is not None else [])]
 
 
-_CONSIDERED = (
+_SUBMISSIONS = (
     ApplyPolicy,
     SubmitRun,
     SubmitWithLabware,
@@ -119,9 +119,9 @@ _CONSIDERED = (
 def _with_labware(
     state: LabState, command: SubmitWithLabware, decision: Iterable[Event], actor: str
 ) -> Decision:
-    """A run that comes with labware is considered as any run; the labware stands there in any case."""
+    """A run that comes with labware waits as any run; the labware stands there in any case."""
     known = submit_run(state, command.run)
-    run = considered(state, command.run, known, actor)
+    run = hold_for_approval(state, command.run, known, actor)
     if isinstance(run, Rejection):
         return run
     return chain(decision, [event for event in run if isinstance(event, ApprovalRequested)])
@@ -199,7 +199,7 @@ def _of_amendment(state: LabState, command: AmendCampaign, events: list[Event], 
             *(parts, [], command.terms),
         )
         return [*events, *([again] if again is not None else [])]
-    if not more_than(campaign.terms, command.terms):
+    if not allows_more(campaign.terms, command.terms):
         return events
     demand = Demand(rows=campaign.rows)
     asked = Submission(campaign.user, campaign.workcell, demand, False, command.terms, campaign.terms)
@@ -236,7 +236,7 @@ def _of_row(state: LabState, command: SubmitRow, events: list[Event]) -> list[Ev
     return events if request is None else [request]
 
 
-def more_than(old: Terms, new: Terms) -> bool:
+def allows_more(old: Terms, new: Terms) -> bool:
     """Whether a campaign may do more, or go sooner, under new terms than under the old ones."""
     budget, was = new.budget, old.budget
     kinds = {*budget.consumables, *was.consumables}
