@@ -110,13 +110,15 @@ class People(Processes):
             await asyncio.sleep(look_s)
 
     async def _until_written(self) -> None:
-        """Until all that the kernel knows is on disk."""
+        """Until all that the kernel knows is on disk, and it knows all that is: one that was replaced does not,
+        before its successor answers."""
         while True:
             kernel = self.kernel
             try:
                 if kernel is not None:
                     await self._ask(kernel, kernel.written())
-                    if kernel is self.kernel and kernel.durable == kernel.state.position:
+                    known = kernel.durable == kernel.state.position == self.store.head().position
+                    if kernel is self.kernel and known:
                         return
             except (LabosError, TimeoutError, Killed):
                 pass
