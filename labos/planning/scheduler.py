@@ -20,11 +20,13 @@ from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import under_way
 from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
+from labos.core.model import Plan
 from labos.core.rules import examine
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, held_back
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
+from labos.planning.arrival import too_soon
 from labos.planning.aside import better_here
 from labos.planning.deadlines import Deadlines
 from labos.planning.obstacle import obstacle
@@ -47,6 +49,9 @@ from labos.planning.touch import (
 )
 from labos.planning.urgency import is_urgent
 from labos.planning.waiting import Kind, Turn, WaitingRoom
+
+MOST_BUNDLES = 50
+"""So many are asked for what they need: a decision costs no more with a longer queue."""
 
 
 class Start(msgspec.Struct, frozen=True):
@@ -132,6 +137,9 @@ class Scheduler:
                     # It protects nothing any more once it has to wait for a booking.
                     until = booked.room_ends(state, RunId(elder), now) if state.bookings.open else None
                     return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
+                early = too_soon(state, run, step, now, self._company(state, plan.workcell))
+                if early is not None and run not in self.room.impatient(state, plan.workcell):
+                    return early
                 inside = self.patience.keeps_out(state, run, self.sleepers)
                 if inside is not None:
                     return Wait(reasons.AfterElder(inside), (near_key(plan.workcell),))
@@ -343,6 +351,14 @@ class Scheduler:
                 return step, []
             waits.append(wait)
         return None, waits
+
+    def _company(self, state: LabState, cell: str) -> Iterator[Plan]:
+        """Plans of those who are in a workcell, and of some who wait for it: one of each bundle."""
+        yield from map(state.runs.plan_of, state.runs.inside(cell))
+        for bundle in self.room.within(cell)[:MOST_BUNDLES]:
+            run = self.room.anybody(state, bundle)
+            if run is not None:
+                yield state.runs.plan_of(run)
 
     def _protected(self, state: LabState, run: RunState, now: int) -> str:
         """The elder for whom this run has to stay out; empty if there is none."""

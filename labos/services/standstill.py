@@ -288,6 +288,7 @@ class Standstill:
                 | reasons.Buried()
                 | reasons.Occupied()
                 | reasons.AfterElder()
+                | reasons.WouldBlock()
                 | reasons.Unsafe()
                 # Its own steps, or nobody in particular.
                 | reasons.After()

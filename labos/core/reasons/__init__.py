@@ -55,6 +55,7 @@ from labos.core.reasons._planning import (
     NoWayOut,
     Reserved,
     Unsafe,
+    WouldBlock,
     WouldDelay,
 )
 from labos.core.reasons._run import (
@@ -130,6 +131,7 @@ AnyReason = (
     | WouldDelay
     | FollowsLate
     | AfterElder
+    | WouldBlock
     | BetterHere
     | NoWayOut
     | Unsafe
@@ -194,6 +196,7 @@ __all__ = [
     "Urgency",
     "UsedUp",
     "WasteFull",
+    "WouldBlock",
     "WouldDelay",
     "WrongWay",
     "ZoneBarred",

@@ -45,6 +45,14 @@ class AfterElder(Reason, frozen=True):
     run: str
 
 
+class WouldBlock(Reason, frozen=True):
+    SENTENCE = "it waits outside until {onward} is free (at about {free_at}), so as not to block {place}"
+    WAKES = ("cell",)
+    place: str
+    onward: str
+    free_at: str
+
+
 class BetterHere(Reason, frozen=True):
     SENTENCE = "{first} is down, and beyond {step!r} it would stand in others' way"
     WAKES = ("cell", "near", "module")

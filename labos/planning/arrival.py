@@ -1,0 +1,151 @@
+"""When a run had better be let in: not before its labware can go on from the first place.
+
+A run that is let in takes its labware to a place through which others have to go as well: the exchange of a
+stack, say. If the module where it goes next is in use for long, the labware would stand there and block it.
+So the run waits outside until it would arrive at about the time when the next place becomes free.
+
+That time is a forecast at the lower end: the run that is in the way goes on without a stop, and its steps
+take the shorter of their durations. A run is let in too soon rather than too late. Where nothing moves, and
+for a run that has waited for long, the forecast does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from labos.core import reasons
+from labos.core.actions import Action, ActionStatus
+from labos.core.bench import Station
+from labos.core.effects import arrivals, carried
+from labos.core.ids import Owner, RunId, StationName, run_owner, workcell_of
+from labos.core.model import Plan, PlanStep
+from labos.core.recurrence import in_zone
+from labos.core.runs import RunState, RunStatus, held_back
+from labos.core.state import LabState
+from labos.core.waits import Wait
+from labos.planning.forecast import is_pending, length, pending_before, spread
+from labos.planning.touch import cell_key
+
+
+def too_soon(state: LabState, run: RunState, step: int, now: int, others: Iterable[Plan]) -> Wait | None:
+    """What a run waits for outside so that its labware does not block the place to which this first step
+    brings it; None if it may be let in. ``others`` are plans of those who are inside or wait too."""
+    plan = state.runs.plan_of(run)
+    if run.id in state.runs.windowed or not _is_moving(state, plan.workcell):
+        return None
+    first = _first_stop(state, plan, step)
+    if first is None:
+        return None
+    stop, onward, after = first
+    free_at = _free_at(state, onward, now)
+    arrives = now + sum(length(state, plan.steps[i]) for i in (step, *after))
+    if free_at is None or free_at <= arrives:
+        return None
+    if not any(_leads_elsewhere(other, stop, onward) for other in others if other is not plan):
+        return None
+    why = reasons.WouldBlock(stop, onward, in_zone(free_at, "UTC"))
+    return Wait(why, (cell_key(plan.workcell),), until=now + free_at - arrives)
+
+
+def _is_moving(state: LabState, cell: str) -> bool:
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
+
+
+def _first_stop(
+    state: LabState, plan: Plan, step: int
+) -> tuple[StationName, StationName, tuple[int, ...]] | None:
+    """Where a first step brings labware if it fills that place, where it is carried from there, and the
+    steps in between."""
+    stop = next((what.filled for what in carried(plan.steps[step].effects) if what.filled), None)
+    if stop is None or not _would_fill(state.bench.stations[stop]):
+        return None
+    between: list[int] = []
+    for index, later in enumerate(plan.steps):
+        if index == step or step not in _before(plan, index):
+            continue
+        for what in carried(later.effects):
+            if what.emptied == stop:
+                return (stop, what.filled, tuple(between)) if what.filled else None
+        between.append(index)
+    return None
+
+
+def _before(plan: Plan, index: int) -> set[int]:
+    found, open_ = set[int](), [index]
+    while open_:
+        for before in plan.steps[open_.pop()].after:
+            if before not in found:
+                found.add(before)
+                open_.append(before)
+    return found
+
+
+def _would_fill(station: Station) -> bool:
+    return station.spec.kind != "waste" and station.count + 1 >= station.spec.capacity
+
+
+def _leads_elsewhere(plan: Plan, stop: StationName, onward: StationName) -> bool:
+    """Whether a plan carries labware from a place to another than this."""
+    moves = (what for step in plan.steps for what in carried(step.effects))
+    return any(what.emptied == stop and what.filled != onward for what in moves)
+
+
+def _free_at(state: LabState, place: StationName, now: int) -> int | None:
+    """When a place can be entered, at the earliest (UTC ns); None if nobody can tell."""
+    station = state.bench.stations[place]
+    times = [now]
+    for owner in _in_the_way(state, station):
+        leaves = _leaves_at(state, owner, place, now)
+        if leaves is None:
+            return None
+        times.append(leaves)
+    if station.spec.module and not station.spec.stands_apart:
+        at_work = (a for a in state.actions.within(workcell_of(place)) if a.module == station.spec.module)
+        times += [_ends_at(state, action, now) for action in at_work if action.exclusive]
+    return max(times)
+
+
+def _in_the_way(state: LabState, station: Station) -> Iterator[Owner]:
+    """Whose labware has to leave a place, or is on its way there, before more can come."""
+    if not station.full and not station.spec.claim:
+        return
+    for labware in station.labware:
+        yield state.bench.labware[labware].owner
+    if station.expected:
+        for action in state.actions.within(workcell_of(station.spec.name)):
+            if station.spec.name in arrivals(action.effects):
+                yield run_owner(action.run)
+
+
+def _leaves_at(state: LabState, owner: Owner, place: StationName, now: int) -> int | None:
+    """When a run will have carried its labware away from a place, at the earliest (UTC ns); None if it does
+    not, or does not go on now."""
+    kind, _, name = owner.partition(":")
+    run = state.runs.active.get(RunId(name)) if kind == "run" else None
+    if run is None or run.status != RunStatus.ACTIVE or held_back(run):
+        return None
+    plan = state.runs.plan_of(run)
+    leaving = (
+        index
+        for index, step in enumerate(plan.steps)
+        if is_pending(run, index) and any(what.emptied == place for what in carried(step.effects))
+    )
+    last = next(leaving, None)
+    if last is None:
+        return None
+    flying = [action for action in state.actions.within(plan.workcell) if action.run == run.id]
+    begin = max([now, *(_ends_at(state, action, now) for action in flying)])
+    return begin + sum(_shortest(state, plan.steps[step]) for step in pending_before(run, plan, last))
+
+
+def _ends_at(state: LabState, action: Action, now: int) -> int:
+    """When an action will have ended, at the earliest (UTC ns)."""
+    run = state.runs.active.get(action.run)
+    if run is None:
+        return now
+    step = state.runs.plan_of(run).steps[action.step]
+    return max(now, action.requested_at + _shortest(state, step))
+
+
+def _shortest(state: LabState, step: PlanStep) -> int:
+    return length(state, step) - spread(state, step)

@@ -1,0 +1,1 @@
+"""Schedules of LabOS beside the best that are known."""

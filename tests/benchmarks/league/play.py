@@ -1,0 +1,153 @@
+"""A workcell whose actions take exactly as long as their plans say, in virtual time.
+
+Kernel and scheduler are the real ones, over a log in memory; the nodes are played: an action that was
+requested succeeds after its step's duration. So what is measured is the order alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable, Mapping, Sequence
+
+import msgspec
+from msgspec.structs import replace
+
+from labos.core.actions import ActionRequested, ActionSucceeded
+from labos.core.decide import Command, Rejection
+from labos.core.decide.actions import FinishAction
+from labos.core.decide.experiments import EndExperiment, StartExperiment
+from labos.core.decide.lab import ApplyWorkcell, DeclareStation
+from labos.core.decide.nodes import JoinNode
+from labos.core.decide.runs import SubmitRun
+from labos.core.experiments import ExperimentStarted
+from labos.core.ids import ExperimentId, RunId, StationName
+from labos.core.model import Workcell
+from labos.core.registry import Event
+from labos.core.runs import RunCompleted, RunSubmitted
+from labos.core.steps import WindowBreached
+from labos.planning.scheduler import Scheduler
+from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import KernelSettings
+from labos.runtime.ledger import Entry
+from labos.testing.loop import CountedIds, VirtualClock, VirtualLoop
+from tests.benchmarks.still_lab import MemoryWriter
+
+SECOND = 1_000_000_000
+STOCK_COUNT = 400
+
+
+class Work(msgspec.Struct, frozen=True):
+    """Runs that follow one another, as parts of an experiment if ``experiment`` is given."""
+
+    runs: tuple[SubmitRun, ...]
+    experiment: StartExperiment | None = None
+    after_s: float = 0.0
+
+
+class Placed(msgspec.Struct, frozen=True):
+    """A step that was carried out: seconds from the first submission."""
+
+    run: RunId
+    step: int
+    start_s: float
+    end_s: float
+
+
+class Outcome(msgspec.Struct):
+    """What came of it. ``plans`` are the runs as they were submitted, by name."""
+
+    makespan_s: float
+    steps: list[Placed]
+    breaches: int
+    plans: dict[RunId, SubmitRun]
+
+
+class Player:
+    """One workcell with full stacks. ``jitter`` scatters durations by this fraction, either way."""
+
+    def __init__(
+        self,
+        cell: Workcell,
+        stock: Mapping[StationName, tuple[str, int]],
+        plan_with: Callable[[], Scheduler] = Scheduler,
+        jitter: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self.cell, self.stock, self.jitter = cell, stock, jitter
+        self.random = random.Random(f"league/{seed}")
+        self.loop = VirtualLoop()
+        self.clock = VirtualClock(self.loop)
+        self._plan_with = plan_with
+        self.outcome = Outcome(0.0, [], 0, {})
+        self._begun: dict[tuple[RunId, int], float] = {}
+        self._ends: dict[RunId, asyncio.Event] = {}
+
+    def play(self, works: Sequence[Work]) -> Outcome:
+        """Do all of it; raises Stalled if it does not come to its end."""
+        asyncio.set_event_loop(self.loop)
+        try:
+            self.loop.run_until_complete(self._play(works))
+        finally:
+            asyncio.set_event_loop(None)
+            self.loop.close()
+        return self.outcome
+
+    async def _play(self, works: Sequence[Work]) -> None:
+        settings = KernelSettings(lease_s=1e9, snapshot_every=10**9)
+        self.kernel = Kernel(MemoryWriter(), self.clock, CountedIds("league"), settings, self._plan_with)
+        await self.kernel.open()
+        self.kernel.listeners.append(self)
+        self._tell(ApplyWorkcell(self.cell))
+        for module in self.cell.modules:
+            self._tell(JoinNode(module.name, "journal", "i1", module.driver, "1", "about", "IDLE"))
+        for station in self.cell.places:
+            kind, count = self.stock.get(station.name, ("", 0))
+            self._tell(DeclareStation(station.name, (kind,) * count))
+        await asyncio.gather(*(self._do(work) for work in works))
+        self.outcome.makespan_s = max(step.end_s for step in self.outcome.steps)
+        await self.kernel.close()
+
+    async def _do(self, work: Work) -> None:
+        await asyncio.sleep(work.after_s)
+        experiment = ExperimentId("")
+        if work.experiment is not None:
+            started = self._tell(work.experiment)
+            experiment = next(e.experiment for e in started if isinstance(e, ExperimentStarted))
+        for run in work.runs:
+            events = self._tell(replace(run, experiment=experiment))
+            name = next(event.run for event in events if isinstance(event, RunSubmitted))
+            self.outcome.plans[name] = run
+            await self._ends.setdefault(name, asyncio.Event()).wait()
+        if experiment:
+            self._tell(EndExperiment(experiment))
+
+    def _tell(self, command: Command) -> list[Event]:
+        answer = self.kernel.submit(command, "league")
+        assert not isinstance(answer, Rejection), answer
+        return answer
+
+    # -- what is listened to ------------------------------------------------------------------
+
+    def committed(self, entries: Sequence[Entry]) -> None:
+        for entry in entries:
+            event, now = entry.event, self.loop.time()
+            if isinstance(event, ActionRequested):
+                self._begin(event, now)
+            elif isinstance(event, ActionSucceeded):
+                begun = self._begun.pop((event.run, event.step))
+                self.outcome.steps.append(Placed(event.run, event.step, begun, now))
+            elif isinstance(event, WindowBreached):
+                self.outcome.breaches += 1
+            elif isinstance(event, RunCompleted):
+                self._ends.setdefault(event.run, asyncio.Event()).set()
+
+    def reopened(self) -> None:
+        raise AssertionError("a log in memory is never read again")
+
+    def _begin(self, event: ActionRequested, now: float) -> None:
+        self._begun[event.run, event.step] = now
+        step = self.kernel.state.runs.plan_of(self.kernel.state.runs.active[event.run]).steps[event.step]
+        took = step.duration_s * self.random.uniform(1 - self.jitter, 1 + self.jitter)
+        done = FinishAction(event.action, event.attempt, True, "all")
+        self.loop.call_later(took, self._tell, done)
