@@ -2,10 +2,34 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
+from contextvars import ContextVar
 from typing import Any
+from urllib.parse import quote
 
 from labos.clock import Uuid7Ids
+
+LONG_POLL_S = 20.0
+
+GIVEN_UP: ContextVar[threading.Event | None] = ContextVar("given_up", default=None)
+"""Set in the threads of the asynchronous client: once the event is set, nobody waits for the call."""
+
+
+class GivenUp(Exception):
+    """Nobody waits for this call any more."""
+
+
+def check_given_up() -> None:
+    """Raises GivenUp."""
+    given_up = GIVEN_UP.get()
+    if given_up is not None and given_up.is_set():
+        raise GivenUp
+
+
+def in_path(name: str) -> str:
+    """A name as it stands in a path: what is before and behind a slash in it is one part."""
+    return quote(name, safe="")
 
 
 class Calls(ABC):
@@ -31,3 +55,7 @@ class Calls(ABC):
     ) -> dict[str, Any]:
         """Send ``body`` as JSON. With a ``request`` key it is done once, however often it is sent; ``repeat``
         is for what may be done twice. Raises as ``_get``."""
+
+    @abstractmethod
+    def _fetch(self, path: str, **params: Any) -> bytes:
+        """The answer as it is. Raises as ``_get``."""
