@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from labos.client._answers import LabUnreachable as LabUnreachable
 from labos.client._answers import answer_of
 from labos.client._bench import BenchCalls
 from labos.client._calls import LONG_POLL_S
@@ -15,6 +16,7 @@ from labos.client._campaigns import CampaignCalls
 from labos.client._files import workflow_text
 from labos.client._runs import RunCalls
 from labos.client._tables import rows_of
+from labos.client._transport import API as API
 from labos.client._transport import Transport
 from labos.core.canonical import digest
 from labos.errors import BadInput, LogDamaged

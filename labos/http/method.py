@@ -1,5 +1,5 @@
-"""How the client calls an operation: its method of ``LabClient`` is written from this and from the types of the
-operation."""
+"""How the client calls an operation: its method of ``LabClient`` is written from this and from the types of
+the operation."""
 
 from __future__ import annotations
 

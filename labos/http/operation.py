@@ -125,14 +125,14 @@ class Shape(msgspec.Struct, frozen=True, dict=True):
 
 
 class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """``client`` says how the method of the client is called. ``problems`` are the codes of what may go wrong besides what may with each request; ``example`` is a
-    body, ``example_answer`` what is answered. ``answer`` is for handlers that return a whole ``Response``;
-    ``media`` are the content types of the answer. ``headers`` are those that it reads of its own.
-    ``logs_key``: the log bears the idempotency key, so that a repetition is known after a restart, too.
-    ``needs`` is the least role of whoever asks, ``nobody`` for what somebody asks who has not signed in yet;
-    ``by_home``: the owner of the lab's folder may do it; ``by_link``: a token of scope viewer may stand in
-    the address. ``secret``: the answer is not kept for a repetition. ``at_kernel``: only the kernel's
-    process can answer."""
+    """``client`` says how the method of the client is called. ``problems`` are the codes of what may go wrong
+    besides what may with each request; ``example`` is a body, ``example_answer`` what is answered. ``answer``
+    is for handlers that return a whole ``Response``; ``media`` are the content types of the answer.
+    ``headers`` are those that it reads of its own. ``logs_key``: the log bears the idempotency key, so that a
+    repetition is known after a restart, too. ``needs`` is the least role of whoever asks, ``nobody`` for what
+    somebody asks who has not signed in yet; ``by_home``: the owner of the lab's folder may do it;
+    ``by_link``: a token of scope viewer may stand in the address. ``secret``: the answer is not kept for a
+    repetition. ``at_kernel``: only the kernel's process can answer."""
 
     method: Literal["GET", "POST"]
     path: str

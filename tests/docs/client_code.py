@@ -22,6 +22,7 @@ from labos.http import limits, routes
 from labos.http.method import Method
 from labos.http.operation import JSON, Operation
 from labos.http.problems import PROBLEMS
+from tests.docs import client_twin
 from tests.docs.markdown import ROOT
 
 FOLDER = ROOT / "labos" / "client" / "_generated"
@@ -200,7 +201,13 @@ def _options(method: Method, fields: Sequence[Field]) -> Iterator[str]:
 
 def _docstring(operation: Operation) -> Iterator[str]:
     said = " ".join((operation.handler.__doc__ or "").split()).replace("`", "``")
-    text = [f"{operation.summary}.", said, _about_parameters(operation), _answer(operation), _raises(operation)]
+    text = [
+        f"{operation.summary}.",
+        said,
+        _about_parameters(operation),
+        _answer(operation),
+        _raises(operation),
+    ]
     whole = " ".join(part for part in text if part)
     lines = textwrap.wrap(f'"""{whole}"""', WIDTH - 4, break_long_words=False, break_on_hyphens=False)
     yield from lines
@@ -245,14 +252,12 @@ def _raises(operation: Operation) -> str:
 
 def files() -> dict[Path, str]:
     """Every generated file with its text."""
-    from tests.docs import client_twin
-
     modules = {name: tuple(getattr(routes, name).OPERATIONS) for name in MODULES}
-    assert sum(modules.values(), ()) and len(sum(modules.values(), ())) == len(routes.OPERATIONS)
+    assert sum(map(len, modules.values())) == len(routes.OPERATIONS)
     texts = {FOLDER / f"{name}.py": _module(name, found) for name, found in modules.items()}
     texts = {path: text for path, text in texts.items() if text}
     texts[FOLDER / "__init__.py"] = _all([path.stem for path in texts])
-    texts[client_twin.FILE] = client_twin.text()
+    texts |= client_twin.files()
     return {path: _formatted(text, path) for path, text in texts.items()}
 
 
@@ -268,8 +273,8 @@ def _module(name: str, operations: Sequence[Operation]) -> str:
     imports += ["from typing import Any"] if re.search(r"\bAny\b", body) else []
     helpers = ["Calls"] + (["in_path"] if "in_path(" in body else [])
     imports += ["", f"from labos.client._calls import {', '.join(helpers)}"]
-    words = f'"""The operations of labos/http/routes/{name}.py, as methods: written by tests/docs/client_code.py."""'
-    head = f'{words}\n\n' + "\n".join(imports)
+    words = f"The operations of labos/http/routes/{name}.py; written by tests/docs/client_code.py."
+    head = f'"""{words}"""\n\n' + "\n".join(imports)
     return f'{head}\n\n\nclass {_class(name)}(Calls):\n    """One method for each operation."""\n\n{body}\n'
 
 
@@ -278,7 +283,8 @@ def _class(name: str) -> str:
 
 
 def _all(names: Sequence[str]) -> str:
-    imports = "\n".join(f"from labos.client._generated.{name} import {_class(name)}" for name in sorted(names))
+    package = "labos.client._generated"
+    imports = "\n".join(f"from {package}.{name} import {_class(name)}" for name in sorted(names))
     bases = ", ".join(_class(name) for name in names)
     return (
         '"""The operations of the API as methods of the client: written by tests/docs/client_code.py."""\n\n'
@@ -292,7 +298,11 @@ def _formatted(text: str, path: Path) -> str:
     for arguments in (["check", "--fix-only", "--quiet", "--select", "I,F401"], ["format", "--quiet"]):
         done = subprocess.run(
             [str(ruff), *arguments, "--stdin-filename", str(path), "-"],
-            input=text, cwd=ROOT, capture_output=True, text=True, check=False,
+            input=text,
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.returncode == 0, done.stderr
         text = done.stdout

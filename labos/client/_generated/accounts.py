@@ -1,4 +1,4 @@
-"""The operations of labos/http/routes/accounts.py, as methods: written by tests/docs/client_code.py."""
+"""The operations of labos/http/routes/accounts.py; written by tests/docs/client_code.py."""
 
 from __future__ import annotations
 

@@ -24,8 +24,8 @@ from labos.http.bodies import (
 )
 from labos.http.declare import declare_bench
 from labos.http.limits import LARGEST_BODY, check_person
-from labos.http.observing import ObservationResult, give, observe
 from labos.http.method import Method
+from labos.http.observing import ObservationResult, give, observe
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
