@@ -67,7 +67,7 @@ class RunResult(msgspec.Struct, frozen=True, dict=True):
 
     def readings(self) -> Readings:
         """What it measured, well by well, each value with the sample that was in its well."""
-        lab: LabClient | None = vars(self).get("lab")
+        lab: LabClient | None = vars(self).get("_lab")
         if lab is None:
             raise BadInput("This run was not read from a lab.", remedy="Use LabClient.readings(run).")
         return lab.readings(self.id)

@@ -32,7 +32,7 @@ class RunCalls(GeneratedCalls):
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
         """A run as it is now, or at its end if that comes within ``wait_s``."""
         result = msgspec.convert(self._get_run(run, wait=wait_s), RunResult)
-        vars(result)["lab"] = self
+        vars(result)["_lab"] = self
         return result
 
     def submit(

@@ -43,6 +43,7 @@ class Field(NamedTuple):
     type: str
     default: str | None
     place: Literal["path", "query", "body", "user", "request"]
+    is_empty_table: bool = False  # if it is left out
 
     @property
     def declared(self) -> str:
@@ -53,7 +54,7 @@ class Field(NamedTuple):
         """What of it is sent."""
         if self.type == "bool" and self.place == "query":
             return f"int({self.parameter})"
-        if self.default == "None" and self.type.startswith("Mapping") and self.place == "body":
+        if self.is_empty_table:
             return f"{self.parameter} or {{}}"
         return self.parameter
 
@@ -112,7 +113,7 @@ def fields_of(operation: Operation) -> Iterator[Field]:
                 default = None  # who asks is always said
             if default == "None" and "None" not in kind.split(" | ") and kind != "Any":
                 kind += " | None"
-            yield Field(name, name, kind, default, place)
+            yield Field(name, name, kind, default, place, field.default_factory is dict)
     if "LabOS-User" in operation.headers:
         yield Field("user", "user", "str", "''", "user")
     if method.key == "given":

@@ -54,7 +54,7 @@ class GeneratedApprovals(Calls):
                 "deadline": deadline,
                 "runs": runs,
                 "lab_time_s": lab_time_s,
-                "consumables": consumables or {},
+                "consumables": consumables,
                 "alike": alike,
             },
             repeat=True,

@@ -67,7 +67,7 @@ class GeneratedBench(Calls):
         ``empty``: stations that nobody has spoken of stand empty. Returns the declared. Raises NotFound,
         Refused."""
         found: dict[str, list[str]] = self._post(
-            "/stations/declare", {"stations": stations, "by": by, "workcell": workcell, "empty": empty}
+            "/stations/declare", {"stations": stations or {}, "by": by, "workcell": workcell, "empty": empty}
         )["declared"]
         return found
 

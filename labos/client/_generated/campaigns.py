@@ -103,7 +103,7 @@ class GeneratedCampaigns(Calls):
                 "deadline": deadline,
                 "runs": runs,
                 "lab_time_s": lab_time_s,
-                "consumables": consumables or {},
+                "consumables": consumables,
                 "tags": tags,
                 "until": until,
                 "stop_after": stop_after,

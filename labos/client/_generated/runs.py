@@ -120,7 +120,7 @@ class GeneratedRuns(Calls):
             {
                 "name": name,
                 "user": user,
-                "closing": closing or {},
+                "closing": closing,
                 "parking": parking,
                 "payload": payload or {},
                 "workcell": workcell,
