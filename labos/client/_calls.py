@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence, Set
 from contextvars import ContextVar
+from pathlib import PurePath
 from typing import Any
 from urllib.parse import quote
 
 from labos.clock import Uuid7Ids
+from labos.errors import BadInput
 
 LONG_POLL_S = 20.0
 
@@ -30,6 +33,21 @@ def check_given_up() -> None:
 def in_path(name: str) -> str:
     """A name as it stands in a path: what is before and behind a slash in it is one part."""
     return quote(name, safe="")
+
+
+def plain(value: Any) -> Any:
+    """What is no list, table or text itself, but used as one; numbers and arrays of numpy. Raises
+    BadInput."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, Sequence | Set):
+        return list(value)
+    if isinstance(value, PurePath):
+        return str(value)
+    if callable(tolist := getattr(value, "tolist", None)):
+        return tolist()
+    kind = type(value).__name__
+    raise BadInput(f"The lab takes no {kind}.", remedy="Send numbers, texts, lists and tables of them.")
 
 
 class Calls(ABC):

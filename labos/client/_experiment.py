@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.client._answers import LabUnreachable
+from labos.client._calls import plain
 from labos.client._lab import LabClient
 from labos.client._progress import Progress
 from labos.client._results import RunResult
@@ -140,7 +141,7 @@ def _on_one_line(why: str) -> str:
 
 def _comparable(kind: str, name: str, facts: Mapping[str, Any]) -> bytes:
     """A note as it can be compared with one that was read back."""
-    return msgspec.json.encode((kind, name, facts), order="sorted")
+    return msgspec.json.encode((kind, name, facts), enc_hook=plain, order="sorted")
 
 
 class RunFailed(LabosError):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
 from labos.client._answers import LabUnreachable, answer_of, cannot_write, problem_in
-from labos.client._calls import LONG_POLL_S, Calls, check_given_up
+from labos.client._calls import LONG_POLL_S, Calls, check_given_up, plain
 from labos.client._token import find_token, place_of, trusted_by
 from labos.clock import Uuid7Ids
 from labos.settings import Settings, find_kernel
@@ -98,7 +97,7 @@ class Transport(Calls):
         return self._ask(
             "POST",
             path,
-            content=msgspec.json.encode(body, enc_hook=_plain),
+            content=msgspec.json.encode(body, enc_hook=plain),
             headers=headers,
             repeat=repeat or bool(request),
             **({"timeout": timeout_s} if timeout_s else {}),
@@ -172,14 +171,3 @@ class Transport(Calls):
                 raise LabUnreachable(f"No lab runs in {self._home}.", remedy="Start it with `labos up`.")
             self._url = found.url
         return self._url
-
-
-def _plain(value: Any) -> Any:
-    """What is no list, table or path itself, but used as one."""
-    if isinstance(value, Mapping):
-        return dict(value)
-    if isinstance(value, Sequence):
-        return list(value)
-    if isinstance(value, Path):
-        return str(value)
-    raise TypeError(f"{type(value).__name__} cannot be sent.")

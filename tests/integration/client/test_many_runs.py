@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy
 import pandas
 import pytest
 
@@ -98,6 +99,15 @@ def test_an_experiment_waits_for_its_runs(lab: LabClient) -> None:
         lab.cancel(lost, "ada")
         with pytest.raises(RunFailed):
             list(experiment.as_completed([lost]))
+
+
+def test_numbers_of_numpy_are_numbers(lab: LabClient) -> None:
+    with Experiment(lab, "plates", "ada") as experiment:
+        experiment.note("decision", "best", mean=numpy.float64(0.5), wells=numpy.array([1, 2]), of={"A1"})
+        with pytest.raises(BadInput, match="takes no object"):
+            experiment.note("decision", "best", of=object())
+    (noted,) = lab.events(type="experiment.noted", stream=experiment.id)
+    assert noted["payload"]["facts"] == {"mean": 0.5, "wells": [1, 2], "of": ["A1"]}
 
 
 def test_results_are_a_table(
