@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from labos.client._files import campaign_text, workflow_text
+from labos.client._files import campaign_text
 from labos.client._generated import GeneratedCalls
 
 PAGE = 500
@@ -50,10 +50,3 @@ class CampaignCalls(GeneratedCalls):
             found += page["approvals"]
             more = page["more"] and bool(page["approvals"])
         return found
-
-    def check(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
-        """What a run of a workflow would be: its ``steps``, its ``demand``, why it would wait for an
-        ``approval`` or be refused (``refusal``). Nothing is submitted. Options are those of ``submit``, and
-        ``payload``. Raises as ``submit``."""
-        payload = options.pop("payload", None) or {}
-        return self._check_run(workflow_text(workflow, payload), payload=payload, **options)

@@ -24,6 +24,10 @@ MOST_STREAMS = 40
 """So many runs may be named in a question about events; of more, the ends of all runs are read."""
 
 
+Put = tuple[str, str] | tuple[str, str, Mapping[str, bool]]
+"""A station, the type of labware that is put there, and what it is: ``{"sealed": True}``."""
+
+
 class RunCalls(GeneratedCalls):
     """One run, and many."""
 
@@ -44,7 +48,7 @@ class RunCalls(GeneratedCalls):
         workcell: str = "",
         priority: int = 0,
         experiment: str = "",
-        place: Sequence[tuple[str, str] | tuple[str, str, Mapping[str, bool]]] = (),
+        place: Sequence[Put] = (),
         request: str = "",
         propose: bool = False,
     ) -> str:
@@ -59,13 +63,21 @@ class RunCalls(GeneratedCalls):
             workcell=workcell,
             priority=priority,
             experiment=experiment,
-            place=[dict(zip(("station", "labware", "variables"), entry, strict=False)) for entry in place],
+            place=puts_of(place),
             propose=propose,
             request=request,
         )
         self.warnings = [_remark(finding) for finding in answer.get("warnings", ())]
         self._note_approval(answer)
         return str(answer["run"])
+
+    def check(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
+        """What a run of a workflow would be: its ``steps``, its ``demand``, why it would wait for an
+        ``approval`` or be refused (``refusal``). Nothing is submitted. Options are those of ``submit``, and
+        ``payload``. Raises as ``submit``."""
+        payload = options.pop("payload", None) or {}
+        place = puts_of(options.pop("place", ()))
+        return self._check_run(workflow_text(workflow, payload), payload=payload, place=place, **options)
 
     def _note_approval(self, answer: Mapping[str, Any]) -> None:
         self.approval = str(answer.get("approval", ""))
@@ -163,8 +175,8 @@ class RunCalls(GeneratedCalls):
         """``submit``, then ``wait``."""
         planned_s: dict[str, float] = {}
         if can_show(progress):
-            asked = {name: value for name, value in options.items() if name not in ("request", "place")}
-            plan = self._check_run(workflow_text(workflow, payload), payload=payload, **asked)
+            asked = {name: value for name, value in options.items() if name != "request"}
+            plan = self.check(workflow, payload=payload, **asked)
             planned_s = {step["key"]: step["duration_s"] for step in plan["steps"]}
         return self._wait(self.submit(workflow, payload, **options), None, progress, planned_s)
 
@@ -181,6 +193,12 @@ class RunCalls(GeneratedCalls):
     def reset(self, module: str, by: str = "somebody") -> RunResult:
         """Bring a module out of its error, and wait for it."""
         return self.wait(self.do(module, "reset", user=by))
+
+
+def puts_of(place: Sequence[Put | Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What is put where, as the lab reads it."""
+    names = ("station", "labware", "variables")
+    return [dict(p) if isinstance(p, Mapping) else dict(zip(names, p, strict=False)) for p in place]
 
 
 def _remark(finding: Mapping[str, Any]) -> str:

@@ -29,6 +29,7 @@ SOURCES = {
     "Mapping": "collections.abc",
     "Path": "pathlib",
     "Progress": "labos.client._progress",
+    "Put": "labos.client._runs",
     "Readings": "labos.services.results",
     "RunResult": "labos.client._results",
     "Sequence": "collections.abc",

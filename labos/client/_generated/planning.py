@@ -19,7 +19,7 @@ class GeneratedPlanning(Calls):
     def _check_run(
         self,
         workflow: Mapping[str, Any],
-        user: str,
+        user: str = "",
         *,
         payload: Mapping[str, Any] | None = None,
         workcell: str = "",

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from labos.client._progress import Progress
     from labos.client._results import RunResult
+    from labos.client._runs import Put
     from labos.services.results import Readings
 
 
@@ -209,7 +210,7 @@ class AsyncLabClient(AsyncCalls):
         workcell: str = "",
         priority: int = 0,
         experiment: str = "",
-        place: Sequence[tuple[str, str] | tuple[str, str, Mapping[str, bool]]] = (),
+        place: Sequence[Put] = (),
         request: str = "",
         propose: bool = False,
     ) -> str:

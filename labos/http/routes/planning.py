@@ -169,7 +169,7 @@ OPERATIONS = (
         method="POST",
         path="/runs/check",
         handler=check_run,
-        client=Method("_check_run", repeat=True),
+        client=Method("_check_run", "workflow, user=''", repeat=True),
         summary="What a run of a workflow would be, without submitting it",
         tag="runs",
         needs="submitter",
