@@ -118,7 +118,7 @@ class RunCalls(GeneratedCalls):
         after, is_known = 0, False
         while waiting:
             left_s = LONG_POLL_S if deadline is None else min(deadline - time.monotonic(), LONG_POLL_S)
-            if left_s <= 0:
+            if left_s <= 0 and is_known:
                 raise TimeoutError(f"{len(waiting)} runs have not ended.")
             page = self._get(
                 "/events",

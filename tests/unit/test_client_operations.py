@@ -107,3 +107,11 @@ def test_importing_the_client_loads_neither_kernel_nor_server() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     heavy = ("labos.runtime", "labos.http", "labos.store", "labos.planning", "starlette", "sqlalchemy")
     assert [name for name in done.stdout.split() if name.startswith((*heavy, "pandas", "zenoh"))] == []
+
+
+def test_a_table_that_is_left_out_of_a_change_is_not_emptied() -> None:
+    """``amend_campaign`` without ``consumables`` leaves their limits as they are."""
+    (amend,) = (op for op in OPERATIONS if op.id == "amend_campaign")
+    assert '"consumables": consumables,' in client_code.method_of(amend)
+    (submit,) = (op for op in OPERATIONS if op.id == "submit_run")
+    assert '"payload": payload or {},' in client_code.method_of(submit)
