@@ -31,7 +31,10 @@ def check_given_up() -> None:
 
 
 def in_path(name: str) -> str:
-    """A name as it stands in a path: what is before and behind a slash in it is one part."""
+    """A name as it stands in a path: what is before and behind a slash in it is one part. Raises
+    BadInput."""
+    if name in ("", ".", ".."):
+        raise BadInput(f"{name!r} names nothing in the lab.", remedy="Say which one is meant.")
     return quote(name, safe="")
 
 

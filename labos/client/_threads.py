@@ -9,8 +9,9 @@ import itertools
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractContextManager, asynccontextmanager
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
+from labos.client._answers import LabUnreachable
 from labos.client._calls import GIVEN_UP
 
 P = ParamSpec("P")
@@ -27,16 +28,24 @@ class Threads:
 
     def __init__(self) -> None:
         self._calls, self._waits = asyncio.Semaphore(MOST_CALLS), asyncio.Semaphore(MOST_WAITS)
+        self._running: dict[asyncio.Future[Any], threading.Event] = {}
+
+    def give_up(self) -> None:
+        """Nobody waits any more for the calls that are under way: who does is told."""
+        for done, given_up in self._running.items():
+            given_up.set()
+            if not done.done():
+                done.set_exception(LabUnreachable("The client was closed while it waited for the lab."))
 
     async def call(self, function: Callable[P, T], /, *args: P.args, **options: P.kwargs) -> T:
         """What a call returns that is answered soon."""
         async with self._calls:
-            return await _in_thread(lambda: function(*args, **options))
+            return await self._in_thread(lambda: function(*args, **options))
 
     async def wait(self, function: Callable[P, T], /, *args: P.args, **options: P.kwargs) -> T:
         """What a call returns that may wait."""
         async with self._waits:
-            return await _in_thread(lambda: function(*args, **options))
+            return await self._in_thread(lambda: function(*args, **options))
 
     async def iterate(self, iterator: Iterator[T]) -> AsyncIterator[T]:
         """Each item as it comes."""
@@ -61,39 +70,40 @@ class Threads:
         else:
             await self.wait(manager.__exit__, None, None, None)
 
+    async def _in_thread(self, work: Callable[[], T]) -> T:
+        loop = asyncio.get_running_loop()
+        done: asyncio.Future[T] = loop.create_future()
+        given_up = self._running[done] = threading.Event()
+        context = contextvars.copy_context()
+        context.run(GIVEN_UP.set, given_up)
+
+        def settle(value: T | None, error: BaseException | None) -> None:
+            if done.done():
+                return
+            if error is not None:
+                done.set_exception(error)
+            else:
+                done.set_result(cast(T, value))
+
+        def carry_out() -> None:
+            value, raised = None, None
+            try:
+                value = context.run(work)
+            except BaseException as error:  # whoever waits raises it
+                raised = error
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits
+                loop.call_soon_threadsafe(settle, value, raised)
+
+        threading.Thread(target=carry_out, name="lab-call", daemon=True).start()
+        try:
+            return await done
+        except asyncio.CancelledError:
+            given_up.set()
+            raise
+        finally:
+            del self._running[done]
+
 
 def _next(iterator: Iterator[T]) -> list[T]:
     """The next item; an empty list if there is none."""
     return list(itertools.islice(iterator, 1))
-
-
-async def _in_thread(work: Callable[[], T]) -> T:
-    loop = asyncio.get_running_loop()
-    done: asyncio.Future[T] = loop.create_future()
-    given_up = threading.Event()
-    context = contextvars.copy_context()
-    context.run(GIVEN_UP.set, given_up)
-
-    def settle(value: T | None, error: BaseException | None) -> None:
-        if done.cancelled():
-            return
-        if error is not None:
-            done.set_exception(error)
-        else:
-            done.set_result(cast(T, value))
-
-    def carry_out() -> None:
-        value, raised = None, None
-        try:
-            value = context.run(work)
-        except BaseException as error:  # whoever waits raises it
-            raised = error
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits
-            loop.call_soon_threadsafe(settle, value, raised)
-
-    threading.Thread(target=carry_out, name="lab-call", daemon=True).start()
-    try:
-        return await done
-    except asyncio.CancelledError:
-        given_up.set()
-        raise

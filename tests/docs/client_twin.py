@@ -22,6 +22,8 @@ WAITING = {"run", "wait", "status", "reset"}
 PAGES = {"events": "_pages_of_events"}
 """Methods whose items come in pages, and what gives those."""
 
+BEFORE = {"close": "self.threads.give_up()"}
+
 SOURCES = {
     "Any": "typing",
     "Image": "PIL.Image",
@@ -206,6 +208,7 @@ def _method(cls: type, name: str, function: Callable[..., Any]) -> str:
         head = f"async def {name}({signature}) -> {returns}:"
         body = f"await self.threads.{how}({', '.join(part for part in (own, given) if part)})"
         body = body if returns == "None" else f"return {body}"
+        body = f"{BEFORE[name]}\n{body}" if name in BEFORE else body
     return head + "\n" + textwrap.indent("\n".join([*doc, body]), "    ")
 
 

@@ -101,6 +101,7 @@ class AsyncLabClient(AsyncCalls):
         return await self.threads.call(self.sync.check_nodes, modules)
 
     async def close(self) -> None:
+        self.threads.give_up()
         await self.threads.call(self.sync.close)
 
     async def control(

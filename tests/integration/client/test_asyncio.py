@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from labos.client import AsyncExperiment, AsyncLabClient, LabClient, RunFailed
-from labos.errors import NotFound
+from labos.client import AsyncExperiment, AsyncLabClient, LabClient, LabUnreachable, RunFailed
+from labos.errors import BadInput, NotFound
 from tests.support.reading import WORKFLOW, reading_lab
 
 READ = {"text": WORKFLOW, "name": "read.yaml"}
@@ -119,3 +119,25 @@ def test_an_error_in_the_block_ends_the_experiment_with_it(url: str) -> None:
             assert events[-1]["type"] == "experiment.ended"
 
     asyncio.run(work())
+
+
+def test_whoever_waits_when_the_client_is_closed_is_told(url: str) -> None:
+    async def work() -> None:
+        async with AsyncLabClient(url) as lab, AsyncLabClient(url) as other:
+            await other.control("pause", "lab", "ada")
+            run = await other.submit(READ, user="ada")
+            task = asyncio.create_task(lab.wait(run))
+            await lab.health()
+            await lab.close()
+            with pytest.raises(LabUnreachable, match="closed"):
+                await task
+            await other.cancel(run, "ada")
+            await other.control("resume", "lab", "ada")
+
+    asyncio.run(work())
+
+
+@pytest.mark.parametrize("name", ["", ".", ".."])
+def test_a_name_that_names_nothing_is_refused(url: str, name: str) -> None:
+    with LabClient(url) as lab, pytest.raises(BadInput, match="names nothing"):
+        lab.status(name)
