@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import sys
-from collections.abc import Iterable
 from typing import TextIO
 
 import click
@@ -14,8 +12,8 @@ from labos.cli._liveness import say_if_dead
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
 from labos.services.history import position_at
-from labos.services.results import COLUMNS, Reading, readings
-from labos.services.times import Moment, iso_time, show_time
+from labos.services.results import COLUMNS, readings
+from labos.services.times import Moment, show_time
 
 
 @click.command("results", short_help="What a run measured, well by well.")
@@ -46,20 +44,10 @@ def command(where: Where, run: str, as_csv: bool, file: TextIO | None, as_json: 
             say_if_dead(where.url, store.head(), last_known=False)
         found = readings(store, blobs, run, position_at(store, moment))
     if as_json:
-        show_json([dict(zip(COLUMNS, _row(r, iso_time(r.time)), strict=True)) for r in found])
+        show_json([dict(zip(COLUMNS, row, strict=True)) for row in found.rows()])
     elif as_csv or file is not None:
-        _write(file or sys.stdout, found)
+        found.to_csv(file or sys.stdout)
     elif found:
-        show_table(COLUMNS, [tuple(map(str, _row(r, show_time(r.time)))) for r in found])
+        show_table(COLUMNS, [tuple(map(str, row)) for row in found.rows(show_time)])
     else:
         click.echo(f"{run} has no results by well.")
-
-
-def _row(open_log: Reading, time: str) -> tuple[object, ...]:
-    return (*(getattr(open_log, name) for name in COLUMNS[:-1]), time)
-
-
-def _write(file: TextIO, found: Iterable[Reading]) -> None:
-    out = csv.writer(file, lineterminator="\n")
-    out.writerow(COLUMNS)
-    out.writerows(_row(open_log, iso_time(open_log.time)) for open_log in found)

@@ -11,6 +11,8 @@
 Nothing of the kernel is imported here: an application runs wherever the lab can be reached.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from labos.client._answers import LabUnreachable
 from labos.client._experiment import Experiment, RunFailed
 from labos.client._files import step_text, workflow_text
@@ -18,7 +20,12 @@ from labos.client._lab import LabClient
 from labos.client._log import LabFiles, LabLog
 from labos.client._results import RunResult, StepResult
 
+if TYPE_CHECKING:
+    from labos.client._generated.twin import AsyncExperiment, AsyncLabClient
+
 __all__ = [
+    "AsyncExperiment",
+    "AsyncLabClient",
     "Experiment",
     "LabClient",
     "LabFiles",
@@ -30,3 +37,12 @@ __all__ = [
     "step_text",
     "workflow_text",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """The asynchronous client is imported with what it needs by those who use it."""
+    if name in ("AsyncExperiment", "AsyncLabClient"):
+        from labos.client._generated import twin
+
+        return getattr(twin, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

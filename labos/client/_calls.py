@@ -2,10 +2,55 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence, Set
+from contextvars import ContextVar
+from pathlib import PurePath
 from typing import Any
+from urllib.parse import quote
 
 from labos.clock import Uuid7Ids
+from labos.errors import BadInput
+
+LONG_POLL_S = 20.0
+
+GIVEN_UP: ContextVar[threading.Event | None] = ContextVar("given_up", default=None)
+"""Set in the threads of the asynchronous client: once the event is set, nobody waits for the call."""
+
+
+class GivenUp(Exception):
+    """Nobody waits for this call any more."""
+
+
+def check_given_up() -> None:
+    """Raises GivenUp."""
+    given_up = GIVEN_UP.get()
+    if given_up is not None and given_up.is_set():
+        raise GivenUp
+
+
+def in_path(name: str) -> str:
+    """A name as it stands in a path: what is before and behind a slash in it is one part. Raises
+    BadInput."""
+    if name in ("", ".", ".."):
+        raise BadInput(f"{name!r} names nothing in the lab.", remedy="Say which one is meant.")
+    return quote(name, safe="")
+
+
+def plain(value: Any) -> Any:
+    """What is no list, table or text itself, but used as one; numbers and arrays of numpy. Raises
+    BadInput."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, Sequence | Set):
+        return list(value)
+    if isinstance(value, PurePath):
+        return str(value)
+    if callable(tolist := getattr(value, "tolist", None)):
+        return tolist()
+    kind = type(value).__name__
+    raise BadInput(f"The lab takes no {kind}.", remedy="Send numbers, texts, lists and tables of them.")
 
 
 class Calls(ABC):
@@ -31,3 +76,7 @@ class Calls(ABC):
     ) -> dict[str, Any]:
         """Send ``body`` as JSON. With a ``request`` key it is done once, however often it is sent; ``repeat``
         is for what may be done twice. Raises as ``_get``."""
+
+    @abstractmethod
+    def _fetch(self, path: str, **params: Any) -> bytes:
+        """The answer as it is. Raises as ``_get``."""

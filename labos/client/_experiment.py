@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -12,7 +12,9 @@ from typing import Any
 import msgspec
 
 from labos.client._answers import LabUnreachable
+from labos.client._calls import plain
 from labos.client._lab import LabClient
+from labos.client._progress import Progress
 from labos.client._results import RunResult
 from labos.errors import CommitInDoubt, LabosError
 
@@ -74,13 +76,33 @@ class Experiment:
             self._over.set()
 
     def run(
-        self, workflow: str | Path, payload: Mapping[str, Any] | None = None, *, check: bool = True
+        self,
+        workflow: str | Path,
+        payload: Mapping[str, Any] | None = None,
+        *,
+        check: bool = True,
+        progress: Progress = False,
     ) -> RunResult:
         """Run a workflow to its end. Raises RunFailed if it does not complete."""
-        result = self.lab.run(workflow, payload, user=self.user, workcell=self.workcell, experiment=self.id)
+        options = {"user": self.user, "workcell": self.workcell, "experiment": self.id}
+        result = self.lab.run(workflow, payload, progress=progress, **options)
         if check and not result.succeeded:
             raise RunFailed(result)
         return result
+
+    def submit_all(
+        self, workflow: str | Path, payloads: Iterable[Mapping[str, Any]], **options: Any
+    ) -> list[str]:
+        """Queue one run of a workflow for each payload, in order; returns their ids."""
+        options = {"user": self.user, "workcell": self.workcell, "experiment": self.id, **options}
+        return self.lab.submit_all(workflow, payloads, **options)
+
+    def as_completed(self, runs: Iterable[str], *, check: bool = True) -> Iterator[RunResult]:
+        """Runs in the order in which they end. Raises RunFailed at one that does not complete."""
+        for result in self.lab.as_completed(runs):
+            if check and not result.succeeded:
+                raise RunFailed(result)
+            yield result
 
     def note(self, kind: str, name: str, **facts: Any) -> None:
         """Log something of the application's own: loop_started, loop_ended, condition_checked,
@@ -119,7 +141,7 @@ def _on_one_line(why: str) -> str:
 
 def _comparable(kind: str, name: str, facts: Mapping[str, Any]) -> bytes:
     """A note as it can be compared with one that was read back."""
-    return msgspec.json.encode((kind, name, facts), order="sorted")
+    return msgspec.json.encode((kind, name, facts), enc_hook=plain, order="sorted")
 
 
 class RunFailed(LabosError):

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
 
 import msgspec
 
-from labos.errors import NotFound
+from labos.errors import BadInput, NotFound
+
+if TYPE_CHECKING:
+    import pandas
+
+    from labos.client._lab import LabClient
+    from labos.services.results import Readings
 
 
 class StepResult(msgspec.Struct, frozen=True):
@@ -22,7 +30,7 @@ class StepResult(msgspec.Struct, frozen=True):
     ended_at: int = 0
 
 
-class RunResult(msgspec.Struct, frozen=True):
+class RunResult(msgspec.Struct, frozen=True, dict=True):
     """A run as the log tells it. ``status``: queued, active, paused, cancelling, leaving,
     completed, failed or cancelled."""
 
@@ -51,3 +59,36 @@ class RunResult(msgspec.Struct, frozen=True):
             if found.key == step:
                 return found.result
         raise NotFound(f"Run {self.id} has no step {step!r}.")
+
+    def files(self) -> list[dict[str, Any]]:
+        """The files that steps gave back, each with ``step``, ``file`` (its name), ``sha256`` and the like:
+        ``LabClient.file``, ``image`` and ``table`` read them."""
+        return [{"step": step.key, **file} for step in self.steps for file in _files_in(step.result)]
+
+    def readings(self) -> Readings:
+        """What it measured, well by well, each value with the sample that was in its well."""
+        lab: LabClient | None = vars(self).get("_lab")
+        if lab is None:
+            raise BadInput("This run was not read from a lab.", remedy="Use LabClient.readings(run).")
+        return lab.readings(self.id)
+
+    def to_frame(self) -> pandas.DataFrame:
+        """The readings as a pandas table (extra ``analysis``)."""
+        return self.readings().to_frame()
+
+    def to_csv(self, file: str | Path | TextIO | None = None) -> str:
+        """The readings as CSV, as `labos results --csv` writes it."""
+        return self.readings().to_csv(file)
+
+
+def _files_in(result: Any) -> Iterator[dict[str, Any]]:
+    """What names a file in a result, however deep."""
+    if isinstance(result, dict):
+        if isinstance(result.get("sha256"), str):
+            yield result
+        else:
+            for value in result.values():
+                yield from _files_in(value)
+    elif isinstance(result, list):
+        for value in result:
+            yield from _files_in(value)

@@ -25,6 +25,7 @@ from labos.http.ends import Ends
 from labos.http.idempotency import IdempotentAnswers
 from labos.http.identity import Gate, Who
 from labos.http.limits import SMALL_BODY
+from labos.http.method import Method
 from labos.http.notes import Notes, notes_of
 from labos.http.repeats import digest_of_request
 from labos.http.service import LabService
@@ -124,18 +125,19 @@ class Shape(msgspec.Struct, frozen=True, dict=True):
 
 
 class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """``problems`` are the codes of what may go wrong besides what may with each request; ``example`` is a
-    body, ``example_answer`` what is answered. ``answer`` is for handlers that return a whole ``Response``;
-    ``media`` are the content types of the answer. ``headers`` are those that it reads of its own.
-    ``logs_key``: the log bears the idempotency key, so that a repetition is known after a restart, too.
-    ``needs`` is the least role of whoever asks, ``nobody`` for what somebody asks who has not signed in yet;
-    ``by_home``: the owner of the lab's folder may do it; ``by_link``: a token of scope viewer may stand in
-    the address. ``secret``: the answer is not kept for a repetition. ``at_kernel``: only the kernel's
-    process can answer."""
+    """``client`` says how the method of the client is called. ``problems`` are the codes of what may go wrong
+    besides what may with each request; ``example`` is a body, ``example_answer`` what is answered. ``answer``
+    is for handlers that return a whole ``Response``; ``media`` are the content types of the answer.
+    ``headers`` are those that it reads of its own. ``logs_key``: the log bears the idempotency key, so that a
+    repetition is known after a restart, too. ``needs`` is the least role of whoever asks, ``nobody`` for what
+    somebody asks who has not signed in yet; ``by_home``: the owner of the lab's folder may do it;
+    ``by_link``: a token of scope viewer may stand in the address. ``secret``: the answer is not kept for a
+    repetition. ``at_kernel``: only the kernel's process can answer."""
 
     method: Literal["GET", "POST"]
     path: str
     handler: Callable[..., Awaitable[Any]]
+    client: Method
     summary: str
     tag: str
     needs: Need | Literal["nobody"]

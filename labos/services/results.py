@@ -9,20 +9,27 @@ several.
 from __future__ import annotations
 
 import bisect
+import csv
+import io
 import re
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
 
 import msgspec
 
 from labos.core.actions import ActionReconciled, ActionRequested, ActionSucceeded
 from labos.core.effects import Move, Needs, Relid, Unlid
 from labos.core.wells import well_key
-from labos.errors import NotFound
+from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader, LogQuery
 from labos.services.catalogue import catalogue_of
 from labos.services.log import Log, events
 from labos.services.samples import Registration, registrations
+from labos.services.times import iso_time
+
+if TYPE_CHECKING:
+    import pandas
 
 COLUMNS = ("run", "step", "plate", "well", "sample", "quantity", "value", "unit", "time")
 
@@ -45,6 +52,38 @@ class Reading(msgspec.Struct, frozen=True):
     time: int
 
 
+class Readings(list[Reading]):
+    """What a run measured, well by well."""
+
+    def rows(self, show: Callable[[int], str] = iso_time) -> list[tuple[Any, ...]]:
+        """The values of ``COLUMNS`` of each, with times as ``show`` writes them (in UTC)."""
+        return [(*(getattr(each, name) for name in COLUMNS[:-1]), show(each.time)) for each in self]
+
+    def to_csv(self, file: str | Path | TextIO | None = None) -> str:
+        """As CSV, which is returned and, if a file is named, written there; times in UTC."""
+        text = io.StringIO()
+        out = csv.writer(text, lineterminator="\n")
+        out.writerow(COLUMNS)
+        out.writerows(self.rows())
+        if isinstance(file, str | Path):
+            Path(file).write_text(text.getvalue(), encoding="utf-8", newline="")
+        elif file is not None:
+            file.write(text.getvalue())
+        return text.getvalue()
+
+    def to_frame(self) -> pandas.DataFrame:
+        """As a pandas table; ``time`` is a time in UTC. Raises BadInput without pandas."""
+        try:
+            import pandas
+        except ImportError:
+            raise BadInput(
+                "A table needs pandas.", remedy='Install it: pip install "labos-sdl[analysis]"'
+            ) from None
+        frame = pandas.DataFrame(self.rows(lambda time: str(time)), columns=list(COLUMNS))
+        frame["time"] = pandas.to_datetime(frame["time"].astype("int64"), unit="ns", utc=True)
+        return frame
+
+
 class Table(msgspec.Struct, frozen=True):
     """Values of one quantity by well."""
 
@@ -53,7 +92,7 @@ class Table(msgspec.Struct, frozen=True):
     values: dict[str, float | bool | str]
 
 
-def readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> list[Reading]:
+def readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> Readings:
     """Every value by well that a run's steps returned, in the order of its steps' ends and of the
     plates' wells. Samples are
     those that the plate's sheet said last before the step ended, else the first that was said
@@ -63,7 +102,7 @@ def readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> 
         raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
     sheets: dict[str, list[Registration]] = {"": []}
     plates: dict[str, str] = {}
-    found: list[Reading] = []
+    found = Readings()
     query = LogQuery(streams=(run,), types=_KINDS, upto=upto)
     for event, head in events(log.select(query)):
         if isinstance(event, ActionRequested):

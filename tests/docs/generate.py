@@ -1,4 +1,4 @@
-"""Writes the generated parts of the reference: ``python -m tests.docs.generate``.
+"""Writes the generated parts of the reference, and of the client: ``python -m tests.docs.generate``.
 
 A part stands between ``<!-- generated: name -->`` and ``<!-- end -->``; a test compares each
 with what would be written now.
@@ -37,7 +37,7 @@ from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.node import NodeMetrics
 from labos.telemetry.series import LabMetric
 from labos.torture import CHECKS, says
-from tests.docs import drawings, http_page, rights_page
+from tests.docs import client_code, drawings, http_page, rights_page
 from tests.docs.badges import badges
 from tests.docs.markdown import DOCS, REFERENCE, ROOT
 
@@ -395,6 +395,7 @@ def main() -> None:
         text = page.read_text()
         if renewed(text) != text:
             page.write_text(renewed(text))
+    client_code.main()
 
 
 if __name__ == "__main__":

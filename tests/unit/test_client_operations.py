@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 
+import pytest
+
 import labos.client
+from labos.client import AsyncExperiment, AsyncLabClient, Experiment, LabClient, _runs
+from labos.core.runs import RUN_ENDS
 from labos.http.routes import OPERATIONS
+from tests.docs import client_code
 
 ASKING = {"_get": "GET", "_fetch": "GET", "_post": "POST", "_request": "", "_ask": ""}
 """The client's own methods that send something; of the last two the first argument is the method."""
@@ -19,7 +27,7 @@ NOT_ASKED = {"follow_events"}
 def called() -> set[tuple[str, str]]:
     """Method and path of all that the client asks for; what is filled in is a star."""
     found = set()
-    for file in Path(labos.client.__file__).parent.glob("*.py"):
+    for file in Path(labos.client.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             function = node.func if isinstance(node, ast.Call) else None
             if isinstance(function, ast.Attribute) and isinstance(node, ast.Call) and function.attr in ASKING:
@@ -57,3 +65,53 @@ def test_the_client_asks_for_nothing_that_is_not_declared() -> None:
 def test_each_operation_can_be_asked_for_by_the_client() -> None:
     asked = {name for call in called() for name in matches(*call)}
     assert {op.id for op in OPERATIONS} - asked == NOT_ASKED
+
+
+def test_the_methods_are_as_the_operations_say() -> None:
+    """If not: ``python -m tests.docs.client_code``."""
+    stale = [path.name for path, text in client_code.files().items() if path.read_text() != text]
+    assert stale == []
+
+
+def test_nothing_else_stands_beside_the_methods() -> None:
+    assert set(client_code.FOLDER.glob("*.py")) == set(client_code.files())
+
+
+def test_each_operation_has_a_method() -> None:
+    assert [op.id for op in OPERATIONS if not hasattr(LabClient, op.client.name)] == []
+
+
+def test_ends_of_runs_are_those_of_the_core() -> None:
+    assert _runs.RUN_ENDS == RUN_ENDS
+
+
+@pytest.mark.parametrize(("cls", "twin"), [(LabClient, AsyncLabClient), (Experiment, AsyncExperiment)])
+def test_the_twin_has_the_same_methods_with_the_same_parameters(cls: type, twin: type) -> None:
+    for name, member in inspect.getmembers(cls, inspect.isfunction):
+        if name.startswith("_") and name != "__init__":
+            continue
+        ours, theirs = inspect.signature(member), inspect.signature(getattr(twin, name))
+        said = [str(p).replace("'Async", "'") for p in theirs.parameters.values()]
+        assert said == [str(p) for p in ours.parameters.values()], name
+    public = {name for name in dir(twin) if not name.startswith("_")}
+    assert public - {name for name in dir(cls) if not name.startswith("_")} <= set(vars(made(cls)))
+
+
+def made(cls: type) -> object:
+    lab = LabClient("http://127.0.0.1:9")
+    return lab if cls is LabClient else Experiment(lab, "name", "ada")
+
+
+def test_importing_the_client_loads_neither_kernel_nor_server() -> None:
+    code = "import labos.client, sys; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    heavy = ("labos.runtime", "labos.http", "labos.store", "labos.planning", "starlette", "sqlalchemy")
+    assert [name for name in done.stdout.split() if name.startswith((*heavy, "pandas", "zenoh"))] == []
+
+
+def test_a_table_that_is_left_out_of_a_change_is_not_emptied() -> None:
+    """``amend_campaign`` without ``consumables`` leaves their limits as they are."""
+    (amend,) = (op for op in OPERATIONS if op.id == "amend_campaign")
+    assert '"consumables": consumables,' in client_code.method_of(amend)
+    (submit,) = (op for op in OPERATIONS if op.id == "submit_run")
+    assert '"payload": payload or {},' in client_code.method_of(submit)

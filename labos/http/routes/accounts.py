@@ -9,6 +9,7 @@ from starlette.responses import Response
 
 from labos.http import signing
 from labos.http.limits import Name
+from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfUser
 from labos.ports import Person
@@ -106,6 +107,7 @@ OPERATIONS = (
         method="POST",
         path="/login",
         handler=sign_in,
+        client=Method("sign_in", fixed={"token": True}),
         answer=signing.SignedIn,
         summary="Sign in with a password",
         tag="accounts",
@@ -119,6 +121,7 @@ OPERATIONS = (
         method="POST",
         path="/logout",
         handler=sign_out,
+        client=Method("sign_out", take=None),
         answer=signing.UserReference,
         summary="Sign out",
         tag="accounts",
@@ -130,6 +133,7 @@ OPERATIONS = (
         method="GET",
         path="/whoami",
         handler=get_identity,
+        client=Method("identity"),
         summary="Who asks, and what they may do",
         tag="accounts",
         needs="viewer",
@@ -138,6 +142,7 @@ OPERATIONS = (
         method="GET",
         path="/tokens",
         handler=list_tokens,
+        client=Method("tokens", "user", take="tokens"),
         summary="Tokens of programs",
         tag="accounts",
         needs="viewer",
@@ -147,6 +152,7 @@ OPERATIONS = (
         method="POST",
         path="/tokens",
         handler=make_token,
+        client=Method("make_token", "label"),
         answer=signing.MadeToken,
         summary="Make a token for a program",
         tag="accounts",
@@ -162,6 +168,7 @@ OPERATIONS = (
         method="POST",
         path="/tokens/{token}/revoke",
         handler=revoke_token,
+        client=Method("revoke_token", take=None, repeat=True),
         summary="Revoke a token",
         tag="accounts",
         needs="viewer",
@@ -172,6 +179,7 @@ OPERATIONS = (
         method="GET",
         path="/people",
         handler=list_people,
+        client=Method("people", take="people"),
         summary="Who users are",
         tag="accounts",
         needs="viewer",
@@ -181,6 +189,7 @@ OPERATIONS = (
         method="POST",
         path="/users/{user}/password",
         handler=change_password,
+        client=Method("set_password", "user, password, present", take=None),
         summary="Change a user's password",
         tag="accounts",
         needs="viewer",
@@ -194,6 +203,7 @@ OPERATIONS = (
         method="POST",
         path="/users/{user}/person",
         handler=change_person,
+        client=Method("set_person", take=None, repeat=True),
         summary="Say who a user is",
         tag="accounts",
         needs="viewer",
@@ -206,6 +216,7 @@ OPERATIONS = (
         method="POST",
         path="/users/{user}/erase",
         handler=erase_person,
+        client=Method("erase_person", take=None, repeat=True),
         summary="Forget who a user is",
         tag="accounts",
         needs="viewer",
@@ -216,6 +227,7 @@ OPERATIONS = (
         method="POST",
         path="/users/{user}/identity",
         handler=link_identity,
+        client=Method("link_identity", take=None, repeat=True),
         summary="Say whom an identity provider means by a user",
         tag="accounts",
         needs="admin",

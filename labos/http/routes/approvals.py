@@ -18,6 +18,7 @@ from labos.errors import NotFound
 from labos.http.bodies import Amendment, Amounts, Limit
 from labos.http.campaigns import amended
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
+from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.tail import PAGE
 from labos.services.proposals import ChangedPart, differences, sentence
@@ -231,6 +232,7 @@ OPERATIONS = (
         method="GET",
         path="/approvals",
         handler=list_approvals,
+        client=Method("_list_approvals"),
         summary="What waits for an approval, and why",
         tag="approvals",
         needs="viewer",
@@ -239,6 +241,7 @@ OPERATIONS = (
         method="GET",
         path="/approvals/{subject}",
         handler=get_approval,
+        client=Method("approval_of"),
         summary="What waits for an approval, and how it differs from what was approved before",
         tag="approvals",
         needs="viewer",
@@ -247,6 +250,7 @@ OPERATIONS = (
         method="POST",
         path="/approvals/{subject}/approve",
         handler=approve_proposal,
+        client=Method("approve", "subject, by, digest", take="digest", repeat=True),
         summary="Let a submission go on, as it is or with changes",
         tag="approvals",
         needs="operator",
@@ -258,6 +262,7 @@ OPERATIONS = (
         method="POST",
         path="/approvals/{subject}/refuse",
         handler=refuse_proposal,
+        client=Method("refuse", take="digest", repeat=True),
         summary="Do not let a submission go on",
         tag="approvals",
         needs="operator",
@@ -269,6 +274,7 @@ OPERATIONS = (
         method="GET",
         path="/policy",
         handler=get_policy,
+        client=Method("policy"),
         summary="Which submissions wait for an approval, and how high a priority may be",
         tag="approvals",
         needs="viewer",
@@ -277,6 +283,7 @@ OPERATIONS = (
         method="POST",
         path="/policy",
         handler=apply_policy,
+        client=Method("apply_policy", "text, file=name, by", take=None, repeat=True),
         summary="Let the policy be as a file says",
         tag="approvals",
         needs="admin",

@@ -24,6 +24,7 @@ from labos.http.bodies import (
 )
 from labos.http.declare import declare_bench
 from labos.http.limits import LARGEST_BODY, check_person
+from labos.http.method import Method
 from labos.http.observing import ObservationResult, give, observe
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfIntervention, OfLabware
@@ -115,6 +116,7 @@ OPERATIONS = (
         method="POST",
         path="/interventions/{intervention}",
         handler=answer_intervention,
+        client=Method("resolve", "intervention, choice, by, note, result", take=None),
         summary="Answer a question",
         tag="bench",
         needs="submitter",
@@ -126,6 +128,7 @@ OPERATIONS = (
         method="POST",
         path="/stations/place",
         handler=place_labware,
+        client=Method("place", take="labware"),
         summary="Say that labware was put on an empty station",
         tag="bench",
         needs="operator",
@@ -138,6 +141,7 @@ OPERATIONS = (
         method="POST",
         path="/stations/load",
         handler=load_station,
+        client=Method("load", take="labware"),
         summary="Say that labware was loaded",
         tag="bench",
         needs="operator",
@@ -150,6 +154,7 @@ OPERATIONS = (
         method="POST",
         path="/stations/unload",
         handler=unload_station,
+        client=Method("unload"),
         summary="Say that labware was taken away",
         tag="bench",
         needs="operator",
@@ -161,6 +166,7 @@ OPERATIONS = (
         method="POST",
         path="/stations/observe",
         handler=observe_station,
+        client=Method("observe", "station, what, by"),
         summary="Say what stands at a station",
         tag="bench",
         needs="operator",
@@ -172,6 +178,7 @@ OPERATIONS = (
         method="POST",
         path="/stations/declare",
         handler=declare_stations,
+        client=Method("declare", "stations, by", take="declared"),
         summary="Declare what stands at stations",
         tag="bench",
         needs="operator",
@@ -184,6 +191,7 @@ OPERATIONS = (
         method="GET",
         path="/round",
         handler=get_round,
+        client=Method("round"),
         summary="What has to be said of the bench after the log lost its end",
         tag="bench",
         needs="viewer",
@@ -192,6 +200,7 @@ OPERATIONS = (
         method="POST",
         path="/round",
         handler=report_round,
+        client=Method("say", "by, stations, as_recorded", repeat=True),
         summary="Say on the round what stands where",
         tag="bench",
         needs="operator",
@@ -207,6 +216,7 @@ OPERATIONS = (
         method="POST",
         path="/labware/{labware}/barcode",
         handler=label_labware,
+        client=Method("barcode", take=None, repeat=True),
         summary="Say which barcode labware bears",
         tag="bench",
         needs="submitter",
@@ -219,6 +229,7 @@ OPERATIONS = (
         method="POST",
         path="/labware/{labware}/owner",
         handler=hand_over_labware,
+        client=Method("give", take=None, repeat=True),
         summary="Hand labware over",
         tag="bench",
         needs="submitter",
@@ -231,6 +242,7 @@ OPERATIONS = (
         method="POST",
         path="/samples",
         handler=register_sheet,
+        client=Method("_register_sheet", take="plates", repeat=True),
         summary="Say which samples are in the wells of plates",
         tag="bench",
         needs="submitter",

@@ -26,6 +26,7 @@ from labos.http.bookings import (
     the_booking,
     view,
 )
+from labos.http.method import Method
 from labos.http.operation import Call, Operation
 
 MEDIA_TYPE = "text/calendar"
@@ -114,6 +115,7 @@ OPERATIONS = (
         method="GET",
         path="/bookings",
         handler=list_bookings,
+        client=Method("bookings", "target", take="bookings"),
         summary="Which bookings there are",
         tag="bookings",
         needs="viewer",
@@ -124,6 +126,7 @@ OPERATIONS = (
         method="POST",
         path="/bookings",
         handler=make_booking,
+        client=Method("book", "target, begins_at, ends_at, by", key="new"),
         summary="Book a module or a workcell",
         tag="bookings",
         needs="submitter",
@@ -145,6 +148,7 @@ OPERATIONS = (
         method="GET",
         path="/bookings/{booking}",
         handler=get_booking,
+        client=Method("booking"),
         summary="A booking",
         tag="bookings",
         needs="viewer",
@@ -154,6 +158,7 @@ OPERATIONS = (
         method="POST",
         path="/bookings/{booking}/change",
         handler=change_booking,
+        client=Method("change_booking", repeat=True),
         summary="Change when or for whom a booking is",
         tag="bookings",
         needs="submitter",
@@ -165,6 +170,7 @@ OPERATIONS = (
         method="POST",
         path="/bookings/{booking}/cancel",
         handler=cancel_booking,
+        client=Method("cancel_booking", take=None, key="new"),
         summary="Give a booking back, or one time of it",
         tag="bookings",
         needs="submitter",
@@ -176,6 +182,7 @@ OPERATIONS = (
         method="GET",
         path="/calendar",
         handler=show_calendar,
+        client=Method("calendar", "since, until, target"),
         summary="When what is booked",
         tag="bookings",
         needs="viewer",
@@ -190,6 +197,7 @@ OPERATIONS = (
         method="GET",
         path="/calendar.ics",
         handler=export_calendar,
+        client=Method("calendar_file", "target", without=("token",)),
         answer=bytes,
         media=(MEDIA_TYPE,),
         summary="The calendar for calendar programs",

@@ -21,6 +21,7 @@ from labos.http.answers import (
 from labos.http.bodies import Amendment, By, CampaignCancel, CampaignPause, NewCampaign, SharesFile
 from labos.http.campaigns import CampaignView, amended, submit_campaign, view_of
 from labos.http.limits import LARGEST_BODY
+from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfCampaign
 from labos.services.proposals import sentence
@@ -115,6 +116,7 @@ OPERATIONS = (
         method="GET",
         path="/campaigns",
         handler=list_campaigns,
+        client=Method("campaigns", take="campaigns"),
         summary="Campaigns that have not been completed",
         tag="campaigns",
         needs="viewer",
@@ -123,6 +125,7 @@ OPERATIONS = (
         method="POST",
         path="/campaigns",
         handler=submit_campaign_file,
+        client=Method("_submit_campaign_file", "text, workflow, user", key="given", timeout_s=900.0),
         summary="Check a campaign and submit it",
         tag="campaigns",
         needs="submitter",
@@ -143,6 +146,7 @@ OPERATIONS = (
         method="GET",
         path="/campaigns/{campaign}",
         handler=get_campaign,
+        client=Method("campaign"),
         summary="A campaign that has not been completed: how far it is, and its terms",
         tag="campaigns",
         needs="viewer",
@@ -151,6 +155,7 @@ OPERATIONS = (
         method="POST",
         path="/campaigns/{campaign}/pause",
         handler=pause_campaign,
+        client=Method("pause_campaign", take=None, repeat=True),
         summary="Submit no further row of a campaign until it is resumed",
         tag="campaigns",
         needs="submitter",
@@ -162,6 +167,7 @@ OPERATIONS = (
         method="POST",
         path="/campaigns/{campaign}/resume",
         handler=resume_campaign,
+        client=Method("resume_campaign", take=None, repeat=True),
         summary="Go on with a campaign that is paused",
         tag="campaigns",
         needs="submitter",
@@ -173,6 +179,7 @@ OPERATIONS = (
         method="POST",
         path="/campaigns/{campaign}/cancel",
         handler=cancel_campaign,
+        client=Method("cancel_campaign", take=None, repeat=True),
         summary="Cancel a campaign",
         tag="campaigns",
         needs="submitter",
@@ -184,6 +191,7 @@ OPERATIONS = (
         method="POST",
         path="/campaigns/{campaign}/amend",
         handler=amend_campaign,
+        client=Method("_amend_campaign", repeat=True),
         summary="Let a campaign go on under other terms",
         tag="campaigns",
         needs="submitter",
@@ -194,6 +202,7 @@ OPERATIONS = (
         method="GET",
         path="/shares",
         handler=list_shares,
+        client=Method("shares", take="accounts"),
         summary="Who is to have which part of the lab, and who has had which",
         tag="campaigns",
         needs="viewer",
@@ -202,6 +211,7 @@ OPERATIONS = (
         method="POST",
         path="/shares",
         handler=apply_shares,
+        client=Method("apply_shares", "text, file=name, by", take=None, repeat=True),
         summary="Let weights and quotas be as a shares file says",
         tag="campaigns",
         needs="admin",

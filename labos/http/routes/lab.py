@@ -10,6 +10,7 @@ from labos.http.asking import ask_nodes
 from labos.http.bodies import EmergencyStop
 from labos.http.control import ControlRequest, ControlResult, control
 from labos.http.limits import name_in_emergency
+from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import NodesQuery, StateQuery
 from labos.http.views import LabView
@@ -90,6 +91,7 @@ OPERATIONS = (
         method="GET",
         path="/health",
         handler=get_health,
+        client=Method("health"),
         at_kernel=True,
         summary="Whether the kernel works",
         tag="lab",
@@ -99,6 +101,7 @@ OPERATIONS = (
         method="GET",
         path="/state",
         handler=get_state,
+        client=Method("state"),
         answer=LabView,
         summary="Everything that is alive",
         tag="lab",
@@ -108,6 +111,7 @@ OPERATIONS = (
         method="GET",
         path="/inventory",
         handler=get_inventory,
+        client=Method("inventory"),
         summary="What is left, and what runs out when",
         tag="lab",
         needs="viewer",
@@ -116,6 +120,7 @@ OPERATIONS = (
         method="GET",
         path="/nodes",
         handler=list_nodes,
+        client=Method("_list_nodes", take="modules"),
         summary="What the nodes of modules answer now",
         tag="lab",
         needs="viewer",
@@ -125,6 +130,7 @@ OPERATIONS = (
         method="POST",
         path="/control/pause",
         handler=pause,
+        client=Method("_pause_target", repeat=True),
         summary="Pause a run, an experiment, a module, a workcell or the lab",
         tag="lab",
         needs="submitter",
@@ -136,6 +142,7 @@ OPERATIONS = (
         method="POST",
         path="/control/resume",
         handler=resume,
+        client=Method("_resume_target", repeat=True),
         summary="Resume what is paused",
         tag="lab",
         needs="submitter",
@@ -147,6 +154,7 @@ OPERATIONS = (
         method="POST",
         path="/control/cancel",
         handler=cancel,
+        client=Method("_cancel_target", repeat=True),
         summary="Cancel a run, an experiment, or the runs of a module, a workcell or the lab",
         tag="lab",
         needs="submitter",
@@ -158,6 +166,7 @@ OPERATIONS = (
         method="POST",
         path="/estop",
         handler=stop_modules,
+        client=Method("emergency_stop", "target, by='somebody'", repeat=True, timeout_s=5.0),
         summary="Stop modules at once, in an emergency",
         tag="lab",
         needs="submitter",

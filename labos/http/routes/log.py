@@ -11,6 +11,7 @@ from labos.http import wire
 from labos.http.answers import EventPage
 from labos.http.files import send_file
 from labos.http.limits import WHOLE_NUMBERS
+from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
@@ -100,6 +101,7 @@ OPERATIONS = (
         method="GET",
         path="/events",
         handler=list_events,
+        client=Method("events", by_hand=True),
         answer=EventPage,
         summary="Committed events in order",
         tag="log",
@@ -109,6 +111,7 @@ OPERATIONS = (
         method="GET",
         path="/events/stream",
         handler=follow_events,
+        client=Method("events", by_hand=True),
         answer=str,
         media=(STREAM_TYPE,),
         headers=("Last-Event-ID",),
@@ -120,6 +123,7 @@ OPERATIONS = (
         method="GET",
         path="/files/{sha256}",
         handler=get_file,
+        client=Method("file", by_hand=True),
         answer=bytes,
         media=("application/octet-stream",),
         headers=("Range", "If-Range", "If-None-Match"),

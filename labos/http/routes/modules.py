@@ -17,6 +17,7 @@ from labos.http.answers import (
 from labos.http.asking import switch_trace
 from labos.http.bodies import AccessEnd, AccessRequest, By, NewPose, OutOfService, WireTrace, WorkcellFile
 from labos.http.limits import LARGEST_BODY
+from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, replenish
@@ -92,6 +93,7 @@ OPERATIONS = (
         method="POST",
         path="/modules/{module}/out-of-service",
         handler=take_out_of_service,
+        client=Method("take_out", "module, why, by, until_ns=until", take=None),
         summary="Take a module out of service",
         tag="modules",
         needs="operator",
@@ -103,6 +105,7 @@ OPERATIONS = (
         method="POST",
         path="/modules/{module}/in-service",
         handler=put_in_service,
+        client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
         summary="Put a module back in service",
         tag="modules",
         needs="operator",
@@ -114,6 +117,7 @@ OPERATIONS = (
         method="POST",
         path="/modules/{module}/trace",
         handler=trace_wires,
+        client=Method("trace", "module, by='somebody'", take="file", repeat=True),
         summary="Begin or end the transcript of a device's wires",
         tag="modules",
         needs="operator",
@@ -125,6 +129,7 @@ OPERATIONS = (
         method="POST",
         path="/modules/{module}/replenish",
         handler=replenish_resource,
+        client=Method("replenish", take="amount"),
         summary="Say that more of a resource was put in",
         tag="modules",
         needs="operator",
@@ -136,6 +141,7 @@ OPERATIONS = (
         method="GET",
         path="/modules/{module}/locations",
         handler=list_locations,
+        client=Method("locations", take="locations"),
         summary="Where a manipulator finds stations",
         tag="modules",
         needs="viewer",
@@ -147,6 +153,7 @@ OPERATIONS = (
         method="POST",
         path="/modules/{module}/locations",
         handler=teach_location,
+        client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
         summary="Teach a manipulator a station",
         tag="modules",
         needs="operator",
@@ -159,6 +166,7 @@ OPERATIONS = (
         method="POST",
         path="/workcells",
         handler=change_workcell,
+        client=Method("_change_workcell", "text, by", repeat=True),
         summary="Change a workcell to what its file says",
         tag="workcells",
         needs="admin",
@@ -170,6 +178,7 @@ OPERATIONS = (
         method="POST",
         path="/workcells/{workcell}/access",
         handler=request_workcell_access,
+        client=Method("enter", "workcell, by, why", take="parking", repeat=True),
         summary="Ask to reach into a workcell",
         tag="workcells",
         needs="operator",
@@ -182,6 +191,7 @@ OPERATIONS = (
         method="POST",
         path="/workcells/{workcell}/access/end",
         handler=end_workcell_access,
+        client=Method("_end_workcell_access", take=None),
         summary="Say that everybody is out of a workcell",
         tag="workcells",
         needs="operator",

@@ -16,6 +16,7 @@ from labos.core.users import person_of
 from labos.errors import NotFound
 from labos.http.bodies import NewRun
 from labos.http.limits import LARGEST_BODY
+from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
 from labos.http.queries import OfModule
@@ -159,6 +160,7 @@ OPERATIONS = (
         method="GET",
         path="/modules/{module}/actions",
         handler=list_actions,
+        client=Method("actions"),
         summary="What a module can do",
         tag="modules",
         needs="viewer",
@@ -167,6 +169,7 @@ OPERATIONS = (
         method="POST",
         path="/runs/check",
         handler=check_run,
+        client=Method("_check_run", "workflow, user=''", repeat=True),
         summary="What a run of a workflow would be, without submitting it",
         tag="runs",
         needs="submitter",

@@ -1,0 +1,77 @@
+"""The operations of labos/http/routes/accounts.py; written by tests/docs/client_code.py."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.client._calls import Calls, in_path
+
+
+class GeneratedAccounts(Calls):
+    """One method for each operation."""
+
+    def sign_in(
+        self, user: str, password: str, *, label: str = "signed in", days: float = 30.0
+    ) -> dict[str, Any]:
+        """Sign in with a password. A browser gets a session of 12 hours as a cookie that no script can read;
+        a program asks for a ``token``. Six wrong tries within a minute are too many. ``user``: the user's id.
+        ``password``: the password. ``label``: what the token is for. ``days``: how long the token is good.
+        Returns ``user``, ``until``, ``token``. Raises Refused."""
+        return self._post(
+            "/login", {"user": user, "password": password, "label": label, "days": days, "token": True}
+        )
+
+    def sign_out(self) -> None:
+        """Sign out. The session of the cookie ends, or the token that was shown is revoked. Streams that they
+        opened end."""
+        self._post("/logout", {})
+
+    def identity(self) -> dict[str, Any]:
+        """Who asks, and what they may do. Returns ``user``, ``how``, ``scope``, ``kind``, ``group``,
+        ``roles``, ``name``, ``mail``, ``until``."""
+        return self._get("/whoami")
+
+    def tokens(self, user: str = "") -> list[dict[str, Any]]:
+        """Tokens of programs. Without their secrets, which the lab does not know. ``user``: whose, if not
+        those of whoever asks; for admins."""
+        found: list[dict[str, Any]] = self._get("/tokens", user=user)["tokens"]
+        return found
+
+    def make_token(
+        self, label: str = "", *, scope: str = "submitter", days: float = 90.0, user: str = ""
+    ) -> dict[str, Any]:
+        """Make a token for a program. The secret is told this once. A token that makes another one outlives
+        it, and allows more than it, never. ``label``: what it is for. ``scope``: the most that it is good
+        for. ``days``: how long it is good. ``user``: whose it is, if not that of whoever asks; for admins.
+        Returns ``token``, ``secret``. Raises NotFound, Refused."""
+        return self._post("/tokens", {"label": label, "scope": scope, "days": days, "user": user})
+
+    def revoke_token(self, token: str) -> None:
+        """Revoke a token. It is good for nothing from now on; streams that were opened with it end."""
+        self._post(f"/tokens/{in_path(token)}/revoke", {}, repeat=True)
+
+    def people(self) -> list[dict[str, Any]]:
+        """Who users are."""
+        found: list[dict[str, Any]] = self._get("/people")["people"]
+        return found
+
+    def set_password(self, user: str, password: str, present: str = "") -> None:
+        """Change a user's password. All sessions of the user end; tokens stay. ``password``: the new one, of
+        10 characters at least. ``present``: the present one, of whoever changes their own."""
+        self._post(f"/users/{in_path(user)}/password", {"password": password, "present": present})
+
+    def set_person(self, user: str, *, name: str | None = None, mail: str | None = None) -> None:
+        """Say who a user is. Kept beside the log, which knows users by their ids alone. ``name``: the user's
+        name. ``mail``: an address."""
+        self._post(f"/users/{in_path(user)}/person", {"name": name, "mail": mail}, repeat=True)
+
+    def erase_person(self, user: str) -> None:
+        """Forget who a user is. The name, the address, the password, all tokens and sessions are gone. Events
+        remain, and say the id."""
+        self._post(f"/users/{in_path(user)}/erase", {}, repeat=True)
+
+    def link_identity(self, user: str, issuer: str, subject: str) -> None:
+        """Say whom an identity provider means by a user. Whom an identity provider calls so is this user.
+        ``issuer``: the identity provider, as ``https://login.example.org``. ``subject``: what it calls the
+        user (the claim ``sub``)."""
+        self._post(f"/users/{in_path(user)}/identity", {"issuer": issuer, "subject": subject}, repeat=True)

@@ -1,0 +1,362 @@
+"""The client for programs that work with asyncio: written by tests/docs/client_twin.py."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from labos.client._experiment import Experiment
+from labos.client._generated.twin_calls import AsyncCalls
+from labos.client._lab import LabClient
+from labos.client._threads import Threads
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Any
+
+    from PIL.Image import Image
+
+    from labos.client._progress import Progress
+    from labos.client._results import RunResult
+    from labos.client._runs import Put
+    from labos.services.results import Readings
+
+
+class AsyncLabClient(AsyncCalls):
+    """As ``LabClient``, which stands behind it as ``sync``, with methods to be awaited. A call that is
+    cancelled may have been done. What a ``RunResult`` asks the lab for, it asks without waiting for others:
+    use ``readings``, ``file`` and the like of this class in its place."""
+
+    def __init__(
+        self,
+        url: str = "",
+        *,
+        home: str | Path | None = None,
+        patience_s: float = 30.0,
+        token: str = "",
+        behalf: str = "",
+    ) -> None:
+        self.sync = LabClient(url, home=home, patience_s=patience_s, token=token, behalf=behalf)
+        self.threads = Threads()
+
+    async def __aenter__(self) -> AsyncLabClient:
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await self.close()
+
+    @property
+    def warnings(self) -> list[str]:
+        return self.sync.warnings
+
+    @property
+    def approval(self) -> str:
+        return self.sync.approval
+
+    async def amend_campaign(self, campaign: str, by: str, **changes: Any) -> dict[str, Any]:
+        """Let a campaign go on under other terms."""
+        return await self.threads.call(self.sync.amend_campaign, campaign, by, **changes)
+
+    async def apply_workcell(
+        self,
+        text: str,
+        file: str,
+        by: str,
+        *,
+        dry_run: bool = False,
+        labware: Mapping[str, bytes] | None = None,
+        files: Mapping[str, bytes] | None = None,
+    ) -> dict[str, Any]:
+        """Change a workcell to what the text of its file says; with ``dry_run``, only say what that would
+        change and what is in the way."""
+        return await self.threads.call(
+            self.sync.apply_workcell, text, file, by, dry_run=dry_run, labware=labware, files=files
+        )
+
+    async def approvals(self) -> list[dict[str, Any]]:
+        """What waits for an approval, the oldest first: ``subject``, ``digest``, ``why`` and the like."""
+        return await self.threads.call(self.sync.approvals)
+
+    def as_completed(
+        self, runs: Iterable[str], *, timeout_s: float | None = None
+    ) -> AsyncIterator[RunResult]:
+        """Runs in the order in which they end; those that have ended come first."""
+        return self.threads.iterate(self.sync.as_completed(runs, timeout_s=timeout_s))
+
+    async def ask_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, str]]:
+        """What the nodes of these modules, or of all, answer at this moment: ``name``, ``answer`` (IDLE,
+        BUSY, ERROR, silent, frozen, refused, out, absent) and ``why``."""
+        return await self.threads.call(self.sync.ask_nodes, modules)
+
+    async def check(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
+        """What a run of a workflow would be: its ``steps``, its ``demand``, why it would wait for an
+        ``approval`` or be refused (``refusal``)."""
+        return await self.threads.call(self.sync.check, workflow, **options)
+
+    async def check_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, Any]]:
+        """As ``ask_nodes``; each that answers also has ``checked``: its ``driver`` with ``version``, its
+        ``labos`` and ``protocol``, whether it is ``simulated``, the ``unit`` (serial number) it is pinned
+        to, and what its device ``sees``, or ``sees_nothing``: why not."""
+        return await self.threads.call(self.sync.check_nodes, modules)
+
+    async def close(self) -> None:
+        self.threads.give_up()
+        await self.threads.call(self.sync.close)
+
+    async def control(
+        self, verb: str, target: str, by: str, *, why: str = "", stay: bool = False
+    ) -> dict[str, Any]:
+        """``pause``, ``resume`` or ``cancel`` a run, an experiment, a module, a workcell or the
+        ``lab``."""
+        return await self.threads.call(self.sync.control, verb, target, by, why=why, stay=stay)
+
+    async def do(
+        self, module: str, action: str, args: Mapping[str, Any] | None = None, **options: Any
+    ) -> str:
+        """Queue one action on one module, as a run of its own; returns the run's id."""
+        return await self.threads.call(self.sync.do, module, action, args, **options)
+
+    def events(
+        self, after: int = 0, *, follow: bool = False, wait_s: float | None = None, **filters: Any
+    ) -> AsyncIterator[dict[str, Any]]:
+        """Committed events in order; with ``follow``, for ever."""
+        return self.threads.iterate_pages(
+            self.sync._pages_of_events(after, follow=follow, wait_s=wait_s, **filters)
+        )
+
+    async def file(self, file: str | Mapping[str, Any], *, first: int = 0, last: int | None = None) -> bytes:
+        """The content of a file that a step has returned: ``result["picture"]``, say, or its SHA-256."""
+        return await self.threads.call(self.sync.file, file, first=first, last=last)
+
+    async def image(self, file: str | Mapping[str, Any]) -> Image:
+        """A picture that a step has returned (``result.result("Take picture")``), as Pillow has it."""
+        return await self.threads.call(self.sync.image, file)
+
+    async def leave(
+        self, workcell: str, by: str, changed: Sequence[tuple[str, str]] = (), note: str = ""
+    ) -> None:
+        """Say that everybody is out, and what stands at which station now: ``empty``, labware by its id,
+        or a type of labware."""
+        await self.threads.call(self.sync.leave, workcell, by, changed, note)
+
+    async def load_samples(
+        self, sheet: str | Path, by: str, *, labware: str = "", station: str = "", replace: bool = False
+    ) -> dict[str, int]:
+        """Say which samples are in the wells of plates, by a CSV file; ``labware`` or ``station`` names
+        the plate where the sheet does not."""
+        return await self.threads.call(
+            self.sync.load_samples, sheet, by, labware=labware, station=station, replace=replace
+        )
+
+    async def page_of_events(self, asked: Mapping[str, Any]) -> bytes:
+        """A page of events as the lab sends it, with the position from which to go on."""
+        return await self.threads.call(self.sync.page_of_events, asked)
+
+    async def readings(self, run: str) -> Readings:
+        """What a run measured, well by well, each value with the sample that was in its well; as a table
+        by ``to_frame()`` (pandas) and ``to_csv()``."""
+        return await self.threads.call(self.sync.readings, run)
+
+    async def reset(self, module: str, by: str = "somebody") -> RunResult:
+        """Bring a module out of its error, and wait for it."""
+        return await self.threads.wait(self.sync.reset, module, by)
+
+    async def run(
+        self,
+        workflow: str | Path | Mapping[str, Any],
+        payload: Mapping[str, Any] | None = None,
+        *,
+        progress: Progress = False,
+        **options: Any,
+    ) -> RunResult:
+        """``submit``, then ``wait``."""
+        return await self.threads.wait(self.sync.run, workflow, payload, progress=progress, **options)
+
+    async def start_experiment(
+        self,
+        name: str,
+        user: str,
+        *,
+        closing: str | Path | None = None,
+        payload: Mapping[str, Any] | None = None,
+        workcell: str = "",
+        priority: int = 0,
+        parking: Sequence[str] = (),
+        propose: bool = False,
+    ) -> str:
+        """Prefer ``Experiment``."""
+        return await self.threads.call(
+            self.sync.start_experiment,
+            name,
+            user,
+            closing=closing,
+            payload=payload,
+            workcell=workcell,
+            priority=priority,
+            parking=parking,
+            propose=propose,
+        )
+
+    async def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
+        """A run as it is now, or at its end if that comes within ``wait_s``."""
+        return await self.threads.wait(self.sync.status, run, wait_s=wait_s)
+
+    async def submit(
+        self,
+        workflow: str | Path | Mapping[str, Any],
+        payload: Mapping[str, Any] | None = None,
+        *,
+        user: str,
+        workcell: str = "",
+        priority: int = 0,
+        experiment: str = "",
+        place: Sequence[Put] = (),
+        request: str = "",
+        propose: bool = False,
+    ) -> str:
+        """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
+        ``step_text`` gave; returns its id."""
+        return await self.threads.call(
+            self.sync.submit,
+            workflow,
+            payload,
+            user=user,
+            workcell=workcell,
+            priority=priority,
+            experiment=experiment,
+            place=place,
+            request=request,
+            propose=propose,
+        )
+
+    async def submit_all(
+        self,
+        workflow: str | Path | Mapping[str, Any],
+        payloads: Iterable[Mapping[str, Any]],
+        *,
+        user: str,
+        request: str = "",
+        **options: Any,
+    ) -> list[str]:
+        """Queue one run of a workflow for each payload, in order; returns their ids."""
+        return await self.threads.call(
+            self.sync.submit_all, workflow, payloads, user=user, request=request, **options
+        )
+
+    async def submit_campaign(
+        self,
+        campaign: str | Path | Mapping[str, Any],
+        *,
+        user: str,
+        dry_run: bool = False,
+        request: str = "",
+        propose: bool = False,
+    ) -> dict[str, Any]:
+        """Check a campaign file with its table and workflow, row by row, and submit it."""
+        return await self.threads.call(
+            self.sync.submit_campaign, campaign, user=user, dry_run=dry_run, request=request, propose=propose
+        )
+
+    async def table(self, file: str | Mapping[str, Any]) -> list[dict[str, Any]]:
+        """The rows of a table that a step has returned (CSV, by comma, semicolon or tab, with its
+        columns' names in the first line); what is a number is one."""
+        return await self.threads.call(self.sync.table, file)
+
+    @property
+    def token_place(self) -> str:
+        return self.sync.token_place
+
+    async def wait(
+        self, run: str, *, timeout_s: float | None = None, progress: Progress = False
+    ) -> RunResult:
+        """The run at its end, or as it is when the time is over."""
+        return await self.threads.wait(self.sync.wait, run, timeout_s=timeout_s, progress=progress)
+
+
+class AsyncExperiment:
+    """As ``Experiment``, which stands behind it as ``sync``, with methods to be awaited::
+
+    async with AsyncLabClient(home="lab") as lab, AsyncExperiment(lab, "mix", "ada") as experiment:
+        result = await experiment.run("mix.yaml")
+    """
+
+    def __init__(
+        self,
+        lab: AsyncLabClient,
+        name: str,
+        user: str,
+        *,
+        closing: str | Path | None = None,
+        closing_payload: Mapping[str, Any] | None = None,
+        workcell: str = "",
+        priority: int = 0,
+        parking: Sequence[str] = (),
+    ) -> None:
+        self.lab = lab
+        self.sync = Experiment(
+            lab.sync,
+            name,
+            user,
+            closing=closing,
+            closing_payload=closing_payload,
+            workcell=workcell,
+            priority=priority,
+            parking=parking,
+        )
+        self.threads = lab.threads
+
+    async def __aenter__(self) -> AsyncExperiment:
+        try:
+            await self.threads.wait(self.sync.__enter__)
+        except BaseException:
+            self.sync._over.set()  # nobody is in the block: no heartbeat says so
+            raise
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.threads.wait(self.sync.__exit__, kind, error, trace)
+
+    @property
+    def name(self) -> str:
+        return self.sync.name
+
+    @property
+    def user(self) -> str:
+        return self.sync.user
+
+    @property
+    def workcell(self) -> str:
+        return self.sync.workcell
+
+    @property
+    def id(self) -> str:
+        return self.sync.id
+
+    def as_completed(self, runs: Iterable[str], *, check: bool = True) -> AsyncIterator[RunResult]:
+        """Runs in the order in which they end."""
+        return self.threads.iterate(self.sync.as_completed(runs, check=check))
+
+    async def note(self, kind: str, name: str, **facts: Any) -> None:
+        """Log something of the application's own: loop_started, loop_ended, condition_checked, decision,
+        local_compute, compute, flow or publication."""
+        await self.threads.wait(self.sync.note, kind, name, **facts)
+
+    async def run(
+        self,
+        workflow: str | Path,
+        payload: Mapping[str, Any] | None = None,
+        *,
+        check: bool = True,
+        progress: Progress = False,
+    ) -> RunResult:
+        """Run a workflow to its end."""
+        return await self.threads.wait(self.sync.run, workflow, payload, check=check, progress=progress)
+
+    async def submit_all(
+        self, workflow: str | Path, payloads: Iterable[Mapping[str, Any]], **options: Any
+    ) -> list[str]:
+        """Queue one run of a workflow for each payload, in order; returns their ids."""
+        return await self.threads.wait(self.sync.submit_all, workflow, payloads, **options)

@@ -1,0 +1,207 @@
+"""The calls of a client about runs: submitting, waiting, reading what they gave."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from labos import errors
+from labos.client._calls import LONG_POLL_S
+from labos.client._files import step_text, workflow_text
+from labos.client._generated import GeneratedCalls
+from labos.client._progress import SHOWN_S, Progress, can_show, shown
+from labos.client._results import RunResult
+from labos.errors import BadInput
+
+RUN_ENDS = ("run.completed", "run.failed", "run.cancelled")
+"""The types of the events with which a run ends; a test compares them with those of the core."""
+
+MOST_STREAMS = 40
+"""So many runs may be named in a question about events; of more, the ends of all runs are read."""
+
+
+Put = tuple[str, str] | tuple[str, str, Mapping[str, bool]]
+"""A station, the type of labware that is put there, and what it is: ``{"sealed": True}``."""
+
+
+class RunCalls(GeneratedCalls):
+    """One run, and many."""
+
+    warnings: list[str]
+
+    def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
+        """A run as it is now, or at its end if that comes within ``wait_s``."""
+        result = msgspec.convert(self._get_run(run, wait=wait_s), RunResult)
+        vars(result)["_lab"] = self
+        return result
+
+    def submit(
+        self,
+        workflow: str | Path | Mapping[str, Any],
+        payload: Mapping[str, Any] | None = None,
+        *,
+        user: str,
+        workcell: str = "",
+        priority: int = 0,
+        experiment: str = "",
+        place: Sequence[Put] = (),
+        request: str = "",
+        propose: bool = False,
+    ) -> str:
+        """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
+        ``step_text`` gave; returns its id. ``place`` are stations and the type of labware that was put
+        there for it, with what it is (``{"sealed": True}``), recorded with the run or not at all. The same
+        ``request`` twice is one run. With ``propose`` it waits for an approval, whatever the policy says."""
+        answer = self._submit_run(
+            workflow_text(workflow, payload),
+            user,
+            payload=payload,
+            workcell=workcell,
+            priority=priority,
+            experiment=experiment,
+            place=puts_of(place),
+            propose=propose,
+            request=request,
+        )
+        self.warnings = [_remark(finding) for finding in answer.get("warnings", ())]
+        self._note_approval(answer)
+        return str(answer["run"])
+
+    def check(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
+        """What a run of a workflow would be: its ``steps``, its ``demand``, why it would wait for an
+        ``approval`` or be refused (``refusal``). Nothing is submitted. Options are those of ``submit``, and
+        ``payload``. Raises as ``submit``."""
+        payload = options.pop("payload", None) or {}
+        place = puts_of(options.pop("place", ()))
+        return self._check_run(workflow_text(workflow, payload), payload=payload, place=place, **options)
+
+    def _note_approval(self, answer: Mapping[str, Any]) -> None:
+        self.approval = str(answer.get("approval", ""))
+        self.warnings += [self.approval] if self.approval else []
+
+    def do(self, module: str, action: str, args: Mapping[str, Any] | None = None, **options: Any) -> str:
+        """Queue one action on one module, as a run of its own; returns the run's id. Options are
+        those of ``submit``."""
+        workcell = options.pop("workcell", "") or module.rpartition("/")[0]
+        return self.submit(step_text(module, action, args or {}), workcell=workcell, **options)
+
+    def submit_all(
+        self,
+        workflow: str | Path | Mapping[str, Any],
+        payloads: Iterable[Mapping[str, Any]],
+        *,
+        user: str,
+        request: str = "",
+        **options: Any,
+    ) -> list[str]:
+        """Queue one run of a workflow for each payload, in order; returns their ids. Options are those of
+        ``submit``. The same ``request`` twice are the same runs, so that a call that broke off in the middle
+        can be repeated. ``warnings`` of the client are those of all of them."""
+        request = request or self._ids.new()
+        warnings: list[str] = []
+        found = []
+        for number, payload in enumerate(payloads):
+            found.append(self.submit(workflow, payload, user=user, request=f"{request}-{number}", **options))
+            warnings += self.warnings
+        self.warnings = list(dict.fromkeys(warnings))
+        return found
+
+    def as_completed(self, runs: Iterable[str], *, timeout_s: float | None = None) -> Iterator[RunResult]:
+        """Runs in the order in which they end; those that have ended come first. One question waits for all
+        of them. Raises NotFound, and TimeoutError if some have not ended in time."""
+        waiting = set(runs)
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        after, is_known = 0, False
+        while waiting:
+            left_s = LONG_POLL_S if deadline is None else min(deadline - time.monotonic(), LONG_POLL_S)
+            if left_s <= 0 and is_known:
+                raise TimeoutError(f"{len(waiting)} runs have not ended.")
+            page = self._get(
+                "/events",
+                after=after,
+                wait=left_s if is_known else 0.0,
+                type=list(RUN_ENDS),
+                stream=sorted(waiting) if len(waiting) <= MOST_STREAMS else [],
+            )
+            ended = [event["stream"] for event in page["events"] if event["stream"] in waiting]
+            if not page["events"] and not is_known:
+                is_known = True  # what has ended was found: all others are alive, or were never there
+                ended = [run for run in sorted(waiting - self._alive()) if self.status(run).over]
+            after = max(page["position"], after)
+            waiting -= set(ended)
+            for run in ended:
+                yield self.status(run)
+
+    def _alive(self) -> set[str]:
+        """The runs that have not ended."""
+        found: set[str] = set()
+        page: dict[str, Any] = {"more": True, "position": 0}
+        while page["more"]:
+            page = self.runs(page["position"])
+            found |= {str(run["id"]) for run in page["runs"]}
+        return found
+
+    def wait(self, run: str, *, timeout_s: float | None = None, progress: Progress = False) -> RunResult:
+        """The run at its end, or as it is when the time is over. With ``progress``, a bar on standard error
+        or in the notebook shows how far it is, and how long it may take; nothing is shown where that is
+        neither a terminal nor a notebook. ``"auto"`` takes the bar away at the end."""
+        return self._wait(run, timeout_s, progress, {})
+
+    def _wait(
+        self, run: str, timeout_s: float | None, progress: Progress, planned_s: Mapping[str, float]
+    ) -> RunResult:
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        with shown(progress, planned_s) as show:
+            while True:
+                left_s = LONG_POLL_S if deadline is None else max(deadline - time.monotonic(), 0.0)
+                result = self.status(run, wait_s=min(left_s, SHOWN_S if show else LONG_POLL_S))
+                if show is not None:
+                    show(result)
+                if result.over or left_s <= 0:
+                    return result
+
+    def run(
+        self,
+        workflow: str | Path | Mapping[str, Any],
+        payload: Mapping[str, Any] | None = None,
+        *,
+        progress: Progress = False,
+        **options: Any,
+    ) -> RunResult:
+        """``submit``, then ``wait``."""
+        planned_s: dict[str, float] = {}
+        if can_show(progress):
+            asked = {name: value for name, value in options.items() if name != "request"}
+            plan = self.check(workflow, payload=payload, **asked)
+            planned_s = {step["key"]: step["duration_s"] for step in plan["steps"]}
+        return self._wait(self.submit(workflow, payload, **options), None, progress, planned_s)
+
+    def control(
+        self, verb: str, target: str, by: str, *, why: str = "", stay: bool = False
+    ) -> dict[str, Any]:
+        """``pause``, ``resume`` or ``cancel`` a run, an experiment, a module, a workcell or the ``lab``.
+        Returns what was meant (``kind``, ``target``) and which ``runs`` were cancelled."""
+        verbs = {"pause": self._pause_target, "resume": self._resume_target, "cancel": self._cancel_target}
+        if verb not in verbs:
+            raise BadInput(f"{verb!r} is not one of {', '.join(verbs)}.")
+        return verbs[verb](target, by, why=why, stay=stay)
+
+    def reset(self, module: str, by: str = "somebody") -> RunResult:
+        """Bring a module out of its error, and wait for it."""
+        return self.wait(self.do(module, "reset", user=by))
+
+
+def puts_of(place: Sequence[Put | Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What is put where, as the lab reads it."""
+    names = ("station", "labware", "variables")
+    return [dict(p) if isinstance(p, Mapping) else dict(zip(names, p, strict=False)) for p in place]
+
+
+def _remark(finding: Mapping[str, Any]) -> str:
+    fields = ("message", "file", "line", "column", "field", "remedy")
+    message, *place = (finding[name] for name in fields)
+    return str(errors.SpecError(message, **dict(zip(fields[1:], place, strict=True))))

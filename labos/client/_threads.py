@@ -1,0 +1,109 @@
+"""Calls of the client in threads, for programs that work with asyncio."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import contextvars
+import itertools
+import threading
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractContextManager, asynccontextmanager
+from typing import Any, ParamSpec, TypeVar, cast
+
+from labos.client._answers import LabUnreachable
+from labos.client._calls import GIVEN_UP
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+MOST_CALLS, MOST_WAITS = 16, 256
+"""So many calls at once that are answered soon, and so many that may wait for a long time; others queue."""
+
+
+class Threads:
+    """Runs calls, each in a thread of its own, as many at once as there is room for: one that waits keeps no
+    other from its turn. A call that is cancelled is given up at once; its thread ends after the question that
+    it is asking, and asks no other."""
+
+    def __init__(self) -> None:
+        self._calls, self._waits = asyncio.Semaphore(MOST_CALLS), asyncio.Semaphore(MOST_WAITS)
+        self._running: dict[asyncio.Future[Any], threading.Event] = {}
+
+    def give_up(self) -> None:
+        """Nobody waits any more for the calls that are under way: who does is told."""
+        for done, given_up in self._running.items():
+            given_up.set()
+            if not done.done():
+                done.set_exception(LabUnreachable("The client was closed while it waited for the lab."))
+
+    async def call(self, function: Callable[P, T], /, *args: P.args, **options: P.kwargs) -> T:
+        """What a call returns that is answered soon."""
+        async with self._calls:
+            return await self._in_thread(lambda: function(*args, **options))
+
+    async def wait(self, function: Callable[P, T], /, *args: P.args, **options: P.kwargs) -> T:
+        """What a call returns that may wait."""
+        async with self._waits:
+            return await self._in_thread(lambda: function(*args, **options))
+
+    async def iterate(self, iterator: Iterator[T]) -> AsyncIterator[T]:
+        """Each item as it comes."""
+        while page := await self.wait(_next, iterator):
+            yield page[0]
+
+    async def iterate_pages(self, pages: Iterator[list[T]]) -> AsyncIterator[T]:
+        """Each item of pages as they come."""
+        async for page in self.iterate(pages):
+            for item in page:
+                yield item
+
+    @asynccontextmanager
+    async def block(self, manager: AbstractContextManager[T]) -> AsyncIterator[T]:
+        """A block whose beginning and end are calls."""
+        found = await self.wait(manager.__enter__)
+        try:
+            yield found
+        except BaseException as error:
+            if not await self.wait(manager.__exit__, type(error), error, error.__traceback__):
+                raise
+        else:
+            await self.wait(manager.__exit__, None, None, None)
+
+    async def _in_thread(self, work: Callable[[], T]) -> T:
+        loop = asyncio.get_running_loop()
+        done: asyncio.Future[T] = loop.create_future()
+        given_up = self._running[done] = threading.Event()
+        context = contextvars.copy_context()
+        context.run(GIVEN_UP.set, given_up)
+
+        def settle(value: T | None, error: BaseException | None) -> None:
+            if done.done():
+                return
+            if error is not None:
+                done.set_exception(error)
+            else:
+                done.set_result(cast(T, value))
+
+        def carry_out() -> None:
+            value, raised = None, None
+            try:
+                value = context.run(work)
+            except BaseException as error:  # whoever waits raises it
+                raised = error
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits
+                loop.call_soon_threadsafe(settle, value, raised)
+
+        threading.Thread(target=carry_out, name="lab-call", daemon=True).start()
+        try:
+            return await done
+        except asyncio.CancelledError:
+            given_up.set()
+            raise
+        finally:
+            del self._running[done]
+
+
+def _next(iterator: Iterator[T]) -> list[T]:
+    """The next item; an empty list if there is none."""
+    return list(itertools.islice(iterator, 1))

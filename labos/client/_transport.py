@@ -1,0 +1,173 @@
+"""How a client asks: over HTTP, until somebody answers."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import msgspec
+
+from labos.client._answers import LabUnreachable, answer_of, cannot_write, problem_in
+from labos.client._calls import LONG_POLL_S, Calls, check_given_up, plain
+from labos.client._token import find_token, place_of, trusted_by
+from labos.clock import Uuid7Ids
+from labos.settings import Settings, find_kernel
+
+if TYPE_CHECKING:
+    import httpx
+
+API = "/api/v1"
+
+IN_DOUBT = ("commit_in_doubt", "kernel_away")
+"""What was asked may have been done: only what may be done twice is repeated."""
+
+NEVER_S = 3.0
+"""How long to wait for a lab in a folder in which none has ever run."""
+
+
+class Transport(Calls):
+    """Where a lab is, what is shown to it, and how often it is asked."""
+
+    def __init__(
+        self,
+        url: str = "",
+        *,
+        home: str | Path | None = None,
+        patience_s: float = 30.0,
+        token: str = "",
+        behalf: str = "",
+    ) -> None:
+        self._home = None if url else Settings.of(home).home
+        self._url = url.rstrip("/")
+        self._patience_s = patience_s
+        self._token, self._behalf = token, behalf
+        self._http = self._open_http()
+        self._ids = Uuid7Ids()
+        self.warnings: list[str] = []
+        """What the lab remarked on the last submission, one sentence each, with its place."""
+        self.approval = ""
+        """Why the last submission waits for an approval; empty if it does not."""
+
+    def _open_http(self) -> httpx.Client:
+        import httpx
+
+        timeout = httpx.Timeout(LONG_POLL_S + 40.0, connect=5.0)
+        limits = httpx.Limits(max_connections=None, max_keepalive_connections=20)
+        return httpx.Client(timeout=timeout, limits=limits, verify=trusted_by(self._home) or True)
+
+    @property
+    def token_place(self) -> str:
+        """How this lab is called in the file of tokens: its folder, or its address."""
+        return place_of(self._url, self._home)
+
+    def close(self) -> None:
+        self._http.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _get(self, path: str, **params: Any) -> dict[str, Any]:
+        return self._ask("GET", path, params=params, repeat=True)
+
+    def _fetch(self, path: str, **params: Any) -> bytes:
+        response = self._request("GET", path, repeat=True, params=params)
+        if response.status_code >= 400:
+            answer_of(response.status_code, response.content)
+        return bytes(response.content)
+
+    def _post(
+        self,
+        path: str,
+        body: Any,
+        *,
+        request: str = "",
+        user: str = "",
+        repeat: bool = False,
+        timeout_s: float | None = None,
+    ) -> dict[str, Any]:
+        headers = {"content-type": "application/json"}
+        if request:
+            headers["idempotency-key"] = request
+        if user:
+            headers["labos-user"] = user
+        return self._ask(
+            "POST",
+            path,
+            content=msgspec.json.encode(body, enc_hook=plain),
+            headers=headers,
+            repeat=repeat or bool(request),
+            **({"timeout": timeout_s} if timeout_s else {}),
+        )
+
+    def _ask(self, method: str, path: str, *, repeat: bool, **options: Any) -> dict[str, Any]:
+        """As ``_request``, what the lab said. Raises the error that it told of."""
+        response = self._request(method, path, repeat=repeat, **options)
+        return answer_of(response.status_code, response.content)
+
+    def _request(self, method: str, path: str, *, repeat: bool, **options: Any) -> httpx.Response:
+        """Ask until somebody answers. What may not be done twice is repeated only if it
+        cannot have arrived."""
+        import httpx
+
+        deadline = time.monotonic() + self._patience()
+        pause = 0.05
+        own = options.pop("headers", {})
+        while True:
+            check_given_up()
+            asked = time.monotonic()
+            try:
+                base = self._base()
+                headers = {**own, **self._shown(base)}
+                response = self._http.request(method, base + API + path, headers=headers, **options)
+            except (httpx.ConnectError, httpx.ConnectTimeout) as error:
+                why: Exception = error
+            except httpx.TransportError as error:
+                if not repeat:
+                    raise LabUnreachable(
+                        f"The lab broke off while it was asked ({type(error).__name__}); whether it was done "
+                        "is not known.",
+                        remedy="Look with `labos log`.",
+                    ) from error
+                why = error
+                # It was there until now, as in a long question: only its silence tries the patience.
+                deadline += time.monotonic() - asked
+            except LabUnreachable as error:
+                why = error
+            else:
+                if response.status_code != 503 or time.monotonic() > deadline:
+                    return response
+                if not repeat and problem_in(response.content).code in IN_DOUBT:
+                    return response
+                why = cannot_write(response.content)
+            if time.monotonic() + pause > deadline:
+                if isinstance(why, LabUnreachable):
+                    raise why
+                raise LabUnreachable(
+                    f"No lab answers at {self._url} ({why}).", remedy="Start it with `labos up`."
+                ) from why
+            time.sleep(pause)
+            pause = min(pause * 2, 1.0)
+
+    def _shown(self, base: str) -> dict[str, str]:
+        """The headers that say who asks. Raises BadInput for a file of tokens that others can read."""
+        token = self._token or find_token(base, self._home)
+        shown = {"authorization": f"Bearer {token}"} if token else {}
+        return shown | ({"labos-on-behalf-of": self._behalf} if self._behalf else {})
+
+    def _patience(self) -> float:
+        """How long to ask a lab that does not answer: not for long where there never was one."""
+        never = self._home is not None and not (self._home / "kernel.json").exists()
+        return min(self._patience_s, NEVER_S) if never else self._patience_s
+
+    def _base(self) -> str:
+        """Where the lab is now: a restarted one may have another address."""
+        if self._home is not None:
+            found = find_kernel(self._home)
+            if found is None:
+                raise LabUnreachable(f"No lab runs in {self._home}.", remedy="Start it with `labos up`.")
+            self._url = found.url
+        return self._url

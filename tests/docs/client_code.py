@@ -1,0 +1,319 @@
+"""Writes the methods of the client from the operations of the API: ``python -m tests.docs.client_code``.
+
+A test compares each file with what would be written now.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import textwrap
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import msgspec
+from msgspec import NODEFAULT
+
+from labos.http import limits, routes
+from labos.http.method import Method
+from labos.http.operation import JSON, Operation
+from labos.http.problems import PROBLEMS
+from tests.docs import client_twin
+from tests.docs.markdown import ROOT
+
+FOLDER = ROOT / "labos" / "client" / "_generated"
+WIDTH = 106
+
+MODULES = ("lab", "accounts", "log", "planning", "runs", "campaigns", "approvals", "modules", "bookings")
+MODULES += ("bench", "people")
+
+DISTINCT = ("not_found", "refused", "forbidden", "spec_errors", "log_damaged")
+"""Problems that a caller tells apart; those that may come with each request are said once."""
+
+
+class Field(NamedTuple):
+    """Something that a request says, and what the method calls it."""
+
+    parameter: str
+    sent: str
+    type: str
+    default: str | None
+    place: Literal["path", "query", "body", "user", "request"]
+    is_empty_table: bool = False  # if it is left out
+
+    @property
+    def declared(self) -> str:
+        return f"{self.parameter}: {self.type}" + (f" = {self.default}" if self.default is not None else "")
+
+    @property
+    def value(self) -> str:
+        """What of it is sent."""
+        if self.type == "bool" and self.place == "query":
+            return f"int({self.parameter})"
+        if self.is_empty_table:
+            return f"{self.parameter} or {{}}"
+        return self.parameter
+
+
+# -- types ---------------------------------------------------------------------------------------
+
+
+def asked_type(kind: Any) -> str:
+    """The type of what a caller gives."""
+    return _type(kind, {list: "Sequence", tuple: "Sequence", dict: "Mapping"}, "Mapping[str, Any]")
+
+
+def told_type(kind: Any) -> str:
+    """The type of what is answered, as JSON has it."""
+    return _type(kind, {list: "list", tuple: "list", dict: "dict"}, "dict[str, Any]")
+
+
+def _type(kind: Any, containers: Mapping[type, str], struct: str) -> str:
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        return _type(inner[0], containers, struct)
+    if origin in (types.UnionType, typing.Union):
+        return " | ".join(dict.fromkeys(_type(each, containers, struct) for each in inner))
+    if origin is Literal:
+        return "str"  # programs have them in variables; the lab says which there are
+    if (base := origin or kind) in containers:
+        inner = tuple(each for each in inner if each is not Ellipsis) or (Any,)
+        shown = [_type(each, containers, struct) for each in inner]
+        if base is tuple and len(set(shown)) > 1:
+            shown = ["Any"]
+        return f"{containers[base]}[{', '.join(shown if base is dict else shown[:1])}]"
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return struct
+    if kind in (str, int, float, bool, bytes):
+        return str(kind.__name__)
+    if kind is type(None):
+        return "None"
+    return "str" if isinstance(kind, typing.NewType) else "Any"
+
+
+# -- parameters ----------------------------------------------------------------------------------
+
+
+def fields_of(operation: Operation) -> Iterator[Field]:
+    """All that a caller may say, in the order of the declaration."""
+    shape, method = operation.shape, operation.client
+    places: tuple[tuple[Literal["path", "query", "body"], Any], ...]
+    places = (("path", shape.path), ("query", shape.query), ("body", shape.body))
+    for place, struct in places:
+        for field in msgspec.structs.fields(struct) if struct is not None else ():
+            name = field.encode_name
+            if name in method.fixed or name in method.without:
+                continue
+            kind, default = asked_type(field.type), _default(field)
+            if place == "body" and field.type == limits.Asker:
+                default = None  # who asks is always said
+            if default == "None" and "None" not in kind.split(" | ") and kind != "Any":
+                kind += " | None"
+            yield Field(name, name, kind, default, place, field.default_factory is dict)
+    if "LabOS-User" in operation.headers:
+        yield Field("user", "user", "str", "''", "user")
+    if method.key == "given":
+        yield Field("request", "request", "str", "''", "request")
+
+
+def _default(field: Any) -> str | None:
+    if field.default is not NODEFAULT:
+        return repr(field.default)
+    if field.default_factory is NODEFAULT:
+        return None
+    return "()" if field.default_factory() in ([], ()) else "None"
+
+
+def parameters(operation: Operation) -> tuple[list[Field], list[Field]]:
+    """Those that may be told by their place, and those that are told by name."""
+    found = {field.sent: field for field in fields_of(operation)}
+    chosen = [_named(part.strip(), found) for part in operation.client.positional.split(",") if part.strip()]
+    if not chosen:
+        chosen = [field for field in found.values() if field.place == "path"]
+        chosen += [field for field in found.values() if field.place == "body" and field.default is None]
+        chosen.sort(key=lambda field: field.sent == "by")
+    last = max((at for at, field in enumerate(chosen) if field.default is None), default=-1)
+    chosen = [field._replace(default=None) if at < last else field for at, field in enumerate(chosen)]
+    taken = {field.sent for field in chosen}
+    return chosen, [field for field in found.values() if field.sent not in taken]
+
+
+def _named(part: str, found: Mapping[str, Field]) -> Field:
+    name, _, value = part.partition("=")
+    if value.startswith(("'", '"')):
+        return found[name]._replace(default=value)
+    return found[value or name]._replace(parameter=name)
+
+
+# -- methods -------------------------------------------------------------------------------------
+
+
+def method_of(operation: Operation) -> str:
+    """The source of the method that calls an operation."""
+    method = operation.client
+    first, named = parameters(operation)
+    signature = ["self", *(field.declared for field in first)]
+    if named:
+        signature += ["*", *(field.declared for field in named)]
+    result, body = _calling(operation, [*first, *named])
+    lines = [f"def {method.name}({', '.join(signature)}) -> {result}:", *_docstring(operation), *body]
+    return "\n".join([lines[0], *(f"    {line}" if line else "" for line in lines[1:])])
+
+
+def _calling(operation: Operation, fields: Sequence[Field]) -> tuple[str, list[str]]:
+    method = operation.client
+    path = re.sub(r"\{(\w+)\}", r"{in_path(\1)}", operation.path)
+    asked = [f'f"{path}"' if "{" in path else f'"{path}"']
+    said = {field.sent: field.value for field in fields if field.place in ("query", "body")}
+    said |= {name: repr(value) for name, value in method.fixed.items()}
+    if operation.method == "GET":
+        asked += [f"{name}={value}" for name, value in said.items()]
+        ask = "_fetch" if operation.media != (JSON,) else "_get"
+    else:
+        asked.append("{" + ", ".join(f'"{name}": {value}' for name, value in said.items()) + "}")
+        asked += _options(method, fields)
+        ask = "_post"
+    call = f"self.{ask}({', '.join(asked)})"
+    if ask == "_fetch":
+        return "bytes", [f"return {call}"]
+    if method.take is None:
+        return "None", [call]
+    if not method.take:
+        return "dict[str, Any]", [f"return {call}"]
+    kind = {f.encode_name: f.type for f in msgspec.structs.fields(operation.shape.answer)}[method.take]
+    result = told_type(kind)
+    return result, [f'found: {result} = {call}["{method.take}"]', "return found"]
+
+
+def _options(method: Method, fields: Sequence[Field]) -> Iterator[str]:
+    if method.key:
+        yield "request=" + ("request or self._ids.new()" if method.key == "given" else "self._ids.new()")
+    if any(field.place == "user" for field in fields):
+        yield "user=user"
+    if method.repeat:
+        yield "repeat=True"
+    if method.timeout_s is not None:
+        yield f"timeout_s={method.timeout_s}"
+
+
+def _docstring(operation: Operation) -> Iterator[str]:
+    said = " ".join((operation.handler.__doc__ or "").split()).replace("`", "``")
+    text = [
+        f"{operation.summary}.",
+        said,
+        _about_parameters(operation),
+        _answer(operation),
+        _raises(operation),
+    ]
+    whole = " ".join(part for part in text if part)
+    lines = textwrap.wrap(f'"""{whole}"""', WIDTH - 4, break_long_words=False, break_on_hyphens=False)
+    yield from lines
+
+
+def _about_parameters(operation: Operation) -> str:
+    """What the declaration says of what a caller may say by name."""
+    found = []
+    words = {
+        field.encode_name: meta.description
+        for struct in (operation.shape.query, operation.shape.body)
+        if struct is not None
+        for field in msgspec.structs.fields(struct)
+        for meta in getattr(field.type, "__metadata__", ())
+        if isinstance(meta, msgspec.Meta) and meta.description
+    }
+    first, named = parameters(operation)
+    for field in (*first, *named):
+        if field.place in ("query", "body") and field.sent != "by" and field.sent in words:
+            found.append(f"``{field.parameter}``: {words[field.sent].replace('`', '``')}.")
+    return " ".join(found)
+
+
+def _answer(operation: Operation) -> str:
+    method, answer = operation.client, operation.shape.answer
+    if method.take is None or operation.media != (JSON,):
+        return ""
+    if method.take:
+        return f"Returns the {method.take}." if not method.name.endswith(method.take) else ""
+    names = [f"``{name}``" for name in answer.__struct_encode_fields__]
+    return f"Returns {', '.join(names)}." if names else ""
+
+
+def _raises(operation: Operation) -> str:
+    codes = [code for code in DISTINCT if code in operation.problems and code in PROBLEMS]
+    names = ["BadInput" if code == "spec_errors" else code.title().replace("_", "") for code in codes]
+    return f"Raises {', '.join(names)}." if names else ""
+
+
+# -- files ---------------------------------------------------------------------------------------
+
+
+def files() -> dict[Path, str]:
+    """Every generated file with its text."""
+    modules = {name: tuple(getattr(routes, name).OPERATIONS) for name in MODULES}
+    assert sum(map(len, modules.values())) == len(routes.OPERATIONS)
+    texts = {FOLDER / f"{name}.py": _module(name, found) for name, found in modules.items()}
+    texts = {path: text for path, text in texts.items() if text}
+    texts[FOLDER / "__init__.py"] = _all([path.stem for path in texts])
+    texts |= client_twin.files()
+    return {path: _formatted(text, path) for path, text in texts.items()}
+
+
+def _module(name: str, operations: Sequence[Operation]) -> str:
+    methods = [method_of(operation) for operation in operations if not operation.client.by_hand]
+    if not methods:
+        return ""
+    body = "\n\n".join(textwrap.indent(method, "    ") for method in methods)
+    abc = [n for n in ("Mapping", "Sequence") if re.search(rf"\b{n}\[", body)]
+    imports = ["from __future__ import annotations", ""]
+    if abc:
+        imports += [f"from collections.abc import {', '.join(abc)}"]
+    imports += ["from typing import Any"] if re.search(r"\bAny\b", body) else []
+    helpers = ["Calls"] + (["in_path"] if "in_path(" in body else [])
+    imports += ["", f"from labos.client._calls import {', '.join(helpers)}"]
+    words = f"The operations of labos/http/routes/{name}.py; written by tests/docs/client_code.py."
+    head = f'"""{words}"""\n\n' + "\n".join(imports)
+    return f'{head}\n\n\nclass {_class(name)}(Calls):\n    """One method for each operation."""\n\n{body}\n'
+
+
+def _class(name: str) -> str:
+    return f"Generated{name.title()}"
+
+
+def _all(names: Sequence[str]) -> str:
+    package = "labos.client._generated"
+    imports = "\n".join(f"from {package}.{name} import {_class(name)}" for name in sorted(names))
+    bases = ", ".join(_class(name) for name in names)
+    return (
+        '"""The operations of the API as methods of the client: written by tests/docs/client_code.py."""\n\n'
+        f"from __future__ import annotations\n\n{imports}\n\n\n"
+        f'class GeneratedCalls({bases}):\n    """One method for each operation."""\n'
+    )
+
+
+def _formatted(text: str, path: Path) -> str:
+    ruff = Path(sys.executable).with_name("ruff")
+    for arguments in (["check", "--fix-only", "--quiet", "--select", "I,F401"], ["format", "--quiet"]):
+        done = subprocess.run(
+            [str(ruff), *arguments, "--stdin-filename", str(path), "-"],
+            input=text,
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        text = done.stdout
+    return text
+
+
+def main() -> None:
+    for path, text in files().items():
+        path.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
