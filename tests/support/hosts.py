@@ -60,15 +60,17 @@ class Host:
     def is_on(self) -> bool:
         return self._holder.poll() is None
 
-    def argv(self, *words: str | Path) -> list[str]:
+    def argv(self, *words: str | Path, within: Path | None = None) -> list[str]:
         """A command as it is started from outside so that it runs on the host."""
-        enter = ["nsenter", "-t", str(self.first), "-n", "-u", "-p", "-m", f"--wd={self.folder}", "--"]
+        enter = ["nsenter", "-t", str(self.first), "-n", "-u", "-p", "-m", f"--wd={within or self.folder}", "--"]
         return [*enter, "setpriv", "--pdeathsig", "KILL", *(str(word) for word in words)]
 
-    def run(self, *words: str | Path, check: bool = True, **options: Any) -> subprocess.CompletedProcess[str]:
-        """Run a command on the host to its end."""
+    def run(
+        self, *words: str | Path, check: bool = True, within: Path | None = None, **options: Any
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a command on the host to its end, in a folder (the host's own)."""
         chosen = {"capture_output": True, "text": True, "timeout": 120, "stdin": subprocess.DEVNULL, **options}
-        done: subprocess.CompletedProcess[str] = subprocess.run(self.argv(*words), check=False, **chosen)
+        done: subprocess.CompletedProcess[str] = subprocess.run(self.argv(*words, within=within), check=False, **chosen)
         if check and done.returncode:
             raise RuntimeError(f"{self.name}: {' '.join(map(str, words))}: {done.stdout}{done.stderr}")
         return done
@@ -247,7 +249,9 @@ def _hold(*, uts: bool = False, processes: bool = False) -> subprocess.Popen[byt
     if holder.stdout.readline() != b"\n":
         holder.kill()
         holder.wait()
+        holder.stdout.close()
         raise RuntimeError("unshare failed")
+    holder.stdout.close()
     return holder
 
 

@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -56,16 +57,17 @@ steps:
   - {name: Discard, module: pf400, action: transfer, args: {source: wc.parking, target: wc.trash}}
 """
 
-MOTIONS_OF_A_RUN = 3
+MOTIONS = {"grip": 3, "release": 2, "discard": 1}
+"""What the devices do in a run: the stacker and the arm take a plate three times, and let go of it three times."""
 
 
 class DatabaseOn(PostgresServer):
     """A database server on a host, which listens there; from outside it is reached by its socket, whatever is
     cut off."""
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: Host, superuser: str = "labos") -> None:
         super().__init__()
-        self._host, self.port = host, 5432
+        self._host, self.port, self._superuser = host, 5432, superuser
 
     @property
     def url_there(self) -> str:
@@ -79,11 +81,15 @@ class DatabaseOn(PostgresServer):
         self.folder = Path(self._host.folder / "pg")
         self.folder.mkdir()
         shutil.chown(self.folder, "postgres", "postgres")
-        self._run("initdb", "-D", self._data, "-A", "trust", "-U", "labos", "-E", "UTF8", "--no-sync")
+        self._run("initdb", "-D", self._data, "-A", "trust", "-U", self._superuser, "-E", "UTF8", "--no-sync")
+        self.start()
+
+    def make_lab(self) -> None:
+        """A database for a lab, which any host may use without a password."""
         with Path(self._data, "pg_hba.conf").open("a") as rules:
             rules.write("host all all 10.77.0.0/24 trust\n")
-        self.start()
-        self._run("createdb", "-h", str(self.folder), "-U", "labos", "lab")
+        self.restart()
+        self._run("createdb", "-h", str(self.folder), "-U", self._superuser, "lab")
 
     def start(self) -> None:
         options = f"-p {self.port} -k {self.folder} -h 0.0.0.0"
@@ -116,6 +122,10 @@ class Spread:
         self.bus = f"tls/{hosts['r'].address}:7447"
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         self.runs: list[str] = []
+        self.restarted: list[str] = []
+        self._told: dict[str, tuple[str, ...]] = {}
+        self._closing = threading.Event()
+        self._manager = threading.Thread(target=self._keep_running, daemon=True)
         self._workflows = [self._workflow(number) for number in (1, 2, 3)]
 
     def open(self) -> None:
@@ -126,11 +136,12 @@ class Spread:
         cell = k1.folder / "rpl.yaml"
         cell.write_text(CELL)
         self.database.open()
+        self.database.make_lab()
         self._labos(k1, "pki", "init", "--home", str(k1.folder / "lab"))
         self._issue("r", "bus", "bus", "--address", r.address)
         self.start("r", "bus", "--listen", self.bus, "--cert", "bus")
         until(lambda: "The bus runs" in r.said(), "the bus runs")
-        self.start("k1", "up", str(cell), "--simulate", "--speed", str(self.speed))
+        self.start("k1", "up", str(cell), *self.simulating, "--or-standby")
         until(lambda: "kernel" in self._members(), "the kernel has a certificate")
         self._carry_members()
         until(lambda: "The lab " in k1.said(), "the kernel runs")
@@ -141,24 +152,35 @@ class Spread:
             self._issue(name, "node", "node", f"rpl/{module}")
         self._issue("a1", "api", "api", "web")
         self._carry_members()
-        self.start("k2", *self.standing_by)
+        self.start("k2", "up", *self.simulating, "--or-standby", "--cert", "kernel")
         for name in NODES:
             self.start_node(name)
-        self.start("a1", *self.serving)
+        self.start("a1", "api", "--process", "web", "--cert", "api", "--http-port", "8721")
         until(lambda: "Standing by" in self.hosts["k2"].said(), "the standby stands by")
         until(lambda: "serves the lab" in self.hosts["a1"].said(), "the API process serves")
+        self._manager.start()
 
     @property
-    def standing_by(self) -> tuple[str, ...]:
-        return ("up", "--standby", "--cert", "kernel")
+    def simulating(self) -> tuple[str, ...]:
+        return ("--simulate", "--speed", str(self.speed))
 
-    @property
-    def serving(self) -> tuple[str, ...]:
-        return ("api", "--process", "web", "--cert", "api", "--http-port", "8721")
+    def close(self) -> None:
+        """Nothing is started again from now on."""
+        self._closing.set()
+        self._manager.join()
+
+    def _keep_running(self) -> None:
+        """What has ended is started again after 2 s, as systemd does by the units in deploy/."""
+        while not self._closing.wait(2.0):
+            for name, process in list(self.running.items()):
+                if process.poll() is not None:
+                    self.restarted.append(name)
+                    self.start(name, *self._told[name])
 
     def start(self, name: str, *words: str) -> None:
         """Start a part of LabOS on its host."""
         host = self.hosts[name]
+        self._told[name] = words
         more = ["--home", str(host.folder / "lab")]
         environment = {"LABOS_DATABASE_URL": self.database.url_there, "PYTHONPATH": str(Path(__file__).parents[2])}
         if words[0] == "up":
@@ -259,7 +281,7 @@ class Spread:
         """What the simulated devices did, by their own account."""
         world = World(str(self.bench / "rpl.db"))
         try:
-            return [motion for verb in ("move",) for motion in world.motions(verb)]
+            return [motion for verb in MOTIONS for motion in world.motions(verb)]
         finally:
             world.close()
 
@@ -271,6 +293,22 @@ class Spread:
             return differences(world, state, records)
         finally:
             world.close()
+
+    def standing_by(self) -> list[str]:
+        """Who stands by, as the database has it."""
+        store = open_store(self.database.url_here, create=False, read_only=True)
+        try:
+            return store.standbys()
+        finally:
+            store.close()
+
+    def active(self) -> str:
+        """The host of the kernel, as the database has it."""
+        store = open_store(self.database.url_here, create=False, read_only=True)
+        try:
+            return store.holder().owner.rpartition(" ")[2]
+        finally:
+            store.close()
 
     def asked_twice(self) -> list[str]:
         """Attempts that were asked for more than once in the log."""
