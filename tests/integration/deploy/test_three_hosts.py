@@ -49,7 +49,7 @@ def parts() -> list[Part]:
     for line in re.split(r"(?m)(^```\n.*?^```$)", PAGE.read_text(), flags=re.DOTALL | re.MULTILINE):
         if not line.startswith("```"):
             heading = (re.findall(r"^## (.*)$", line, re.MULTILINE) or [heading])[-1]
-            if named := re.findall(r"[Oo]n [^.`\n]*`(db|k1|k2)`[^.\n]*:", line):
+            if named := re.findall(r"[Oo]n [^`\n]*`(db|k1|k2)`:", line):
                 hosts = (named[-1],)
             elif "On all three" in line:
                 hosts = ("db", "k1", "k2")
@@ -78,7 +78,7 @@ class Site:
         program.mkdir(parents=True)
         version = program.parent / "version"
         version.write_text("")
-        starts = f'#!/bin/sh\nPYTHONPATH=$(cat {version}) exec {sys.executable} -m labos "$@"\n'
+        starts = f'#!/bin/sh\nPYTHONPATH=$(cat {version}) exec {sys.executable} -P -m labos "$@"\n'
         brings = f"#!/bin/sh\necho {self.newer} > {version}\n"
         for name, text in (("labos", starts), ("python", "#!/bin/sh\n"), ("pip", brings)):
             (program / name).write_text(text)
