@@ -101,6 +101,6 @@ def _wait(store: SqlEventStore, epoch: int, patience_s: float) -> float:
         )
     raise SystemFailed(
         f"The kernel has not left its lab within {patience_s:g} s: it goes on.",
-        remedy="Its log says why. Nodes that would end with it keep it: start it with --no-nodes (and the nodes "
-        "by themselves) or with --detach-nodes.",
+        remedy="Its log says why. Nodes that would end with it keep it: start it with --detach-nodes, or "
+        "with --no-nodes and the nodes by themselves.",
     )

@@ -1,8 +1,9 @@
-"""Several hosts on one machine: each has a network, processes, mounts and a name of its own, and can be cut off.
+"""Several hosts on one machine, each with network, processes, mounts and a name of its own, to be cut off.
 
 A host is a set of Linux namespaces that lives as long as one process in it, which dies with the test. Hosts
-meet at a bridge in a namespace of its own, so that nothing is changed in the network of the machine. A host that
-is cut off hears and says nothing: its packets are dropped, no connection is refused or reset, and nothing tells it.
+meet at a bridge in a namespace of its own, so that nothing is changed in the network of the machine. A host
+that is cut off hears and says nothing: its packets are dropped, no connection is refused or reset, and
+nothing tells it.
 
 Needs root, and a kernel that has namespaces and bridges (``why_not``).
 """
@@ -48,7 +49,7 @@ def why_not() -> str:
 
 
 class Host:
-    """One of them. ``folder`` is for its own files; ``/etc/labos`` and the like can be put there (``mount``)."""
+    """One of them. ``folder`` is for its own files; ``mount`` puts ``/etc/labos`` and the like there."""
 
     def __init__(self, name: str, address: str, folder: Path) -> None:
         self.name, self.address, self.folder = name, address, folder
@@ -62,15 +63,33 @@ class Host:
 
     def argv(self, *words: str | Path, within: Path | None = None) -> list[str]:
         """A command as it is started from outside so that it runs on the host."""
-        enter = ["nsenter", "-t", str(self.first), "-n", "-u", "-p", "-m", f"--wd={within or self.folder}", "--"]
+        enter = [
+            "nsenter",
+            "-t",
+            str(self.first),
+            "-n",
+            "-u",
+            "-p",
+            "-m",
+            f"--wd={within or self.folder}",
+            "--",
+        ]
         return [*enter, "setpriv", "--pdeathsig", "KILL", *(str(word) for word in words)]
 
     def run(
         self, *words: str | Path, check: bool = True, within: Path | None = None, **options: Any
     ) -> subprocess.CompletedProcess[str]:
         """Run a command on the host to its end, in a folder (the host's own)."""
-        chosen = {"capture_output": True, "text": True, "timeout": 120, "stdin": subprocess.DEVNULL, **options}
-        done: subprocess.CompletedProcess[str] = subprocess.run(self.argv(*words, within=within), check=False, **chosen)
+        chosen = {
+            "capture_output": True,
+            "text": True,
+            "timeout": 120,
+            "stdin": subprocess.DEVNULL,
+            **options,
+        }
+        done: subprocess.CompletedProcess[str] = subprocess.run(
+            self.argv(*words, within=within), check=False, **chosen
+        )
         if check and done.returncode:
             raise RuntimeError(f"{self.name}: {' '.join(map(str, words))}: {done.stdout}{done.stderr}")
         return done
@@ -215,8 +234,8 @@ class Hosts:
         host.run("hostname", name)
 
     def _introduce(self) -> None:
-        """Every host knows every name, and every hardware address, as a router in between would: a host that is
-        cut off is not reported as unreachable."""
+        """Every host knows every name, and every hardware address, as with a router in between: a host that
+        is cut off is not reported as unreachable."""
         names = "".join(f"{host.address} {host.name} {host.name}.example.org\n" for host in self)
         for host in self:
             host.give("/etc/hosts", f"127.0.0.1 localhost\n{names}")
@@ -244,7 +263,9 @@ def _hold(*, uts: bool = False, processes: bool = False) -> subprocess.Popen[byt
     own = ["--uts"] if uts else []
     own += ["--pid", "--mount", "--mount-proc"] if processes else []
     argv = ["setpriv", "--pdeathsig", "KILL", "unshare", "--net", *own, "--fork", "--kill-child"]
-    holder = subprocess.Popen([*argv, "sh", "-c", "echo; exec sleep infinity"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    holder = subprocess.Popen(
+        [*argv, "sh", "-c", "echo; exec sleep infinity"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
     assert holder.stdout is not None
     if holder.stdout.readline() != b"\n":
         holder.kill()
@@ -267,5 +288,3 @@ def _do(*words: str) -> None:
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=30)
     if done.returncode:
         raise RuntimeError(f"{' '.join(words)}: {done.stderr.strip()}")
-
-

@@ -22,5 +22,7 @@ def copy_as(version: str, to: Path) -> str:
     there = to / f"labos_sdl-{version}.dist-info"
     shutil.copytree(here, there)
     told = there / "METADATA"
-    told.write_text(re.sub(r"^Version: .*$", f"Version: {version}", told.read_text(), count=1, flags=re.MULTILINE))
+    told.write_text(
+        re.sub(r"^Version: .*$", f"Version: {version}", told.read_text(), count=1, flags=re.MULTILINE)
+    )
     return f"{to}:{to / 'drivers'}"

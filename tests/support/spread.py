@@ -1,7 +1,7 @@
 """A lab over seven hosts: database, kernel, standby, bus, two nodes, API process; the bus is a secure one.
 
-The bench is the same for all of them, as a bench is: its record of motions is a file that the simulated devices
-of both nodes' hosts write, and that nothing else knows.
+The bench is the same for all of them, as a bench is: its record of motions is a file that the simulated
+devices of both nodes' hosts write, and that nothing else knows.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from labos.client import LabClient
 from labos.core.actions import ActionRequested
@@ -58,7 +57,7 @@ steps:
 """
 
 MOTIONS = {"grip": 3, "release": 2, "discard": 1}
-"""What the devices do in a run: the stacker and the arm take a plate three times, and let go of it three times."""
+"""What the devices do in a run: they grip a plate three times, and let go of it three times, once for ever."""
 
 
 class DatabaseOn(PostgresServer):
@@ -100,8 +99,10 @@ class DatabaseOn(PostgresServer):
         words = ("setpriv", "--reuid=postgres", "--regid=postgres", "--clear-groups")
         done = subprocess.run(
             # Not the host's own way of starting: that would take the server along when `pg_ctl` ends.
-            ["nsenter", "-t", str(self._host.first), "-n", "-u", "-p", "-m", "--wd=/", "--"]
-            + [*words, str(self.binaries / program), *arguments],
+            [
+                *("nsenter", "-t", str(self._host.first), "-n", "-u", "-p", "-m", "--wd=/", "--"),
+                *(*words, str(self.binaries / program), *arguments),
+            ],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -182,14 +183,15 @@ class Spread:
         host = self.hosts[name]
         self._told[name] = words
         more = ["--home", str(host.folder / "lab")]
-        environment = {"LABOS_DATABASE_URL": self.database.url_there, "PYTHONPATH": str(Path(__file__).parents[2])}
+        environment = {
+            "LABOS_DATABASE_URL": self.database.url_there,
+            "PYTHONPATH": str(Path(__file__).parents[2]),
+        }
         if words[0] == "up":
             more += ["--bus", self.bus, "--no-nodes", "--secure", "--quiet"]
         elif words[0] == "api":
             more += ["--bus", self.bus]
-        self.running[name] = host.start(
-            sys.executable, "-m", "labos", *words, *more, environment=environment
-        )
+        self.running[name] = host.start(sys.executable, "-m", "labos", *words, *more, environment=environment)
 
     def start_node(self, name: str) -> None:
         words = ("node", "start", "--simulate", "--workcell", "rpl", "--name", NODES[name])

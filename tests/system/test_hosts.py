@@ -1,7 +1,8 @@
 """A lab over seven hosts, of which one or two at a time are cut off from the network without a word.
 
-Each host is a set of namespaces (tests/support/hosts.py). Afterwards the simulated devices' own account says that each
-plate was moved once for each step, the log agrees with the bench, and everybody has joined again by himself.
+Each host is a set of namespaces (tests/support/hosts.py). Afterwards the simulated devices' own account
+says that each plate was moved once for each step, the log agrees with the bench, and everybody has joined
+again by himself.
 """
 
 from __future__ import annotations

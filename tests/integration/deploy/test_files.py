@@ -177,7 +177,10 @@ def test_the_image_holds_what_the_package_is_built_of() -> None:
     assert {"labos", "drivers", "migrations", "specs", "pyproject.toml", "README.md", "LICENSE"} <= names
     assert [name for name in names if not (ROOT / name).exists()] == []
     built = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
-    assert {*built["packages"], *built["force-include"]} <= {*names, *(f"{name}/labos_drivers" for name in names)}
+    assert {*built["packages"], *built["force-include"]} <= {
+        *names,
+        *(f"{name}/labos_drivers" for name in names),
+    }
 
 
 def test_the_windows_service_starts_a_command_that_exists() -> None:

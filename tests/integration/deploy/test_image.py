@@ -1,8 +1,8 @@
 """The container image: built by podman from the Containerfile, and a lab that runs in it.
 
-Where no registry is reached its base is made of Debian packages by mmdebstrap. `podman run` needs cgroups that not
-every machine lets a test have: there the lab runs by `buildah run` with the isolation of a chroot, which is the image and
-its user, without limits or a network of its own.
+Where no registry is reached its base is made of Debian packages by mmdebstrap. `podman run` needs cgroups
+that not every machine lets a test have: the lab runs by `buildah run` with the isolation of a chroot, which
+is the image and its user, without limits or a network of its own.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -42,20 +43,32 @@ class Store:
         self.folder = folder
 
     def __call__(self, tool: str, *words: str | Path, timeout_s: float = 600.0) -> str:
-        where = ["--root", f"{self.folder}/root", "--runroot", f"{self.folder}/run", "--storage-driver", "vfs"]
+        where = [
+            "--root",
+            f"{self.folder}/root",
+            "--runroot",
+            f"{self.folder}/run",
+            "--storage-driver",
+            "vfs",
+        ]
         more = ["--cgroup-manager", "cgroupfs", "--events-backend", "file"] if tool == "podman" else []
         done = subprocess.run(
-            [tool, *where, *more, *map(str, words)], capture_output=True, text=True, timeout=timeout_s, check=False
+            [tool, *where, *more, *map(str, words)],
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
         )
         assert done.returncode == 0, f"{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
         return done.stdout.strip()
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    made = Store(tmp_path / "store")
-    yield made
-    made("podman", "rmi", "--all", "--force")
+def store() -> Iterator[Store]:
+    with tempfile.TemporaryDirectory(prefix="image-", dir="/tmp") as folder:  # podman wants a short path
+        made = Store(Path(folder))
+        yield made
+        made("podman", "rmi", "--all", "--force")
 
 
 def test_the_image_is_built_and_a_lab_runs_in_it(store: Store, tmp_path: Path) -> None:
@@ -68,8 +81,21 @@ def test_the_image_is_built_and_a_lab_runs_in_it(store: Store, tmp_path: Path) -
     told.write_text("[global]\ncert = /etc/ssl/machine.pem\n")
     store(
         *("podman", "build", "--isolation", "chroot", "--network", "host"),
-        *("-v", "/etc/ssl/certs/ca-certificates.crt:/etc/ssl/machine.pem:ro", "-v", f"{told}:/etc/pip.conf:ro"),
-        *("--build-arg", "BASE=localhost/base", "-f", ROOT / "deploy/compose/Containerfile", "-t", "labos", ROOT),
+        *(
+            "-v",
+            "/etc/ssl/certs/ca-certificates.crt:/etc/ssl/machine.pem:ro",
+            "-v",
+            f"{told}:/etc/pip.conf:ro",
+        ),
+        *(
+            "--build-arg",
+            "BASE=localhost/base",
+            "-f",
+            ROOT / "deploy/compose/Containerfile",
+            "-t",
+            "labos",
+            ROOT,
+        ),
     )
     container = store("buildah", "from", "localhost/labos")
     try:

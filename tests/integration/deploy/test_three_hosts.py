@@ -1,8 +1,9 @@
 """The page that installs a lab on three hosts: its commands are carried out, on three hosts.
 
-Hosts are sets of namespaces, with folders of their own where the page installs to. Commands that need systemd are done by
-stand-ins (tests/support/three_hosts) that start what the units in deploy/ say, with their environment files, but as root and
-without hardening. Not carried out: making the Python environment, and nginx.
+Hosts are sets of namespaces, with folders of their own where the page installs to. Commands that need
+systemd are done by stand-ins (tests/support/three_hosts) that start what the units in deploy/ say, with
+their environment files, but as root and without hardening. Not carried out: making the Python environment,
+and nginx.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -165,7 +167,7 @@ def test_the_page_installs_a_lab_and_upgrades_it(site: Site) -> None:
             until(lambda: f"{NEW} on k1" in site.standing_by(), "the newer version stands by on k1")
         if part.heading == "The kernel" and "members.json" in part.commands:
             members = site.hosts["k1"].folder / "root/var/lib/labos/lab/pki/members.json"
-            until(lambda: '"kernel"' in members.read_text(), "the kernel has its certificate")
+            until(partial(_names_kernel, members), "the kernel has its certificate")
         said = site.say(part)
         if part.heading == "On all three":
             site.take_workcell()
@@ -174,6 +176,10 @@ def test_the_page_installs_a_lab_and_upgrades_it(site: Site) -> None:
     epoch, owner = site.kernel()
     assert (epoch, owner.rpartition(" ")[2]) == (3, "k1")
     until(lambda: f"{NEW} on k2" in site.standing_by(), "k2 stands by again")
+
+
+def _names_kernel(members: Path) -> bool:
+    return '"kernel"' in members.read_text()
 
 
 def _reached(site: Site, heading: str) -> None:
