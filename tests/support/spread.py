@@ -57,7 +57,7 @@ steps:
 """
 
 MOTIONS = {"grip": 3, "release": 2, "discard": 1}
-"""What the devices do in a run: they grip a plate three times, and let go of it three times, once for ever."""
+"""What the devices do in a run: they grip a plate three times, and let go of it three times."""
 
 
 class DatabaseOn(PostgresServer):

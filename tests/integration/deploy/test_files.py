@@ -154,7 +154,7 @@ def test_logs_are_rotated(tmp_path: Path) -> None:
     logs = tmp_path / "lab" / "logs"
     logs.mkdir(parents=True)
     log = logs / "rpl.sealer.log"
-    text = (DEPLOY / "logrotate" / "labos").read_text().replace("/var/lib/labos", str(tmp_path))
+    text = (DEPLOY / "logrotate" / "labos-nodes").read_text().replace("/var/lib/labos", str(tmp_path))
     rules = tmp_path / "rules"
     rules.write_text(re.sub(r"^ *su .*$", "", text, flags=re.MULTILINE))
     rules.chmod(0o644)
