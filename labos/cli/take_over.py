@@ -22,7 +22,7 @@ POLL_S = 0.02
 
 @click.command("take-over", short_help="Let a standby take over while runs go on.")
 @click.option(
-    "--wait",
+    "--timeout",
     "wait_s",
     type=click.FloatRange(min=1.0),
     default=30.0,
