@@ -77,6 +77,7 @@ class Standby:
             else:
                 if self.follower.state.position and self._is_gone(found, now()):
                     _log.warning("kernel_gone", kernel=found.owner, position=self.follower.state.position)
+                    await asyncio.to_thread(self._store.stand_down)
                     return found.owner
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(end.wait(), POLL_S)

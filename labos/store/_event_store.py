@@ -109,6 +109,11 @@ class SqlEventStore(LogReader):
         with self._door:
             self._backend.stand_by(name)
 
+    def stand_down(self) -> None:
+        """Show no more that somebody stands by."""
+        with self._door:
+            self._backend.vacate()
+
     def standbys(self) -> list[str]:
         """Who stands by, and has shown so in the last seconds. Raises StoreUnavailable."""
         with self._door:

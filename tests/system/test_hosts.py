@@ -75,7 +75,15 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
     lab.finish()
     took = lab.epochs()[-1][1] - since
     ended = time.time() - mended
-    until(lambda: lab.standing_by(), f"somebody stands by again\n{lab.told()}", 40.0)
+    (other,) = {"k1", "k2"} - {lab.active()}
+    try:
+        until(
+            lambda: any(name.endswith(f" on {other}") for name in lab.standing_by()),
+            f"{other} stands by",
+            40.0,
+        )
+    except AssertionError as error:
+        raise AssertionError(f"{error}\n{lab.told()}") from None
     back = time.time() - mended
     if ACTIVE in parts and "db" not in parts:
         assert lab.epochs()[-1][0] == epoch + 1
