@@ -27,6 +27,7 @@ T = TypeVar("T")
 
 NET = "10.77.0"
 _CLONE_NEWNET = 0x40000000
+_FOLDERS = "labos-hosts-"
 _DROPPED, _FORWARDED = "0", "3"
 """States of a bridge's port: it drops all that comes and goes, or it passes it on."""
 
@@ -170,7 +171,8 @@ class Hosts:
     """Hosts by name, on one switch: 10.77.0.1 and so on, in the order of their names."""
 
     def __init__(self, *names: str) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="labos-hosts-", dir="/tmp"))
+        _sweep()
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{_FOLDERS}{os.getpid()}-", dir="/tmp"))
         self.folder.chmod(0o755)
         self._switch: subprocess.Popen[bytes] | None = None
         self._all: dict[str, Host] = {}
@@ -255,6 +257,14 @@ class Hosts:
     def _on_switch(self, *words: str) -> None:
         assert self._switch is not None
         _do("nsenter", "-t", str(_child(self._switch)), "-n", "--", *words)
+
+
+def _sweep() -> None:
+    """Folders of tests that were killed; their processes and networks are gone already."""
+    for folder in Path("/tmp").glob(f"{_FOLDERS}*-*"):
+        owner = folder.name.removeprefix(_FOLDERS).partition("-")[0]
+        if owner.isdigit() and not Path(f"/proc/{owner}").exists():
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _hold(*, uts: bool = False, processes: bool = False) -> subprocess.Popen[bytes]:

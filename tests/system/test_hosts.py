@@ -8,16 +8,21 @@ again by himself.
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 
 import pytest
 
+from tests.docs.markdown import ROOT
 from tests.support.hosts import Hosts, why_not
 from tests.support.lab_process import until
 from tests.support.postgres import find_binaries
+from tests.support.processes import running
 from tests.support.spread import HOSTS, MOTIONS, Spread
 
 TAKEN_OVER_S = 10.0
@@ -94,6 +99,31 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
         assert lab.epochs()[-1][0] - epoch <= 1
         over = "the kernel stayed; " if lab.epochs()[-1][0] == epoch else "another kernel; "
     return f"{over}all runs ended {ended:.1f} s, and somebody stands by {back:.1f} s after the cut was mended"
+
+
+MAKES = """
+import time
+from tests.support.hosts import Hosts
+
+hosts = Hosts("a", "b")
+started = hosts["a"].start("sleep", "1234")
+print(hosts["a"].first, hosts["b"].first, started.pid, flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(bool(why_not()), reason="there can be no hosts here")
+def test_hosts_end_with_a_test_that_is_killed() -> None:
+    with running([sys.executable, "-c", MAKES], stdout=subprocess.PIPE, text=True, cwd=ROOT) as test:
+        assert test.stdout is not None
+        made = [int(word) for word in test.stdout.readline().split()]
+        assert len(made) == 3
+        test.kill()
+        until(
+            lambda: not any(Path(f"/proc/{pid}/ns/net").exists() for pid in made), "all of it is gone", 10.0
+        )
+    Hosts().remove()
+    assert not list(Path("/tmp").glob(f"labos-hosts-{test.pid}-*"))
 
 
 @pytest.mark.slow
