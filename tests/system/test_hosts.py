@@ -27,7 +27,7 @@ from tests.support.spread import HOSTS, MOTIONS, Spread
 
 TAKEN_OVER_S = 10.0
 CUT_S = 14.0
-ACTIVE = "active"
+ACTIVE, STANDBY = "active", "standby"
 PARTS = ("n1", "r", "db", ACTIVE)
 """Whom a cut takes: the host of a node, the router, the database, the kernel that has the lab."""
 
@@ -64,7 +64,8 @@ def sound(lab: Spread) -> None:
 def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
     """Cut hosts off in the midst of work and mend the line; returns what came of it."""
     active, epoch = lab.active(), lab.epochs()[-1][0]
-    names = [active if part == ACTIVE else part for part in parts]
+    (other,) = {"k1", "k2"} - {active}
+    names = [{ACTIVE: active, STANDBY: other}.get(part, part) for part in parts]
     before = lab.done()
     lab.submit(3)
     until(lambda: lab.done() > before, "the lab is at work")
@@ -139,7 +140,7 @@ def test_the_kernels_host_is_cut_off(lab: Spread, capsys: pytest.CaptureFixture[
 @pytest.mark.timeout(1200)
 def test_each_part_and_each_pair_is_cut_off(lab: Spread, capsys: pytest.CaptureFixture[str]) -> None:
     """One after the other, in one lab, and each of them joins again by itself."""
-    cuts = [(part,) for part in PARTS] + list(itertools.combinations(PARTS, 2))
+    cuts = [(part,) for part in (*PARTS, STANDBY)] + list(itertools.combinations(PARTS, 2))
     for parts in cuts:
         told = cut_off(lab, parts, CUT_S)
         sound(lab)
