@@ -73,8 +73,9 @@ class EventStore(Protocol):
     def renew(self, epoch: int, lease_s: float) -> None:
         """Keep the lease. Raises Fenced if another kernel has taken over."""
 
-    def release(self, epoch: int) -> None:
-        """Give the lease back, so that the next kernel need not wait for it to expire."""
+    def release(self, epoch: int, *, to_standby: bool = False) -> None:
+        """Give the lease back, so that the next kernel need not wait for it to expire; with ``to_standby``
+        the lab counts as abandoned, and whoever stands by for it takes over at once."""
 
     def append(self, expected: Head, records: Sequence[Record]) -> Head:
         """Write records behind ``expected``, all or none, synced to disk on return.

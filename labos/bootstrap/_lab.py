@@ -144,6 +144,8 @@ class LabRuntime:
         """The position in the log after which this kernel's nodes were started."""
         self.cut_short: list[str] = []
         """The actions, with their runs, that had not ended when the lab was closed."""
+        self.left_to_standby = False
+        """Whether the lab is closed for a standby to go on with."""
         self._unheard: dict[ModuleName, str] = {}
         self._worlds: dict[str, World] = {}
         self._declared: list[Handle] = []
@@ -181,6 +183,17 @@ class LabRuntime:
         modules = self.kernel.state.modules.by_name
         wanted = [name for name in modules if not only or name in only or local(name) in only]
         self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])
+
+    async def leave_to_standby(self) -> bool:
+        """Whether this lab can be left to a standby: somebody has to stand by, and nodes that end with this
+        process would not outlive it. Raises StoreError."""
+        standing_by = await asyncio.to_thread(self.store.standbys)
+        mortal = self.supervised is not None and not self._detach
+        if not standing_by or mortal:
+            _log.warning("not_left_to_standby", standing_by=standing_by, nodes_end_with_it=mortal)
+            return False
+        self.left_to_standby = True
+        return True
 
     def is_stopping(self, module: ModuleName) -> bool:
         """Whether the node of a module was told to end."""
@@ -359,9 +372,11 @@ async def open_lab(
         try:
             yield lab
         finally:
+            if lab.left_to_standby:
+                await kernel.leave_to_standby()
             if notifier is not None:
                 notifier.begin_close()
-            if lab.supervised is not None and _is_fenced(kernel):
+            if lab.supervised is not None and (lab.left_to_standby or _is_fenced(kernel)):
                 lab.supervised.leave()
             elif lab.supervised is not None:
                 killed = await lab.supervised.close(grace_s)

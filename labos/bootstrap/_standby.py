@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from socket import gethostname
 
 import structlog
 
@@ -15,6 +16,7 @@ from labos.pki import Authority
 from labos.runtime.follower import Follower
 from labos.settings import Settings
 from labos.store import Holder, SqlEventStore, database_file, open_store
+from labos.version import VERSION
 
 POLL_S = 0.5
 """How often a standby reads what is new, and looks whether the kernel is still there."""
@@ -38,6 +40,7 @@ class Standby:
         self._unlocked_since: float | None = None
         self._away_until = float("-inf")
         self._ready = False
+        self._name = f"{VERSION} on {gethostname()}"[:40]  # the server keeps 63 bytes with what comes before
 
     async def wait(self, end: asyncio.Event, ready: Callable[[], None]) -> str:
         """Follow the log until its kernel is gone; returns who that was, empty if ``end`` came before. A
@@ -61,6 +64,7 @@ class Standby:
             asked = now()
             try:
                 await asyncio.to_thread(self.follower.catch_up)
+                await asyncio.to_thread(self._store.stand_by, self._name)
                 found = await asyncio.to_thread(self._store.holder)
                 if self._ready and now() - asked > SURE_S:  # it stood still, and for its kernel too
                     self._away_until, self._unlocked_since = now(), None
@@ -73,6 +77,7 @@ class Standby:
             else:
                 if self.follower.state.position and self._is_gone(found, now()):
                     _log.warning("kernel_gone", kernel=found.owner, position=self.follower.state.position)
+                    await asyncio.to_thread(self._store.stand_down)
                     return found.owner
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(end.wait(), POLL_S)

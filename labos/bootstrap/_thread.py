@@ -51,6 +51,7 @@ class LabThread:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._lab: LabRuntime | None = None
         self._end: asyncio.Event | None = None
+        self._leaving: asyncio.Task[None] | None = None
         self._thread = threading.Thread(target=self._main, name="labos-kernel", daemon=True)
 
     @property
@@ -87,6 +88,26 @@ class LabThread:
         self._stop()
         if self._error is not None and error is None:
             raise self._error
+
+    @property
+    def left_to_standby(self) -> bool:
+        return self._lab is not None and self._lab.left_to_standby
+
+    def leave_to_standby(self) -> None:
+        """Close the lab for a standby to go on with, if somebody stands by; from any thread."""
+        self._tell(self._begin_leaving)
+
+    def _begin_leaving(self) -> None:
+        self._leaving = asyncio.get_running_loop().create_task(self._leave_to_standby())
+
+    async def _leave_to_standby(self) -> None:
+        if self._lab is None or self._end is None:
+            return
+        try:
+            if await self._lab.leave_to_standby():
+                self._end.set()
+        except StoreUnavailable as error:
+            _log.warning("not_left_to_standby", why=str(error))
 
     def _stop(self) -> None:
         # Not `join`: interrupted in it, Python 3.11 takes a thread that lives for one that has ended.

@@ -20,6 +20,7 @@ SECTIONS = {
         "up": "Run a lab in the foreground until Ctrl-C.",
         "api": "Serve the HTTP interface in a process of its own.",
         "bus": "Run the bus by itself, for kernels that take over from each other.",
+        "take-over": "Let a standby take over while runs go on.",
         "pki": "Certificates for a secure bus.",
         "workcell": "Change a workcell while its lab runs.",
         "node": "Start the node of a module.",
@@ -144,7 +145,7 @@ _ONE_FILE = {
 }
 """Commands too small for a module of their own."""
 
-_FILES = {**_ONE_FILE, "import": "import_", "handover-report": "handover_report"}
+_FILES = {**_ONE_FILE, "import": "import_", "handover-report": "handover_report", "take-over": "take_over"}
 """Modules that are not called as their command is."""
 
 

@@ -87,6 +87,11 @@ NO_USERS = (
 @click.option(
     "--standby", is_flag=True, help="Follow the lab's log, and take over when its kernel dies or freezes."
 )
+@click.option(
+    "--or-standby",
+    is_flag=True,
+    help="The same if another kernel runs the lab, else run it: so each of two computers may start first.",
+)
 @click.option("--no-nodes", is_flag=True, help="Start no nodes: they are started elsewhere.")
 @click.option("--detach-nodes", is_flag=True, help="Nodes live on if this process is killed.")
 @click.option(
@@ -156,6 +161,7 @@ def command(
     address: tuple[str, ...],
     pki: Path | None,
     standby: bool,
+    or_standby: bool,
     no_nodes: bool,
     detach_nodes: bool,
     declare: bool | None,
@@ -220,6 +226,8 @@ def command(
         addresses=address,
         authority=pki,
     )
+    if or_standby and _runs_elsewhere(settings):
+        standby, workcells = True, ()
     if standby:
         _check_standby(settings, workcells, no_nodes)
     if simulate is None and was_simulated(settings) is None:
@@ -247,7 +255,9 @@ def command(
         click.echo(f"{action} was cut short: the next start finds out how it ended, or asks a person.")
     if lab.failure is not None:
         raise lab.failure
-    if standby and not lab.replaced:
+    if lab.left_to_standby:
+        click.echo("The lab was left to a standby.")
+    elif standby and not lab.replaced:
         click.echo("Nobody stands by here any more.")
     else:
         click.echo("The lab is closed; its log is whole.")
@@ -257,6 +267,25 @@ def _stand_by(settings: Settings) -> None:
     from labos.store import shown_url
 
     click.echo(f"Standing by for the lab in {shown_url(settings.database)}. Ctrl-C ends it.")
+
+
+def _runs_elsewhere(settings: Settings) -> bool:
+    """Whether another kernel has the lab, by its database. Raises StoreUnavailable."""
+    from labos.errors import StoreUnavailable
+    from labos.store import database_file, open_store
+
+    if database_file(settings.database) is not None:
+        raise click.UsageError("--or-standby needs a lab on PostgreSQL (docs/standby.md).")
+    try:
+        store = open_store(settings.database, create=False, read_only=True)
+    except StoreUnavailable as error:
+        if "no log yet" in error.message:
+            return False
+        raise
+    try:
+        return store.holder().living
+    finally:
+        store.close()
 
 
 def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: bool) -> None:
@@ -283,11 +312,21 @@ def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
     click.echo("Ctrl-C closes it.")
     if not quiet:
         threading.Thread(target=_narrate, args=(lab,), name="narrator", daemon=True).start()
+    _be_told(lab)
     try:
         while not lab.failed.wait(0.5):
             pass
     except KeyboardInterrupt:
         click.echo(f"\n{CLOSING}")
+
+
+def _be_told(lab: LabThread) -> None:
+    """Leave the lab to a standby when `labos take-over` says so."""
+    import signal
+
+    number = getattr(signal, "SIGUSR1", None)
+    if number is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(number, lambda *_: lab.leave_to_standby())
 
 
 def _narrate(lab: LabThread) -> None:

@@ -80,6 +80,7 @@ class KernelLog(ABC):
         self._snapshot_at = 0
         self._picture: tuple[int, bytes, str, bytes] | None = None
         self._closing = False
+        self._to_standby = False
         self._lost_at: float | None = None
         self._lost_why: LabosError | None = None
         self._losses = 0
@@ -152,9 +153,19 @@ class KernelLog(ABC):
             self._lose(error)
             raise
 
+    async def leave_to_standby(self) -> None:
+        """Close, and let whoever stands by take over at once; from then on nothing is decided here."""
+        self._to_standby = True
+        await self.close()
+        self._lose(
+            Fenced("This kernel has left its lab to a standby.", remedy="Ask again: that one answers soon.")
+        )
+
     async def close(self) -> None:
         """Write what is decided, keep a snapshot, give the lease back. ``failed`` says so if what was
         decided last could not be written."""
+        if self._closing:
+            return
         self._closing = True
         if self._refolding is not None:
             await asyncio.wait({self._refolding}, timeout=LONGEST_PAUSE_S)
@@ -171,10 +182,11 @@ class KernelLog(ABC):
 
     async def _leave(self) -> None:
         ledger = self._open_ledger()
-        picture = snapshot(ledger.state, ledger.head)
+        picture, epoch, to_standby = snapshot(ledger.state, ledger.head), ledger.head.epoch, self._to_standby
         try:
-            await self._writer.call(lambda store: store.save_snapshot(*picture))
-            await self._writer.call(lambda store: store.release(ledger.head.epoch))
+            if not to_standby:  # nobody waits; who stands by has folded the log himself
+                await self._writer.call(lambda store: store.save_snapshot(*picture))
+            await self._writer.call(lambda store: store.release(epoch, to_standby=to_standby))
         except StoreError as error:
             _log.warning("lease_not_given_back", why=str(error))
 

@@ -61,6 +61,12 @@ class Backend(Protocol):
         """Whether the kernel of this epoch still holds what only a living one can hold; asked by
         a reader. True if there is no telling."""
 
+    def stand_by(self, name: str) -> None:
+        """Show that somebody of this name stands by."""
+
+    def standbys(self) -> list[str]:
+        """The names of those who stand by."""
+
     def append(self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row]) -> bool:
         """In one exclusive transaction move the head from ``expected`` to ``after`` and add rows
         of the event table, in the order of its columns. False, and nothing done, if the head is

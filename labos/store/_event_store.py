@@ -103,6 +103,22 @@ class SqlEventStore(LogReader):
         with self._door:
             return holder(self._backend)
 
+    def stand_by(self, name: str) -> None:
+        """Show to the kernel that somebody stands by; to be called again every few seconds. Raises
+        StoreUnavailable."""
+        with self._door:
+            self._backend.stand_by(name)
+
+    def stand_down(self) -> None:
+        """Show no more that somebody stands by."""
+        with self._door:
+            self._backend.vacate()
+
+    def standbys(self) -> list[str]:
+        """Who stands by, and has shown so in the last seconds. Raises StoreUnavailable."""
+        with self._door:
+            return self._backend.standbys()
+
     def claim(self, lab: LabId, owner: str, lease_s: float) -> Head:
         """Become the lab's one kernel: raise the epoch and take the lease.
 
@@ -152,14 +168,14 @@ class SqlEventStore(LogReader):
                 raise self._fenced()
             self._backend.keep(epoch)
 
-    def release(self, epoch: int) -> None:
-        """Give the lease back. Does nothing if another kernel has taken over already."""
+    def release(self, epoch: int, *, to_standby: bool = False) -> None:
+        """Give the lease back. Does nothing if another kernel has taken over already. A lab that is left
+        ``to_standby`` still bears the name of its last kernel: that is what a standby goes by."""
+        values = {"lease_until": 0} if to_standby else {"lease_owner": "", "lease_until": 0}
         with self._door:
             try:
                 with self._transaction() as connection:
-                    connection.execute(
-                        update(head).where(head.c.epoch == epoch).values(lease_owner="", lease_until=0)
-                    )
+                    connection.execute(update(head).where(head.c.epoch == epoch).values(**values))
             finally:
                 self._epoch = None
                 self._files.end_notes()

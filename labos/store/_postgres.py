@@ -65,6 +65,18 @@ WHERE datname = current_database() AND left(application_name, 6) = 'labos-'
 ends such a session by itself only between two statements: not while it waits for the rows of a COPY, nor
 for the rest of a pipeline."""
 
+STANDBY_SHOWN_S = 5
+"""Who has not shown for so long that he stands by may be cut off: the server does not know."""
+
+_STANDBY = "labos standby "
+
+_STANDING_BY = """
+SELECT application_name FROM pg_stat_activity
+WHERE datname = current_database() AND starts_with(application_name, :prefix)
+  AND state_change > clock_timestamp() - make_interval(secs => :shown_s)
+ORDER BY application_name
+"""
+
 _END_WRITER = """
 SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity
 WHERE datname = current_database() AND application_name = :writer
@@ -171,6 +183,23 @@ class PostgresBackend:
             {"kind": _KERNEL_LOCK, "epoch": epoch},
         )
         return found.first() is not None
+
+    def stand_by(self, name: str) -> None:
+        try:
+            if self._keeper is None:
+                keeper = self._open_keeper()
+                keeper.execute(
+                    text("SELECT set_config('application_name', :name, false)"), {"name": f"{_STANDBY}{name}"}
+                )
+            self._open_keeper().execute(text("SELECT 1"))
+        except DBAPIError:
+            self.vacate()
+            raise
+
+    def standbys(self) -> list[str]:
+        with self.reading.connect() as connection:
+            found = connection.execute(text(_STANDING_BY), {"prefix": _STANDBY, "shown_s": STANDBY_SHOWN_S})
+            return [str(name).removeprefix(_STANDBY) for (name,) in found]
 
     def _open_keeper(self) -> Connection:
         if self._keeper is None:

@@ -79,6 +79,12 @@ class SqliteBackend:
     def locked(self, connection: Connection, epoch: int) -> bool:
         return self._lock.is_taken()
 
+    def stand_by(self, name: str) -> None:
+        pass  # nobody can
+
+    def standbys(self) -> list[str]:
+        return []
+
     def append(self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row]) -> bool:
         driver: Any = connection.connection.driver_connection
         driver.execute("BEGIN IMMEDIATE")

@@ -73,7 +73,7 @@ class SimulatedStore:
         self._lease_until = self.now() + lease_s
         self._renewed_until = self._now() + lease_s
 
-    def release(self, epoch: int) -> None:
+    def release(self, epoch: int, *, to_standby: bool = False) -> None:
         if epoch == self._head.epoch:
             self._holder = None
 

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -24,16 +25,19 @@ MOST_EXPOSED = 2.0
 needs_systemd = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="there is no systemd here")
 
 
-def environment() -> dict[str, str]:
-    lines = (DEPLOY / "systemd" / "labos.env").read_text().splitlines()
+ENVIRONMENTS = ("labos.env", "three-hosts.env")
+
+
+def environment(name: str = "labos.env") -> dict[str, str]:
+    lines = (DEPLOY / "systemd" / name).read_text().splitlines()
     return dict(line.split("=", 1) for line in lines if line and not line.startswith("#"))
 
 
-def commands_of(unit: Path) -> list[str]:
+def commands_of(unit: Path, told: str = "labos.env") -> list[str]:
     """What a unit starts, as systemd makes it of the environment file."""
     found = []
     for line in re.findall(r"^ExecStart=(.*)$", unit.read_text(), re.MULTILINE):
-        for name, value in environment().items():
+        for name, value in environment(told).items():
             line = line.replace(f"${{{name}}}", value).replace(f"${name}", value)
         found.append(line.replace("%i", "sealer"))
     return found
@@ -84,6 +88,15 @@ def test_what_a_unit_starts_exists(unit: Path) -> None:
     assert unit.suffix == ".timer" or commands_of(unit)
 
 
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_what_a_unit_starts_on_several_hosts_exists(unit: Path) -> None:
+    """With the settings of a secure bus. A kernel that may be the standby needs no unit of its own."""
+    lines = commands_of(unit, "three-hosts.env")
+    assert "$LABOS_STANDBY" not in " ".join(lines) or unit.name == "labos-standby.service"
+    lines = [line.replace("$LABOS_STANDBY", "") for line in lines]
+    assert [line for line in lines if what_is_wrong(line, strict=True)] == []
+
+
 def test_every_variable_of_a_unit_is_in_the_environment_file() -> None:
     used = {name for unit in UNITS for name in re.findall(r"\$\{?(LABOS_\w+)", unit.read_text())}
     assert used <= environment().keys()
@@ -121,6 +134,41 @@ def test_the_lab_of_the_compose_file_can_be_started() -> None:
     assert what_is_wrong(line.replace("$$LABOS_UP", told["LABOS_UP"]), strict=True) == ""
 
 
+def test_the_compose_file_with_a_secure_bus() -> None:
+    """It leaves nothing of the lab open: the bus that other computers reach asks for certificates."""
+    text = (DEPLOY / "compose" / "compose.secure.yaml").read_text().replace("!override", "")
+    services = yaml.safe_load(text)["services"]
+    told = "rpl --simulate"
+    for name in ("bus", "lab"):
+        (line,) = re.findall(r"exec (labos .*)", services[name]["entrypoint"][-1])
+        assert "--secure" in line
+        assert "--open-to-network" not in line
+        assert what_is_wrong(line.replace("$$LABOS_UP", told), strict=True) == ""
+    assert services["lab"]["ports"] == ["127.0.0.1:8720:8720"]
+    ours = yaml.safe_load((DEPLOY / "compose" / "compose.yaml").read_text())["services"]["lab"]
+    assert {"read_only", "cap_drop", "security_opt"} <= services["bus"].keys() & ours.keys()
+
+
+@pytest.mark.skipif(not shutil.which("logrotate"), reason="there is no logrotate here")
+def test_logs_are_rotated(tmp_path: Path) -> None:
+    logs = tmp_path / "lab" / "logs"
+    logs.mkdir(parents=True)
+    log = logs / "rpl.sealer.log"
+    text = (DEPLOY / "logrotate" / "labos-nodes").read_text().replace("/var/lib/labos", str(tmp_path))
+    rules = tmp_path / "rules"
+    rules.write_text(re.sub(r"^ *su .*$", "", text, flags=re.MULTILINE))
+    rules.chmod(0o644)
+    with log.open("a") as writing:  # a node that holds its log open
+        writing.write("old\n")
+        writing.flush()
+        rotate = ["logrotate", "--force", "--state", str(tmp_path / "state"), str(rules)]
+        done = subprocess.run(rotate, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+        writing.write("new\n")
+    assert log.read_text() == "new\n"
+    assert (logs / "rpl.sealer.log.1").read_text() == "old\n"
+
+
 def test_the_image_holds_what_the_package_is_built_of() -> None:
     copied = re.findall(
         r"^COPY (?!--)(.*) \S+$", (DEPLOY / "compose" / "Containerfile").read_text(), re.MULTILINE
@@ -128,6 +176,11 @@ def test_the_image_holds_what_the_package_is_built_of() -> None:
     names = {name for line in copied for name in shlex.split(line)}
     assert {"labos", "drivers", "migrations", "specs", "pyproject.toml", "README.md", "LICENSE"} <= names
     assert [name for name in names if not (ROOT / name).exists()] == []
+    built = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert {*built["packages"], *built["force-include"]} <= {
+        *names,
+        *(f"{name}/labos_drivers" for name in names),
+    }
 
 
 def test_the_windows_service_starts_a_command_that_exists() -> None:
@@ -137,6 +190,6 @@ def test_the_windows_service_starts_a_command_that_exists() -> None:
 
 def test_every_file_is_told_of() -> None:
     page = (ROOT / "docs" / "install.md").read_text()
-    ours = ("systemd", "compose", "tls", "windows")
+    ours = ("systemd", "compose", "tls", "windows", "logrotate")
     files = [path for folder in ours for path in (DEPLOY / folder).iterdir() if not path.name.startswith(".")]
     assert [path.name for path in files if f"`{path.name}`" not in page] == []

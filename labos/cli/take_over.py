@@ -1,0 +1,106 @@
+"""``labos take-over``: the lab goes on at a standby, while its runs go on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import click
+
+from labos.cli._options import home_option, json_option
+from labos.cli._out import tell
+from labos.errors import NotFound, Refused, SystemFailed
+
+if TYPE_CHECKING:
+    from labos.store import SqlEventStore
+
+POLL_S = 0.02
+
+
+@click.command("take-over", short_help="Let a standby take over while runs go on.")
+@click.option(
+    "--timeout",
+    "wait_s",
+    type=click.FloatRange(min=1.0),
+    default=30.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How long to wait until the standby has the lab.",
+)
+@home_option
+@json_option
+def command(home: str | None, wait_s: float, as_json: bool) -> None:
+    """Let the kernel of this computer leave its lab to a standby, which takes over at once. Runs go on: what
+    instruments do is not disturbed, and nothing is started for a second or two. Say it on the kernel's
+    computer, as the user that it runs as.
+
+    It is how a lab is upgraded without a stop: start the newer version as the standby, let it take over, and
+    do the same with the other computer (docs/three-hosts.md). Refused if nobody stands by, and if nodes
+    were started by this kernel and would end with it (`labos up` without --no-nodes and --detach-nodes).
+
+    \b
+    labos take-over
+    """
+    from labos.settings import Settings, find_kernel
+    from labos.store import open_store
+
+    settings = Settings.of(home)
+    running = find_kernel(settings.home)
+    if running is None:
+        raise NotFound(
+            f"No kernel runs in {settings.home}.", remedy="Say it where the kernel runs, or name its --home."
+        )
+    number = getattr(signal, "SIGUSR1", None)
+    if number is None or sys.platform == "win32":
+        raise Refused(
+            "A kernel on Windows cannot leave its lab to a standby.",
+            remedy="Stop it, and start `labos up` on the other computer.",
+        )
+    store = open_store(running.database, create=False, read_only=True, home=settings.home)
+    try:
+        standing_by = store.standbys()
+        if not standing_by:
+            raise Refused(
+                "Nobody stands by for this lab: it would stand still.",
+                remedy="Start a standby (`labos up --standby`), and wait until it says that it stands by.",
+            )
+        epoch = store.head().epoch
+        try:
+            os.kill(running.pid, number)
+        except OSError as error:
+            raise Refused(
+                f"The kernel (process {running.pid}) cannot be told: {error.strerror}.",
+                remedy="Say it as the user that it runs as: sudo -u labos.",
+            ) from None
+        pause_s = _wait(store, epoch, wait_s)
+        owner, epoch = store.holder().owner, store.head().epoch
+    finally:
+        store.close()
+    facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
+    told = f"The kernel {owner} has taken over (epoch {epoch}). There was none for {pause_s:.1f} s."
+    tell(told, facts, as_json=as_json)
+
+
+def _wait(store: SqlEventStore, epoch: int, patience_s: float) -> float:
+    """Wait for a kernel of a later epoch; returns for how long there was none. Raises SystemFailed."""
+    left_at = 0.0
+    give_up = time.monotonic() + patience_s
+    while time.monotonic() < give_up:
+        if store.head().epoch > epoch:
+            return time.monotonic() - left_at if left_at else 0.0
+        if not left_at and store.holder().lease_left_s <= 0:
+            left_at = time.monotonic()
+        time.sleep(POLL_S)
+    if left_at:
+        raise SystemFailed(
+            f"The kernel has left its lab, and nobody has taken over for {patience_s:g} s.",
+            remedy="Look at the log of the standby; start `labos up` on any of the computers.",
+        )
+    raise SystemFailed(
+        f"The kernel has not left its lab within {patience_s:g} s: it goes on.",
+        remedy="Its log says why. Nodes that would end with it keep it: start it with --detach-nodes, or "
+        "with --no-nodes and the nodes by themselves.",
+    )
