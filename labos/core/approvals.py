@@ -27,6 +27,7 @@ from labos.core.open_experiments import Experiments
 from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event, event
 from labos.core.runs import RunCancelled, RunCompleted, RunEvent, RunFailed, Runs, let_wait_anew
+from labos.core.words import Words
 
 PAST_KEPT = 1_000
 """So many names are remembered with what was approved last under them."""
@@ -91,7 +92,7 @@ class ApprovalGiven(ApprovalEvent, frozen=True):
     kind: Kind
     digest: str
     by: str
-    comment: str = ""
+    comment: Words = ""
     priority: int | None = None
     terms: Terms | None = None
     alike: bool = False
@@ -104,7 +105,7 @@ class ApprovalRefused(ApprovalEvent, frozen=True):
     kind: Kind
     digest: str
     by: str
-    comment: str = ""
+    comment: Words = ""
 
 
 @event("run.approved")

@@ -14,6 +14,7 @@ import msgspec
 from labos.core.ids import ModuleName, workcell_of
 from labos.core.recurrence import DAY_NS, times_between
 from labos.core.registry import Event, event
+from labos.core.words import Words
 
 LEAD_NS = 30 * 60 * 1_000_000_000
 """So long before a booking begins is told who has to clear the place."""
@@ -41,7 +42,7 @@ class Terms(BookingEvent, frozen=True):
     user: str = ""
     group: str = ""
     maintenance: bool = False
-    why: str = ""
+    why: Words = ""
     zone: str = "UTC"
     rule: str = ""
     last: int = 0
@@ -66,7 +67,7 @@ class BookingCancelled(BookingEvent, frozen=True):
     """A booking is no more; of one that is repeated, all that was to come."""
 
     by: str
-    why: str = ""
+    why: Words = ""
 
 
 @event("booking.skipped")
@@ -75,7 +76,7 @@ class BookingSkipped(BookingEvent, frozen=True):
 
     begins: int
     by: str
-    why: str = ""
+    why: Words = ""
 
 
 class Occasion(BookingEvent, frozen=True):

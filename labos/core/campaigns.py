@@ -26,6 +26,7 @@ from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
 from labos.core.steps import StepUnexpected
+from labos.core.words import Words
 
 ROWS_QUEUED = 4
 """So many runs of a campaign wait to be started, at most; the other rows wait in its table."""
@@ -80,7 +81,7 @@ class CampaignSubmitted(CampaignEvent, frozen=True):
 class CampaignPaused(CampaignEvent, frozen=True):
     """No further row is submitted; runs that wait are paused, those under way go on."""
 
-    why: str = ""
+    why: Words = ""
 
 
 @event("campaign.resumed")
@@ -116,7 +117,7 @@ class CampaignStopped(CampaignEvent, frozen=True):
 class CampaignCancelled(CampaignEvent, frozen=True):
     """Somebody ended it: no further row is submitted, and its runs are cancelled."""
 
-    why: str = ""
+    why: Words = ""
 
 
 @event("campaign.completed")

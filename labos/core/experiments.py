@@ -6,6 +6,7 @@ from typing import Any
 
 from labos.core.ids import ExperimentId, StationName
 from labos.core.registry import Event, event
+from labos.core.words import Words
 
 
 class ExperimentEvent(Event, frozen=True):
@@ -32,14 +33,14 @@ class ExperimentStarted(ExperimentEvent, frozen=True):
 class ExperimentCancelled(ExperimentEvent, frozen=True):
     """It takes no more runs, and closes when those that it has have ended."""
 
-    why: str
+    why: Words
 
 
 @event("experiment.closing")
 class ExperimentClosing(ExperimentEvent, frozen=True):
     """The application is over; its closing workflow clears away its labware."""
 
-    why: str
+    why: Words
 
 
 @event("experiment.ended")

@@ -8,6 +8,7 @@ from labos.core.effects import AnyEffect
 from labos.core.ids import InterventionId, LabwareId
 from labos.core.registry import Event, event
 from labos.core.topics import AnyTopic, Choice, Topic
+from labos.core.words import Words
 
 
 @event("intervention.requested", schema=2)
@@ -41,7 +42,7 @@ class InterventionResolved(Event, frozen=True):
     intervention: InterventionId
     choice: str
     by: str
-    note: str = ""
+    note: Words = ""
 
     def stream(self) -> str:
         return f"intervention:{self.intervention}"

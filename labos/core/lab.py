@@ -8,6 +8,7 @@ from labos.core.experiments import ExperimentEnded
 from labos.core.ids import LabId, StationName
 from labos.core.model import LabwareSpec, ModuleSpec, StationSpec, TransferWay
 from labos.core.registry import Event, event
+from labos.core.words import Words
 
 
 @event("lab.created")
@@ -61,7 +62,7 @@ class AccessRequested(Event, frozen=True):
 
     name: str
     by: str
-    why: str = ""
+    why: Words = ""
     parking: tuple[str, ...] = ()
 
     def stream(self) -> str:
@@ -85,7 +86,7 @@ class AccessEnded(Event, frozen=True):
 
     name: str
     by: str
-    note: str = ""
+    note: Words = ""
 
     def stream(self) -> str:
         return self.name
@@ -105,7 +106,7 @@ class StartsPaused(Event, frozen=True):
 
     target: str
     by: str
-    why: str = ""
+    why: Words = ""
 
     def stream(self) -> str:
         return self.target

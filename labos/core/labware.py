@@ -8,6 +8,7 @@ import msgspec
 
 from labos.core.ids import LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.registry import Event, event
+from labos.core.words import Words
 
 
 class LabwareEvent(Event, frozen=True):
@@ -155,7 +156,7 @@ class LabwareHandedOver(LabwareEvent, frozen=True):
 
     owner: Owner
     by: str = ""
-    note: str = ""
+    note: Words = ""
     lent: bool = False
 
 

@@ -23,6 +23,7 @@ from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ModuleSpec
 from labos.core.registry import Event, event
+from labos.core.words import Words
 
 
 class ModuleEvent(Event, frozen=True):
@@ -95,7 +96,7 @@ class ModuleTakenOut(ModuleEvent, frozen=True):
     (UTC ns; 0: by somebody only). ``failures`` is how often it had failed when LabOS took it out by itself
     (*quarantine*; 0: somebody did)."""
 
-    why: str
+    why: Words
     until: int = 0
     failures: int = 0
 
@@ -123,7 +124,7 @@ class LocationTaught(ModuleEvent, frozen=True):
     pose: tuple[float, ...]
     version: int
     by: str
-    why: str = ""
+    why: Words = ""
     labware_type: str = ""
 
 

@@ -23,6 +23,7 @@ from labos.core.plans import (
 )
 from labos.core.registry import Event, event
 from labos.core.topics import ClosingWaits
+from labos.core.words import Words
 
 
 class StepStatus(StrEnum):
@@ -101,7 +102,7 @@ class RunStarted(RunEvent, frozen=True):
 class RunPaused(RunEvent, frozen=True):
     """No further step starts until it is resumed. ``why`` is a word of whoever paused it."""
 
-    why: str = ""
+    why: Words = ""
 
 
 @event("run.resumed")
@@ -117,7 +118,7 @@ class RunCancelling(RunEvent, frozen=True):
 
     why: str = ""
     stay: bool = False
-    reason: str = ""
+    reason: Words = ""
 
 
 @event("run.leaving")
@@ -149,7 +150,7 @@ class RunCancelled(RunEvent, frozen=True):
     """It was ended on request; ``why`` is what the person said, if it was not said before it ended
     (``run.cancelling``)."""
 
-    why: str = ""
+    why: Words = ""
 
 
 RUN_ENDS = (RunCompleted.TYPE, RunFailed.TYPE, RunCancelled.TYPE)

@@ -12,6 +12,7 @@ from labos.core.actions import ActionDiscovered
 from labos.core.effects import AnyEffect, Move, Needs, places
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, workcell_of
 from labos.core.registry import Event, event
+from labos.core.words import Words
 
 STATIONS_PER_EVENT = 400
 
@@ -44,7 +45,7 @@ class BenchCompared(Event, frozen=True):
     """The round is over: all was said, and the log goes on from what was said."""
 
     by: str
-    note: str = ""
+    note: Words = ""
 
 
 class Discovered(msgspec.Struct):

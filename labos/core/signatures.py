@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 from labos.core.ids import RunId
 from labos.core.merkle import leaf_hash
 from labos.core.registry import Event, event
+from labos.core.words import Words
 
 Meaning = Literal["authored", "responsible", "reviewed", "approved", "rejected"]
 MEANINGS: tuple[Meaning, ...] = get_args(Meaning)
@@ -30,7 +31,7 @@ class RunSigned(Event, frozen=True):
     records: int
     digest: str
     method: str
-    why: str = ""
+    why: Words = ""
 
     def stream(self) -> str:
         return STREAM

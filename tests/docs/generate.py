@@ -28,6 +28,7 @@ from labos.core.effects import AnyEffect
 from labos.core.registry import TYPES
 from labos.core.state import LabState
 from labos.core.topics import AnyTopic
+from labos.core.words import fields_of_words
 from labos.node import protocol
 from labos.spec.describing import load_description, variant
 from labos.spec.description import DescriptionFile
@@ -206,7 +207,11 @@ def _fields(kind: type[msgspec.Struct]) -> str:
     fields = msgspec.structs.fields(kind)
     if not fields:
         return "No fields."
-    rows = [(f"`{field.encode_name}`", type_name(field.type), _given(field)) for field in fields]
+    words = fields_of_words(kind)
+    rows = [
+        (f"`{field.encode_name}`", "words" if field.name in words else type_name(field.type), _given(field))
+        for field in fields
+    ]
     return _table(("field", "type", "if left out"), rows)
 
 
