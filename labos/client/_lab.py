@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 import time
@@ -322,6 +323,12 @@ class LabClient(BenchCalls, BookingCalls, ApprovalCalls, CampaignCalls, AccountC
     def note(self, experiment: str, kind: str, name: str, facts: Mapping[str, Any], user: str = "") -> None:
         body = {"kind": kind, "name": name, "facts": dict(facts)}
         self._post(f"/experiments/{experiment}/notes", body, user=user)
+
+    def keep_file(self, experiment: str, content: bytes, user: str = "") -> str:
+        """Keep a file of an experiment; returns its SHA-256."""
+        body = {"content": base64.b64encode(content).decode()}
+        answer = self._post(f"/experiments/{experiment}/files", body, user=user, repeat=True)
+        return str(answer["sha256"])
 
     def heartbeat(self, experiment: str, user: str = "") -> None:
         self._post(f"/experiments/{experiment}/heartbeat", {}, user=user, repeat=True)
