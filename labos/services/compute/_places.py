@@ -43,7 +43,8 @@ def _open_dask(configuration: Any) -> Executor:
     if not isinstance(configuration, Client):
         raise BadInput("Dask needs to be told where to compute.", remedy="Give a distributed.Client.")
     # pure: two calls with the same arguments are two computations.
-    opened: Executor = configuration.get_executor(pure=False)
+    client: Any = configuration
+    opened: Executor = client.get_executor(pure=False)
     return opened
 
 

@@ -105,7 +105,7 @@ def test_what_cannot_be_sent_is_said(experiment: Experiment) -> None:
         experiment.compute(work.square, lambda: 1)
     with pytest.raises(NotFound, match="There are: local, pool"):
         experiment.compute(work.square, 1, where="moon")
-    with pytest.raises(BadInput, match="labos-sdl\\[parsl\\]|Give a parsl"):
+    with pytest.raises(BadInput, match=r"labos-sdl\[parsl\]|Give a parsl"):
         experiment.compute(work.square, 1, where="parsl")
     assert notes(experiment) == []
 
@@ -157,8 +157,12 @@ def test_dask_computes(client: LabClient) -> None:
 
 
 @pytest.mark.slow
-def test_parsl_computes_on_loopback(client: LabClient, tmp_path: Path) -> None:
+def test_parsl_computes_on_loopback(
+    client: LabClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("parsl")
+    # Parsl starts programs of its own by their names.
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
     from parsl.config import Config
     from parsl.executors import HighThroughputExecutor
     from parsl.providers import LocalProvider
@@ -170,7 +174,7 @@ def test_parsl_computes_on_loopback(client: LabClient, tmp_path: Path) -> None:
         encrypted=False,
         provider=LocalProvider(init_blocks=1, max_blocks=1),
     )
-    config = Config(executors=[executor], run_dir=str(tmp_path), strategy="none")
+    config = Config(executors=[executor], run_dir=str(tmp_path), strategy="none", initialize_logging=False)
     with Experiment(client, "computing", "bo") as experiment:
         experiment.configure_compute(parsl=config)
         assert experiment.compute(work.mean, [4.0], where="parsl") == {"mean": 4.0}
