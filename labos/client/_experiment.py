@@ -71,7 +71,8 @@ class Experiment:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self._computations.close()
+            interrupted = kind is not None and not issubclass(kind, Exception)
+            self._computations.close(drop=kind is not None, wait=not interrupted)
             if kind is None or issubclass(kind, Exception):
                 why = "ended" if error is None else _on_one_line(f"failed: {type(error).__name__}: {error}")
                 self.lab.end_experiment(self.id, why, self.user)

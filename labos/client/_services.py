@@ -61,9 +61,9 @@ class Computations:
     def submit_all(self, function: Callable[..., Any], of: Iterable[Any], where: str) -> list[Future[Any]]:
         return [self.submit(function, (each,), {}, where) for each in of]
 
-    def close(self) -> None:
+    def close(self, *, drop: bool, wait: bool) -> None:
         if self._computing is not None:
-            self._computing.close()
+            self._computing.close(drop=drop, wait=wait)
             self._computing = None
 
     def _tell(self, kind: str, computed: Computed) -> Any:

@@ -96,13 +96,13 @@ class Computing:
 
         return self._waiting.submit(compute)
 
-    def close(self) -> None:
-        """Waits for what has begun."""
-        self._waiting.shutdown()
+    def close(self, *, drop: bool = False, wait: bool = True) -> None:
+        """Ends the places when all is computed. ``drop``: what has not begun is given up."""
+        self._waiting.shutdown(wait, cancel_futures=drop)
         with self._lock:
             opened, self._open = list(self._open.values()), {}
         for executor in opened:
-            executor.shutdown()
+            executor.shutdown(wait)
 
     def _compute(
         self,
