@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 import zipfile
 from collections.abc import Iterable
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import click
 
 from labos.audit.cloudevents import cloudevent
 from labos.audit.crate import make_crate, runs_of
+from labos.audit.sinks import JsonLines
 from labos.cli._audit import open_log_and_views
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
@@ -27,6 +28,8 @@ from labos.services.log import Log
 from labos.services.times import Moment
 
 POLL_S = 0.25
+BATCH = 1000
+"""Events that are synced at once."""
 
 
 @click.group("export", cls=Suggesting, short_help="The lab's records in the formats of others.")
@@ -137,19 +140,33 @@ def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
     "--family", "families", multiple=True, metavar="F", help="Only this family or type: run, action.failed …"
 )
 @click.option("-f", "--follow", is_flag=True, help="Go on as events are added, until Ctrl-C.")
+@click.option(
+    "--to",
+    "to",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Append all events to this file, from where it ends.",
+)
 @log_options
-def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool) -> None:
+def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool, to: Path | None) -> None:
     """Write events as CloudEvents 1.0, one JSON object a line.
 
     `position` says how far you are: give the last one to --since, and nothing is left out and nothing
-    comes twice. `hash` is the event's place in the chain. Works with LABOS_URL, too.
+    comes twice. `hash` is the event's place in the chain. Works with LABOS_URL, too. With --to, the file
+    itself says how far it is: the command may be killed and started again.
 
     \b
     labos export events > events.jsonl
     labos export events --family run --family intervention
     labos export events --since 2041 --follow
+    labos export events --to events.jsonl --follow
     """
     check_types(families)
+    if to is not None:
+        if families or moment != Moment():
+            raise BadInput("--to appends all events.", remedy="Leave --since and --family out.")
+        _append(where, to, follow)
+        return
     with open_log(where) as log, suppress(KeyboardInterrupt):
         seen = _start(log, moment)
         while True:
@@ -158,6 +175,21 @@ def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool
                 for record in log.select(LogQuery(after=seen, upto=end, types=families)):
                     click.echo(cloudevent(record))
                 seen = end
+            if not follow:
+                return
+            time.sleep(POLL_S)
+
+
+def _append(where: Where, to: Path, follow: bool) -> None:
+    """Bring a file of JSON lines up to date with the log, and go on if asked to."""
+    with open_log(where) as log, closing(JsonLines(to)) as sink, suppress(KeyboardInterrupt):
+        while True:
+            end = log.head().position
+            if end < sink.position:
+                raise BadInput(f"{to} is at {sink.position}, the log at {end}: it is of another log.")
+            while sink.position < end:
+                upto = min(sink.position + BATCH, end)
+                sink.write(log.select(LogQuery(after=sink.position, upto=upto)))
             if not follow:
                 return
             time.sleep(POLL_S)

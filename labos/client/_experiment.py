@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -16,7 +16,13 @@ from labos.client._calls import plain
 from labos.client._lab import LabClient
 from labos.client._progress import Progress
 from labos.client._results import RunResult
+from labos.client._services import Computations
 from labos.errors import CommitInDoubt, LabosError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from labos.services.compute import Attempts
 
 HEARTBEAT_S = 5.0
 LONGEST_WHY = 500
@@ -43,6 +49,8 @@ class Experiment:
         self._closing, self._payload, self._priority = closing, closing_payload, priority
         self._parking = parking
         self._notes: Counter[bytes] = Counter()
+        self._noting = threading.Lock()
+        self._computations = Computations(self)
         self._over = threading.Event()
         self._beating: threading.Thread | None = None
         self.id = ""
@@ -65,6 +73,8 @@ class Experiment:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
+            interrupted = kind is not None and not issubclass(kind, Exception)
+            self._computations.close(drop=kind is not None, wait=not interrupted)
             if kind is None or issubclass(kind, Exception):
                 why = "ended" if error is None else _on_one_line(f"failed: {type(error).__name__}: {error}")
                 self.lab.end_experiment(self.id, why, self.user)
@@ -108,6 +118,37 @@ class Experiment:
         """Log something of the application's own: loop_started, loop_ended, condition_checked,
         decision, local_compute, compute, flow or publication. A lab that broke off while it was told, or
         whose database did, is asked whether it has heard, and told again if it has not."""
+        with self._noting:  # computations are noted from threads of their own
+            self._note(kind, name, facts)
+
+    def compute(self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any) -> Any:
+        """What a function returns that is computed in another process, with an event that names it, the
+        digests of its code and arguments, where it ran, how long, and what it returned. ``where`` is local (a
+        thread), pool (processes of this computer), parsl or dask. Raises ComputeFailed."""
+        return self.submit_compute(function, *args, where=where, **named).result()
+
+    def submit_compute(
+        self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any
+    ) -> Future[Any]:
+        """The same, as a future."""
+        return self._computations.submit(function, args, named, where)
+
+    def compute_all(
+        self, function: Callable[[Any], Any], arguments: Iterable[Any], *, where: str = "pool"
+    ) -> list[Any]:
+        """What a function returns for each argument, in their order. Raises ComputeFailed."""
+        return [each.result() for each in self._computations.submit_all(function, arguments, where)]
+
+    def configure_compute(self, *, attempts: Attempts | None = None, **places: Any) -> None:
+        """How often a computation is tried, and what the places need: ``pool=4`` processes,
+        ``parsl=parsl.config.Config(…)``, ``dask=distributed.Client(…)``."""
+        self._computations.configure(places, attempts)
+
+    def keep_file(self, content: bytes) -> str:
+        """Keep a file in the lab; returns its SHA-256, by which ``lab.file`` gives it back."""
+        return self.lab.keep_file(self.id, content, self.user)
+
+    def _note(self, kind: str, name: str, facts: Mapping[str, Any]) -> None:
         what = _comparable(kind, name, facts)
         while True:
             try:

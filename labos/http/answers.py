@@ -105,6 +105,10 @@ class Signatures(msgspec.Struct, frozen=True):
     signatures: list[Signature]
 
 
+class FileReference(msgspec.Struct, frozen=True):
+    sha256: str
+
+
 class ExperimentReference(msgspec.Struct, frozen=True):
     """``approval`` says why it waits for one, if it does."""
 

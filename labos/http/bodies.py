@@ -15,6 +15,7 @@ from labos.http.limits import (
     WHOLE_NUMBERS,
     Amount,
     Asker,
+    FileContent,
     FileName,
     Files,
     FileText,
@@ -84,6 +85,10 @@ class ExperimentNote(msgspec.Struct, forbid_unknown_fields=True):
     ]
     name: Annotated[Name, says("its name")]
     facts: Annotated[dict[str, Any], says("a table of anything")] = {}
+
+
+class NewFile(msgspec.Struct, forbid_unknown_fields=True):
+    content: Annotated[FileContent, says("the file, in base64")]
 
 
 class ExperimentEnd(msgspec.Struct, forbid_unknown_fields=True):

@@ -27,6 +27,8 @@ LARGEST_BODY = 96 * 1024 * 1024
 """Bytes of a request that brings files along."""
 SMALL_BODY = 512 * 1024
 """Bytes of any other request."""
+LARGEST_CONTENT = 64 * 1024 * 1024
+"""Bytes of a file that is kept by itself."""
 LARGEST_BODIES = 192 * 1024 * 1024
 """Bytes of all requests that are being read."""
 LARGEST_TABLE = 48 * 1024
@@ -78,6 +80,7 @@ FileName = Annotated[str, msgspec.Meta(max_length=LONGEST_FILE_NAME, pattern=ONE
 FileText = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
 SheetText = Annotated[str, msgspec.Meta(max_length=LONGEST_SHEET)]
 Files = Annotated[dict[Name, bytes], msgspec.Meta(max_length=MOST_FILES)]
+FileContent = Annotated[bytes, msgspec.Meta(max_length=LARGEST_CONTENT)]
 Secret = Annotated[str, msgspec.Meta(max_length=1000)]
 """A password; it is in no log and no answer."""
 Priority = Annotated[int, msgspec.Meta(ge=-HIGHEST_PRIORITY, le=HIGHEST_PRIORITY)]

@@ -119,6 +119,7 @@ BY_ITSELF: Mapping[str, Role | Literal["nobody"]] = {
     "erase_person": "viewer",
     "link_identity": "admin",
     "record_heartbeat": "submitter",
+    "keep_file": "submitter",
     "stop_modules": "submitter",
     "trace_wires": "operator",
     "check_run": "submitter",

@@ -469,11 +469,14 @@ class LabService:
     def hear(self, experiment: str, actor: str) -> None:
         """The application lives. Raises Forbidden for somebody else's: whoever keeps it alive goes on with
         it."""
-        note = NoteExperiment(ExperimentId(experiment), "", "")
-        wrong = denied(self.kernel.state, note, actor)
+        self.check_noting(experiment, actor)
+        self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
+
+    def check_noting(self, experiment: str, actor: str) -> None:
+        """Raises Forbidden for who may not add to an experiment."""
+        wrong = denied(self.kernel.state, NoteExperiment(ExperimentId(experiment), "", ""), actor)
         if wrong is not None:
             raise error_of(wrong)
-        self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
 
     async def note(self, experiment: str, kind: str, name: str, facts: dict[str, Any], actor: str) -> None:
         self.hear(experiment, actor)

@@ -110,8 +110,8 @@ class People(Processes):
             await asyncio.sleep(look_s)
 
     async def _until_written(self) -> None:
-        """Until all that the kernel knows is on disk, and it knows all that is: one that was replaced does not,
-        before its successor answers."""
+        """Until all that the kernel knows is on disk, and it knows all that is: one that was replaced does
+        not, before its successor answers."""
         while True:
             kernel = self.kernel
             try:

@@ -27,6 +27,9 @@ BEFORE = {"close": "self.threads.give_up()"}
 SOURCES = {
     "Any": "typing",
     "Image": "PIL.Image",
+    "Attempts": "labos.services.compute",
+    "Callable": "collections.abc",
+    "Future": "concurrent.futures",
     "Iterable": "collections.abc",
     "Mapping": "collections.abc",
     "Path": "pathlib",

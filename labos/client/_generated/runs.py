@@ -147,6 +147,15 @@ class GeneratedRuns(Calls):
             user=user,
         )
 
+    def keep_file(self, experiment: str, content: bytes, user: str = "") -> str:
+        """Keep a file of an experiment. Keep a file of an experiment that has not ended, such as the result
+        of a computation. It is had again at ``/files/{sha256}``. Twice is once. ``content``: the file, in
+        base64. Returns the sha256. Raises NotFound."""
+        found: str = self._post(
+            f"/experiments/{in_path(experiment)}/files", {"content": content}, user=user, repeat=True
+        )["sha256"]
+        return found
+
     def heartbeat(self, experiment: str, user: str = "") -> None:
         """Say that the application lives. The application lives."""
         self._post(f"/experiments/{in_path(experiment)}/heartbeat", {}, user=user, repeat=True)

@@ -10,7 +10,8 @@ from labos.client._lab import LabClient
 from labos.client._threads import Threads
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+    from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+    from concurrent.futures import Future
     from pathlib import Path
     from types import TracebackType
     from typing import Any
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from labos.client._progress import Progress
     from labos.client._results import RunResult
     from labos.client._runs import Put
+    from labos.services.compute import Attempts
     from labos.services.results import Readings
 
 
@@ -339,6 +341,28 @@ class AsyncExperiment:
         """Runs in the order in which they end."""
         return self.threads.iterate(self.sync.as_completed(runs, check=check))
 
+    async def compute(
+        self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any
+    ) -> Any:
+        """What a function returns that is computed in another process, with an event that names it, the
+        digests of its code and arguments, where it ran, how long, and what it returned."""
+        return await self.threads.wait(self.sync.compute, function, *args, where=where, **named)
+
+    async def compute_all(
+        self, function: Callable[[Any], Any], arguments: Iterable[Any], *, where: str = "pool"
+    ) -> list[Any]:
+        """What a function returns for each argument, in their order."""
+        return await self.threads.wait(self.sync.compute_all, function, arguments, where=where)
+
+    async def configure_compute(self, *, attempts: Attempts | None = None, **places: Any) -> None:
+        """How often a computation is tried, and what the places need: ``pool=4`` processes,
+        ``parsl=parsl.config.Config(…)``, ``dask=distributed.Client(…)``."""
+        await self.threads.wait(self.sync.configure_compute, attempts=attempts, **places)
+
+    async def keep_file(self, content: bytes) -> str:
+        """Keep a file in the lab; returns its SHA-256, by which ``lab.file`` gives it back."""
+        return await self.threads.wait(self.sync.keep_file, content)
+
     async def note(self, kind: str, name: str, **facts: Any) -> None:
         """Log something of the application's own: loop_started, loop_ended, condition_checked, decision,
         local_compute, compute, flow or publication."""
@@ -360,3 +384,9 @@ class AsyncExperiment:
     ) -> list[str]:
         """Queue one run of a workflow for each payload, in order; returns their ids."""
         return await self.threads.wait(self.sync.submit_all, workflow, payloads, **options)
+
+    async def submit_compute(
+        self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any
+    ) -> Future[Any]:
+        """The same, as a future."""
+        return await self.threads.wait(self.sync.submit_compute, function, *args, where=where, **named)

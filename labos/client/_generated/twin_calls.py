@@ -242,6 +242,10 @@ class AsyncCalls:
         """What is left, and what runs out when."""
         return await self.threads.call(self.sync.inventory)
 
+    async def keep_file(self, experiment: str, content: bytes, user: str = "") -> str:
+        """Keep a file of an experiment."""
+        return await self.threads.call(self.sync.keep_file, experiment, content, user)
+
     async def link_identity(self, user: str, issuer: str, subject: str) -> None:
         """Say whom an identity provider means by a user."""
         await self.threads.call(self.sync.link_identity, user, issuer, subject)

@@ -7,8 +7,10 @@ from itertools import islice
 
 from labos.core.envelope import Record
 from labos.core.runs import RUN_ENDS
+from labos.errors import NotFound
 from labos.http.answers import (
     ExperimentReference,
+    FileReference,
     HeartbeatReply,
     RunDetail,
     RunReference,
@@ -21,6 +23,7 @@ from labos.http.bodies import (
     ExperimentEnd,
     ExperimentNote,
     NewExperiment,
+    NewFile,
     NewRun,
     RunCancel,
     RunPause,
@@ -138,6 +141,15 @@ async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) ->
 async def note_experiment(call: Call, path: OfExperiment, body: ExperimentNote) -> ExperimentReference:
     await call.service.note(path.experiment, body.kind, body.name, body.facts, call.user)
     return ExperimentReference(path.experiment)
+
+
+async def keep_file(call: Call, path: OfExperiment, body: NewFile) -> FileReference:
+    """Keep a file of an experiment that has not ended, such as the result of a computation. It is had again
+    at `/files/{sha256}`. Twice is once."""
+    if path.experiment not in call.kernel.state.experiments.open:
+        raise NotFound(f"There is no experiment {path.experiment} that has not ended.")
+    call.service.check_noting(path.experiment, call.user)
+    return FileReference(await asyncio.to_thread(call.service.parts.blobs.put, body.content))
 
 
 async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
@@ -302,6 +314,21 @@ OPERATIONS = (
         headers=("LabOS-User",),
         example={"kind": "decision", "name": "next colors", "facts": {"colors": [1, 2, 3]}},
         example_answer={"experiment": "E1"},
+    ),
+    Operation(
+        method="POST",
+        path="/experiments/{experiment}/files",
+        handler=keep_file,
+        client=Method("keep_file", "experiment, content, user", take="sha256", repeat=True),
+        summary="Keep a file of an experiment",
+        tag="experiments",
+        needs="submitter",
+        status=201,
+        problems=("not_found",),
+        headers=("LabOS-User",),
+        largest_body=LARGEST_BODY,
+        example={"content": "aGVsbG8="},
+        example_answer={"sha256": "2cf24dba5fb0a30e26e83b2ac5b9e29e1b161e5c1fa7425e73043362938b9824"},
     ),
     Operation(
         method="POST",

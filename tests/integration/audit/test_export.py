@@ -336,3 +336,42 @@ def test_an_export_follows_the_log(tmp_path: Path) -> None:
         assert json.loads(process.stdout.readline())["type"] == "labos.labware.samples_registered"
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0
+
+
+def test_a_file_of_events_goes_on_where_it_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    book = audited_lab()
+    home, file = tmp_path / "lab", tmp_path / "events.jsonl"
+    book.save(home)
+    everything = lines(capsys, home)
+    export(home, "events", "--to", str(file))
+    whole = file.read_bytes()
+    assert [json.loads(line) for line in whole.splitlines()] == everything
+    # Wherever a crash cuts it: within a line, at its end, before the first.
+    for size in (0, 1, len(whole) // 2, len(whole) - 1, whole.index(b"\n") + 1):
+        file.write_bytes(whole[:size])
+        export(home, "events", "--to", str(file))
+        assert file.read_bytes() == whole
+    export(home, "events", "--to", str(file))
+    assert file.read_bytes() == whole, "nothing comes twice"
+
+
+def test_a_file_of_something_else_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    book = audited_lab()
+    home = tmp_path / "lab"
+    book.save(home)
+    last = lines(capsys, home)[-1]
+    other = tmp_path / "other"
+    cases = {
+        "diary": "something else",
+        '{"a": 1}': "something else",
+        "diary\nof bo\n": "something else",
+        json.dumps({**last, "position": "99999999"}) + "\n": "another log",
+        json.dumps({**last, "source": "urn:other", "position": "1"}) + "\n": "another lab",
+    }
+    for text, words in cases.items():
+        other.write_text(text)
+        export(home, "events", "--to", str(other), code=1)
+        assert words in capsys.readouterr().err
+        assert other.read_text() == text
+    export(home, "events", "--to", str(other), "--family", "run", code=1)
+    assert "Leave --since and --family out" in capsys.readouterr().err

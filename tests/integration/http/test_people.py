@@ -141,6 +141,8 @@ def test_runs_experiments_and_campaigns_are_the_askers_own(tmp_path: Path) -> No
                 await attempt()
         with pytest.raises(Forbidden):
             service.hear(mine, "bo")
+        with pytest.raises(Forbidden):
+            service.check_noting(mine, "bo")
         service.hear(mine, "ada")
         campaign, _ = await submit_campaign(
             service, NewCampaign(text=CAMPAIGN, workflow=FLOW, user=on_behalf("robot", "ada")), "key"

@@ -1,0 +1,153 @@
+"""A computation with its attempts: a worker that dies is followed by another."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+import msgspec
+
+from labos.errors import BadInput, LabosError
+from labos.services.compute._places import open_place
+from labos.services.compute._work import Measured, code_digest, encoded, measure, name_of, value_digest
+
+MOST_WAITING = 64
+"""So many computations are waited for at once; others stand in line."""
+
+_DEATHS = frozenset({"BrokenProcessPool", "KilledWorker", "WorkerLost", "ManagerLost", "CancelledError"})
+"""How the places call it that a worker died with its computation."""
+
+
+class Attempts(msgspec.Struct, frozen=True):
+    """How often a computation is tried: ``after_death`` of its worker, and ``after_error`` of its own."""
+
+    after_death: int = 2
+    after_error: int = 0
+
+
+class Computed(msgspec.Struct, frozen=True):
+    """A computation that came to its end: what is told of it to the log."""
+
+    function: str
+    code: str
+    arguments: str
+    where: str
+    attempts: int
+    measured: Measured
+
+
+class ComputeFailed(LabosError):
+    """A computation gave no result."""
+
+    def __init__(
+        self,
+        function: str,
+        where: str,
+        attempts: int,
+        error: BaseException,
+        *,
+        code: str = "",
+        arguments: str = "",
+    ) -> None:
+        times = "once" if attempts == 1 else f"{attempts} times"
+        super().__init__(
+            f"{function} was tried {times} ({where}) and failed: {type(error).__name__}: {error}."
+        )
+        self.function, self.where, self.attempts, self.error = function, where, attempts, error
+        self.code, self.arguments = code, arguments
+
+
+class Computing:
+    """Computes functions at places, which are opened when they are first needed. For many threads."""
+
+    def __init__(self, places: Mapping[str, Any] | None = None, attempts: Attempts | None = None) -> None:
+        self._configured = dict(places or {})
+        self._attempts = attempts or Attempts()
+        self._open: dict[str, Executor] = {}
+        self._lock = threading.Lock()
+        self._waiting = ThreadPoolExecutor(MOST_WAITING, thread_name_prefix="computing")
+
+    def submit(
+        self,
+        function: Callable[..., Any],
+        args: tuple[Any, ...] = (),
+        named: Mapping[str, Any] | None = None,
+        *,
+        where: str = "pool",
+        then: Callable[[Computed], Any] = lambda computed: computed.measured.value,
+        failed: Callable[[ComputeFailed], None] = lambda error: None,
+    ) -> Future[Any]:
+        """Begin a computation; its future gives what ``then`` makes of it, and raises ComputeFailed after
+        ``failed`` was told of it. Raises NotFound, BadInput."""
+        self._executor(where)  # a place that cannot be had is said at once
+        given = dict(named or {})
+        arguments = value_digest({"args": list(args), "named": given})
+
+        def compute() -> Any:
+            try:
+                computed = self._compute(function, args, given, where, arguments)
+            except ComputeFailed as error:
+                failed(error)
+                raise
+            return then(computed)
+
+        return self._waiting.submit(compute)
+
+    def close(self, *, drop: bool = False, wait: bool = True) -> None:
+        """Ends the places when all is computed. ``drop``: what has not begun is given up."""
+        self._waiting.shutdown(wait, cancel_futures=drop)
+        with self._lock:
+            opened, self._open = list(self._open.values()), {}
+        for executor in opened:
+            executor.shutdown(wait)
+
+    def _compute(
+        self,
+        function: Callable[..., Any],
+        args: tuple[Any, ...],
+        named: dict[str, Any],
+        where: str,
+        arguments: str,
+    ) -> Computed:
+        name, deaths, errors = name_of(function), 0, 0
+        while True:
+            executor = self._executor(where)
+            try:
+                measured = executor.submit(measure, function, args, named).result()
+                encoded(measured.value)  # what cannot be written down is no result
+            except (Exception, CancelledError) as error:
+                if _is_death(error):
+                    self._forget(where, executor, error)
+                    deaths += 1
+                    again = deaths <= self._attempts.after_death
+                else:
+                    errors += 1
+                    again = errors <= self._attempts.after_error and not isinstance(error, BadInput)
+                if not again:
+                    raise ComputeFailed(
+                        name, where, deaths + errors, error, code=code_digest(function), arguments=arguments
+                    ) from error
+            else:
+                return Computed(name, code_digest(function), arguments, where, deaths + errors + 1, measured)
+
+    def _executor(self, where: str) -> Executor:
+        with self._lock:
+            if where not in self._open:
+                self._open[where] = open_place(where, self._configured.get(where))
+            return self._open[where]
+
+    def _forget(self, where: str, executor: Executor, error: BaseException) -> None:
+        """A pool of which one worker died takes nothing more: the next attempt opens another."""
+        if not isinstance(error, BrokenProcessPool):
+            return
+        with self._lock:
+            if self._open.get(where) is executor:
+                del self._open[where]
+        executor.shutdown(wait=False)
+
+
+def _is_death(error: BaseException) -> bool:
+    return any(kind.__name__ in _DEATHS for kind in type(error).__mro__)

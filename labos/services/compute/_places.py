@@ -1,0 +1,69 @@
+"""Where functions are computed: each place is an executor of `concurrent.futures`, opened by its name."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from typing import Any
+
+from labos.errors import BadInput, NotFound
+
+
+def _open_local(configuration: Any) -> Executor:
+    """A thread of the application's own process."""
+    return ThreadPoolExecutor(configuration or 1, thread_name_prefix="compute")
+
+
+def _open_pool(configuration: Any) -> Executor:
+    """Processes of this computer. They are started afresh and not forked: the application has threads."""
+    workers = configuration or min(os.cpu_count() or 1, 61)
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+
+
+def _open_parsl(configuration: Any) -> Executor:
+    """``configuration`` is a `parsl.config.Config`, of this computer or of a cluster."""
+    try:
+        from parsl.concurrent import ParslPoolExecutor
+    except ImportError:
+        raise _missing("parsl", "parsl") from None
+    if configuration is None:
+        raise BadInput("Parsl needs to be told where to compute.", remedy="Give a parsl.config.Config.")
+    opened: Executor = ParslPoolExecutor(configuration)
+    return opened
+
+
+def _open_dask(configuration: Any) -> Executor:
+    """``configuration`` is a `distributed.Client`."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise _missing("Dask", "dask") from None
+    if not isinstance(configuration, Client):
+        raise BadInput("Dask needs to be told where to compute.", remedy="Give a distributed.Client.")
+    # pure: two calls with the same arguments are two computations.
+    client: Any = configuration
+    opened: Executor = client.get_executor(pure=False)
+    return opened
+
+
+PLACES: dict[str, Callable[[Any], Executor]] = {
+    "local": _open_local,
+    "pool": _open_pool,
+    "parsl": _open_parsl,
+    "dask": _open_dask,
+}
+
+
+def open_place(where: str, configuration: Any = None) -> Executor:
+    """Raises NotFound for a place that nobody knows, BadInput for one that is not configured."""
+    if where not in PLACES:
+        raise NotFound(
+            f"There is no place {where!r} to compute at.", remedy=f"There are: {', '.join(PLACES)}."
+        )
+    return PLACES[where](configuration)
+
+
+def _missing(name: str, extra: str) -> BadInput:
+    return BadInput(f"{name} is not installed.", remedy=f'pip install "labos-sdl[{extra}]"')
