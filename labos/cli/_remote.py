@@ -51,6 +51,7 @@ FOLDER = frozenset(
         "labos notifications watch",
         "labos provenance",
         "labos sql",
+        "labos take-over",
         "labos verify",
         "labos witness",
     }

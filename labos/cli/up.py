@@ -312,7 +312,7 @@ def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
     click.echo("Ctrl-C closes it.")
     if not quiet:
         threading.Thread(target=_narrate, args=(lab,), name="narrator", daemon=True).start()
-    _be_told(lab)
+    _listen_for_take_over(lab)
     try:
         while not lab.failed.wait(0.5):
             pass
@@ -320,7 +320,7 @@ def _serve(lab: LabThread, settings: Settings, quiet: bool) -> None:
         click.echo(f"\n{CLOSING}")
 
 
-def _be_told(lab: LabThread) -> None:
+def _listen_for_take_over(lab: LabThread) -> None:
     """Leave the lab to a standby when `labos take-over` says so."""
     import signal
 
