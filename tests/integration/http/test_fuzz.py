@@ -94,6 +94,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     },
     "/experiments/{experiment}/end": {"why": "over"},
     "/experiments/{experiment}/notes": {"kind": "decision", "name": "n", "facts": {"a": [1]}},
+    "/experiments/{experiment}/files": {"content": "aGVsbG8="},
     "/experiments/{experiment}/heartbeat": {},
     "/campaigns": {
         "text": CAMPAIGN,
