@@ -116,13 +116,20 @@ def is_admin(call: Call) -> bool:
 
 
 def expect_self_or_admin(call: Call, user: str) -> None:
-    """Raises Forbidden, NotFound."""
-    if call.who.user != user and not is_admin(call):
+    """Raises Forbidden, also for a program that would get at how a person signs in; NotFound."""
+    who, known = call.who.user, call.kernel.state.users.known
+    if who != user and not is_admin(call):
         raise Forbidden(
             f"Only {user} and admins of the lab may do that.", remedy="Ask an admin, or name yourself."
         )
-    if user not in call.kernel.state.users.known:
+    if user not in known:
         raise NotFound(f"This lab has no user {user!r}.", remedy="List them: labos user list")
+    if call.who.is_known and known[who].kind == "service" and known[user].kind != "service":
+        raise Forbidden(
+            f"{who} is a service account, and {user} is a person: a program that could sign in as a person "
+            "could approve what it has asked for.",
+            remedy="Ask an admin who is a person.",
+        )
 
 
 def expect_users(call: Call) -> None:

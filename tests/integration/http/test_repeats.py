@@ -268,3 +268,21 @@ def test_what_is_so_already_is_said_and_its_reason_is_noted(raw: httpx.Client) -
     assert pause(why="still lunch") == (True, True)
     assert pause() == (True, False)
     raw.post("/control/resume", json={"target": "sealer", "by": "ada"})
+
+
+def test_a_booking_that_was_made_before_a_restart_is_not_refused_as_an_overlap(tmp_path: Path) -> None:
+    cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
+    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    booking = {"target": "hidex", "begins_at": 4 * 10**18, "ends_at": 4 * 10**18 + 3600 * 10**9, "by": "ada"}
+
+    def send(url: str) -> httpx.Response:
+        with httpx.Client(base_url=url + API, timeout=30) as raw:
+            return raw.post("/bookings", json=booking, headers=keyed("mine"))
+
+    with LabThread(settings, [cell], nodes="none") as lab:
+        first = send(lab.url)
+        assert first.status_code == 201, first.text
+    with LabThread(settings, nodes="none") as lab:
+        again = send(lab.url)
+    assert (again.status_code, again.json()["code"]) == (409, "already_done"), again.text
+    assert "was carried out at position" in again.json()["detail"]

@@ -15,7 +15,7 @@ import pytest
 from labos.bootstrap import LabThread
 from labos.client import LabClient
 from labos.client._lab import API
-from labos.core.decide.users import DisableUser, EnableUser
+from labos.core.decide.users import AddUser, DisableUser, EnableUser, GrantRole
 from labos.errors import LabosError, NotSignedIn
 from labos.http.operation import Operation
 from labos.http.routes import OPERATIONS
@@ -484,3 +484,25 @@ def test_without_users_everybody_is_who_they_say(tmp_path: Path) -> None:
         is_problem(answer, 409, "refused")
         is_problem(anybody.post("/control/pause", json={"target": "lab"}), 400, "bad_input")
         assert anybody.post("/control/pause", json={"target": "lab", "by": "ada"}).status_code == 200
+
+
+def test_a_program_does_not_get_at_how_a_person_signs_in(lab: LabThread, folder: Path) -> None:
+    """Not as an admin either: it could approve what it has asked for."""
+    execute(lab, AddUser("steward", "service"), "ada")
+    execute(lab, GrantRole("user:steward", "admin"), "ada")
+    with client_of(lab, token_of(folder, "steward", scope="admin")) as program:
+        mine = program.post("/tokens", json={"label": "mine", "scope": "viewer", "days": 1})
+        assert mine.status_code == 201, mine.text
+        for user in ("ada", "bob"):
+            tried = [
+                program.post("/tokens", json={"label": "x", "user": user, "scope": "viewer", "days": 1}),
+                program.post(f"/users/{user}/password", json={"password": "a new one of many words"}),
+                program.post(f"/users/{user}/identity", json={"issuer": "https://idp", "subject": "me"}),
+                program.post(f"/users/{user}/person", json={"mail": "me@example.org"}),
+            ]
+            for answer in tried:
+                if answer.status_code != 404:
+                    assert is_problem(answer, 403, "forbidden")["detail"].startswith("steward is a service")
+            assert sum(answer.status_code == 403 for answer in tried) >= 3
+        other = program.post("/tokens", json={"label": "x", "user": "agent", "scope": "viewer", "days": 1})
+        assert other.status_code == 201, other.text
