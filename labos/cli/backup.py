@@ -10,7 +10,7 @@ import msgspec
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, open_database
 from labos.settings import Settings
-from labos.store import backup, key_of, move_old_segments, open_blobs
+from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
 
 _DAY_NS = 86_400 * 10**9
 
@@ -56,8 +56,9 @@ def command(
     labos restore /safe/lab             put it into an empty database
     labos backup /safe/lab --move-old /archive/lab --keep-days 400
 
-    A segment is never changed again. The journals of the nodes are not copied: they are how a log that was
-    restored from an older copy is recognised.
+    A segment is never changed again. accounts.json (who may sign in: names, addresses, and what passwords and
+    tokens are checked by) is written anew each time. The journals of the nodes are not copied: they are how
+    a log that was restored from an older copy is recognised.
     """
     key = key_of(key_file) if key_file else b""
     known = kernel_file(where.home)
@@ -69,10 +70,21 @@ def command(
             key=key,
             simulated=bool(known.get("simulated", (where.home / "world").is_dir())),
         )
+    accounts = open_accounts(where.url)
+    try:
+        people = copy_accounts(accounts, made.lab, folder, now_ns(), key)
+    finally:
+        accounts.close()
     before = now_ns() - int(keep_days * _DAY_NS)
     moved = move_old_segments(folder, archive, before) if archive is not None else []
     if as_json:
-        show_json({**msgspec.structs.asdict(made), "moved": [segment.file for segment in moved]})
+        show_json(
+            {
+                **msgspec.structs.asdict(made),
+                "users": people.users,
+                "moved": [segment.file for segment in moved],
+            }
+        )
         return
     newest = made.segments[-1]
     click.echo(f"{folder} holds the lab {made.lab} up to position {made.position}.")
@@ -81,5 +93,7 @@ def command(
         f"{len(made.segments)} segments, the newest {newest.file}{' (sealed)' if newest.seal else ''}; "
         f"{len(made.blobs)} blobs."
     )
+    if people.users:
+        click.echo(f"The accounts of {people.users} users are in accounts.json.")
     if archive is not None:
         click.echo(f"{len(moved)} segments were moved to {archive}." if moved else "No segment is so old.")

@@ -23,7 +23,10 @@ from labos.store import (
     forget_end,
     key_of,
     leapt_epoch,
+    open_accounts,
     open_blobs,
+    put_accounts_back,
+    read_accounts_copy,
     records_of,
     refuse_to_overwrite,
     restore_log,
@@ -34,7 +37,8 @@ from labos.store import (
 
 class Restored(msgspec.Struct, frozen=True):
     """A backup that was put into a database, and checked there: up to which ``position``, the chain's
-    ``hash`` and the hash of the ``state`` there. The next kernel's ``epoch`` is above this one."""
+    ``hash`` and the hash of the ``state`` there; of so many ``users`` the accounts. The next kernel's
+    ``epoch`` is above this one."""
 
     lab: LabId
     position: int
@@ -44,6 +48,7 @@ class Restored(msgspec.Struct, frozen=True):
     blobs: int
     database: str
     recorded_at: int = 0
+    users: int = 0
 
 
 @click.command("restore", short_help="Put a backup into an empty database, or try whether it could be.")
@@ -98,6 +103,11 @@ def command(
         return
     click.echo(f"The lab {done.lab} is restored up to position {done.position}: chain, fold and state agree.")
     click.echo(f"Database {done.database}, {done.blobs} blobs, next epoch above {done.epoch}.")
+    if done.users:
+        click.echo(
+            f"Of {done.users} users the accounts are as they were then: revoke tokens anew that were revoked "
+            "since (labos token list), and erase again who was erased since (labos user erase)."
+        )
     click.echo(
         "Nothing will start before somebody has been round the bench: labos up, then labos bench round."
     )
@@ -113,6 +123,7 @@ def put_back(where: Where, folder: Path, key: bytes, blobs: Blobs | None = None)
     check what was written. Raises Refused, LogDamaged, BadInput, StoreUnavailable."""
     refuse_to_overwrite(where.url)
     found, state = verify_backup(folder, key=key)
+    people = read_accounts_copy(folder, found.lab, key)
     target, source = (
         blobs or open_blobs(Settings.of(where.home, where.url).blobs),
         FolderBlobs(folder / "blobs"),
@@ -138,6 +149,12 @@ def put_back(where: Where, folder: Path, key: bytes, blobs: Blobs | None = None)
             position=head.position,
             remedy="Check the disk, then restore into another database.",
         )
+    if people is not None:
+        accounts = open_accounts(where.url)
+        try:
+            put_accounts_back(accounts, people)
+        finally:
+            accounts.close()
     if not kernel_file(where.home):
         place = str(Settings.of(where.home, where.url).blobs)
         info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)
@@ -151,4 +168,5 @@ def put_back(where: Where, folder: Path, key: bytes, blobs: Blobs | None = None)
         blobs=len(found.blobs),
         database=shown_url(where.url),
         recorded_at=head.recorded_at,
+        users=people.users if people is not None else 0,
     )

@@ -2,6 +2,7 @@
 
 from labos.private import create_file, make_folder, tighten
 from labos.store._accounts import SqlAccounts, open_accounts
+from labos.store._accounts_copy import AccountsCopy, copy_accounts, put_accounts_back, read_accounts_copy
 from labos.store._archive import move_old_segments
 from labos.store._backend import Holder
 from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
@@ -21,6 +22,7 @@ from labos.store._url import display_name, parse_url, sqlite_path
 from labos.store._verify import Damage, Progress, first_damage
 
 __all__ = [
+    "AccountsCopy",
     "Backup",
     "Blobs",
     "Damage",
@@ -38,6 +40,7 @@ __all__ = [
     "SqlEventStore",
     "backup",
     "chained",
+    "copy_accounts",
     "create_file",
     "database_bytes",
     "database_file",
@@ -59,7 +62,9 @@ __all__ = [
     "open_blobs",
     "open_store",
     "parse_url",
+    "put_accounts_back",
     "raise_epoch",
+    "read_accounts_copy",
     "read_backup",
     "read_segment",
     "records_of",
