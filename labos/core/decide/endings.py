@@ -47,8 +47,8 @@ def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> 
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status != DONE:
         return
     plan = state.runs.plan_of(run)
-    failed = plan.steps[event.step].part
-    if failed < 0 or run.steps[failed].status != FAILED:
+    failed = plan.steps[event.step].serves
+    if failed is None or run.steps[failed].status != FAILED:
         return
     recovery = rescuers(plan, failed)
     if event.step not in recovery or any(run.steps[index].status not in SETTLED for index in recovery):
