@@ -14,9 +14,12 @@ from labos.core import plans as p
 from labos.core import runs as r
 from labos.core import steps as st
 from labos.core.envelope import Envelope
-from labos.core.model import MAIN
+from labos.core.model import MAIN, ON_CANCEL, AnyPart
 from labos.services.files import files_in
 from labos.services.results import labware_of_action, tables
+
+NUMBERS: dict[AnyPart, int] = {MAIN: -1, ON_CANCEL: -2}
+"""How a table of whole numbers names the parts of a plan that are there for no step."""
 
 # -- plans and runs ----------------------------------------------------------------------------
 
@@ -31,7 +34,7 @@ def on_plan_recorded(rows: Rows, event: p.PlanRecorded, head: Envelope, at: floa
 def on_plan_steps_recorded(rows: Rows, event: p.PlanStepsRecorded, head: Envelope, at: float) -> None:
     plan = rows.change(PLANS, event.plan)
     if plan is not None:
-        steps = [[s.key, s.module, s.action, s.part, list(s.after)] for s in event.steps]
+        steps = [[s.key, s.module, s.action, NUMBERS.get(s.part, s.part), list(s.after)] for s in event.steps]
         plan["steps"] = [*plan["steps"][: event.first], *steps]
 
 
@@ -75,7 +78,7 @@ def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -
                 "key": key,
                 "module": module,
                 "name": name,
-                "state": "pending" if part == MAIN else "asleep",
+                "state": "pending" if part == NUMBERS[MAIN] else "asleep",
                 "part": part,
                 "after": after,
                 "attempts": 0,

@@ -27,7 +27,6 @@ from labos.http.link import KernelLink
 from labos.http.server import HttpServer
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
-from labos.node.world import World
 from labos.pki import PROCESS_NAME, Identity
 from labos.ports import BlobStore, Bus
 from labos.runtime.followed import FollowedKernel, SendOn
@@ -76,10 +75,6 @@ class ApiRuntime:
 
     @property
     def registry(self) -> Registry:
-        raise SendOn
-
-    def world(self, workcell: str) -> World:
-        """A simulated bench is changed by the kernel's process alone."""
         raise SendOn
 
     def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None:

@@ -25,6 +25,7 @@ from labos.bootstrap._gate import (
     listening,
     opened_gate,
 )
+from labos.bootstrap._hands import SimulatedHands
 from labos.bootstrap._metrics import LabMetrics
 from labos.bootstrap._notify import find_contacts, run_notifier
 from labos.bootstrap._secure import Guard, unheard_by_name
@@ -322,14 +323,16 @@ async def open_lab(
             with _folder(settings.worlds if simulated else settings.home):
                 kernel, writer = await _open_kernel(settings, store, follower)
         stack.push_async_callback(kernel.close)
+        lab = LabRuntime(settings, kernel, store, simulated=simulated)
+        stack.callback(lab.close_worlds)
+        if simulated:
+            kernel.listeners.append(SimulatedHands(lab.world, store, kernel.state))
         await add_first_user(settings, kernel)
         expect_users(settings, kernel)
-        lab = LabRuntime(settings, kernel, store, simulated=simulated)
         lab.metrics = LabMetrics(lab, writer)
         lab.metrics.traces = await stack.enter_async_context(send_traces(settings, kernel))
         stack.push_async_callback(lab.metrics.close)
         lab.blobs.tidy()
-        stack.callback(lab.close_worlds)
         _check_pace(settings, kernel)
         if 0 < ended < known:  # a new lab in an old folder has lost nothing
             kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")

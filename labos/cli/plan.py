@@ -164,7 +164,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             on_error=_on_error(step),
             when=step.when.text if step.when else "",
             expect=step.expect.text if step.expect else "",
-            rescues=plan.steps[step.part].key if step.part >= 0 else "",
+            rescues=plan.steps[step.serves].key if step.serves is not None else "",
             on_cancel=step.part == ON_CANCEL,
             looks=_looks(step, workcell),
         )

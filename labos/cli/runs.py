@@ -13,6 +13,7 @@ from labos.cli._options import ENDED_SHOWN, all_option, json_option
 from labos.cli._out import show_json, show_parts, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.core.ids import local
+from labos.core.model import served_by
 from labos.planning.scheduler import Scheduler
 from labos.services.describe import short
 from labos.services.experiments import experiment_histories
@@ -117,7 +118,10 @@ def _one(run: RunHistory, waits: dict[str, list[str]]) -> None:
     show_parts([f"{what} {show_time(at)}" for what, at in times if at])
     click.echo()
     columns = ("#", "step", "action", "state", "requested", "took", "tries", "result or error")
-    show_table(columns, [_step(step) for step in run.steps if step.state != "asleep" or step.part >= 0])
+    show_table(
+        columns,
+        [_step(step) for step in run.steps if step.state != "asleep" or served_by(step.part) is not None],
+    )
 
 
 def _step(step: StepHistory) -> tuple[str, ...]:

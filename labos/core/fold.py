@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from labos.core import (
@@ -101,4 +101,18 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
         versions.pop(getattr(event, ends), None)
     elif kind in (InterventionResolved, BookingCancelled) or getattr(event, "over", None) is True:
         del versions[stream]
+    state.position, state.recorded_at = position, recorded_at
+
+
+def evolve_slices(
+    state: LabState, slices: Collection[str], event: Event, position: int, recorded_at: int
+) -> None:
+    """Take in one event where only some slices of the state are kept."""
+    for name, handler in TABLE[type(event)]:
+        if name in slices:
+            handler(getattr(state, name), event, recorded_at)
+    if isinstance(event, ActionRequested) and "actions" in slices:
+        actions.requested(state.actions, event, recorded_at, position)
+    elif isinstance(event, RunSubmitted) and "runs" in slices:
+        runs.submitted(state.runs, event, recorded_at, position)
     state.position, state.recorded_at = position, recorded_at

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Any, Literal
 
 import msgspec
@@ -272,8 +273,22 @@ class Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     of_step: str = ""
 
 
-MAIN, ON_CANCEL = -1, -2
-"""Parts of a plan: the workflow itself, and what is done after its cancellation."""
+class Part(StrEnum):
+    """A part of a plan: the workflow itself, or what is done after its cancellation."""
+
+    MAIN = "main"
+    ON_CANCEL = "on_cancel"
+
+
+MAIN, ON_CANCEL = Part.MAIN, Part.ON_CANCEL
+
+AnyPart = Part | int
+"""A part of a plan, or what is done when the step of this index has failed."""
+
+
+def served_by(part: AnyPart) -> int | None:
+    """The step whose failure a part of a plan is there for; None if it is for none."""
+    return part if isinstance(part, int) else None
 
 
 class Condition(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
@@ -308,7 +323,7 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
     where the action takes a file;
     ``after`` are indices of the steps that must be done before. ``timeout_s`` lab seconds after the
     request it counts as unknown how the action ended. ``part`` is what the step belongs to: the workflow
-    itself (-1), the way out of a cancelled run (-2: some may be left out, so they wait for all that come
+    itself, the way out of a cancelled run (some may be left out, so they wait for all that come
     before), or what is done when the step of that index has failed. Only if ``when`` holds is it
     done, and its result has to be as ``expect`` says. ``hazard`` is what its action says of dangers;
     ``dangerous`` is the same if it takes a second person's approval."""
@@ -328,11 +343,16 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
     timeout_s: float | None = None
     by_person: bool = False
     on_error: OnError | None = None
-    part: int = MAIN
+    part: AnyPart = MAIN
     when: Condition | None = None
     expect: Condition | None = None
     dangerous: str = ""
     hazard: str = ""
+
+    @property
+    def serves(self) -> int | None:
+        """The step whose failure it is there for; None if it is for none."""
+        return served_by(self.part)
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):

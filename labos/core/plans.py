@@ -33,7 +33,7 @@ class PlanRecorded(Event, frozen=True):
         return self.by
 
 
-@event("plan.steps_recorded", schema=3)
+@event("plan.steps_recorded", schema=4)
 class PlanStepsRecorded(Event, frozen=True):
     """Some of a plan's steps, from index ``first``; long plans take several of these."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.model import MAIN, Plan, PlanStep
+from labos.core.model import Plan, PlanStep
 from labos.core.state import LabState
 from labos.core.users import ROLES, Role, rank
 
@@ -20,7 +20,7 @@ def role_for(plan: Plan) -> Role:
 
 
 def _after_own(plan: Plan, step: PlanStep) -> bool:
-    return step.part > MAIN and plan.steps[step.part].module == step.module
+    return step.serves is not None and plan.steps[step.serves].module == step.module
 
 
 def lacks_role_for(state: LabState, user: str, plan: Plan) -> str:

@@ -69,7 +69,7 @@ class RunEvent(Event, frozen=True):
         return self.run
 
 
-@event("run.submitted")
+@event("run.submitted", schema=2)
 class RunSubmitted(RunEvent, frozen=True):
     """A run waits to be started. ``pins`` are digests of the workflow file, the workcell, each
     module's ``about`` and the whole request, by name. ``anchors`` are the ends of other runs'
@@ -89,7 +89,7 @@ class RunSubmitted(RunEvent, frozen=True):
     anchors: tuple[Anchor, ...] = ()
     planned_by: str = ""
     campaign: CampaignId = CampaignId("")
-    row: int = -1
+    row: int | None = None
     reads: dict[str, int] = {}
 
 

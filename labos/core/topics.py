@@ -6,12 +6,18 @@ over these types. The text of a question is for people, and nothing is ever read
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Iterator, Sequence
+from typing import ClassVar, TypeVar
 
 import msgspec
 
 from labos.core.effects import AnyEffect, Move, Needs, Reads, carried
 from labos.core.ids import ActionId, ExperimentId, LabwareId, StationName, local
+
+NAMED = 8
+"""So many pieces of labware are named in the text of a question; the others are counted."""
+
+T = TypeVar("T")
 
 
 class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -25,6 +31,8 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """What a question is about. ``run`` and ``module`` are those it concerns, empty if none."""
 
     KIND: ClassVar[str]
+    MOST_PIECES: ClassVar[int] = 1_000
+    """So many pieces of labware one question is about at the most: an event has 64 KB."""
     run: str = ""
     module: str = ""
 
@@ -47,6 +55,18 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     def evidence(self) -> tuple[AnyEffect, ...]:
         """Motions of which it is not known how far they went, or the reading that contradicts the log."""
         return ()
+
+
+def in_batches(topic: type[Topic], pieces: Sequence[T]) -> Iterator[Sequence[T]]:
+    """The pieces, as many at a time as one question of this type may be about."""
+    for first in range(0, len(pieces), topic.MOST_PIECES):
+        yield pieces[first : first + topic.MOST_PIECES]
+
+
+def name_some(pieces: Sequence[str]) -> str:
+    """The first of several pieces, as one piece of a sentence, and how many more there are."""
+    more = f" and {len(pieces) - NAMED} more" if len(pieces) > NAMED else ""
+    return f"{', '.join(pieces[:NAMED])}{more}"
 
 
 class UnknownAction(Topic, frozen=True, tag="unknown_action"):
@@ -159,6 +179,7 @@ class NotSeen(Topic, frozen=True, tag="not_seen"):
     ``other_type`` (empty: nothing)."""
 
     KIND: ClassVar[str] = "contradiction"
+    MOST_PIECES: ClassVar[int] = 200  # each is also told as a motion, with its station
     station: StationName
     labware: tuple[LabwareId, ...]
     other_type: str = ""

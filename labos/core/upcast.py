@@ -85,6 +85,22 @@ def _with_no_numbers_for_nothing(payload: dict[str, Any]) -> dict[str, Any]:
     return {**payload, "steps": steps}
 
 
+def _with_named_parts(payload: dict[str, Any]) -> dict[str, Any]:
+    """The workflow itself was written as part -1, the way out as part -2."""
+    names = {-1: "main", -2: "on_cancel"}
+    steps = [
+        {**step, "part": names.get(part, part)}
+        for step in payload["steps"]
+        for part in [step.get("part", -1)]
+    ]
+    return {**payload, "steps": steps}
+
+
+def _with_no_row(payload: dict[str, Any]) -> dict[str, Any]:
+    """A run of no campaign was written with row -1."""
+    return {**payload, "row": _or_null(payload.get("row", -1))}
+
+
 def _or_null(index: int) -> int | None:
     return index if index >= 0 else None
 
@@ -92,6 +108,8 @@ def _or_null(index: int) -> int | None:
 LIFTS: dict[tuple[str, int], Lift] = {
     ("plan.steps_recorded", 1): _as_it_was,
     ("plan.steps_recorded", 2): _with_no_numbers_for_nothing,
+    ("plan.steps_recorded", 3): _with_named_parts,
+    ("run.submitted", 1): _with_no_row,
     ("window.breached", 1): _with_no_anchor,
     ("module.taken_out", 1): _as_it_was,
     ("intervention.requested", 1): _with_topic,

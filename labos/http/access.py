@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 
 import msgspec
 
 from labos.core.decide.access import Change, EndAccess, RequestAccess
 from labos.core.decide.runs import SubmitRun
-from labos.core.ids import LabwareId, local, workcell_of
+from labos.core.ids import local, workcell_of
 from labos.core.modules import ModuleStatus
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
 from labos.core.users import person_of
 from labos.errors import LabosError
-from labos.http.hands import plate_of
 from labos.http.limits import Name
 from labos.http.service import LabService, WorkflowText
-from labos.http.stock import check, expect
-from labos.node.world import World
-from labos.services.truth import bench_name
+from labos.http.stock import check
 from labos.spec.about import described
 
 PARKED_FIRST = 1_000_000
@@ -66,31 +62,7 @@ async def end_access(
         if not known:
             service.expect_labware(change.what)
     command = EndAccess(cell, by, note, tuple(changes))
-    if service.parts.simulated:
-        expect(service, command, by)
-        await asyncio.to_thread(_on_the_bench, service.parts.world(cell), service.kernel.state, changes)
     await service.kernel.execute(command, by)
-
-
-def _on_the_bench(world: World, state: LabState, changes: Sequence[Change]) -> None:
-    """On a simulated bench nobody has reached in: what was told is done to it, unless it is so."""
-    where = {
-        labware: plate_of(world, state, labware)
-        for labware in [LabwareId(change.what) for change in changes]
-        if labware in state.bench.labware
-    }
-    for change in sorted(changes, key=lambda change: change.what != "empty"):
-        place = bench_name(state.bench.stations[change.station].spec)
-        if change.what == "empty":
-            for plate in world.at(place):
-                if plate not in where.values():
-                    world.carry(plate, "")
-        elif LabwareId(change.what) in where:
-            plate = where[LabwareId(change.what)]
-            if plate and plate not in world.at(place):
-                world.carry(plate, place)
-        elif len(world.at(place)) <= len(state.bench.stations[change.station].labware):
-            world.stock(place, change.what)
 
 
 def _parkable(service: LabService, state: LabState, cell: str) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 
 from labos.core.decide.composites import DeclareStations
@@ -11,7 +10,6 @@ from labos.core.ids import StationName, local, workcell_of
 from labos.core.shelves import spread
 from labos.errors import BadInput
 from labos.http.service import LabService
-from labos.http.stock import check
 
 
 async def declare_bench(
@@ -35,17 +33,5 @@ async def declare_bench(
             if workcell_of(name) == cell and unheard and name not in bench.shelves:
                 stations.setdefault(name, ())
     command = DeclareStations(tuple(DeclareStation(name, types) for name, types in stations.items()))
-    check(service, command, by)
-    for declared in command.stations if service.parts.simulated else ():
-        if declared.contents:
-            await asyncio.to_thread(_stock, service, declared)
     await service.kernel.execute(command, by)
     return {local(name): list(types) for name, types in stations.items()}
-
-
-def _stock(service: LabService, command: DeclareStation) -> None:
-    """On a simulated bench it is put there."""
-    world = service.parts.world(workcell_of(command.station))
-    standing = len(world.at(local(command.station)))
-    for labware in command.contents[standing:]:
-        world.stock(local(command.station), labware)

@@ -10,10 +10,10 @@ import msgspec
 from labos.core.bench import parts
 from labos.core.decide.stock import FOLLOWS, LoadStation
 from labos.core.effects import Requires, Sets
-from labos.core.ids import StationName, local, workcell_of
+from labos.core.ids import StationName, local
 from labos.errors import BadInput
 from labos.http.limits import Name, Variables
-from labos.http.stock import expect, put_there
+from labos.http.stock import expect
 from labos.spec import Bench, Stock
 from labos.spec.about import described
 from labos.spec.bench import DEFAULT_LID
@@ -92,12 +92,3 @@ def with_loads(bench: Bench, loads: Sequence[LoadStation]) -> Bench:
     kept = [stock for stock in bench.stock if stock.station not in on_top]
     new = [Stock(name, load.labware, load.count + held.get(name, 0)) for name, load in on_top.items()]
     return Bench((*kept, *new), bench.away_from_rest)
-
-
-def put(service: LabService, loads: Sequence[LoadStation], by: str) -> None:
-    """Put it on the simulated bench, if this is one. Nothing is waited for, so that nothing comes between
-    what was checked and the commit that records it."""
-    if service.parts.simulated:
-        for command in loads:
-            events = expect(service, command, by)
-            put_there(service.parts.world(workcell_of(command.station)), command, events)

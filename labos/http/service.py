@@ -42,16 +42,13 @@ from labos.core.runs import RunSubmitted
 from labos.core.users import Role, person_of
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
-from labos.http.hands import put_right
 from labos.http.lab_kernel import LabKernel
 from labos.http.limits import FileName, Files, FileText
-from labos.http.placing import Placing, loads_of, put, with_loads
+from labos.http.placing import Placing, loads_of, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
-from labos.http.stock import check, expect, furnish, refill_by_hand
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
 from labos.http.views import Supervised
-from labos.node.world import World
 from labos.planning.booked import without_gap
 from labos.ports import BlobStore, Bus
 from labos.runtime.kernel import error_of
@@ -147,8 +144,6 @@ class Parts(Protocol):
     @property
     def simulated(self) -> bool: ...
 
-    def world(self, workcell: str) -> World: ...
-
     def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None: ...
 
 
@@ -184,17 +179,12 @@ class LabService:
 
     async def apply(self, cell: CompiledWorkcell, actor: str, *, declare: bool) -> None:
         """Set a workcell up, or change it. With ``declare``, what nobody has spoken of stands
-        as the file's stock says; a simulated bench is furnished to match."""
+        as the file's stock says."""
         stock: dict[StationName, list[str]] = {}
         for item in cell.bench.stock if declare else ():
             stock.setdefault(item.station, []).extend([item.labware] * item.count)
         contents = {name: tuple(types) for name, types in stock.items()} if declare else None
-        command = ApplyWorkcell(cell.workcell, contents)
-        check(self, command, actor)
-        if self.parts.simulated:
-            # The bench first: labware that is declared must be there when an arm reaches for it.
-            await asyncio.to_thread(furnish, self.parts.world(cell.workcell.name), cell.workcell, stock)
-        await self.kernel.execute(command, actor)
+        await self.kernel.execute(ApplyWorkcell(cell.workcell, contents), actor)
 
     def workcell(self, name: str = "") -> Workcell:
         """An applied workcell, as the log has it; without a name, the only one. Raises BadInput."""
@@ -360,9 +350,6 @@ class LabService:
             propose,
         )
         command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
-        if loads and request not in self.kernel.state.runs.requests:
-            check(self, command, user)
-            put(self, loads, user)
         events = await self.kernel.execute(command, user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
         if run is None:
@@ -516,11 +503,6 @@ class LabService:
             await self.kernel.written()
             if said := await asyncio.to_thread(answered, self.parts.store, intervention):
                 raise Refused(said, remedy="See its consequences: labos interventions --all")
-        if self.parts.simulated:
-            events = expect(self, answer, by)
-            put_right(self, answer.intervention, choice, events)
-            if choice == "done":
-                await asyncio.to_thread(refill_by_hand, self, answer.intervention)
         await self.kernel.execute(answer, by)
 
     async def emergency_stop(self, target: str, by: str) -> StopReport:

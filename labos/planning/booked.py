@@ -238,7 +238,7 @@ class BookingTimes:
     """When bookings of a state come near, begin and end; worked out anew when one has changed."""
 
     def __init__(self) -> None:
-        self._seen = -1
+        self._seen: int | None = None
         self._first: int | None = None
 
     def first(self, bookings: Bookings) -> int | None:

@@ -83,7 +83,7 @@ def campaign_rows(log: Log, name: str) -> list[RowHistory]:
         known = known or isinstance(event, CampaignEvent)
         if isinstance(event, CampaignRowRefused):
             rows[event.row] = RowHistory(event.row, "refused", why=event.why)
-        elif isinstance(event, RunSubmitted):
+        elif isinstance(event, RunSubmitted) and event.row is not None:
             rows[event.row] = RowHistory(event.row, run=event.run, payload=event.payload)
         book.add(event, head)
     if not known:

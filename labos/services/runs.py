@@ -11,7 +11,7 @@ from labos.core import actions as a
 from labos.core import runs as r
 from labos.core import steps as st
 from labos.core.envelope import Envelope
-from labos.core.model import MAIN
+from labos.core.model import MAIN, AnyPart
 from labos.core.registry import Event
 from labos.errors import NotFound
 from labos.ports import LogQuery
@@ -37,7 +37,7 @@ class StepHistory(msgspec.Struct):
     error: str = ""
     result: Any = None
     breached: bool = False
-    part: int = MAIN
+    part: AnyPart = MAIN
 
 
 class RunHistory(msgspec.Struct):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from labos.core.model import MAIN
+from labos.core.model import MAIN, AnyPart
 from labos.spec.findings import Assumed, Report, near
 from labos.spec.models import StepEntry
 from labos.spec.remarks import Remarks
@@ -40,7 +40,7 @@ class Leaf:
         box: Box,
         *,
         foreign: bool,
-        part: int = MAIN,
+        part: AnyPart = MAIN,
         conditions: tuple[Written, ...] = (),
     ) -> None:
         self.conditions = conditions

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from labos.core.expressions import ExpressionError, evaluate, names_in, parse_expression
-from labos.core.model import MAIN, ON_CANCEL
+from labos.core.model import MAIN, ON_CANCEL, AnyPart
 from labos.errors import SpecError
 from labos.spec.carriers import TRANSFER, Carriers
 from labos.spec.defaults import Defaults
@@ -57,7 +57,7 @@ class Unroller:
         self._files: dict[str, tuple[WorkflowFile, Source, bool] | None] = {}
         self._entries = 0
         self._full = False
-        self._part = MAIN
+        self._part: AnyPart = MAIN
         self._conditions: tuple[Written, ...] = ()
         self._aside: list[tuple[Leaf, Frame, Path_]] = []
 

@@ -19,7 +19,6 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.modules import ModuleStatus
 from labos.core.runs import RunState
 from labos.core.state import LabState, state_hash
-from labos.http.stock import put_there
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
 from labos.services.truth import differences
@@ -194,7 +193,9 @@ class SimulatedLab(People):
         for name, types in contents.items():
             await self._insist(DeclareStation(name, tuple(types)))
         for load in self.stand.loads:
-            put_there(self.world, load, ())
+            self.world.stock(local(load.station), load.labware, load.count)
+            if "sealed" in load.set:
+                self.world.work("person", "seal", local(load.station))
             await self._insist(load, partial(_stands_at, load.station))
         alive = [m.name for m in self.stand.workcell.modules if local(m.name) not in self.dead]
         await self._until(

@@ -6,6 +6,7 @@ with what would be written now.
 
 from __future__ import annotations
 
+import enum
 import inspect
 import re
 import types
@@ -245,6 +246,8 @@ def type_name(hint: Any) -> str:
         if set(args) == {*typing.get_args(AnyTopic), type(None)}:
             return "[topic](questions.md) or null"
         return " or ".join(type_name(arg) for arg in args)
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return " or ".join(f"`{value.value}`" for value in hint)
     if origin is typing.Literal:
         return " or ".join(f"`{arg}`" for arg in args)
     if origin in (tuple, list):

@@ -28,7 +28,7 @@ from labos.core.recurrence import DAY_NS, LATEST, fault_of_rule, in_zone, zone_o
 from labos.core.registry import Event
 from labos.core.roles import role_in
 from labos.core.state import LabState
-from labos.core.topics import BookedPlace
+from labos.core.topics import BookedPlace, in_batches, name_some
 from labos.core.users import person_of, rank
 
 MOST_HOURS = 24
@@ -401,14 +401,15 @@ def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:
     items = [item for _, item in found if not _is_theirs(state, booking, item)]
     if not items:
         return
-    where = next(module for module, item in found if item is items[0])
-    told = ", ".join(f"{i.id} of {_owner(i)} at {local(i.station)}" for i in items)
-    yield state.interventions.ask(
-        BookedPlace(module=where, booking=booking.id, labware=tuple(item.id for item in items)),
-        f"{local(booking.target)} is booked for {booking.whom} from {in_zone(begins, booking.zone)} "
-        f"({booking.id}), and there stands: {told}. What no run takes away before that stays meanwhile: "
-        "carry it away and say so (labos unload), or leave it.",
-    )
+    for some in in_batches(BookedPlace, items):
+        where = next(module for module, item in found if item is some[0])
+        stands = name_some([f"{i.id} of {_owner(i)} at {local(i.station)}" for i in some])
+        yield state.interventions.ask(
+            BookedPlace(module=where, booking=booking.id, labware=tuple(item.id for item in some)),
+            f"{local(booking.target)} is booked for {booking.whom} from {in_zone(begins, booking.zone)} "
+            f"({booking.id}), and there stands: {stands}. What no run takes away before that stays "
+            "meanwhile: carry it away and say so (labos unload), or leave it.",
+        )
 
 
 def _left(state: LabState, module: ModuleName) -> list[Labware]:

@@ -30,7 +30,7 @@ from labos.core.runs import (
 )
 from labos.core.state import LabState
 from labos.core.steps import StepSkipped
-from labos.core.topics import LeftLabware
+from labos.core.topics import LeftLabware, in_batches, name_some
 
 
 def under_way(run: RunState) -> bool:
@@ -47,8 +47,8 @@ def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> 
     if run is None or run.status == RunStatus.CANCELLING or run.steps[event.step].status != DONE:
         return
     plan = state.runs.plan_of(run)
-    failed = plan.steps[event.step].part
-    if failed < 0 or run.steps[failed].status != FAILED:
+    failed = plan.steps[event.step].serves
+    if failed is None or run.steps[failed].status != FAILED:
         return
     recovery = rescuers(plan, failed)
     if event.step not in recovery or any(run.steps[index].status not in SETTLED for index in recovery):
@@ -151,9 +151,10 @@ def ending(
             if run.id in now.holders:
                 yield SetpointReleased(name, setpoint, run.id)
     if in_the_way and not isinstance(end, RunCompleted):
-        stands = ", ".join(f"{item.id} at {local(item.station)}" for item in in_the_way)
-        left = LeftLabware(run=run.id, labware=tuple(item.id for item in in_the_way))
-        yield state.interventions.ask(
-            left, f"Run {run.id} ({run.workflow}) {what.rstrip('.')}. It left {stands}."
-        )
+        for some in in_batches(LeftLabware, in_the_way):
+            stands = name_some([f"{item.id} at {local(item.station)}" for item in some])
+            left = LeftLabware(run=run.id, labware=tuple(item.id for item in some))
+            yield state.interventions.ask(
+                left, f"Run {run.id} ({run.workflow}) {what.rstrip('.')}. It left {stands}."
+            )
     yield end  # the last event in the run's stream

@@ -122,9 +122,9 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
     ]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
-    gone = _find_left_out(state, cell)[1]
-    if gone:
-        events.append(StationsApplied(cell.name, (), tuple(sorted(gone))))
+    gone = sorted(_find_left_out(state, cell)[1])
+    for first in range(0, len(gone), STATIONS_PER_EVENT):
+        events.append(StationsApplied(cell.name, (), tuple(gone[first : first + STATIONS_PER_EVENT])))
     for spec in cell.modules:
         for resource, capacity in spec.levels.items():
             if f"{spec.name}:{resource}" not in state.resources.levels:

@@ -34,6 +34,8 @@ from labos.core.topics import (
     SeenElsewhere,
     Unexpected,
     UnknownAction,
+    in_batches,
+    name_some,
 )
 
 GONE = StationName("")
@@ -68,7 +70,7 @@ def observe_station(state: LabState, command: ObserveStation) -> Decision:
         if labware.station == command.station:
             return events  # as recorded
         if labware.station or not sight.room(command.station):
-            return events + _report_elsewhere(state, labware, station, command.by)
+            return chain(events, _report_elsewhere(state, labware, station, command.by))
         sight.stands(labware.id, command.station)
         return chain(events, sight.events())
     return chain(events, _decide_count(state, sight, station, command))
@@ -218,18 +220,19 @@ class Sight:
         if isinstance(topic, LostLabware):
             yield from self._left_behind(topic)
 
-    def _left_behind(self, topic: LostLabware) -> list[Event]:
+    def _left_behind(self, topic: LostLabware) -> Iterator[Event]:
         """Nobody stood there: a person hears of what a run that has ended left in the way."""
         stations = self._state.bench.stations
         left = {n: p for n, p in self._found.items() if not stations[p].spec.is_storage}
         mine = {e.labware for e in moved(topic.motions)}
         left = {name: place for name, place in left.items() if name in mine}
         if not left or self._state.runs.get(topic.run) is not None:
-            return []
-        stands = ", ".join(f"{name} at {local(place)}" for name, place in left.items())
+            return
         whose = f"What run {topic.run} lost" if topic.run else "What was lost"
-        found = LeftLabware(module=topic.module, labware=tuple(left), lost_by=topic.action)
-        return [self._state.interventions.ask(found, f"{whose} was seen by {self._by}: {stands}.")]
+        for some in in_batches(LeftLabware, list(left)):
+            stands = name_some([f"{name} at {local(left[name])}" for name in some])
+            found = LeftLabware(module=topic.module, labware=tuple(some), lost_by=topic.action)
+            yield self._state.interventions.ask(found, f"{whose} was seen by {self._by}: {stands}.")
 
     def _in_doubt(self, name: LabwareId) -> bool:
         """What is in a hand is found, but somebody has to put it down and say where."""
@@ -312,58 +315,61 @@ def _find_question(state: LabState, place: StationName) -> Intervention | None:
 
 def _doubt_missing(
     state: LabState, here: list[Labware], station: Station, command: ObserveStation
-) -> list[Event]:
-    place, names = station.spec.name, [item.id for item in here]
+) -> Iterator[Event]:
+    place = station.spec.name
     seen = "empty" if not command.count else f"with {command.count}"
-    what = f"{command.by} saw {local(place)} {seen}, where {', '.join(names)} should stand."
-    return [
-        *(LabwareUncertain(item, "", (place, GONE), f"not seen by {command.by}") for item in names),
-        state.interventions.ask(
-            NotSeen(module=station.spec.module, station=place, labware=tuple(names)),
-            f"{what} Where is it? If it stands elsewhere, say so with `labos observe STATION {names[0]}`.",
-        ),
-    ]
+    for item in here:
+        yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
+    for some in in_batches(NotSeen, [item.id for item in here]):
+        yield state.interventions.ask(
+            NotSeen(module=station.spec.module, station=place, labware=tuple(some)),
+            f"{command.by} saw {local(place)} {seen}, where {name_some(some)} should stand. Where is it? "
+            f"If it stands elsewhere, say so with `labos observe STATION {some[0]}`.",
+        )
 
 
 def _doubt_other_type(
     state: LabState, here: list[Labware], station: Station, command: ObserveStation
-) -> list[Event]:
-    place, names = station.spec.name, [item.id for item in here]
-    if not names:
-        return []  # the stock of a stack is what somebody declared
-    told = ", ".join(f"{item.id} ({item.type})" for item in here)
-    topic = NotSeen(module=station.spec.module, station=place, labware=tuple(names), other_type=command.kind)
-    return [
-        *(LabwareUncertain(item, "", (place, GONE), f"not seen by {command.by}") for item in names),
-        state.interventions.ask(
-            topic, f"{command.by} saw {command.kind} at {local(place)}, where {told} should stand."
-        ),
-    ]
+) -> Iterator[Event]:
+    """Where no named labware stands, nothing follows: the stock of a stack is what somebody declared."""
+    module, place, kind = station.spec.module, station.spec.name, command.kind
+    for item in here:
+        yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
+    for some in in_batches(NotSeen, here):
+        recorded = name_some([f"{item.id} ({item.type})" for item in some])
+        names = tuple(item.id for item in some)
+        yield state.interventions.ask(
+            NotSeen(module=module, station=place, labware=names, other_type=kind),
+            f"{command.by} saw {kind} at {local(place)}, where {recorded} should stand.",
+        )
 
 
-def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> list[Event]:
-    """Labware was recognised where it should not be, or where something else is known to stand."""
+def _report_elsewhere(state: LabState, labware: Labware, station: Station, by: str) -> Iterator[Event]:
+    """Labware was recognised where it should not be, or where something else is known to stand. One question
+    is about it and what it may have replaced; if that is too much for one, others are about the rest."""
     place = station.spec.name
     recorded = labware.station
     others = list(station.labware) if station.spec.capacity <= len(station.labware) else []
     may_be = tuple(dict.fromkeys((place, *((recorded,) if recorded else labware.maybe))))
     known = f"recorded at {local(recorded)}" if recorded else "whose place is not known"
-    holds = f", where {', '.join(others)} should stand" if others else ""
+    holds = f", where {name_some(others)} should stand" if others else ""
+    yield LabwareUncertain(labware.id, "", may_be, f"seen at {local(place)} by {by}")
+    for item in others:
+        yield LabwareUncertain(item, "", (place, GONE), f"{labware.id} was seen in its place")
+    first, *rest = list(in_batches(NotSeen, others)) or [()]
     topic = SeenElsewhere(
         module=station.spec.module,
         station=place,
         labware=labware.id,
         recorded=recorded,
-        others=tuple(others),
+        others=tuple(first),
     )
-    return [
-        LabwareUncertain(labware.id, "", may_be, f"seen at {local(place)} by {by}"),
-        *(
-            LabwareUncertain(item, "", (place, GONE), f"{labware.id} was seen in its place")
-            for item in others
-        ),
-        state.interventions.ask(topic, f"{by} saw {labware.id}, {known}, at {local(place)}{holds}."),
-    ]
+    yield state.interventions.ask(topic, f"{by} saw {labware.id}, {known}, at {local(place)}{holds}.")
+    for some in rest:
+        yield state.interventions.ask(
+            NotSeen(module=station.spec.module, station=place, labware=tuple(some)),
+            f"{by} saw {labware.id} at {local(place)}, where {name_some(some)} should stand.",
+        )
 
 
 def _report_unexpected(state: LabState, station: Station, command: ObserveStation) -> list[Event]:

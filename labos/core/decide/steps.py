@@ -120,9 +120,10 @@ def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepU
         effects = "none"
     else:
         effects, kind = "none" if inert(plan, step) else "all", "experiment"
-    if resets(plan, step):
+    tried_again = reset_by(plan, step)
+    if tried_again is not None:
         # A module that cannot be reset is as good as another failure of the step it serves.
-        step, effects = plan.steps[step].part, "none"
+        step, effects = tried_again, "none"
     policy = plan.steps[step].on_error
     if policy is None or effects not in ("none", "all") or run.status == RunStatus.CANCELLING:
         yield from fail_run(state, run, why, kind)
@@ -158,11 +159,11 @@ def _shorten(result: Any) -> str:
     return text if len(text) <= 200 else f"{text[:199]}…"
 
 
-def resets(plan: Plan, step: int) -> bool:
-    """Whether a step is there to reset the module of another before it is tried again."""
-    part = plan.steps[step].part
-    retry = plan.steps[part].retry if part >= 0 else None
-    return retry is not None and retry.reset == step
+def reset_by(plan: Plan, step: int) -> int | None:
+    """The step whose module this one resets before it is tried again; None if it is not there for that."""
+    served = plan.steps[step].serves
+    retry = plan.steps[served].retry if served is not None else None
+    return served if retry is not None and retry.reset == step else None
 
 
 def _ask_about_step(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
+from itertools import chain, islice
 
 from labos.core.bench import Station, arrival, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides
@@ -36,6 +36,9 @@ from labos.core.resources import Level, ResourceReplenished, needed
 from labos.core.runs import PENDING, SETTLED
 from labos.core.shelves import vacant
 from labos.core.state import LabState
+
+MOST_AWAITED = 100
+"""So many runs that could not go on are named by the event that lets them."""
 
 MOST_AT_ONCE = 200
 """Pieces of labware that get their names in one command."""
@@ -233,8 +236,8 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
 
 
 def _find_waiting(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:
-    """The runs under way whose next step lacks something."""
-    return tuple(
+    """The runs under way whose next step lacks something; of many, the first."""
+    waiting = (
         run.id
         for run in state.runs.active.values()
         for index, step in enumerate(state.runs.plan_of(run).steps)
@@ -242,6 +245,7 @@ def _find_waiting(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[R
         and all(run.steps[i].status in SETTLED for i in step.after)
         and lacks(step)
     )
+    return tuple(islice(waiting, MOST_AWAITED))
 
 
 def _lacks(step: PlanStep, level: Level, module: ModuleName, resource: str, today: str) -> bool:

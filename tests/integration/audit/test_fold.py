@@ -13,6 +13,7 @@ import pytest
 
 from labos.audit import projector
 from labos.audit._rows import seconds
+from labos.audit._work import NUMBERS
 from labos.audit.database import open_audit
 from labos.audit.query import Asker, open_asker
 from labos.core.branches import MAIN
@@ -141,7 +142,7 @@ def _same_runs(asker: Asker, state: LabState) -> None:
         steps = rows(asker, f"SELECT step, state, part FROM steps WHERE run = '{name}' ORDER BY step")
         for step, there in zip(steps, run.statuses, strict=True):
             assert step["state"] in STATES[there], (name, step, there)
-            if step["part"] == MAIN and there != SKIPPED:
+            if step["part"] == NUMBERS[MAIN] and there != SKIPPED:
                 assert (step["state"] == "done") == (there == DONE)
         assert told[name]["steps_done"] == run.statuses.count(DONE)
     open_ = rows(asker, "SELECT action, status FROM actions WHERE ended_at_s IS NULL")

@@ -36,8 +36,8 @@ from tests.support.bench import full, module, station, workcell
 A, B, YARD = (StationName(full(name)) for name in ("a", "b", "yard"))
 CELL = workcell([module("dev")], [station("a"), station("b"), station("yard", "deck", 5000)])
 R1 = RunId("R1")
-LEFT = 3000
-"""More pieces than one question can name."""
+LEFT = 1000
+"""As many pieces as one question is about; with such long names they are more than an event can tell."""
 
 
 class FailingIds(Uuid7Ids):
@@ -60,7 +60,7 @@ class Leave(Command, frozen=True):
 def littered(monkeypatch: pytest.MonkeyPatch) -> None:
     def leave(state: LabState, command: Leave) -> Decision:
         first = state.bench.named + 1
-        names = (LabwareId(f"P{number}") for number in range(first, first + LEFT))
+        names = (LabwareId(f"P{number:0100}") for number in range(first, first + LEFT))
         return [LabwarePlaced(name, "", "plate", YARD, Owner("run:R1")) for name in names]
 
     monkeypatch.setitem(DECIDERS, Leave, leave)

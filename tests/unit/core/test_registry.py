@@ -95,7 +95,7 @@ from labos.core.labware import (
     StationUnloaded,
     WasteEmptied,
 )
-from labos.core.model import LabwareSpec, PlanStep, TransferWay, WellGrid, Window
+from labos.core.model import MAIN, ON_CANCEL, LabwareSpec, PlanStep, TransferWay, WellGrid, Window
 from labos.core.modules import (
     EmergencyStopped,
     LocationTaught,
@@ -363,9 +363,9 @@ def test_unknown_fields_and_effects_deep_within_are_too_new() -> None:
     ]:
         assert before in known
         with pytest.raises(LogTooNew):
-            decode("plan.steps_recorded", 3, known.replace(before, after, 1))
+            decode("plan.steps_recorded", 4, known.replace(before, after, 1))
     with pytest.raises(msgspec.ValidationError):
-        decode("plan.steps_recorded", 3, known.replace(b'"first":0', b'"first":"x"'))
+        decode("plan.steps_recorded", 4, known.replace(b'"first":0', b'"first":"x"'))
 
 
 STORED = Path(__file__).with_name("payloads.jsonl")
@@ -400,6 +400,30 @@ def test_what_was_written_as_minus_one_is_nothing() -> None:
         first, second = found.steps
         assert [window.anchor for window in first.windows] == [None, 0]
         assert [step.retry.reset for step in (first, second) if step.retry is not None] == [None, 0]
+
+
+def test_parts_of_a_plan_that_were_written_as_numbers_have_names() -> None:
+    steps = b",".join(
+        b'{"key":"k","module":"m","action":"a"%b}' % part
+        for part in (b"", b',"part":-1', b',"part":-2', b',"part":0', b',"part":7')
+    )
+    payload = b'{"by":"R1","plan":"p","first":0,"steps":[%b]}' % steps
+    for schema in (1, 2, 3):
+        found = decode("plan.steps_recorded", schema, payload)
+        assert isinstance(found, PlanStepsRecorded)
+        assert [step.part for step in found.steps] == [MAIN, MAIN, ON_CANCEL, 0, 7]
+        assert [step.serves for step in found.steps] == [None, None, None, 0, 7]
+        assert b'"part":"on_cancel"' in encode(found)
+        assert decode("plan.steps_recorded", 4, encode(found)) == found
+
+
+def test_a_run_of_no_campaign_has_no_row() -> None:
+    written = [payload for type_, schema, payload in stored() if (type_, schema) == ("run.submitted", 1)]
+    assert written
+    for payload in written:
+        found = decode("run.submitted", 1, payload)
+        assert isinstance(found, RunSubmitted)
+        assert (found.row is None) == (json.loads(payload).get("row", -1) == -1)
 
 
 def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:

@@ -42,6 +42,7 @@ from labos.core.ids import (
     StationName,
 )
 from labos.core.lab import WHOLE_LAB
+from labos.core.model import ON_CANCEL
 from tests.support.bench import Driver, full, plan, route, small_cell, step
 from tests.unit.core.test_rights import peopled
 
@@ -234,7 +235,7 @@ def test_nor_by_way_of_a_recovery_a_way_out_or_a_closing_workflow() -> None:
     lab = crowded()
     own = plan(step("dev"), step("dev", recovers=True, part=0, after=()))
     others = plan(step("arm"), step("dev", recovers=True, part=0, after=()))
-    leaving = plan(step("dev"), step("dev", recovers=True, part=-2, after=()))
+    leaving = plan(step("dev"), step("dev", recovers=True, part=ON_CANCEL, after=()))
     lab.do(SubmitRun(own, "bo"), "bo")
     for asked in (SubmitRun(others, "bo"), SubmitRun(leaving, "bo"), StartExperiment("app", "bo", others)):
         assert lab.refused(asked, "bo").code == "no_right"
