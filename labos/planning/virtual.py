@@ -46,8 +46,11 @@ MOST_RUNS = 200
 MOST_STEPS = 6_000
 """Steps after which a play is broken off."""
 
-Lasts = Callable[[RunId, int, PlanStep], int]
-"""How long a step of a run takes from its request to its end (ns of wall time)."""
+Lasts = Callable[[Action, PlanStep], int]
+"""How long the action of a step takes from its request to its end (ns of wall time)."""
+
+OVERDUE = 0.05
+"""What takes longer than it should has this part of its time still to go."""
 
 
 class Touch(msgspec.Struct, frozen=True):
@@ -116,6 +119,8 @@ class VirtualLab:
         answer = self._ask(command, actor)
         for event in [] if isinstance(answer, Rejection) else answer:
             run = self.state.runs.queued.get(RunId(getattr(event, "run", "")))
+            if run is not None and run.id not in self.play.users:
+                self._note(run)
             if run is not None and (run.held or run.unapproved):
                 with let_wait_anew(self.state.runs, run):
                     run.held = run.unapproved = False
@@ -166,6 +171,9 @@ class VirtualLab:
         runs = [*self.state.runs.active.values(), *self.state.runs.queued.values()]
         if not self.play.cut:
             self.play.stays = {run.id: self._why(run) for run in runs}
+            if self.play.stays and not self.play.touches:
+                run, why = next(iter(self.play.stays.items()))
+                self._touch(Touch(self.now, f"nothing goes on, as {run} waits: {why}", run=run))
         self.play.levels = {name: level.level for name, level in self.state.resources.levels.items()}
         return self.play
 
@@ -249,7 +257,9 @@ class VirtualLab:
         if run is None or action.status == ActionStatus.UNKNOWN or module.status == ModuleStatus.GONE:
             return
         step = self.state.runs.plan_of(run).steps[action.step]
-        end = action.requested_at + self._lasts(action.run, action.step, step)
+        end = action.requested_at + self._lasts(action, step)
+        if end <= self.now:
+            end = self.now + int(OVERDUE * (self.now - action.requested_at)) + 1
         limit = ends_by(self.state, action)
         self._count += 1
         heapq.heappush(
