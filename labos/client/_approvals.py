@@ -13,6 +13,10 @@ from labos.client._files import workflow_text
 PAGE = 500
 
 
+FORECAST_S = 180.0
+"""How long a lab may take for a forecast."""
+
+
 class ApprovalCalls(Calls):
     """Proposals, and the policy that says what is one."""
 
@@ -54,6 +58,18 @@ class ApprovalCalls(Calls):
         payload = options.pop("payload", None) or {}
         body = {"workflow": workflow_text(workflow, payload), "payload": dict(payload), **options}
         return self._post("/runs/check", body, repeat=True)
+
+    def forecast_run(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
+        """When a run of a workflow would start and end, and what it would bring, as ``forecast``. Nothing is
+        submitted. Options are those of ``check``."""
+        payload = options.pop("payload", None) or {}
+        body = {"workflow": workflow_text(workflow, payload), "payload": dict(payload), **options}
+        return self._post("/runs/forecast", body, repeat=True, timeout_s=FORECAST_S)
+
+    def forecast(self) -> dict[str, Any]:
+        """When runs start and end, and when a person is needed (``forecast``), and which actions take longer
+        or shorter than they did (``drifts``)."""
+        return self._get("/forecast")
 
     def policy(self) -> dict[str, Any]:
         """The ``policy`` that holds, and the digest of its file (``applied``)."""

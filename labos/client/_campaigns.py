@@ -33,6 +33,12 @@ class CampaignCalls(Calls):
         body = {**text, "user": user, "dry_run": dry_run, **({"propose": True} if propose else {})}
         return self._post("/campaigns", body, request=request or self._ids.new(), timeout_s=CAMPAIGN_S)
 
+    def forecast_campaign(self, campaign: str | Path | Mapping[str, Any], *, user: str) -> dict[str, Any]:
+        """Check a campaign file as ``submit_campaign`` does, and submit nothing: what it asks of the lab as
+        ``estimate``, and what it would bring as ``forecast``."""
+        text = campaign if isinstance(campaign, Mapping) else campaign_text(campaign)
+        return self._post("/campaigns/forecast", {**text, "user": user}, repeat=True, timeout_s=CAMPAIGN_S)
+
     def campaigns(self) -> list[dict[str, Any]]:
         """The campaigns that have not been completed."""
         found: list[dict[str, Any]] = self._get("/campaigns")["campaigns"]

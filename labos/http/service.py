@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import msgspec
@@ -75,6 +75,7 @@ from labos.spec.labware import packaged_labware, spec_of
 from labos.spec.stations import Stations
 
 if TYPE_CHECKING:
+    from labos.http.forecasts import Forecasts
     from labos.http.link import KernelLink
 
 SILENCE_S = 30.0
@@ -179,6 +180,13 @@ class LabService:
             return await asyncio.to_thread(work, *args, **named)
         async with self._long_work:
             return await asyncio.to_thread(work, *args, **named)
+
+    @cached_property
+    def forecasts(self) -> Forecasts:
+        """What is to be expected of the lab."""
+        from labos.http.forecasts import Forecasts
+
+        return Forecasts(self)
 
     # -- workcells ---------------------------------------------------------------------------
 

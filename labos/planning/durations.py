@@ -13,8 +13,15 @@ from typing import Any
 
 import msgspec
 
-from labos.core.actions import Action, ActionRejected, ActionRequested, ActionSucceeded
-from labos.core.actions import ActionFailed, ActionReconciled, ActionUnknown
+from labos.core.actions import (
+    Action,
+    ActionFailed,
+    ActionReconciled,
+    ActionRejected,
+    ActionRequested,
+    ActionSucceeded,
+    ActionUnknown,
+)
 from labos.core.ids import ActionId
 from labos.core.model import PlanStep
 from labos.core.registry import Event
@@ -111,10 +118,7 @@ class Durations:
         """What is known well enough."""
         known = {kind: sorted(times) for kind, times in self._times.items() if len(times) >= ENOUGH}
         return Spreads(
-            {
-                kind: tuple(int(quantile(times, level)) for level in LEVELS)
-                for kind, times in known.items()
-            }
+            {kind: tuple(int(quantile(times, level)) for level in LEVELS) for kind, times in known.items()}
         )
 
     def drifts(self) -> list[Drift]:

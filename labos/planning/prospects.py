@@ -130,8 +130,8 @@ class Question(msgspec.Struct):
     steps: int = STEPS
 
 
-def foresee(question: Question) -> Prospect:
-    """Carry the lab on, several times."""
+def foresee(question: Question, is_late: Callable[[], bool] = lambda: False) -> Prospect:
+    """Carry the lab on, several times; once it ``is_late``, not once more."""
     base = from_picture(question.picture)
     left_out = keep_first(base, question.most_runs)
     base.recorded_at = max(base.recorded_at, question.now)
@@ -140,8 +140,10 @@ def foresee(question: Question) -> Prospect:
     if asker.refusal:
         return Prospect(question.now, 0, left_out=left_out, refusal=asker.refusal)
     count = max(FEWEST, min(MOST, question.steps // max(1, usual.steps)))
-    plays = [usual, *(asker.play(number) for number in range(1, count + 1))]
     before = asker.play(0, without=True) if question.new is not None else None
+    plays = [usual]
+    while len(plays) <= count and not is_late():
+        plays.append(asker.play(len(plays)))
     conflicts = list(_conflicts(question, base, plays, asker.new)) if question.new is not None else []
     return Prospect(
         now_at=question.now,
@@ -338,9 +340,7 @@ def _conflicts(question: Question, state: LabState, plays: list[Play], new: str)
             yield "The deadline would be missed."
     stays = sum(new in (name, plays[0].members.get(name)) for name in plays[0].stays) if new else 0
     if stays:
-        why = next(
-            why for name, why in plays[0].stays.items() if new in (name, plays[0].members.get(name))
-        )
+        why = next(why for name, why in plays[0].stays.items() if new in (name, plays[0].members.get(name)))
         yield f"{stays} of its runs would wait for a person: {why}."
 
 
@@ -351,4 +351,3 @@ def _booked(
         spans = blocked(state, user, name, since, until) if since < until else []
         if spans:
             yield f"{local(name)} is booked for {state.bookings.open[spans[0].booking].whom} meanwhile."
-

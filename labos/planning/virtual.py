@@ -36,6 +36,7 @@ from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 from labos.core.users import LABOS
 from labos.core.waits import Wait
+from labos.planning.obstacle import explained
 from labos.planning.scheduler import Scheduler
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.touch import touched
@@ -43,7 +44,7 @@ from labos.planning.touch import touched
 MOST_RUNS = 200
 """Runs that wait and are carried on; of more, the first of each user."""
 
-MOST_STEPS = 6_000
+MOST_STEPS = 3_000
 """Steps after which a play is broken off."""
 
 Lasts = Callable[[Action, PlanStep], int]
@@ -154,7 +155,7 @@ class VirtualLab:
             case InterventionRequested():
                 planned = isinstance(event.topic, PlannedWork)
                 remedy = f"labos resolve {event.intervention}"
-                self._touch(Touch(self.now, event.text, remedy, event.topic.run, planned))
+                self._touch(Touch(self.now, event.text, remedy, event.run, planned))
 
     # -- going on ----------------------------------------------------------------------------
 
@@ -262,9 +263,7 @@ class VirtualLab:
             end = self.now + int(OVERDUE * (self.now - action.requested_at)) + 1
         limit = ends_by(self.state, action)
         self._count += 1
-        heapq.heappush(
-            self._flying, (end if limit is None else min(end, limit - 1), self._count, action.id)
-        )
+        heapq.heappush(self._flying, (end if limit is None else min(end, limit - 1), self._count, action.id))
 
     # -- what is noted -----------------------------------------------------------------------
 
@@ -305,7 +304,9 @@ class VirtualLab:
     def _why(self, run: RunState) -> str:
         waits = [wait for _, wait in self._scheduler.waits(self.state, run, self.now)]
         found = next((wait for wait in waits if wait.blocked), None) or next(iter(waits), None)
-        return found.reason.sentence if found is not None else "nobody can say how its action ended"
+        if found is None:
+            return "nobody can say how its action ended"
+        return explained(self._scheduler.safety, self.state, run, found)
 
 
 class _Listening(Sleepers):
