@@ -24,13 +24,19 @@ from labos.planning.prospects import Question, RunProspect, foresee
 from labos.services.log import events
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab, Stand
-from tests.simulation.mixes import CELL, NODES, generated, pcr, stand
+from tests.simulation.mixes import CELL, NODES, generated, pcr, route, stand
 
 SECOND = 1_000_000_000
 PLENTY = 400
 STEPS = 600
 EVERY_S = 4_500.0
 """A run is submitted after so long on average: the lab is busy, and its queue does not grow without end."""
+
+RUNS = 20
+"""Runs of one lab."""
+
+LIMIT_S = 4 * 24 * 3600.0
+"""A lab whose runs have not ended by then is left; only what has ended is counted."""
 
 BATCH, PAUSE_S = 4, 30_000.0
 """So many runs at once, and so long until the next ones: nobody submits anything meanwhile."""
@@ -62,6 +68,7 @@ def well_stocked() -> Stand:
 def jobs(count: int, seed: int, *, batches: bool) -> list[Job]:
     """So many runs of three users: PCRs and generated workflows, one after the other or in batches."""
     rng = random.Random(f"calibration/{seed}")
+    cleared = [number for number in range(40) if route(number).plan.steps[-1].args["target"] == "wc.trash"]
     found: list[Job] = []
     at_s = 0.0
     for number in range(count):
@@ -73,7 +80,7 @@ def jobs(count: int, seed: int, *, batches: bool) -> list[Job]:
         if rng.random() < 0.4:
             found.append(pcr(f"j{number}", user, at_s))
         else:
-            found.append(generated(f"j{number}", user, rng.randrange(40), at_s))
+            found.append(generated(f"j{number}", user, rng.choice(cleared), at_s))
     return found
 
 
@@ -81,14 +88,16 @@ def log_of(count: int, seed: int, *, batches: bool) -> list[Record]:
     """The log of a lab that carried out so many runs."""
     lab = SimulatedLab(well_stocked(), seed, QUIET)
     try:
-        lab.run(jobs(count, seed, batches=batches), limit_s=365 * 24 * 3600.0)
+        lab.run_for(jobs(count, seed, batches=batches), LIMIT_S)
         return list(lab.store.read())
     finally:
         lab.close()
 
 
-def cases(records: Sequence[Record], *, steps: int = STEPS) -> Iterator[Case]:
-    """Forecast each submission of a log whose run has completed."""
+def cases(
+    records: Sequence[Record], durations: Durations | None = None, *, steps: int = STEPS
+) -> Iterator[Case]:
+    """Forecast each submission of a log whose run has completed, and learn ``durations`` on the way."""
     started: dict[str, int] = {}
     ended: dict[str, int] = {}
     for event, head in events(records):
@@ -96,7 +105,7 @@ def cases(records: Sequence[Record], *, steps: int = STEPS) -> Iterator[Case]:
             started[event.run] = head.recorded_at
         elif isinstance(event, RunCompleted):
             ended[event.run] = head.recorded_at
-    state, durations = LabState(), Durations()
+    state, durations = LabState(), durations or Durations()
     for event, head in events(records):
         evolve(state, event, head.position, head.recorded_at)
         durations.learn(event, head.recorded_at)
@@ -203,10 +212,18 @@ def table(scenes: Mapping[str, Sequence[Case]]) -> str:
     return "\n".join(lines)
 
 
+def days(count: int, seed: int, *, batches: bool) -> list[Case]:
+    """The cases of several labs with so many runs in all, whose durations are learned from one another."""
+    durations, found = Durations(), []
+    for number in range(count // RUNS):
+        found += cases(log_of(RUNS, seed + number, batches=batches), durations)
+    return found
+
+
 def main(count: int = 200, seed: int = 1) -> None:
     """Print the table and draw the figures."""
-    alone = list(cases(log_of(count, seed, batches=True)))
-    busy = list(cases(log_of(count, seed, batches=False)))
+    alone = days(count, seed, batches=True)
+    busy = days(count, seed, batches=False)
     (FOLDER / "pictures" / "forecast.svg").write_text(drawing(alone))
     (FOLDER / "pictures" / "forecast-busy.svg").write_text(drawing(busy))
     print(table({f"{count} in batches of {BATCH}": alone, f"{count} one by one": busy}))

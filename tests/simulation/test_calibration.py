@@ -1,0 +1,26 @@
+"""Forecasts of a simulated lab whose motions scatter are about what comes (figures: docs/forecast.md)."""
+
+from __future__ import annotations
+
+import pytest
+
+from labos.planning.durations import Durations
+from tests.simulation.calibration import cases, days, drawing, figures, log_of, table
+
+
+def test_few_runs_end_about_when_they_were_expected() -> None:
+    found = list(cases(log_of(4, 1, batches=True), Durations(), steps=100))
+    assert len(found) == 4
+    ends = figures(found, "ends")
+    assert ends.count == 4
+    assert ends.part < 0.1, "the middle error is small beside the time that was foreseen"
+    assert drawing(found).startswith("<svg")
+    assert table({"few": found}).count("\n") == 3
+
+
+@pytest.mark.full
+def test_two_hundred_forecasts_hold_what_they_say() -> None:
+    ends = figures(days(200, 1, batches=True), "ends")
+    assert ends.count >= 190
+    assert ends.covered >= 0.65
+    assert ends.part < 0.05
