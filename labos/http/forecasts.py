@@ -75,8 +75,9 @@ class Forecasts:
         spreads = (await self._learned.durations()).spreads()
         rows = await self._known_rows()
         kernel = self._service.kernel
-        return await self._foreseer.foresee(
-            Question(
+
+        def question() -> Question:
+            return Question(
                 picture=picture(kernel.state),
                 now=kernel.clock.now_ns(),
                 spreads=spreads,
@@ -85,7 +86,8 @@ class Forecasts:
                 actor=actor,
                 new_rows=plans or [],
             )
-        )
+
+        return await self._foreseer.foresee(question)
 
     async def _known_rows(self) -> dict[CampaignId, list[Plan]]:
         """Plans of the next rows of the campaigns that go on."""

@@ -10,6 +10,7 @@ import asyncio
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 
 import msgspec
 
@@ -23,6 +24,9 @@ ENOUGH_S = 15.0
 GIVE_UP_S = 90.0
 """After so many seconds a forecast is given up."""
 
+MOST_ASKED = 8
+"""So many may be asked for at a time."""
+
 NICE = 10
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -33,31 +37,43 @@ class Foreseer:
 
     def __init__(self) -> None:
         self._turn = asyncio.Semaphore(1)
+        self._asked = 0
 
-    async def foresee(self, question: Question) -> Prospect:
-        """What is to be expected. Raises Refused."""
-        data = await asyncio.to_thread(_encode, question)
-        async with self._turn:
-            process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-m",
-                __spec__.name,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
+    async def foresee(self, ask: Callable[[], Question]) -> Prospect:
+        """What is to be expected; the question is asked when its turn comes. Raises Refused."""
+        if self._asked >= MOST_ASKED:
+            raise Refused(
+                f"{self._asked} forecasts are asked for already.", remedy="Ask again when they are told."
             )
-            try:
-                async with asyncio.timeout(GIVE_UP_S):
-                    told, said = await process.communicate(data)
-            except TimeoutError:
-                raise Refused(
-                    f"The forecast took longer than {GIVE_UP_S:g} s and was given up.",
-                    remedy="Ask again when the lab has less to do.",
-                ) from None
-            finally:
-                if process.returncode is None:
-                    process.kill()
-                    await process.wait()
+        self._asked += 1
+        try:
+            async with self._turn:
+                return await self._work_out(ask())
+        finally:
+            self._asked -= 1
+
+    async def _work_out(self, question: Question) -> Prospect:
+        data = await asyncio.to_thread(_encode, question)
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            __spec__.name,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        try:
+            async with asyncio.timeout(GIVE_UP_S):
+                told, said = await process.communicate(data)
+        except TimeoutError:
+            raise Refused(
+                f"The forecast took longer than {GIVE_UP_S:g} s and was given up.",
+                remedy="Ask again when the lab has less to do.",
+            ) from None
+        finally:
+            if process.returncode is None:
+                process.kill()
+                await process.wait()
         if process.returncode:
             last = said.decode(errors="replace").strip().splitlines()[-1:]
             raise Refused(

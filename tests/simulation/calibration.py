@@ -220,13 +220,29 @@ def days(count: int, seed: int, *, batches: bool) -> list[Case]:
     return found
 
 
+def known(found: Sequence[Case]) -> list[Case]:
+    """Those after which nobody submitted anything before they had ended: all was known at their forecast."""
+    after = [*found[1:], None]
+    return [
+        case
+        for case, following in zip(found, after, strict=True)
+        if following is None or not case.submitted <= following.submitted <= case.ended
+    ]
+
+
 def main(count: int = 200, seed: int = 1) -> None:
     """Print the table and draw the figures."""
     alone = days(count, seed, batches=True)
     busy = days(count, seed, batches=False)
-    (FOLDER / "pictures" / "forecast.svg").write_text(drawing(alone))
+    (FOLDER / "pictures" / "forecast.svg").write_text(drawing([*known(busy), *known(alone)]))
     (FOLDER / "pictures" / "forecast-busy.svg").write_text(drawing(busy))
-    print(table({f"{count} in batches of {BATCH}": alone, f"{count} one by one": busy}))
+    scenes = {
+        "one by one": busy,
+        "of these: nobody came after": known(busy),
+        f"in batches of {BATCH}": alone,
+        "of these: the last of a batch": known(alone),
+    }
+    print(table(scenes))
 
 
 if __name__ == "__main__":
