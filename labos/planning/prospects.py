@@ -34,8 +34,8 @@ STEPS = 3_000
 """About so many steps are started in all plays of a forecast."""
 
 FEWEST, MOST = 9, 19
-"""Plays with durations that were drawn, beside the one with the usual ones. Of fewer than ten in all the least
-and the greatest are closer together than four of five."""
+"""Plays with durations that were drawn, beside the one with the usual ones. Of fewer than ten in all the
+least and the greatest are closer together than four of five."""
 
 LATER_S = 1.0
 """Seconds of wall time by which a run has to be later for that to be told."""

@@ -50,6 +50,10 @@ MOST_STEPS = 3_000
 Lasts = Callable[[Action, PlanStep], int]
 """How long the action of a step takes from its request to its end (ns of wall time)."""
 
+MOST_ALARMS = 1_000
+"""Times that come one after the other without anything in flight before nothing is waited for any more: what
+is booked every day would go on for ever."""
+
 OVERDUE = 0.05
 """What takes longer than it should has this part of its time still to go."""
 
@@ -81,6 +85,10 @@ class Play(msgspec.Struct):
     cut: bool = False
 
 
+HORIZON_NS = 30 * 24 * 3600 * 10**9
+"""Nothing that is further away than this from the last step is waited for."""
+
+
 class VirtualLab:
     """Carries on a state that it owns from ``now`` (UTC ns). ``rows`` are plans of rows of campaigns, which
     stand for all their rows, in turn; ``most_rows`` of a campaign become runs."""
@@ -105,7 +113,8 @@ class VirtualLab:
         self._scheduler.sleepers = _Listening(self._hear)
         self._flying: list[tuple[int, int, ActionId]] = []
         self._asked: dict[tuple[str, str], bool] = {}
-        self._count = 0
+        self._count = self._alarms = 0
+        self._moved_at = now
         self._calm()
         for run in [*state.runs.active.values(), *state.runs.queued.values()]:
             self._note(run)
@@ -179,17 +188,19 @@ class VirtualLab:
         return self.play
 
     def _next(self) -> int | None:
-        """When something ends or is due. Nothing is waited for when no run is left."""
+        """When something ends or is due; None if nothing is in sight that lets a run go on."""
+        if self._flying:
+            self._alarms = 0
+        elif not (self.state.runs.active or self.state.runs.queued) or self._alarms >= MOST_ALARMS:
+            return None
+        alarm = self._scheduler.next_deadline(self.state)
         times = [self._flying[0][0]] if self._flying else []
-        if self.state.runs.active or self.state.runs.queued:
-            alarm = self._scheduler.next_deadline(self.state)
-            if alarm is not None and (alarm > self.now or not times):
-                self._idle = self._idle + 1 if not times and alarm <= self.now else 0
-                if self._idle < 2:
-                    times.append(alarm)
-        return min(times, default=None)
-
-    _idle = 0
+        if alarm is not None and not (times and alarm <= self.now):
+            self._alarms += 1
+            times.append(alarm)
+        at = min(times, default=None)
+        too_far = at is not None and not self._flying and at > self._moved_at + HORIZON_NS
+        return None if too_far else at
 
     def _start_and_feed(self) -> None:
         while True:
@@ -208,6 +219,7 @@ class VirtualLab:
                 self._count += 1
                 self._ask(StartStep(start.run, start.step, ActionId(f"virtual-{self._count}"), self.now))
                 self.play.steps += 1
+                self._moved_at = self.now
                 if self.play.steps >= self._most_steps:
                     self.play.cut = True
                     return

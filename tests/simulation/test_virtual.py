@@ -159,6 +159,25 @@ def test_nothing_runs_into_a_booking() -> None:
     assert bo.starts.expected_at <= begins
 
 
+def test_a_booking_of_every_day_is_not_followed_for_ever() -> None:
+    lab = small(plates=0)
+    begins = lab.now + HOUR
+    terms = NewTerms(begins=begins, ends=begins + HOUR, user="bo", rule="FREQ=DAILY")
+    lab.do(MakeBooking(f"{CELL}/dev", terms, "bo", lab.now))
+    lab.submit(PRINT, user="ada")
+    told = foresee(asked(lab))
+    assert told.runs[0].ends is None
+    assert told.touches
+
+
+def test_a_run_that_is_long_is_waited_for_however_long_it_is() -> None:
+    lab = small()
+    day_s = 24 * 3600.0
+    lab.submit(plan(step("dev", duration_s=50 * day_s), step("arm", duration_s=1.0), name="long"))
+    told = carried_on(lab)
+    assert told.ends == {"R1": lab.now + int((50 * day_s + 1.0) * SECOND)}
+
+
 def test_whoever_goes_first_delays_the_others() -> None:
     lab = small()
     for _ in range(3):
