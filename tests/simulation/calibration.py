@@ -15,12 +15,14 @@ from pathlib import Path
 import msgspec
 from msgspec.structs import replace
 
+from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.envelope import Record
 from labos.core.fold import evolve
 from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
-from labos.core.state import LabState, picture
+from labos.core.state import LabState, from_picture, picture
 from labos.planning.durations import Durations, quantile
 from labos.planning.prospects import Question, RunProspect, foresee
+from labos.planning.virtual import VirtualLab
 from labos.services.log import events
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab, Stand
@@ -113,6 +115,38 @@ def cases(
             question = Question(picture(state), head.recorded_at, durations.spreads(), steps=steps)
             expected = next(run for run in foresee(question).runs if run.run == event.run)
             yield Case(expected, head.recorded_at, started[event.run], ended[event.run])
+
+
+def misses_with_true_durations(records: Sequence[Record]) -> list[float]:
+    """By how many seconds runs ended later than foreseen by a lab that is told how long each action will take:
+    of those that were submitted when all that came before their end was known."""
+    asked: dict[str, tuple[str, int, int]] = {}
+    took: dict[tuple[str, int], int] = {}
+    ended: dict[str, int] = {}
+    submitted: list[int] = []
+    for event, head in events(records):
+        if isinstance(event, ActionRequested):
+            asked[event.action] = (event.run, event.step, head.recorded_at)
+        elif isinstance(event, ActionSucceeded):
+            run, step, at = asked[event.action]
+            took[run, step] = head.recorded_at - at
+        elif isinstance(event, RunCompleted):
+            ended[event.run] = head.recorded_at
+        elif isinstance(event, RunSubmitted):
+            submitted.append(head.recorded_at)
+    state, found = LabState(), []
+    for event, head in events(records):
+        evolve(state, event, head.position, head.recorded_at)
+        if not isinstance(event, RunSubmitted) or event.run not in ended:
+            continue
+        submitted.pop(0)
+        if submitted and submitted[0] <= ended[event.run]:
+            continue
+        lab = VirtualLab(
+            from_picture(picture(state)), head.recorded_at, lambda action, _: took[action.run, action.step]
+        )
+        found.append((ended[event.run] - lab.go_on().ends[event.run]) / SECOND)
+    return found
 
 
 class Figures(msgspec.Struct):
