@@ -118,7 +118,7 @@ def cases(
 
 
 def misses_with_true_durations(records: Sequence[Record]) -> list[float]:
-    """By how many seconds runs ended later than foreseen by a lab that is told how long each action will take:
+    """By how many seconds runs ended later than foreseen by a lab that is told how long each action takes:
     of those that were submitted when all that came before their end was known."""
     asked: dict[str, tuple[str, int, int]] = {}
     took: dict[tuple[str, int], int] = {}
