@@ -42,6 +42,7 @@ SECTIONS = {
         "run": "Run a workflow and wait for its end.",
         "submit": "Queue a workflow in the running lab.",
         "runs": "Which runs there are and how far they are.",
+        "forecast": "When runs start and end, and when a person is needed.",
         "explain": "Why a run does not go on.",
         "cancel": "Cancel a run, an experiment, or what runs somewhere.",
         "pause": "Start nothing more of a run, an experiment, a module, a workcell.",

@@ -75,17 +75,20 @@ def submit(file: str, user: str | None, request: str, propose: bool, home: str |
 @home_option
 @json_option
 def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Check the campaign FILE, row by row, and estimate what it needs from the lab. Nothing is submitted.
+    """Check the campaign FILE, row by row, estimate what it needs from the lab, and forecast when it starts
+    and ends, whom it delays and when a person is needed. Nothing is submitted.
 
-    Times are nominal: what the busiest module needs for all rows is the least that the campaign takes, if
-    nobody else uses it.
+    What the busiest module needs for all rows is the least that the campaign takes, in nominal times.
+    The forecast carries the lab on as it is now, with the campaign and without it.
     """
+    from labos.cli._forecast import show_campaign, show_change
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        told = client.submit_campaign(file, user=who(user), dry_run=True)["estimate"]
+        answer = client.forecast_campaign(file, user=who(user))
+    told, forecast = answer["estimate"], answer["forecast"]
     if as_json:
-        show_json(told)
+        show_json({**told, "forecast": forecast})
         return
     checked = "" if told["checked"] == told["rows"] else f" ({told['checked']} of them were checked)"
     click.echo(f"{told['name']}: {told['rows']} rows of {told['workflow']} in {told['workcell']}{checked}")
@@ -97,6 +100,13 @@ def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
     ]
     if rows:
         show_table(("consumable", "needed", "left"), rows)
+    if forecast["refusal"]:
+        click.echo(f"It would be refused: {forecast['refusal']}")
+        return
+    for campaign in forecast["campaigns"][-1:]:
+        for what, text in show_campaign(campaign, forecast["now_at"]):
+            click.echo(f"{what + ':':<12} {text}")
+    show_change(forecast)
 
 
 @command.command("list")
@@ -125,7 +135,8 @@ def list_(where: Where, everything: bool, as_json: bool) -> None:
 @json_option
 @log_options
 def show(where: Where, campaign: str, as_json: bool) -> None:
-    """The progress of a campaign, and its terms."""
+    """The progress of a campaign, its terms, and in a lab that runs when it is expected to end (with --json,
+    `labos forecast` tells that)."""
     with open_log(where) as store:
         story = campaign_history(store, campaign)
     if as_json:
@@ -150,6 +161,7 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
         "used": ", ".join(f"{amount:g} {kind}" for kind, amount in found.used.items()),
         "most consumables": ", ".join(f"{amount:g} {kind}" for kind, amount in budget.consumables.items()),
         "tags": ", ".join(terms.tags),
+        **_expected(where, story),
     }
     show_table(("what", found.id), [(what, text) for what, text in lines.items() if text])
 
@@ -270,6 +282,23 @@ def amend(
             click.echo(f"labos: {client.approval}", err=True)
     if as_json:
         show_json(terms)
+
+
+def _expected(where: Where, story: CampaignHistory) -> dict[str, str]:
+    """When a campaign that goes on starts and ends, if a lab runs that can say so."""
+    from labos.cli._forecast import show_campaign
+    from labos.cli._lab import need_lab_of
+    from labos.errors import LabosError
+
+    if story.ended_at:
+        return {}
+    try:
+        with need_lab_of(where) as client:
+            found = client.forecast()["forecast"]
+    except LabosError:
+        return {}
+    known = [each for each in found["campaigns"] if each["campaign"] == story.campaign.id]
+    return dict(show_campaign(known[0], found["now_at"])) if known else {}
 
 
 def amount_of(text: str) -> tuple[str, float]:

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 @lab_options
 @json_option
 @click.option("--quiet", is_flag=True, help="Only the end.")
+@click.option("--dry-run", is_flag=True, help="Say when it would start and end; submit nothing.")
 def command(
     workflow: str,
     payloads: tuple[str, ...],
@@ -57,6 +58,7 @@ def command(
     seed: int,
     as_json: bool,
     quiet: bool,
+    dry_run: bool,
 ) -> None:
     """Run WORKFLOW, a file or a packaged workflow, and wait for its end.
 
@@ -67,6 +69,10 @@ def command(
     labos run pcr --simulate --speed 600
     labos run wf.yaml --workcell workcell.yaml --simulate --payload seal.time=3
     labos run mix.yaml --simulate --place camera_module.plate_station=plate96 --payload mix.json
+    labos run pcr --dry-run
+
+    With --dry-run nothing is submitted: the running lab says when the run would start and end, whom it
+    would delay, and when a person would be needed.
     """
     from labos.cli._payload import read_payload
     from labos.cli._remote import lab_of
@@ -78,7 +84,40 @@ def command(
     text = workflow_text(workflow, values)
     job = Job(text, values, who(user), workcell or "", placed, priority, simulate, workflow)
     url = "" if database else lab_of(home)
+    if dry_run:
+        forecast(job, home, as_json=as_json)
+        return
     show_result(carry_out(job, settings, url=url, quiet=quiet or as_json), as_json=as_json)
+
+
+def forecast(job: Job, home: str | None, *, as_json: bool) -> None:
+    """Say what a job would bring in the running lab. Raises Exit(1) if it would be refused."""
+    from labos.cli._forecast import show_change, show_ways
+    from labos.cli._lab import need_lab
+    from labos.cli._out import show_json
+
+    place = [
+        dict(zip(("station", "labware", "variables"), put, strict=True)) for put in places_of(job.placed)
+    ]
+    with need_lab(home) as client:
+        told = client.forecast_run(
+            job.text,
+            payload=job.values,
+            user=job.user,
+            workcell=job.workcell,
+            priority=job.priority,
+            place=place,
+        )
+    found = told["forecast"]
+    if as_json:
+        show_json(told)
+    elif found["refusal"]:
+        click.echo(f"It would be refused: {found['refusal']}")
+    else:
+        show_ways(found)
+        show_change(found)
+    if found["refusal"]:
+        raise click.exceptions.Exit(1)
 
 
 Put = tuple[str, str, dict[str, bool]]

@@ -33,6 +33,12 @@ class CampaignCalls(GeneratedCalls):
             **text, user=user, dry_run=dry_run, request=request, propose=propose
         )
 
+    def forecast_campaign(self, campaign: str | Path | Mapping[str, Any], *, user: str) -> dict[str, Any]:
+        """Check a campaign file as ``submit_campaign`` does, and submit nothing: what it asks of the lab as
+        ``estimate``, and what it would bring as ``forecast``."""
+        text: dict[str, Any] = dict(campaign) if isinstance(campaign, Mapping) else campaign_text(campaign)
+        return self._forecast_campaign_file(**text, user=user)
+
     def amend_campaign(self, campaign: str, by: str, **changes: Any) -> dict[str, Any]:
         """Let a campaign go on under other terms. Returns those that hold: a change that waits for an
         approval (``approval`` of the client says so) is not among them. Changes: ``priority``, ``deadline``,

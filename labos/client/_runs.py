@@ -79,6 +79,12 @@ class RunCalls(GeneratedCalls):
         place = puts_of(options.pop("place", ()))
         return self._check_run(workflow_text(workflow, payload), payload=payload, place=place, **options)
 
+    def forecast_run(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
+        """When a run of a workflow would start and end, and what it would bring, as ``forecast``. Nothing is
+        submitted. Options are those of ``check``."""
+        payload = options.pop("payload", None) or {}
+        return self._forecast_run(workflow_text(workflow, payload), payload=payload, **options)
+
     def _note_approval(self, answer: Mapping[str, Any]) -> None:
         self.approval = str(answer.get("approval", ""))
         self.warnings += [self.approval] if self.approval else []

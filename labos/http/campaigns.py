@@ -18,6 +18,7 @@ from labos.core.users import person_of
 from labos.errors import BadInput, KeyReused, SpecError
 from labos.http.bodies import Amendment, NewCampaign
 from labos.http.service import LabService, WorkflowText
+from labos.planning.prospects import Prospect
 from labos.services.times import parse_until
 from labos.spec import SpecErrors, compile_workflow, parse_workflow
 from labos.spec.campaign import CampaignSource, parse_campaign, stop_rule
@@ -90,30 +91,22 @@ class _Checked(msgspec.Struct):
 async def submit_campaign(service: LabService, new: NewCampaign, request: str) -> tuple[str, Estimate]:
     """Check all of it, keep table and workflow, and submit it; with ``dry_run``, only check. Raises
     SpecError, SpecErrors with what is wrong in which row, NotFound, Refused, KeyReused."""
-    service.expect_role(new.user, "submitter")  # before anything is planned or kept
-    told = await service.beside(len(new.text), parse_campaign, new.text, new.name, new.files)
-    deadline = _deadline(service, told)
-    workcell = service.workcell(told.file.workcell or await _workcell_of(service, new.workflow)).name
-    lines = _chosen(told.lines)
-    checked = await _check(service, new, told, workcell, lines)
+    told, deadline, workcell, checked = await _read(service, new)
     estimate = _estimate(service, told, workcell, checked)
     if new.dry_run:
         return "", estimate
     table = b"\n".join(msgspec.json.encode(line.payload) for line in told.lines)
     definition = msgspec.json.encode(new.workflow)
     blobs = service.parts.blobs
-    command = SubmitCampaign(
-        name=told.file.campaign,
-        user=person_of(new.user),
-        workflow=estimate.workflow,
-        workcell=workcell,
-        rows=len(told.lines),
+    command = _command(
+        new,
+        told,
+        estimate,
+        checked,
+        deadline,
         table=await asyncio.to_thread(blobs.put, table),
         definition=await asyncio.to_thread(blobs.put, definition),
-        terms=msgspec.structs.replace(told.terms, deadline=deadline),
         request=request,
-        demand=demand_of(checked.plans, len(told.lines) / len(checked.plans)),
-        propose=new.propose,
     )
     known = service.kernel.state.campaigns.requests
     if request in known:
@@ -123,6 +116,49 @@ async def submit_campaign(service: LabService, new: NewCampaign, request: str) -
         await service.kernel.written()
     campaign = known[request] if request else getattr(events[0], "campaign", "")
     return str(campaign), estimate
+
+
+async def foresee_campaign(service: LabService, new: NewCampaign) -> tuple[Estimate, Prospect]:
+    """Check all of it, and ask what it would bring. Raises as ``submit_campaign``."""
+    told, deadline, workcell, checked = await _read(service, new)
+    estimate = _estimate(service, told, workcell, checked)
+    command = _command(new, told, estimate, checked, deadline)
+    return estimate, await service.forecasts.of_campaign(command, checked.plans, new.user)
+
+
+async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, _Checked]:
+    """A campaign file as it is meant, its deadline (UTC ns), its workcell, and what was found in it."""
+    service.expect_role(new.user, "submitter")  # before anything is planned or kept
+    told = await service.beside(len(new.text), parse_campaign, new.text, new.name, new.files)
+    deadline = _deadline(service, told)
+    workcell = service.workcell(told.file.workcell or await _workcell_of(service, new.workflow)).name
+    return told, deadline, workcell, await _check(service, new, told, workcell, _chosen(told.lines))
+
+
+def _command(
+    new: NewCampaign,
+    told: CampaignSource,
+    estimate: Estimate,
+    checked: _Checked,
+    deadline: int,
+    *,
+    table: str = "",
+    definition: str = "",
+    request: str = "",
+) -> SubmitCampaign:
+    return SubmitCampaign(
+        name=told.file.campaign,
+        user=person_of(new.user),
+        workflow=estimate.workflow,
+        workcell=estimate.workcell,
+        rows=len(told.lines),
+        table=table,
+        definition=definition,
+        terms=msgspec.structs.replace(told.terms, deadline=deadline),
+        request=request,
+        demand=demand_of(checked.plans, len(told.lines) / len(checked.plans)),
+        propose=new.propose,
+    )
 
 
 def _expect_same(service: LabService, name: CampaignId, command: SubmitCampaign) -> None:

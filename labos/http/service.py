@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import msgspec
@@ -72,6 +72,7 @@ from labos.spec.labware import packaged_labware, spec_of
 from labos.spec.stations import Stations
 
 if TYPE_CHECKING:
+    from labos.http.forecasts import Forecasts
     from labos.http.link import KernelLink
 
 SILENCE_S = 30.0
@@ -174,6 +175,13 @@ class LabService:
             return await asyncio.to_thread(work, *args, **named)
         async with self._long_work:
             return await asyncio.to_thread(work, *args, **named)
+
+    @cached_property
+    def forecasts(self) -> Forecasts:
+        """What is to be expected of the lab."""
+        from labos.http.forecasts import Forecasts
+
+        return Forecasts(self)
 
     # -- workcells ---------------------------------------------------------------------------
 

@@ -28,7 +28,18 @@ from tests.docs.markdown import ROOT
 FOLDER = ROOT / "labos" / "client" / "_generated"
 WIDTH = 106
 
-MODULES = ("lab", "accounts", "log", "planning", "runs", "campaigns", "approvals", "modules", "bookings")
+MODULES = (
+    "lab",
+    "accounts",
+    "log",
+    "forecasts",
+    "planning",
+    "runs",
+    "campaigns",
+    "approvals",
+    "modules",
+    "bookings",
+)
 MODULES += ("bench", "people")
 
 DISTINCT = ("not_found", "refused", "forbidden", "spec_errors", "log_damaged")

@@ -131,6 +131,17 @@ class AsyncLabClient(AsyncCalls):
         """The content of a file that a step has returned: ``result["picture"]``, say, or its SHA-256."""
         return await self.threads.call(self.sync.file, file, first=first, last=last)
 
+    async def forecast_campaign(
+        self, campaign: str | Path | Mapping[str, Any], *, user: str
+    ) -> dict[str, Any]:
+        """Check a campaign file as ``submit_campaign`` does, and submit nothing: what it asks of the lab
+        as ``estimate``, and what it would bring as ``forecast``."""
+        return await self.threads.call(self.sync.forecast_campaign, campaign, user=user)
+
+    async def forecast_run(self, workflow: str | Path | Mapping[str, Any], **options: Any) -> dict[str, Any]:
+        """When a run of a workflow would start and end, and what it would bring, as ``forecast``."""
+        return await self.threads.call(self.sync.forecast_run, workflow, **options)
+
     async def image(self, file: str | Mapping[str, Any]) -> Image:
         """A picture that a step has returned (``result.result("Take picture")``), as Pillow has it."""
         return await self.threads.call(self.sync.image, file)

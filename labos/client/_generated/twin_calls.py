@@ -214,6 +214,10 @@ class AsyncCalls:
         """Forget who a user is."""
         await self.threads.call(self.sync.erase_person, user)
 
+    async def forecast(self) -> dict[str, Any]:
+        """When runs start and end, and when a person is needed."""
+        return await self.threads.call(self.sync.forecast)
+
     async def give(self, labware: str, to: str, by: str, *, force: bool = False, note: str = "") -> None:
         """Hand labware over."""
         await self.threads.call(self.sync.give, labware, to, by, force=force, note=note)

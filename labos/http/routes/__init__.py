@@ -9,6 +9,7 @@ from labos.http.routes import (
     bench,
     bookings,
     campaigns,
+    forecasts,
     lab,
     log,
     modules,
@@ -23,6 +24,7 @@ OPERATIONS: tuple[Operation, ...] = (
     *lab.OPERATIONS,
     *accounts.OPERATIONS,
     *log.OPERATIONS,
+    *forecasts.OPERATIONS,  # before runs: /runs/forecast is no run
     *planning.OPERATIONS,  # before runs: /runs/check is no run
     *runs.OPERATIONS,
     *campaigns.OPERATIONS,

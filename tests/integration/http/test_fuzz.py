@@ -80,6 +80,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "propose": True,
     },
     "/runs/check": {"workflow": {"text": FLOW, "name": "f.yaml"}, "user": "ada", "payload": {"a": [1]}},
+    "/runs/forecast": {"workflow": {"text": FLOW, "name": "f.yaml"}, "user": "ada", "payload": {"a": [1]}},
     "/runs/{run}/cancel": {"by": "ada", "stay": True},
     "/runs/{run}/pause": {"by": "ada", "why": "x"},
     "/runs/{run}/resume": {"by": "ada"},
@@ -96,6 +97,14 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "/experiments/{experiment}/notes": {"kind": "decision", "name": "n", "facts": {"a": [1]}},
     "/experiments/{experiment}/files": {"content": "aGVsbG8="},
     "/experiments/{experiment}/heartbeat": {},
+    "/campaigns/forecast": {
+        "text": CAMPAIGN,
+        "workflow": {"text": TIMED, "name": "f.yaml"},
+        "user": "ada",
+        "name": "c.yaml",
+        "files": {"a.csv": "YQ=="},
+        "dry_run": False,
+    },
     "/campaigns": {
         "text": CAMPAIGN,
         "workflow": {"text": TIMED, "name": "f.yaml"},

@@ -1,0 +1,99 @@
+"""How forecasts are told to people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+import click
+
+from labos.cli._out import show_table
+from labos.services.times import show_span
+
+DELAYS_SHOWN = 10
+TOUCHES_SHOWN = 5
+
+
+def show_expected(times: Mapping[str, int] | None, now_ns: int) -> str:
+    """``about 14:20 (14:05–14:50)``, with the day if it is not today; empty if it is not in sight."""
+    if times is None:
+        return ""
+    early, expected, late = (times[name] for name in ("earliest_at", "expected_at", "latest_at"))
+    if late <= now_ns:
+        return _clock(expected, now_ns)  # it has happened
+    return f"about {_clock(expected, now_ns)} ({_clock(early, now_ns)}–{_clock(late, now_ns)})"
+
+
+def _clock(ns: int, now_ns: int) -> str:
+    at, now = (datetime.fromtimestamp(each / 1e9).astimezone() for each in (ns, now_ns))
+    short = abs(ns - now_ns) < 600e9
+    return f"{at:{'' if at.date() == now.date() else '%m-%d '}%H:%M{':%S' if short else ''}}"
+
+
+def show_runs(found: Mapping[str, Any]) -> None:
+    """The runs of a forecast."""
+    now = found["now_at"]
+    rows = [
+        (
+            run["run"],
+            run["workflow"],
+            run["user"],
+            show_expected(run["starts"], now) or "not in sight",
+            show_expected(run["ends"], now) or "not in sight",
+            run["waits"],
+        )
+        for run in found["runs"]
+    ]
+    show_table(("run", "workflow", "user", "starts", "ends", "waits for"), rows)
+    if found["left_out"]:
+        click.echo(f"The first {len(rows)} runs are forecast; {found['left_out']} more wait.")
+    if found["cut"]:
+        click.echo("The lab has too much to do: what comes late is not in sight.")
+
+
+def show_change(found: Mapping[str, Any]) -> None:
+    """What something that is not submitted would bring: when a person is needed, whom it delays, what stands
+    in its way."""
+    show_touches(found)
+    delays = found["delays"]
+    for delay in delays[:DELAYS_SHOWN]:
+        by = "would wait for a person" if delay["by_s"] is None else f"{show_span(delay['by_s'])} later"
+        click.echo(f"delays:      {delay['run']} of {delay['user']}: {by}")
+    if len(delays) > DELAYS_SHOWN:
+        click.echo(f"delays:      {len(delays) - DELAYS_SHOWN} more runs")
+    if not delays:
+        click.echo("delays:      nobody")
+    for conflict in found["conflicts"]:
+        click.echo(f"conflict:    {conflict}")
+
+
+def show_touches(found: Mapping[str, Any]) -> None:
+    """When a person is needed."""
+    now = found["now_at"]
+    for touch in found["touches"][:TOUCHES_SHOWN]:
+        click.echo(f"person:      {show_expected(touch['at'], now)}: {touch['why']}")
+        if touch["remedy"]:
+            click.echo(f"             {touch['remedy']}")
+    if not found["touches"]:
+        click.echo("person:      nobody is needed")
+
+
+def show_ways(found: Mapping[str, Any]) -> None:
+    """When the run starts and ends that is not submitted."""
+    now = found["now_at"]
+    for run in found["runs"]:
+        if run["run"] in found["new"]:
+            click.echo(f"starts:      {show_expected(run['starts'], now) or 'not in sight'}")
+            click.echo(f"ends:        {show_expected(run['ends'], now) or 'not in sight'}")
+
+
+def show_campaign(campaign: Mapping[str, Any], now: int) -> list[tuple[str, str]]:
+    """When a campaign starts and ends."""
+    seen, left = campaign["foreseen"], campaign["rows_left"]
+    rate = f", by the rate of the next {seen} of {left} rows" if seen < left else ""
+    ends = show_expected(campaign["ends"], now)
+    return [
+        ("starts", show_expected(campaign["starts"], now) or "not in sight"),
+        ("ends", f"{ends}{rate}" if ends else f"not in sight: {campaign['waits'] or 'too far away'}"),
+    ]

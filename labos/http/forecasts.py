@@ -1,0 +1,123 @@
+"""Forecasts of the lab as it is now: of its queue, and of what somebody thinks of submitting."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from labos.core.decide.campaigns import SubmitCampaign, SubmitRow
+from labos.core.decide.composites import SubmitWithLabware
+from labos.core.decide.runs import SubmitRun
+from labos.core.ids import CampaignId
+from labos.core.model import Plan
+from labos.core.state import picture
+from labos.http.campaign_rows import CampaignRows
+from labos.planning.durations import LEARNED_FROM, Drift, Durations
+from labos.planning.prospects import Prospect, Question
+from labos.ports import LogQuery
+from labos.runtime.foreseeing import Foreseer
+from labos.services.log import Log, events
+
+if TYPE_CHECKING:
+    from labos.http.service import LabService
+
+LEARNED = 20_000
+"""The last events of actions from which durations are learned at first."""
+
+ROWS_PLANNED = 3
+"""Rows of a campaign that is known whose plans stand for all of its rows."""
+
+FRESH_S = 10.0
+"""How long a forecast of the queue is good for everybody who asks, if nothing has happened."""
+
+
+class Forecasts:
+    """Asks for forecasts. Reads of the log what it has not learned from yet."""
+
+    def __init__(self, service: LabService) -> None:
+        self._service = service
+        self._foreseer = Foreseer()
+        self._learned = Learned(service.parts.store)
+        self._rows = CampaignRows(service)
+        self._queue: Prospect | None = None
+        self._queue_at: tuple[int, float] = (-1, 0.0)
+        self._turn = asyncio.Lock()
+
+    async def queue(self) -> Prospect:
+        """What is to be expected of everything that is submitted. Raises Refused."""
+        async with self._turn:
+            position, clock = self._service.kernel.state.position, self._service.parts.clock
+            now_s = clock.monotonic()
+            known_at, since_s = self._queue_at
+            if self._queue is None or known_at != position or now_s - since_s > FRESH_S:
+                self._queue = await self._ask()
+                self._queue_at = (position, clock.monotonic())
+            return self._queue
+
+    async def of_run(self, command: SubmitRun | SubmitWithLabware, actor: str) -> Prospect:
+        """What a run would bring. Raises Refused."""
+        return await self._ask(command, actor)
+
+    async def of_campaign(self, command: SubmitCampaign, plans: list[Plan], actor: str) -> Prospect:
+        """What a campaign would bring whose rows have such plans. Raises Refused."""
+        return await self._ask(command, actor, plans)
+
+    async def drifts(self) -> list[Drift]:
+        """The actions whose last times differ much from their earlier ones."""
+        return (await self._learned.durations()).drifts()
+
+    async def _ask(
+        self,
+        new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None,
+        actor: str = "",
+        plans: list[Plan] | None = None,
+    ) -> Prospect:
+        spreads = (await self._learned.durations()).spreads()
+        rows = await self._known_rows()
+        kernel = self._service.kernel
+
+        def question() -> Question:
+            return Question(
+                picture=picture(kernel.state),
+                now=kernel.clock.now_ns(),
+                spreads=spreads,
+                rows=rows,
+                new=new,
+                actor=actor,
+                new_rows=plans or [],
+            )
+
+        return await self._foreseer.foresee(question)
+
+    async def _known_rows(self) -> dict[CampaignId, list[Plan]]:
+        """Plans of the next rows of the campaigns that go on."""
+        found: dict[CampaignId, list[Plan]] = {}
+        for campaign in list(self._service.kernel.state.campaigns.open.values()):
+            for row in range(campaign.next_row, min(campaign.rows, campaign.next_row + ROWS_PLANNED)):
+                command = await self._rows.propose(campaign, row)
+                if isinstance(command, SubmitRow):
+                    found.setdefault(campaign.id, []).append(command.plan)
+        return found
+
+
+class Learned:
+    """Durations as far as the log goes."""
+
+    def __init__(self, store: Log) -> None:
+        self._store = store
+        self._durations = Durations()
+        self._position = 0
+        self._turn = asyncio.Lock()
+
+    async def durations(self) -> Durations:
+        """Learn from what was recorded since the last time."""
+        async with self._turn:
+            await asyncio.to_thread(self._read)
+            return self._durations
+
+    def _read(self) -> None:
+        first = None if self._position else LEARNED
+        query = LogQuery(after=self._position, types=LEARNED_FROM, last=first)
+        for event, head in events(self._store.select(query)):
+            self._durations.learn(event, head.recorded_at)
+            self._position = head.position

@@ -1,0 +1,118 @@
+"""Forecasts: when what is submitted starts and ends, and what something that is not would bring."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.decide.composites import SubmitWithLabware
+from labos.core.decide.runs import SubmitRun
+from labos.core.ids import ExperimentId
+from labos.core.users import person_of
+from labos.http.bodies import NewCampaign, NewRun
+from labos.http.campaigns import Estimate, foresee_campaign
+from labos.http.limits import LARGEST_BODY
+from labos.http.method import Method
+from labos.http.operation import Call, Operation
+from labos.http.placing import loads_of
+from labos.planning.durations import Drift
+from labos.planning.prospects import Prospect
+from labos.spec.findings import Finding
+
+
+class Forecast(msgspec.Struct, frozen=True):
+    """What is expected of the lab. ``drifts`` are the actions that take longer or shorter than they did."""
+
+    forecast: Prospect
+    drifts: list[Drift]
+
+
+class RunForecast(msgspec.Struct, frozen=True):
+    """What a run would bring, and what its workflow's files made the lab remark."""
+
+    forecast: Prospect
+    warnings: tuple[Finding, ...] = ()
+
+
+class CampaignForecast(msgspec.Struct, frozen=True):
+    """What a campaign would bring, and what all its rows ask of the lab."""
+
+    estimate: Estimate
+    forecast: Prospect
+
+
+async def get_forecast(call: Call) -> Forecast:
+    """The lab is carried on in virtual time, with durations drawn from what its log has taught: nothing
+    fails, and nobody fills anything up. The first 200 runs that wait are looked at."""
+    forecasts = call.service.forecasts
+    return Forecast(await forecasts.queue(), await forecasts.drifts())
+
+
+async def foresee_run(call: Call, body: NewRun) -> RunForecast:
+    """Nothing is submitted, nothing is kept. It is taken as approved."""
+    service = call.service
+    service.expect_role(body.user, "submitter")  # before anything is planned
+    workcell = await service.workcell_for(body.workflow, body.workcell)
+    loads = loads_of(service, body.place, workcell, body.user)
+    compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
+    run = SubmitRun(
+        compiled.plan, person_of(body.user), body.payload, ExperimentId(body.experiment), body.priority
+    )
+    command = SubmitWithLabware(run, tuple(loads)) if loads else run
+    return RunForecast(await service.forecasts.of_run(command, body.user), compiled.findings)
+
+
+async def foresee_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
+    """It is checked row by row; nothing is submitted, nothing is kept. It is taken as approved."""
+    estimate, forecast = await foresee_campaign(call.service, body)
+    return CampaignForecast(estimate, forecast)
+
+
+_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+_TIMED = _WORKFLOW.replace("action: seal}", "action: seal, args: {time: payload.time}}")
+_CAMPAIGN = (
+    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
+)
+
+FORECAST_S = 180.0
+"""How long a lab may take for a forecast."""
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/forecast",
+        handler=get_forecast,
+        client=Method("forecast", timeout_s=FORECAST_S),
+        summary="When runs start and end, and when a person is needed",
+        tag="runs",
+        needs="viewer",
+        problems=("refused",),
+    ),
+    Operation(
+        method="POST",
+        path="/runs/forecast",
+        handler=foresee_run,
+        client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
+        summary="When a run would start and end, without submitting it",
+        tag="runs",
+        needs="submitter",
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
+        largest_body=LARGEST_BODY,
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns/forecast",
+        handler=foresee_campaign_file,
+        client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
+        summary="What a campaign would need and bring, without submitting it",
+        tag="campaigns",
+        needs="submitter",
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        example={
+            "text": _CAMPAIGN,
+            "workflow": {"text": _TIMED, "name": "seal.yaml"},
+            "user": "ada",
+        },
+        largest_body=LARGEST_BODY,
+    ),
+)

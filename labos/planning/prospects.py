@@ -1,0 +1,354 @@
+"""What is to be expected of a lab: when its runs start and end, when a person is needed, and what something
+that is not submitted yet would change.
+
+A copy of the state is carried on several times (``virtual``), with durations drawn from what was learned.
+The same step takes the same time in the plays with and without what is new, so that they differ by nothing
+else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import msgspec
+
+from labos.core.actions import Action
+from labos.core.booked import blocked
+from labos.core.decide import Command, Rejection
+from labos.core.decide.campaigns import SubmitCampaign
+from labos.core.decide.composites import SubmitWithLabware
+from labos.core.decide.runs import SubmitRun
+from labos.core.ids import CampaignId, ModuleName, RunId, local
+from labos.core.model import Plan, PlanStep
+from labos.core.modules import ModuleStatus
+from labos.core.state import LabState, from_picture, picture
+from labos.planning.durations import Spreads, quantile
+from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
+
+LOW, HIGH = 0.1, 0.9
+"""The quantiles between which a range lies."""
+
+STEPS = 3_000
+"""About so many steps are started in all plays of a forecast."""
+
+FEWEST, MOST = 9, 19
+"""Plays with durations that were drawn, beside the one with the usual ones. Of fewer than ten in all the
+least and the greatest are closer together than four of five."""
+
+LATER_S = 1.0
+"""Seconds of wall time by which a run has to be later for that to be told."""
+
+
+class Times(msgspec.Struct, frozen=True):
+    """When something is expected, and between which times it lies in four of five plays (UTC ns)."""
+
+    earliest_at: int
+    expected_at: int
+    latest_at: int
+
+
+class RunProspect(msgspec.Struct, frozen=True):
+    """What is expected of a run. ``starts`` is when it started if it has; null: not in sight. ``waits`` is
+    why it does not come to its end without a person."""
+
+    run: str
+    workflow: str
+    user: str
+    campaign: str
+    starts: Times | None
+    ends: Times | None
+    waits: str = ""
+
+
+class CampaignProspect(msgspec.Struct, frozen=True):
+    """What is expected of a campaign. Of its rows that are left, the first ``foreseen`` were carried on; if
+    that is less than all, ``ends`` goes on at their rate."""
+
+    campaign: str
+    name: str
+    starts: Times | None
+    ends: Times | None
+    rows_left: int
+    foreseen: int
+    waits: str = ""
+
+
+class TouchProspect(msgspec.Struct, frozen=True):
+    """When a person is needed next, for what, and what is to be done about it. ``planned``: a workflow asks
+    for it."""
+
+    at: Times
+    why: str
+    remedy: str
+    run: str
+    planned: bool
+
+
+class Delay(msgspec.Struct, frozen=True):
+    """A run of somebody that would end later, in seconds of wall time; null: it would not end without a
+    person."""
+
+    run: str
+    user: str
+    campaign: str
+    by_s: float | None
+
+
+class Prospect(msgspec.Struct, frozen=True):
+    """What is expected of a lab from ``now_at`` on, after ``plays`` plays. ``left_out`` runs that wait were
+    not looked at. ``new`` are the runs of what is not submitted yet; ``delays`` and ``conflicts`` are what
+    it would bring."""
+
+    now_at: int
+    plays: int
+    runs: list[RunProspect] = []
+    campaigns: list[CampaignProspect] = []
+    touches: list[TouchProspect] = []
+    left_out: int = 0
+    cut: bool = False
+    new: list[str] = []
+    delays: list[Delay] = []
+    conflicts: list[str] = []
+    refusal: str = ""
+
+
+class Question(msgspec.Struct):
+    """What is asked: of a state as a picture, at a time. ``new`` is what somebody thinks of submitting, and
+    ``new_rows`` plans of its rows, if it is a campaign. ``rows`` are plans of rows of campaigns that are
+    known."""
+
+    picture: bytes
+    now: int
+    spreads: Spreads = Spreads()
+    rows: dict[CampaignId, list[Plan]] = {}
+    new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None
+    actor: str = ""
+    new_rows: list[Plan] = []
+    most_runs: int = MOST_RUNS
+    most_steps: int = MOST_STEPS
+    steps: int = STEPS
+
+
+def foresee(question: Question, is_late: Callable[[], bool] = lambda: False) -> Prospect:
+    """Carry the lab on, several times; once it ``is_late``, not once more."""
+    base = from_picture(question.picture)
+    left_out = keep_first(base, question.most_runs)
+    base.recorded_at = max(base.recorded_at, question.now)
+    asker = _Asker(question, picture(base))
+    usual = asker.play(0)
+    if asker.refusal:
+        return Prospect(question.now, 0, left_out=left_out, refusal=asker.refusal)
+    count = max(FEWEST, min(MOST, question.steps // max(1, usual.steps)))
+    before = asker.play(0, without=True) if question.new is not None else None
+    plays = [usual]
+    while len(plays) <= count and not is_late():
+        plays.append(asker.play(len(plays)))
+    conflicts = list(_conflicts(question, base, plays, asker.new)) if question.new is not None else []
+    return Prospect(
+        now_at=question.now,
+        plays=len(plays),
+        runs=[_run(asker, plays, name) for name in usual.users],
+        campaigns=_campaigns(asker, plays),
+        touches=_touches(plays),
+        left_out=left_out,
+        cut=usual.cut,
+        new=[str(name) for name in usual.users if _is_new(asker, usual, name)],
+        delays=list(_delays(before, usual)) if before is not None else [],
+        conflicts=conflicts,
+    )
+
+
+class _Asker:
+    """Carries copies of a state on. ``new`` is the run or campaign that is not submitted yet."""
+
+    def __init__(self, question: Question, base: bytes) -> None:
+        self.question, self.base = question, base
+        self.workflows: dict[RunId, str] = {}
+        self.campaigns: dict[CampaignId, tuple[str, int]] = {}
+        self.new, self.refusal = "", ""
+
+    def play(self, number: int, *, without: bool = False) -> Play:
+        """Number 0 takes the usual durations, others draw them."""
+        asked = self.question
+        state = from_picture(self.base)
+        rows: dict[CampaignId, Sequence[Plan]] = dict(asked.rows)
+        fresh = CampaignId(f"C{state.campaigns.named + 1}")
+        if not without and isinstance(asked.new, SubmitCampaign):
+            rows[fresh] = asked.new_rows
+        lasts = partial(_lasts, asked.spreads, state.lab.pace, number)
+        lab = VirtualLab(
+            state, asked.now, lasts, rows, most_rows=asked.most_runs, most_steps=asked.most_steps
+        )
+        if asked.new is not None and not without:
+            self._submit(lab, asked.new)
+        for campaign in state.campaigns.open.values():
+            self.campaigns[campaign.id] = (campaign.name, campaign.left)
+        for run in [*state.runs.active.values(), *state.runs.queued.values()]:
+            self.workflows[run.id] = run.workflow
+        return lab.go_on()
+
+    def _submit(self, lab: VirtualLab, command: Command) -> None:
+        answer = lab.submit(command, self.question.actor)
+        if isinstance(answer, Rejection):
+            self.refusal = f"{answer.message} {answer.remedy}".strip()
+            return
+        name = "campaign" if isinstance(command, SubmitCampaign) else "run"
+        self.new = next((str(getattr(event, name)) for event in answer if hasattr(event, name)), "")
+
+
+def _lasts(spreads: Spreads, pace: float, number: int, action: Action, step: PlanStep) -> int:
+    level = 0.5 if number == 0 else draw(f"{number}/{action.run}/{action.step}/{action.attempt}")
+    return spreads.lasts(action, step, pace, level)
+
+
+def draw(what: str) -> float:
+    """A number between 0 and 1: for the same words the same."""
+    return int.from_bytes(hashlib.blake2b(what.encode(), digest_size=8).digest()) / 2**64
+
+
+def times(values: Sequence[int], plays: int) -> Times | None:
+    """What these values of several plays tell; None if less than half of them have one."""
+    if not values or 2 * len(values) < plays:
+        return None
+    ordered = sorted(values)
+    return Times(*(int(_outer(ordered, level)) for level in (LOW, 0.5, HIGH)))
+
+
+def _outer(ordered: Sequence[int], level: float) -> float:
+    """The quantile of all that could be, of which these are a few: a little further out than theirs."""
+    count = len(ordered)
+    place = (level * (count + 1) - 1) / max(1, count - 1)
+    return quantile(ordered, min(1.0, max(0.0, place)))
+
+
+def _is_new(asker: _Asker, play: Play, name: RunId) -> bool:
+    return bool(asker.new) and asker.new in (name, play.members.get(name))
+
+
+def _run(asker: _Asker, plays: list[Play], name: RunId) -> RunProspect:
+    def of(pick: Callable[[Play], dict[RunId, int]]) -> Times | None:
+        return times([pick(play)[name] for play in plays if name in pick(play)], len(plays))
+
+    ends = of(lambda play: play.ends)
+    usual = plays[0]
+    failed = usual.failed.get(name, "")
+    return RunProspect(
+        run=str(name),
+        workflow=asker.workflows.get(name, ""),
+        user=usual.users[name],
+        campaign=str(usual.members.get(name, "")),
+        starts=of(lambda play: play.starts),
+        ends=ends,
+        waits=failed or ("" if ends is not None else usual.stays.get(name, "")),
+    )
+
+
+def _campaigns(asker: _Asker, plays: list[Play]) -> list[CampaignProspect]:
+    found: list[CampaignProspect] = []
+    for name, (title, left) in asker.campaigns.items():
+        usual = [run for run, member in plays[0].members.items() if member == name]
+        members = [[run for run, member in play.members.items() if member == name] for play in plays]
+        begun = [
+            min(play.starts[run] for run in runs if run in play.starts)
+            for play, runs in zip(plays, members, strict=True)
+            if any(run in play.starts for run in runs)
+        ]
+        stays = next((plays[0].stays[run] for run in usual if run in plays[0].stays), "")
+        fresh = [run for run in usual if run not in asker.workflows]
+        rest = max(0, left - len(fresh))
+        over = [
+            _extrapolate([play.starts[run] for run in runs], [play.ends[run] for run in runs], rest)
+            for play, runs in zip(plays, members, strict=True)
+            if runs and all(run in play.ends for run in runs)
+        ]
+        found.append(
+            CampaignProspect(
+                campaign=str(name),
+                name=title,
+                starts=times(begun, len(plays)),
+                ends=times(over, len(plays)),
+                rows_left=left,
+                foreseen=len(fresh),
+                waits=stays,
+            )
+        )
+    return found
+
+
+def _extrapolate(starts: Sequence[int], ends: Sequence[int], rest: int) -> int:
+    """When so many rows more would have ended, at the rate of the later half of those that were seen."""
+    ordered = sorted(ends)
+    half = len(ordered) // 2
+    if rest and half:
+        return ordered[-1] + rest * (ordered[-1] - ordered[half - 1]) // (len(ordered) - half)
+    return ordered[-1] + rest * (ordered[-1] - min(starts))
+
+
+def _touches(plays: list[Play]) -> list[TouchProspect]:
+    """When a person is needed, in order; what comes up in less than half of the plays is left out."""
+    found: list[TouchProspect] = []
+    for touch in plays[0].touches:
+        at = times(
+            [
+                next(other.at for other in play.touches if (other.why, other.run) == (touch.why, touch.run))
+                for play in plays
+                if any((other.why, other.run) == (touch.why, touch.run) for other in play.touches)
+            ],
+            len(plays),
+        )
+        if at is not None:
+            found.append(TouchProspect(at, touch.why, touch.remedy, touch.run, touch.planned))
+    return sorted(found, key=lambda touch: touch.at.expected_at)
+
+
+def _delays(before: Play, after: Play) -> Iterator[Delay]:
+    for name, ended in before.ends.items():
+        later = after.ends.get(name)
+        if later is None and after.cut:
+            continue
+        by_s = None if later is None else (later - ended) / 1e9
+        if by_s is None or by_s >= LATER_S:
+            yield Delay(str(name), before.users[name], str(before.members.get(name, "")), by_s)
+
+
+# -- conflicts -----------------------------------------------------------------------------------
+
+
+def _conflicts(question: Question, state: LabState, plays: list[Play], new: str) -> Iterator[str]:
+    """What stands in the way of something that is not submitted yet, as sentences."""
+    command = question.new
+    run = command.run if isinstance(command, SubmitWithLabware) else command
+    plans = question.new_rows if isinstance(run, SubmitCampaign) else [run.plan] if run else []
+    modules = {step.module: True for plan in plans for step in plan.steps}
+    for name in modules:
+        module = state.modules.by_name.get(name)
+        if module is None or module.out_of_service or module.status == ModuleStatus.GONE:
+            yield f"{local(name)} is not there, or out of service."
+    ends = [
+        end
+        for play in plays
+        for name, end in play.ends.items()
+        if new and new in (name, play.members.get(name))
+    ]
+    until = max(ends, default=question.now)
+    user = run.user if run is not None else ""
+    yield from _booked(state, user, modules, question.now, until)
+    if isinstance(run, SubmitCampaign) and run.terms.deadline:
+        late = [end for end in ends if end > run.terms.deadline]
+        if late or not ends:
+            yield "The deadline would be missed."
+    stays = sum(new in (name, plays[0].members.get(name)) for name in plays[0].stays) if new else 0
+    if stays:
+        why = next(why for name, why in plays[0].stays.items() if new in (name, plays[0].members.get(name)))
+        yield f"{stays} of its runs would wait for a person: {why}."
+
+
+def _booked(
+    state: LabState, user: str, modules: dict[ModuleName, bool], since: int, until: int
+) -> Iterator[str]:
+    for name in modules:
+        spans = blocked(state, user, name, since, until) if since < until else []
+        if spans:
+            yield f"{local(name)} is booked for {state.bookings.open[spans[0].booking].whom} meanwhile."

@@ -1,0 +1,364 @@
+"""A copy of a lab's state, carried on in virtual time by the rules and the planning of the lab itself.
+
+Steps start when planning proposes them, and end when their time has passed; rows of campaigns become runs,
+bookings begin and end, quotas and shares hold. Nothing fails, people do at once what a workflow asks of
+them, and nobody does anything else: what nobody has filled up stays empty, and a run that needs it stays.
+
+Pure: how long a step takes is told by a function, and time is what the next end says.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from labos.core.actions import Action, ActionRequested, ActionStatus
+from labos.core.campaigns import CampaignStatus
+from labos.core.decide import Command, Rejection, carry_out
+from labos.core.decide.actions import AcceptAction, FinishAction, StartStep
+from labos.core.decide.campaigns import SubmitRow
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.work import work_on
+from labos.core.effects import Draws, Transfers
+from labos.core.fold import evolve
+from labos.core.ids import ActionId, CampaignId, RunId
+from labos.core.interventions import InterventionRequested
+from labos.core.model import Plan, PlanStep
+from labos.core.modules import ModuleStatus
+from labos.core.quotas import queue_is_full
+from labos.core.registry import Event
+from labos.core.rules import ends_by
+from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunState, let_wait_anew
+from labos.core.state import LabState
+from labos.core.topics import PlannedWork
+from labos.core.users import LABOS
+from labos.core.waits import Wait
+from labos.planning.obstacle import explained
+from labos.planning.scheduler import Scheduler
+from labos.planning.sleepers import Name, Sleepers
+from labos.planning.touch import touched
+
+MOST_RUNS = 200
+"""Runs that wait and are carried on; of more, the first of each user."""
+
+MOST_STEPS = 3_000
+"""Steps after which a play is broken off."""
+
+Lasts = Callable[[Action, PlanStep], int]
+"""How long the action of a step takes from its request to its end (ns of wall time)."""
+
+MOST_ALARMS = 1_000
+"""Times that come one after the other without anything in flight before nothing is waited for any more: what
+is booked every day would go on for ever."""
+
+OVERDUE = 0.05
+"""What takes longer than it should has this part of its time still to go."""
+
+
+class Touch(msgspec.Struct, frozen=True):
+    """When a person is needed (UTC ns), for what, and what is to be done about it. ``planned``: a workflow
+    asks for it."""
+
+    at: int
+    why: str
+    remedy: str = ""
+    run: str = ""
+    planned: bool = False
+
+
+class Play(msgspec.Struct):
+    """How it went: when runs started and ended (UTC ns), which of them failed, when a person was needed, and
+    why the runs that are left do not go on. ``steps`` were started. ``cut``: it was broken off."""
+
+    starts: dict[RunId, int] = {}
+    ends: dict[RunId, int] = {}
+    failed: dict[RunId, str] = {}
+    touches: list[Touch] = []
+    stays: dict[RunId, str] = {}
+    members: dict[RunId, CampaignId] = {}
+    users: dict[RunId, str] = {}
+    levels: dict[str, float] = {}
+    steps: int = 0
+    cut: bool = False
+
+
+HORIZON_NS = 30 * 24 * 3600 * 10**9
+"""Nothing that is further away than this from the last step is waited for."""
+
+
+class VirtualLab:
+    """Carries on a state that it owns from ``now`` (UTC ns). ``rows`` are plans of rows of campaigns, which
+    stand for all their rows, in turn; ``most_rows`` of a campaign become runs."""
+
+    def __init__(
+        self,
+        state: LabState,
+        now: int,
+        lasts: Lasts,
+        rows: Mapping[CampaignId, Sequence[Plan]] | None = None,
+        *,
+        most_rows: int = MOST_RUNS,
+        most_steps: int = MOST_STEPS,
+    ) -> None:
+        self.state, self.now, self.play = state, now, Play()
+        self._lasts = lasts
+        self._rows = {name: [without_results(plan) for plan in plans] for name, plans in (rows or {}).items()}
+        self._most_rows, self._most_steps = most_rows, most_steps
+        self._admitted: dict[CampaignId, int] = {}
+        self._keys: set[str] = set()
+        self._scheduler = Scheduler()
+        self._scheduler.sleepers = _Listening(self._hear)
+        self._flying: list[tuple[int, int, ActionId]] = []
+        self._asked: dict[tuple[str, str], bool] = {}
+        self._count = self._alarms = 0
+        self._moved_at = now
+        self._calm()
+        for run in [*state.runs.active.values(), *state.runs.queued.values()]:
+            self._note(run)
+        for question in state.interventions.open.values():
+            if not isinstance(question.topic, PlannedWork):
+                self._touch(Touch(now, question.text, f"labos resolve {question.id}", question.run))
+
+    # -- commands ----------------------------------------------------------------------------
+
+    def submit(self, command: Command, actor: str) -> list[Event] | Rejection:
+        """Hand something in as somebody. It waits for nobody's approval."""
+        answer = self._ask(command, actor)
+        for event in [] if isinstance(answer, Rejection) else answer:
+            run = self.state.runs.queued.get(RunId(getattr(event, "run", "")))
+            if run is not None and run.id not in self.play.users:
+                self._note(run)
+            if run is not None and (run.held or run.unapproved):
+                with let_wait_anew(self.state.runs, run):
+                    run.held = run.unapproved = False
+            campaign = self.state.campaigns.open.get(CampaignId(getattr(event, "campaign", "")))
+            if campaign is not None and campaign.status == CampaignStatus.PROPOSED:
+                campaign.status = CampaignStatus.OPEN
+        return answer
+
+    def _ask(self, command: Command, actor: str = LABOS) -> list[Event] | Rejection:
+        answer = carry_out(self.state, command, self._write, actor)
+        for event in [] if isinstance(answer, Rejection) else answer:
+            self._keys.update(touched(self.state, event))
+            self._observe(event)
+        return answer
+
+    def _write(self, event: Event) -> Event:
+        evolve(self.state, event, self.state.position + 1, self.now)
+        return event
+
+    def _observe(self, event: Event) -> None:
+        match event:
+            case ActionRequested():
+                self._fly(self.state.actions.open[event.action])
+            case RunStarted():
+                self.play.starts[event.run] = self.now
+            case RunCompleted():
+                self.play.ends[event.run] = self.now
+            case RunFailed() | RunCancelled():
+                self.play.ends[event.run] = self.now
+                self.play.failed[event.run] = event.why
+            case InterventionRequested():
+                planned = isinstance(event.topic, PlannedWork)
+                remedy = f"labos resolve {event.intervention}"
+                self._touch(Touch(self.now, event.text, remedy, event.run, planned))
+
+    # -- going on ----------------------------------------------------------------------------
+
+    def go_on(self) -> Play:
+        """Carry on until nothing moves any more, or for so many steps."""
+        self._start_and_feed()
+        while not self.play.cut:
+            at = self._next()
+            if at is None:
+                break
+            self.now = max(self.now, at)
+            self._end_due()
+            self._start_and_feed()
+        runs = [*self.state.runs.active.values(), *self.state.runs.queued.values()]
+        if not self.play.cut:
+            self.play.stays = {run.id: self._why(run) for run in runs}
+            if self.play.stays and not self.play.touches:
+                run, why = next(iter(self.play.stays.items()))
+                self._touch(Touch(self.now, f"nothing goes on, as {run} waits: {why}", run=run))
+        self.play.levels = {name: level.level for name, level in self.state.resources.levels.items()}
+        return self.play
+
+    def _next(self) -> int | None:
+        """When something ends or is due; None if nothing is in sight that lets a run go on."""
+        if self._flying:
+            self._alarms = 0
+        elif not (self.state.runs.active or self.state.runs.queued) or self._alarms >= MOST_ALARMS:
+            return None
+        alarm = self._scheduler.next_deadline(self.state)
+        times = [self._flying[0][0]] if self._flying else []
+        if alarm is not None and not (times and alarm <= self.now):
+            self._alarms += 1
+            times.append(alarm)
+        at = min(times, default=None)
+        too_far = at is not None and not self._flying and at > self._moved_at + HORIZON_NS
+        return None if too_far else at
+
+    def _start_and_feed(self) -> None:
+        while True:
+            self._start()
+            if self.play.cut or not self._feed():
+                return
+
+    def _start(self) -> None:
+        while True:
+            keys, self._keys = self._keys, set()
+            before = self.state.position
+            self._scheduler.heed(self.state, keys)
+            for command in self._scheduler.due(self.state, self.now):
+                self._ask(command)
+            for start in self._scheduler.proposals(self.state, keys, self.now):
+                self._count += 1
+                self._ask(StartStep(start.run, start.step, ActionId(f"virtual-{self._count}"), self.now))
+                self.play.steps += 1
+                self._moved_at = self.now
+                if self.play.steps >= self._most_steps:
+                    self.play.cut = True
+                    return
+            if self.state.position == before:
+                return
+
+    def _feed(self) -> bool:
+        """Let rows of campaigns become runs; whether any did."""
+        fed = False
+        for name, plans in self._rows.items():
+            campaign = self.state.campaigns.open.get(name)
+            while (
+                plans
+                and campaign is not None
+                and campaign.takes_rows
+                and self._admitted.get(name, 0) < self._most_rows
+                and not queue_is_full(self.state, campaign.user)
+            ):
+                row = campaign.next_row
+                answer = self._ask(SubmitRow(name, row, plans[row % len(plans)]))
+                if isinstance(answer, Rejection) or not answer:
+                    break
+                self._admitted[name] = self._admitted.get(name, 0) + 1
+                for run in campaign.runs:
+                    if run not in self.play.users:
+                        self._note(self.state.runs.queued[run])
+                        fed = True
+                campaign = self.state.campaigns.open.get(name)
+        return fed
+
+    def _end_due(self) -> None:
+        while self._flying and self._flying[0][0] <= self.now:
+            action = self.state.actions.open.get(heapq.heappop(self._flying)[2])
+            if action is None:
+                continue
+            question = work_on(self.state, action)
+            if question is not None:
+                self._ask(ResolveIntervention(question.id, "done", LABOS))
+                continue
+            if action.status == ActionStatus.REQUESTED:
+                self._ask(AcceptAction(action.id, action.attempt, self.now))
+            self._ask(FinishAction(action.id, action.attempt, True, "all"))
+
+    def _fly(self, action: Action) -> None:
+        """Work out when an action ends that is in flight."""
+        module = self.state.modules.by_name[action.module]
+        run = self.state.runs.active.get(action.run)
+        if run is None or action.status == ActionStatus.UNKNOWN or module.status == ModuleStatus.GONE:
+            return
+        step = self.state.runs.plan_of(run).steps[action.step]
+        end = action.requested_at + self._lasts(action, step)
+        if end <= self.now:
+            end = self.now + int(OVERDUE * (self.now - action.requested_at)) + 1
+        limit = ends_by(self.state, action)
+        self._count += 1
+        heapq.heappush(self._flying, (end if limit is None else min(end, limit - 1), self._count, action.id))
+
+    # -- what is noted -----------------------------------------------------------------------
+
+    def _calm(self) -> None:
+        """What a play does not know of: results are read by nobody, nobody looks whether a motion is done as
+        it was said, and devices are at rest when their actions have ended."""
+        state = self.state
+        for known in state.runs.plans.values():
+            known.plan = without_results(known.plan)
+            known.conditional = ()
+        state.bench.watched.clear()
+        for module in state.modules.by_name.values():
+            if module.status == ModuleStatus.BUSY:
+                module.status = ModuleStatus.IDLE
+        for action in state.actions.open.values():
+            if action.status == ActionStatus.REPORTED:
+                action.status, action.looks = ActionStatus.ACCEPTED, ()
+            self._fly(action)
+
+    def _note(self, run: RunState) -> None:
+        self.play.users[run.id] = run.user
+        if run.campaign:
+            self.play.members[run.id] = run.campaign
+        if run.has_started:
+            self.play.starts[run.id] = run.started_at
+
+    def _touch(self, touch: Touch) -> None:
+        key = (touch.why, touch.run if touch.planned else "")
+        if key not in self._asked:
+            self._asked[key] = True
+            self.play.touches.append(touch)
+
+    def _hear(self, name: Name, wait: Wait) -> None:
+        if wait.blocked:
+            run = name[0] if RunId(name[0]) in self.state.runs.active else ""
+            self._touch(Touch(self.now, wait.reason.sentence, wait.reason.remedy, run))
+
+    def _why(self, run: RunState) -> str:
+        waits = [wait for _, wait in self._scheduler.waits(self.state, run, self.now)]
+        found = next((wait for wait in waits if wait.blocked), None) or next(iter(waits), None)
+        if found is None:
+            return "nobody can say how its action ended"
+        return explained(self._scheduler.safety, self.state, run, found)
+
+
+class _Listening(Sleepers):
+    """Sleepers that tell what they wait for."""
+
+    def __init__(self, hear: Callable[[Name, Wait], None]) -> None:
+        super().__init__()
+        self._tell = hear
+
+    def sleep(self, name: Name, wait: Wait) -> None:
+        super().sleep(name, wait)
+        self._tell(name, wait)
+
+
+def without_results(plan: Plan) -> Plan:
+    """A plan of which no step reads what earlier ones have found: all of its steps are carried out, and all
+    find what they should."""
+    if not plan.feeds and not any(step.when or step.expect for step in plan.steps):
+        return plan
+    return msgspec.structs.replace(plan, feeds=(), steps=tuple(map(_without_results, plan.steps)))
+
+
+def _without_results(step: PlanStep) -> PlanStep:
+    args: dict[str, Any] = {
+        name: None if isinstance(value, dict) and "$result" in value else value
+        for name, value in step.args.items()
+    }
+    effects = tuple(effect for effect in step.effects if not isinstance(effect, Transfers | Draws))
+    return msgspec.structs.replace(step, args=args, effects=effects, when=None, expect=None)
+
+
+def keep_first(state: LabState, most: int = MOST_RUNS) -> int:
+    """Let all but the first runs of each user that wait go from a state; returns how many went. Runs with
+    a high priority go before, then users take turns."""
+    turns: dict[tuple[int, str], int] = {}
+    order: list[tuple[int, int, int, RunId]] = []
+    for run in state.runs.queued.values():
+        turn = turns[run.priority, run.user] = turns.get((run.priority, run.user), 0) + 1
+        order.append((-run.priority, turn, run.position, run.id))
+    gone = [name for *_, name in sorted(order)[most:]]
+    for name in gone:
+        evolve(state, RunCancelled(name), state.position + 1, state.recorded_at)
+    return len(gone)
