@@ -26,6 +26,7 @@ READ = {
     "runs": "labos runs",
     "runs R1": "labos runs",
     "explain R1": "labos explain",
+    "forecast": "labos forecast",
     "experiments": "labos experiments",
     "results R1": "labos results",
     "files": "labos files",
