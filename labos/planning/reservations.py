@@ -30,7 +30,7 @@ from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, spread, uses
 from labos.planning.helpers import Helpers, helpers_of
-from labos.planning.keeping import Windows
+from labos.planning.keeping import CALM_S, Windows
 from labos.planning.layout import down
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
@@ -228,7 +228,11 @@ class Reservations:
                 key = plan.plan.steps[index].key
                 end = max(job.length for job in flying) + now
                 name = resource.partition(":")[2]
-                return Wait(reasons.NotInTime(name, key), (resource, cell_key(plan.plan.workcell)), until=end)
+                # It need not have ended: only soon enough for who follows.
+                again = max(now + lab_ns(state, CALM_S), now + _behind(ours, end))
+                return Wait(
+                    reasons.NotInTime(name, key), (resource, cell_key(plan.plan.workcell)), min(end, again)
+                )
         return None
 
     # -- working out ---------------------------------------------------------------------------
@@ -365,6 +369,16 @@ def _late(jobs: Sequence[Need]) -> int:
     by_deadline = sorted(jobs, key=lambda job: job.latest)
     as_they_come = sorted(jobs, key=lambda job: (job.release, job.latest))
     return min(count(by_deadline), count(as_they_come))
+
+
+def _behind(jobs: Sequence[Need], begin: int) -> int:
+    """By how much (ns) these are late at most, one after the other, if they cannot begin before a time."""
+    worst, time = 0, begin
+    for job in sorted(jobs, key=lambda job: job.release):
+        time = max(time, job.release)
+        worst = max(worst, time - job.latest)
+        time += job.length
+    return worst
 
 
 def _same_experiment(state: LabState, name: RunId, run: RunState) -> bool:
