@@ -63,7 +63,7 @@ def test_a_step_that_is_cut_short_is_a_fault(played_once: tuple[Problem, Times])
 
 def test_all_at_once_is_a_fault_of_modules_and_places(played_once: tuple[Problem, Times]) -> None:
     """Each work as if it had the workcell to itself, all of them from the start."""
-    problem, times = played_once
+    problem, _ = played_once
     ends: dict[int, float] = {}
     alone: Times = {}
     for number, task in enumerate(problem.tasks):
@@ -79,7 +79,7 @@ def test_all_at_once_is_a_fault_of_modules_and_places(played_once: tuple[Problem
 def test_windows_are_counted_by_the_checker_itself() -> None:
     case = small("one arm, 8 plates, within 120 s")
     problem, times = problem_of(case.cell, case.works), times_of(case, played(case))
-    late = {n: (start + 500.0, end + 500.0) if n % 5 > 1 else (start, end) for n, (start, end) in times.items()}
+    late = {n: (a + 500.0, b + 500.0) if n % 5 > 1 else (a, b) for n, (a, b) in times.items()}
     assert missed(problem, times) == 0
     assert missed(problem, late) == 8
     assert makespan(late) == makespan(times) + 500.0
