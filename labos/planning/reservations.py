@@ -22,6 +22,7 @@ import msgspec
 from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.booked import booked_now
+from labos.core.effects import carried
 from labos.core.ids import RunId
 from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, held_back
@@ -228,8 +229,9 @@ class Reservations:
                 key = plan.plan.steps[index].key
                 end = max(job.length for job in flying) + now
                 name = resource.partition(":")[2]
-                # It need not have ended: only soon enough for who follows.
-                again = max(now + lab_ns(state, CALM_S), now + _behind(ours, end))
+                # It need not have ended, nor its labware have left: only soon enough for who follows.
+                leaves = end + _takes_away(state, resource)
+                again = max(now + lab_ns(state, CALM_S), now + _behind(ours, leaves))
                 return Wait(
                     reasons.NotInTime(name, key), (resource, cell_key(plan.plan.workcell)), min(end, again)
                 )
@@ -348,6 +350,18 @@ def _in_flight(state: LabState, resource: str, now: int) -> list[Need]:
         for action, end in _flying(state, cell)
         if end > now and action.exclusive and resource in _taken_by(state, action)
     ]
+
+
+def _takes_away(state: LabState, resource: str) -> int:
+    """How long it takes (ns) to carry labware away from a module once what goes on there has ended."""
+    cell = resource.partition(":")[2].partition("/")[0]
+    found = 0
+    for action, _ in _flying(state, cell):
+        if resource == module_key(action.module):
+            steps = state.runs.plan_of(state.runs.active[action.run]).steps
+            after = (step for step in steps if action.step in step.after and carried(step.effects))
+            found = max([found, *(length(state, step) for step in after)])
+    return found
 
 
 def _taken_by(state: LabState, action: Action) -> list[str]:

@@ -6,6 +6,7 @@ import pytest
 
 from tests.benchmarks.league.cases import Case, cases
 from tests.benchmarks.league.check import Times, faults, makespan, missed
+from tests.benchmarks.league.play import Player
 from tests.benchmarks.league.rules import Problem, problem_of
 from tests.benchmarks.league.score import known, played, score, times_of
 
@@ -83,3 +84,10 @@ def test_windows_are_counted_by_the_checker_itself() -> None:
     assert missed(problem, times) == 0
     assert missed(problem, late) == 8
     assert makespan(late) == makespan(times) + 500.0
+
+
+def test_one_arm_keeps_its_windows_where_durations_stray() -> None:
+    """A clock is not started so soon that a reader that ends late makes the follower late."""
+    case = small("one arm, 8 plates, within 120 s")
+    for seed in range(4):
+        assert Player(case.cell, case.stock, jitter=0.1, seed=seed).play(case.works).breaches == 0
