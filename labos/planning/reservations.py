@@ -22,6 +22,7 @@ import msgspec
 from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.booked import booked_now
+from labos.core.effects import carried
 from labos.core.ids import RunId
 from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, held_back
@@ -30,7 +31,7 @@ from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
 from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, spread, uses
 from labos.planning.helpers import Helpers, helpers_of
-from labos.planning.keeping import Windows
+from labos.planning.keeping import CALM_S, Windows
 from labos.planning.layout import down
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
@@ -228,7 +229,12 @@ class Reservations:
                 key = plan.plan.steps[index].key
                 end = max(job.length for job in flying) + now
                 name = resource.partition(":")[2]
-                return Wait(reasons.NotInTime(name, key), (resource, cell_key(plan.plan.workcell)), until=end)
+                # It need not have ended, nor its labware have left: only soon enough for who follows.
+                leaves = end + _takes_away(state, resource)
+                again = max(now + lab_ns(state, CALM_S), now + _behind(ours, leaves))
+                return Wait(
+                    reasons.NotInTime(name, key), (resource, cell_key(plan.plan.workcell)), min(end, again)
+                )
         return None
 
     # -- working out ---------------------------------------------------------------------------
@@ -346,6 +352,18 @@ def _in_flight(state: LabState, resource: str, now: int) -> list[Need]:
     ]
 
 
+def _takes_away(state: LabState, resource: str) -> int:
+    """How long it takes (ns) to carry labware away from a module once what goes on there has ended."""
+    cell = resource.partition(":")[2].partition("/")[0]
+    found = 0
+    for action, _ in _flying(state, cell):
+        if resource == module_key(action.module):
+            steps = state.runs.plan_of(state.runs.active[action.run]).steps
+            after = (step for step in steps if action.step in step.after and carried(step.effects))
+            found = max([found, *(length(state, step) for step in after)])
+    return found
+
+
 def _taken_by(state: LabState, action: Action) -> list[str]:
     zones = zones_of(state, action.module, action.effects)
     return [module_key(action.module), *map(zone_key, zones)]
@@ -365,6 +383,16 @@ def _late(jobs: Sequence[Need]) -> int:
     by_deadline = sorted(jobs, key=lambda job: job.latest)
     as_they_come = sorted(jobs, key=lambda job: (job.release, job.latest))
     return min(count(by_deadline), count(as_they_come))
+
+
+def _behind(jobs: Sequence[Need], begin: int) -> int:
+    """By how much (ns) these are late at most, one after the other, if they cannot begin before a time."""
+    worst, time = 0, begin
+    for job in sorted(jobs, key=lambda job: job.release):
+        time = max(time, job.release)
+        worst = max(worst, time - job.latest)
+        time += job.length
+    return worst
 
 
 def _same_experiment(state: LabState, name: RunId, run: RunState) -> bool:

@@ -26,6 +26,7 @@ from tests.benchmarks import (
     windows,
 )
 from tests.benchmarks.figures import Report, machine, table
+from tests.benchmarks.league import score as league
 
 BENCHMARKS = {
     "action": action,
@@ -42,6 +43,7 @@ BENCHMARKS = {
     "scrape": scrape,
     "trust": trust,
     "audit": audit,
+    "league": league,
 }
 
 

@@ -55,12 +55,13 @@ class Placed(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct):
-    """What came of it. ``plans`` are the runs as they were submitted, by name."""
+    """What came of it. ``works`` says of each run which work it belongs to, and the how manieth of it it
+    is."""
 
     makespan_s: float
     steps: list[Placed]
     breaches: int
-    plans: dict[RunId, SubmitRun]
+    works: dict[RunId, tuple[int, int]]
 
 
 class Player:
@@ -104,20 +105,20 @@ class Player:
         for station in self.cell.places:
             kind, count = self.stock.get(station.name, ("", 0))
             self._tell(DeclareStation(station.name, (kind,) * count))
-        await asyncio.gather(*(self._do(work) for work in works))
+        await asyncio.gather(*(self._do(number, work) for number, work in enumerate(works)))
         self.outcome.makespan_s = max(step.end_s for step in self.outcome.steps)
         await self.kernel.close()
 
-    async def _do(self, work: Work) -> None:
+    async def _do(self, number: int, work: Work) -> None:
         await asyncio.sleep(work.after_s)
         experiment = ExperimentId("")
         if work.experiment is not None:
             started = self._tell(work.experiment)
             experiment = next(e.experiment for e in started if isinstance(e, ExperimentStarted))
-        for run in work.runs:
+        for index, run in enumerate(work.runs):
             events = self._tell(replace(run, experiment=experiment))
             name = next(event.run for event in events if isinstance(event, RunSubmitted))
-            self.outcome.plans[name] = run
+            self.outcome.works[name] = number, index
             await self._ends.setdefault(name, asyncio.Event()).wait()
         if experiment:
             self._tell(EndExperiment(experiment))

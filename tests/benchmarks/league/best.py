@@ -1,0 +1,138 @@
+"""Looks for the best schedule of each case: ``python -m tests.benchmarks.league.best [NAME…]``.
+
+Run by hand, with the extra ``plan``. It goes on from what ``best.json`` knows, or from what planning does,
+and keeps what is better, with how it is known: proven, or found in so many seconds, with the bound below
+which nothing can be.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import msgspec
+
+from tests.benchmarks.league.cases import Case, cases
+from tests.benchmarks.league.check import Times, faults, makespan, missed
+from tests.benchmarks.league.rules import Problem, problem_of
+from tests.benchmarks.league.score import BEST, Known, known, played, times_of
+
+STEP_S = 5
+
+
+def search(problem: Problem, hint: Times, seconds: float) -> tuple[Times | None, float]:
+    """The best schedule that keeps all windows found in so many seconds, and the least that any can take."""
+    from ortools.sat.python import cp_model
+
+    model = cp_model.CpModel()
+    horizon = int(makespan(hint)) * 2 // STEP_S
+    tasks = problem.tasks
+    length = [round(task.duration_s / STEP_S) for task in tasks]
+    assert all(n * STEP_S == task.duration_s for n, task in zip(length, tasks, strict=True))
+    begin = [model.new_int_var(0, horizon, f"s{number}") for number in range(len(tasks))]
+    end = [start + takes for start, takes in zip(begin, length, strict=True)]
+    whole = model.new_int_var(0, horizon, "makespan")
+    using: dict[str, list[cp_model.IntervalVar]] = {}
+    for number, task in enumerate(tasks):
+        model.add(whole >= end[number])
+        model.add_hint(begin[number], round(hint[number][0] / STEP_S))
+        interval = model.new_fixed_size_interval_var(begin[number], length[number], f"i{number}")
+        for name in task.takes:
+            using.setdefault(name, []).append(interval)
+        for before in task.after:
+            model.add(begin[number] >= end[before])
+        for clock in task.clocks:
+            model.add(begin[number] >= end[clock.anchor] + round(clock.wait_s / STEP_S))
+            if clock.within_s is not None:
+                model.add(begin[number] <= end[clock.anchor] + round(clock.within_s / STEP_S))
+    for intervals in using.values():
+        model.add_no_overlap(intervals)
+    standing: dict[str, list[cp_model.IntervalVar]] = {}
+    for number, stay in enumerate(problem.stays):
+        size = model.new_int_var(0, horizon * 2, f"stay{number}")
+        until = end[stay.last] if stay.last is not None else whole
+        interval = model.new_interval_var(begin[stay.first], size, until, f"at{number}")
+        standing.setdefault(stay.place, []).append(interval)
+    for place, intervals in standing.items():
+        room = problem.room[place]
+        if room == 1:
+            model.add_no_overlap(intervals)
+        elif len(intervals) > room:
+            model.add_cumulative(intervals, [1] * len(intervals), room)
+    for one, other in _alike(problem):
+        model.add(begin[one] <= begin[other])
+    model.minimize(whole)
+    solver = cp_model.CpSolver()
+    solver.parameters.max_time_in_seconds = seconds
+    solver.parameters.num_workers = 2
+    status = solver.solve(model)
+    bound = solver.best_objective_bound * STEP_S
+    if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+        return None, bound
+    starts = [solver.value(start) * STEP_S for start in begin]
+    return {n: (float(s), s + tasks[n].duration_s) for n, s in enumerate(starts)}, bound
+
+
+def _alike(problem: Problem) -> list[tuple[int, int]]:
+    """First tasks of works that are alike: which of them goes first makes no difference."""
+    works: dict[int, list[int]] = {}
+    for number, task in enumerate(problem.tasks):
+        works.setdefault(task.work, []).append(number)
+    found: list[tuple[int, int]] = []
+    last: dict[str, int] = {}
+    for numbers in works.values():
+        base = numbers[0]
+        tasks = [problem.tasks[number] for number in numbers]
+        look = repr(
+            [
+                (
+                    t.duration_s,
+                    sorted(t.takes),
+                    [a - base for a in t.after],
+                    [(c.anchor - base, c.wait_s, c.within_s) for c in t.clocks],
+                    sorted(s.place for s in problem.stays if s.first == n),
+                )
+                for n, t in zip(numbers, tasks, strict=True)
+            ]
+        )
+        if look in last:
+            found.append((last[look], base))
+        last[look] = base
+    return found
+
+
+def improve(case: Case, seconds: float) -> Known:
+    """The best that is known of a case now."""
+    problem = problem_of(case.cell, case.works)
+    hint = times_of(case, played(case))
+    before = known().get(case.key)
+    found, bound = search(problem, hint, seconds)
+    if found is None:
+        return before or Known(
+            makespan(hint), missed(problem, hint), f"online, nothing found in {seconds:.0f} s"
+        )
+    assert not faults(problem, found), faults(problem, found)
+    assert not missed(problem, found)
+    length = makespan(found)
+    how = "proven" if length <= bound else f"found in {seconds:.0f} s, none is below {bound:,.0f} s"
+    if before is not None and (before.makespan_s, "proven" not in before.how) <= (length, how != "proven"):
+        return before
+    return Known(length, 0, how)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.league.best", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="parts of names of cases; all if none")
+    parser.add_argument("--seconds", type=float, default=60.0, help="how long to look for each")
+    options = parser.parse_args()
+    for case in cases():
+        wanted = not options.names or any(name in case.name for name in options.names)
+        if case.best or not wanted:
+            continue
+        now = improve(case, options.seconds)
+        print(f"{case.name}: {now.makespan_s:,.0f} s, {now.how}", flush=True)
+        Path(BEST).write_bytes(msgspec.json.format(msgspec.json.encode({**known(), case.key: now})) + b"\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""What the league says can be trusted: the checker finds faults, and the best known is not beaten by luck."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.benchmarks.league.cases import Case, cases
+from tests.benchmarks.league.check import Times, faults, makespan, missed
+from tests.benchmarks.league.play import Player
+from tests.benchmarks.league.rules import Problem, problem_of
+from tests.benchmarks.league.score import known, played, score, times_of
+
+SMALL = ("one arm, 8 plates, within 120 s", "2 PCR + 1 picker × 3", "4 jobs on 4 machines, seed 0")
+
+
+def small(name: str) -> Case:
+    return next(case for case in cases() if case.name == name)
+
+
+@pytest.fixture(scope="module")
+def played_once() -> tuple[Problem, Times]:
+    case = small("2 PCR + 1 picker × 3")
+    return problem_of(case.cell, case.works), times_of(case, played(case))
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_what_planning_does_could_have_happened_and_is_not_better_than_what_was_proven(name: str) -> None:
+    found = score(small(name))
+    assert found.best is not None
+    assert found.best.how == "proven"
+    assert found.makespan_s >= found.best.makespan_s
+    assert found.missed == 0
+
+
+def test_one_arm_does_as_well_as_was_proven_possible() -> None:
+    assert score(small("one arm, 8 plates, within 120 s")).ratio == 1.0
+
+
+def test_every_case_has_a_best_known_schedule() -> None:
+    assert {case.key for case in cases()} == set(known())
+
+
+def test_a_step_that_was_not_carried_out_is_a_fault(played_once: tuple[Problem, Times]) -> None:
+    problem, times = played_once
+    left = {number: when for number, when in times.items() if number != 3}
+    assert faults(problem, times) == []
+    assert faults(problem, left) == ["task 3 was not carried out"]
+
+
+def test_a_step_too_soon_is_a_fault(played_once: tuple[Problem, Times]) -> None:
+    problem, times = played_once
+    for number, task in enumerate(problem.tasks):
+        if task.after:
+            before = times[task.after[0]][1]
+            moved = {**times, number: (before - 1.0, before - 1.0 + task.duration_s)}
+            assert f"task {number} starts before task {task.after[0]} has ended" in faults(problem, moved)
+
+
+def test_a_step_that_is_cut_short_is_a_fault(played_once: tuple[Problem, Times]) -> None:
+    problem, times = played_once
+    start, end = times[2]
+    assert any(text.startswith("task 2 takes") for text in faults(problem, {**times, 2: (start, end - 1.0)}))
+
+
+def test_all_at_once_is_a_fault_of_modules_and_places(played_once: tuple[Problem, Times]) -> None:
+    """Each work as if it had the workcell to itself, all of them from the start."""
+    problem, _ = played_once
+    ends: dict[int, float] = {}
+    alone: Times = {}
+    for number, task in enumerate(problem.tasks):
+        start = ends.get(task.work, 0.0)
+        alone[number] = (start, start + task.duration_s)
+        ends[task.work] = start + task.duration_s
+    found = faults(problem, alone)
+    assert any("rpl/sciclops is taken by" in text for text in found)
+    assert any("pieces of labware at rpl/ot2_pcr_alpha.deck1_cooler" in text for text in found)
+    assert not any("starts before" in text for text in found)
+
+
+def test_windows_are_counted_by_the_checker_itself() -> None:
+    case = small("one arm, 8 plates, within 120 s")
+    problem, times = problem_of(case.cell, case.works), times_of(case, played(case))
+    late = {n: (a + 500.0, b + 500.0) if n % 5 > 1 else (a, b) for n, (a, b) in times.items()}
+    assert missed(problem, times) == 0
+    assert missed(problem, late) == 8
+    assert makespan(late) == makespan(times) + 500.0
+
+
+def test_one_arm_keeps_its_windows_where_durations_stray() -> None:
+    """A clock is not started so soon that a reader that ends late makes the follower late."""
+    case = small("one arm, 8 plates, within 120 s")
+    for seed in range(4):
+        assert Player(case.cell, case.stock, jitter=0.1, seed=seed).play(case.works).breaches == 0
