@@ -21,7 +21,7 @@ from labos.core.decide.endings import under_way
 from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, workcell_of
 from labos.core.leaving import will_leave
 from labos.core.rules import examine
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, held_back
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
@@ -32,7 +32,7 @@ from labos.planning.patience import Patience
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
-from labos.planning.stuck import asked, stuck_on
+from labos.planning.stuck import find_block, find_questions
 from labos.planning.touch import (
     BENCH,
     BOOKING,
@@ -118,7 +118,7 @@ class Scheduler:
             return wait
         queued = not run.has_started
         if queued:
-            stuck = stuck_on(state, run)
+            stuck = find_block(state, run)
             if stuck is not None:
                 return stuck  # let in, it would come to a stand on the bench
         if queued or self.safety.changes_anything(state, run, step):
@@ -179,7 +179,7 @@ class Scheduler:
         steps = state.runs.plans[run.plan].starts if not run.has_started else ready(state, run)
         with self.reservations.only_asking():
             found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
-        return [*asked(state, run), *((step, wait) for step, wait in found if wait is not None)]
+        return [*find_questions(state, run), *((step, wait) for step, wait in found if wait is not None)]
 
     # -- waking ------------------------------------------------------------------------------
 
@@ -349,7 +349,7 @@ class Scheduler:
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
         for elder in self.room.impatient(state, plan.plan.workcell):
-            if elder.position >= run.position or held_back(elder):
+            if elder.position >= run.position or find_holds(elder):
                 continue
             mine = mine or {step.module for step in plan.plan.steps}
             if mine.isdisjoint(step.module for step in state.runs.plan_of(elder).steps):
@@ -374,7 +374,7 @@ class Scheduler:
             self._futile.clear()
         known = self._futile.get(elder.id)
         if known is None:
-            known = stuck_on(state, elder) is not None or bool(obstacle(self.safety, state, elder))
+            known = find_block(state, elder) is not None or bool(obstacle(self.safety, state, elder))
             self._futile[elder.id] = known
         return known
 

@@ -225,7 +225,7 @@ def test_what_must_not_be_done_waits_and_says_why(what: str) -> None:
 
 
 def without_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.room_at
+    real = binding.check_room
 
     def roomy(state: LabState, place: StationName) -> Wait | None:
         wait = real(state, place)
@@ -310,7 +310,7 @@ def test_without_setpoints_somebody_bakes_too_hot(monkeypatch: pytest.MonkeyPatc
 
 
 def test_without_waiting_for_rest_a_tray_shakes_under_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.reachable
+    real = binding.check_reachable
 
     def any_time(state: LabState, run: RunState, place: StationName) -> Wait | None:
         wait = real(state, run, place)

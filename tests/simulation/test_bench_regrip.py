@@ -63,7 +63,7 @@ def test_in_a_storm_too() -> None:
 
 
 def test_without_the_rule_it_sets_a_plate_onto_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.room_at
+    real = binding.check_room
 
     def room_at(state: LabState, place: StationName) -> Wait | None:
         return None if place == "corner/wc.regrip" else real(state, place)
