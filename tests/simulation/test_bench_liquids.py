@@ -66,6 +66,6 @@ def test_where_only_solid_things_are_counted_the_robot_runs_dry(monkeypatch: pyt
         return real(state, module, resource) if resource in ("tips", "foil", "tape") else float("inf")
 
     for place in (binding, rules, stuck):
-        monkeypatch.setattr(place, "unpromised", solid)
+        monkeypatch.setattr(place, "find_unreserved", solid)
     for seed in range(3):
         assert "runs out of color_A" in lived(seed)[1], f"seed {seed}"
