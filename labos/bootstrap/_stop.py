@@ -10,7 +10,7 @@ from labos.clock import SystemClock
 from labos.core.ids import ModuleName
 from labos.node.protocol import Keys
 from labos.pki import Credentials
-from labos.runtime.stop import StopReport, meant, stop_modules
+from labos.runtime.stop import StopReport, resolve_target, stop_modules
 
 LOOK_S = 0.5
 """How long to look for living nodes."""
@@ -41,7 +41,8 @@ async def stop_over_bus(
         await bus.watch_alive(Keys(lab).all_alive, note)
         await asyncio.sleep(LOOK_S)
         stopping = [
-            stop_modules(bus, name, meant(target, sorted(modules)), by) for name, modules in living.items()
+            stop_modules(bus, name, resolve_target(target, sorted(modules)), by)
+            for name, modules in living.items()
         ]
         reports = await asyncio.gather(*stopping)
     finally:

@@ -199,9 +199,9 @@ def _seconds(duration_s: float) -> str:
 
 
 def _takes(arg: Arg) -> str:
-    from labos.core.arguments import wanted
+    from labos.core.arguments import describe_arg
 
-    words = wanted(arg)
+    words = describe_arg(arg)
     if arg.default in (None, ""):
         words += "" if arg.required and arg.default is None else ", may be left out"
     else:
@@ -214,6 +214,6 @@ def _takes(arg: Arg) -> str:
 
 def _value(value: Any) -> str:
     """As a workflow file has it."""
-    from labos.core.arguments import shown
+    from labos.core.arguments import shorten
 
-    return str(value).lower() if isinstance(value, bool) else shown(value)
+    return str(value).lower() if isinstance(value, bool) else shorten(value)

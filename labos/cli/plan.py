@@ -140,7 +140,7 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
 
 def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
     """A compiled workflow with its times."""
-    from labos.planning.timetable import consumption, taken, timetable
+    from labos.planning.timetable import consumption, count_taken, timetable
 
     plan = compiled.plan
     times = timetable(plan, workcell)
@@ -182,7 +182,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             Resource(local(module), resource, amount, full[module].get(resource))
             for (module, resource), amount in consumption(plan).items()
         ],
-        labware_taken={local(stack): count for stack, count in taken(plan).items()},
+        labware_taken={local(stack): count for stack, count in count_taken(plan).items()},
         inputs=[local(place) for place in compiled.inputs],
         outputs=[local(place) for place in compiled.outputs],
         holds=[

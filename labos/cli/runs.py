@@ -13,7 +13,7 @@ from labos.cli._options import ENDED_SHOWN, all_option, json_option
 from labos.cli._out import show_json, show_parts, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.core.ids import local
-from labos.core.model import served_by
+from labos.core.model import find_served_step
 from labos.planning.scheduler import Scheduler
 from labos.services.describe import short
 from labos.services.experiments import experiment_histories
@@ -120,7 +120,11 @@ def _one(run: RunHistory, waits: dict[str, list[str]]) -> None:
     columns = ("#", "step", "action", "state", "requested", "took", "tries", "result or error")
     show_table(
         columns,
-        [_step(step) for step in run.steps if step.state != "asleep" or served_by(step.part) is not None],
+        [
+            _step(step)
+            for step in run.steps
+            if step.state != "asleep" or find_served_step(step.part) is not None
+        ],
     )
 
 

@@ -98,7 +98,7 @@ Thing = TypeVar("Thing", bound=Carried)
 Reason = TypeVar("Reason")
 
 
-def standing_refused(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+def check_standing(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
     """Why there is nothing to carry; None if there is."""
     if what.stock:
         why = bench.stock(what, what.stock)
@@ -111,7 +111,7 @@ def standing_refused(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
     return None
 
 
-def reaching_refused(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+def check_reaching(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
     """Why something that is there cannot be carried to where it goes; None if it can."""
     why = bench.hand(what)
     if why is not None:
@@ -127,19 +127,19 @@ def reaching_refused(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
     return None
 
 
-def carrying_refused(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+def check_carrying(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
     """Why something cannot be carried, whatever it is like; None if it can."""
-    why = standing_refused(bench, what)
-    return reaching_refused(bench, what) if why is None else why
+    why = check_standing(bench, what)
+    return check_reaching(bench, what) if why is None else why
 
 
-def refused(store: Store[Reason], effect: object) -> Reason | None:
+def check_effect(store: Store[Reason], effect: object) -> Reason | None:
     """Why an effect may not happen; None if it may. Those of the other kinds always may."""
     match effect:
         case Carrying():
-            why = standing_refused(store, effect)
+            why = check_standing(store, effect)
             why = store.fits(effect) if why is None else why
-            return reaching_refused(store, effect) if why is None else why
+            return check_reaching(store, effect) if why is None else why
         case Needs():
             return store.labware(effect)
         case Requires():
@@ -199,7 +199,7 @@ def settings_after(effects: Iterable[object]) -> ModuleSettings:
     )
 
 
-def needed_before(effects: Iterable[object]) -> dict[str, Any]:
+def find_requirements(effects: Iterable[object]) -> dict[str, Any]:
     """The variables of their module that some effects need, and the values that they must have."""
     return {e.variable: e.value for e in effects if isinstance(e, Requires) and e.of == "module"}
 

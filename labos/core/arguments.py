@@ -44,20 +44,20 @@ def flaw(arg: Arg, value: Any) -> str:
     if value is None and not arg.required and arg.default is None:
         return ""
     if arg.type in _KINDS and not _is_kind(arg.type, value):
-        return f"must be {_WORDS[arg.type]}, not {shown(value)}"
+        return f"must be {_WORDS[arg.type]}, not {shorten(value)}"
     if isinstance(value, float) and not math.isfinite(value):
         return f"must be finite, not {value}"
     if arg.choices and value not in arg.choices:
-        return f"cannot be {shown(value)}"
+        return f"cannot be {shorten(value)}"
     if isinstance(value, int | float) and not isinstance(value, bool):
         return _out_of_range(arg, value)
     return ""
 
 
-def wanted(arg: Arg) -> str:
+def describe_arg(arg: Arg) -> str:
     """What the argument takes: ``a number from 0.5 to 9.9 s``."""
     if arg.choices:
-        return f"one of {', '.join(shown(choice) for choice in arg.choices)}"
+        return f"one of {', '.join(shorten(choice) for choice in arg.choices)}"
     words = [_WORDS.get(arg.type, "a value")]
     if arg.minimum is not None and arg.maximum is not None:
         words.append(f"from {arg.minimum:g} to {arg.maximum:g}")
@@ -75,7 +75,7 @@ def unit_of(arg: Arg) -> str:
     return "" if arg.unit == "1" else arg.unit
 
 
-def shown(value: Any) -> str:
+def shorten(value: Any) -> str:
     """A value as messages show it, cut."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}…"

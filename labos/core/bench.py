@@ -15,7 +15,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.effects import AnyEffect, Carrying, carried, hand_of, touched, turn
+from labos.core.effects import AnyEffect, Carrying, carried, find_labware_used, hand_of, turn
 from labos.core.ids import (
     NOBODY,
     ActionId,
@@ -384,7 +384,7 @@ def requested(bench: Bench, event: ActionRequested, at: int) -> None:
         _expect(bench, what, 1)
         if what.stock:
             bench.named = max(bench.named, _number(what.labware))
-    for name in touched(event.effects):
+    for name in find_labware_used(event.effects):
         bench.labware[name].moving = event.action
 
 
@@ -404,7 +404,7 @@ def ended(
     effects = bench.reserved.pop(event.action, ())
     for what in carried(effects):
         _expect(bench, what, -1)
-    for name in touched(effects):
+    for name in find_labware_used(effects):
         labware = bench.labware.get(name)
         if labware is not None and labware.moving == event.action:
             labware.moving = ""

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from labos.core import reasons
-from labos.core.algebra import refused, settings_after
+from labos.core.algebra import check_effect, settings_after
 from labos.core.bench import Labware, a1_after, parts, taking, variable_of
 from labos.core.effects import (
     AnyEffect,
@@ -29,13 +29,13 @@ from labos.core.effects import (
     carried,
     hand_of,
 )
-from labos.core.holding import held_by_other, kept_by_other
+from labos.core.holding import find_other_holder, find_other_keeper
 from labos.core.ids import LabwareId, ModuleName, RunId, StationName, run_owner
 from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
-from labos.core.resources import needed
+from labos.core.resources import sum_needed
 from labos.core.runs import RunState
-from labos.core.shelves import in_doubt, on_shelves, ready, taken
+from labos.core.shelves import in_doubt, is_taken, on_shelves, ready
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, occupants, party, station_key, until_left_alone
 
@@ -44,7 +44,7 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
     """Write into the effects which labware they touch, if all of them are possible now."""
     start = Start(state, run, step)
     for effect in step.effects:
-        wait = refused(start, effect)
+        wait = check_effect(start, effect)
         if wait is not None:
             return wait
         start.accept(effect)
@@ -113,7 +113,7 @@ class Start:
             return None
         if self._used and usable_at(self.state, self.run, place) is not None:
             return _missing(self.state, self.run, place)  # the other piece is carried away already
-        return nothing_at(self.state, self.run, place)
+        return explain_missing(self.state, self.run, place)
 
     def fits(self, what: Carrying) -> Wait | None:
         if what.lid:
@@ -123,21 +123,21 @@ class Start:
                 return Wait(reasons.Requires(plate.id, "lidded", wanted), (station_key(what.plate_at),))
         item = self._item(what)
         kind = item.type if item is not None else self._topmost(what.stock)
-        wait = gripped(self.state, self.step, what, kind) or accepted(self.state, what, kind)
+        wait = check_grip(self.state, self.step, what, kind) or check_accepts(self.state, what, kind)
         if wait is not None or item is None or what.lid:
             return wait
-        return facing(self.state, what, item)
+        return check_rotation(self.state, what, item)
 
     def hand(self, what: Carrying) -> Wait | None:
-        return hand_free(self.state, self.step, what.source)
+        return check_hand(self.state, self.step, what.source)
 
     def entry(self, what: Carrying, place: StationName) -> Wait | None:
         if place == what.stock:  # of items of one kind several may be taken at a time
-            return let_in(self.state, self.run, place)
-        return reachable(self.state, self.run, place)
+            return check_entry(self.state, self.run, place)
+        return check_reachable(self.state, self.run, place)
 
     def room(self, what: Carrying, place: StationName) -> Wait | None:
-        return room_at(self.state, place)
+        return check_room(self.state, place)
 
     def labware(self, needs: Needs) -> Wait | None:
         places = [needs.station] if needs.station else self.state.bench.by_module.get(self.step.module, [])
@@ -146,7 +146,7 @@ class Start:
         self.subject = min(found, key=lambda item: owners.index(item.owner), default=None)
         if self.subject is not None:
             return None
-        return nothing_at(self.state, self.run, places[0] if places else StationName(self.step.module))
+        return explain_missing(self.state, self.run, places[0] if places else StationName(self.step.module))
 
     def value(self, requires: Requires) -> Wait | None:
         if requires.of == "module":
@@ -179,8 +179,8 @@ class Start:
 
     def amount(self, consumes: Consumes) -> Wait | None:
         """As much is left as the whole step needs, beside what actions in flight were promised."""
-        left = unpromised(self.state, self.step.module, consumes.resource)
-        if left is None or left >= needed(self.step.effects, consumes.resource):
+        left = find_unreserved(self.state, self.step.module, consumes.resource)
+        if left is None or left >= sum_needed(self.step.effects, consumes.resource):
             return None
         names = (self.step.module, consumes.resource)
         return Wait(reasons.UsedUp(*names), (module_key(self.step.module),))
@@ -240,17 +240,17 @@ class Start:
         return parts(self.state.bench.stations[stack].stock[left - 1])[0]
 
 
-def unpromised(state: LabState, module: ModuleName, resource: str) -> float | None:
+def find_unreserved(state: LabState, module: ModuleName, resource: str) -> float | None:
     """What is left of a resource when everything in flight has used what it needs; None if
     nobody ever said how much there is."""
     left = state.resources.left(module, resource)
     if left is None:
         return None
     flying = map(state.actions.open.__getitem__, state.modules.by_name[module].in_flight)
-    return left - sum(needed(action.effects, resource) for action in flying)
+    return left - sum(sum_needed(action.effects, resource) for action in flying)
 
 
-def hand_free(state: LabState, step: PlanStep, source: StationName) -> Wait | None:
+def check_hand(state: LabState, step: PlanStep, source: StationName) -> Wait | None:
     """An arm that holds labware, or may still hold lost labware, carries nothing else: it only puts
     down what it holds."""
     hand = hand_of(step.module)
@@ -262,7 +262,7 @@ def hand_free(state: LabState, step: PlanStep, source: StationName) -> Wait | No
     return None
 
 
-def facing(state: LabState, what: Carrying, labware: Labware) -> Wait | None:
+def check_rotation(state: LabState, what: Carrying, labware: Labware) -> Wait | None:
     """Whether labware would come to lie as its target takes it: with A1 in the right corner."""
     wanted = state.bench.stations[what.target].spec.a1
     way = a1_after(state.bench, what, labware)
@@ -272,7 +272,7 @@ def facing(state: LabState, what: Carrying, labware: Labware) -> Wait | None:
     return Wait(reasons.WrongWay(*names), (station_key(what.source),))
 
 
-def gripped(state: LabState, step: PlanStep, what: Carrying, labware_type: str) -> Wait | None:
+def check_grip(state: LabState, step: PlanStep, what: Carrying, labware_type: str) -> Wait | None:
     """Whether the arm can hold labware of the type as the step says, where it takes it and where
     it puts it down."""
     for place, grip in ((what.source, what.source_grip), (what.target, what.target_grip)):
@@ -283,7 +283,7 @@ def gripped(state: LabState, step: PlanStep, what: Carrying, labware_type: str) 
     return None
 
 
-def accepted(state: LabState, what: Carrying, labware_type: str) -> Wait | None:
+def check_accepts(state: LabState, what: Carrying, labware_type: str) -> Wait | None:
     """Whether labware of the type may stand where it comes to."""
     for place in what.room:
         if not state.bench.stations[place].spec.admits(labware_type):
@@ -322,7 +322,7 @@ def usable_at(
     return None
 
 
-def nothing_at(state: LabState, run: RunState, place: StationName) -> Wait:
+def explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
     """Why there is nothing to use: uncertain, somebody else's, in motion, or simply empty."""
     station = state.bench.stations.get(place)
     key = (station_key(place),)
@@ -347,12 +347,12 @@ def _missing(state: LabState, run: RunState, place: StationName) -> Wait:
     return Wait(why, (station_key(place),))
 
 
-def reachable(state: LabState, run: RunState, place: StationName) -> Wait | None:
+def check_reachable(state: LabState, run: RunState, place: StationName) -> Wait | None:
     """Whether a manipulator may reach into a station; into a stack only if no other hand is there."""
-    return undisturbed(state, place) or let_in(state, run, place)
+    return check_stack_alone(state, place) or check_entry(state, run, place)
 
 
-def let_in(state: LabState, run: RunState, place: StationName) -> Wait | None:
+def check_entry(state: LabState, run: RunState, place: StationName) -> Wait | None:
     """Whether a station's module lets a manipulator in: it is idle, open, and not another's."""
     spec = state.bench.stations[place].spec
     if not spec.module or spec.stands_apart:
@@ -362,18 +362,18 @@ def let_in(state: LabState, run: RunState, place: StationName) -> Wait | None:
     if module.busy or module.status == ModuleStatus.BUSY:
         return Wait(reasons.ModuleBusy(spec.module), key)
     if module.cut_off:
-        return laid_up(module)
+        return check_module(module)
     shut = door_open(state, place)
     if shut:  # nobody opens it before somebody has looked after a module that is down
-        return laid_up(module) or shut
+        return check_module(module) or shut
     if spec.claim:
-        holder = held_by_other(state, spec.module, run)
+        holder = find_other_holder(state, spec.module, run)
     else:  # of storage behind a door only the door is anybody's
-        holder = kept_by_other(state, spec.module, run) if spec.access else ""
+        holder = find_other_keeper(state, spec.module, run) if spec.access else ""
     return Wait(reasons.Held(spec.module, holder), key) if holder else None
 
 
-def laid_up(module: Module, *, recovers: bool = False) -> Wait | None:
+def check_module(module: Module, *, recovers: bool = False) -> Wait | None:
     """Whether somebody has to look after a module first; what ``recovers`` it from an error need not wait."""
     name, key = module.spec.name, (module_key(module.spec.name),)
     if module.out_of_service:
@@ -383,7 +383,7 @@ def laid_up(module: Module, *, recovers: bool = False) -> Wait | None:
     return None
 
 
-def undisturbed(state: LabState, place: StationName) -> Wait | None:
+def check_stack_alone(state: LabState, place: StationName) -> Wait | None:
     """One hand at a time at a stack of plates with names: of two, nobody could say whose plate came to
     lie on top. Nameless items of one kind may be taken by several."""
     station = state.bench.stations[place]
@@ -404,7 +404,7 @@ def door_open(state: LabState, place: StationName) -> Wait | None:
     return None
 
 
-def room_at(state: LabState, place: StationName) -> Wait | None:
+def check_room(state: LabState, place: StationName) -> Wait | None:
     """Whether a station can take one piece more."""
     station = state.bench.stations[place]
     key = (station_key(place),)
@@ -426,7 +426,7 @@ def _room_on_shelves(state: LabState, hotel: StationName) -> Wait | None:
     bench = state.bench
     if ready(bench, hotel) is not None:
         return None
-    if taken(bench, hotel):
+    if is_taken(bench, hotel):
         names = (hotel, occupants(state, bench.stations[hotel]))
         return Wait(reasons.Occupied(*names), until_left_alone(state, hotel))
     why = reasons.Uncertain(hotel) if in_doubt(bench, hotel) else reasons.Undeclared(hotel)

@@ -64,7 +64,7 @@ def theirs(state: LabState, user: str, module: ModuleName, *, clears: bool = Fal
     return [booking for booking in found if booking.maintenance or not clears]
 
 
-def blocked(
+def find_blocked(
     state: LabState, user: str, module: ModuleName, since: int, until: int, *, clears: bool = False
 ) -> list[Span]:
     """When a module is booked for others than a user from ``since`` to ``until`` (UTC ns), in order. What was
@@ -109,7 +109,7 @@ def not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait
         return None
     length = max(1, int(step.duration_s * 1e9 / state.lab.pace))
     for module, clears in contacts(state, step).items():
-        for span in blocked(state, run.user, module, now, now + length, clears=clears):
+        for span in find_blocked(state, run.user, module, now, now + length, clears=clears):
             never = no_gap(state, run.user, module, length, now, clears=clears)
             return never or waits_for(state, module, span, step.key, now)
     return None
@@ -128,7 +128,7 @@ def waits_for(
     return Wait(why, on, until=max(until or span.ends, now + 1))
 
 
-def booked_now(state: LabState, run: RunState, steps: Iterable[PlanStep]) -> Wait | None:
+def find_begun_booking(state: LabState, run: RunState, steps: Iterable[PlanStep]) -> Wait | None:
     """The first of the modules that these steps need whose booking for others has begun, or that leaves no
     gap that is long enough: what waits for it stands still, as if the module were out of service."""
     if not state.bookings.open:

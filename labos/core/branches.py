@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.conditions import by_key, decision, holds, read_by
+from labos.core.conditions import by_key, decision, find_reads, holds
 from labos.core.effects import Claims, Move, Releases, Sets, Take
 from labos.core.expressions import ExpressionError
 from labos.core.model import MAIN, Plan
@@ -56,17 +56,17 @@ def ways(plan: Plan, most: int = MOST_WAYS) -> list[Way]:
 def _longer(plan: Plan, way: Way, index: int) -> list[Way]:
     step = plan.steps[index]
     if step.when is None:
-        return _carried_out(plan, way, index)
+        return _find_own_ways(plan, way, index)
     what, positive = decision(step.when)
     found: list[Way] = []
     known = dict(way.said)
     for value in [known[what]] if what in known else [positive, not positive]:
         said = msgspec.structs.replace(way, said=tuple({**known, what: value}.items()))
-        found += _carried_out(plan, said, index) if value == positive else [said]
+        found += _find_own_ways(plan, said, index) if value == positive else [said]
     return found
 
 
-def _carried_out(plan: Plan, way: Way, index: int) -> list[Way]:
+def _find_own_ways(plan: Plan, way: Way, index: int) -> list[Way]:
     """The ways a step itself may go: as it should, skipped, recovered from."""
     found = [msgspec.structs.replace(way, steps=(*way.steps, index))]
     policy = plan.steps[index].on_error
@@ -87,7 +87,7 @@ def _carried_out(plan: Plan, way: Way, index: int) -> list[Way]:
     return found
 
 
-def left_out(plan: Plan, index: int) -> bool:
+def may_leave_out(plan: Plan, index: int) -> bool:
     """Whether a step may fail and the run goes on without a way of its own for that: neither the step nor
     what is done in its place makes a difference to labware and doors."""
     policy = plan.steps[index].on_error
@@ -98,7 +98,7 @@ def left_out(plan: Plan, index: int) -> bool:
     return policy.do == "skip" or policy.may_skip
 
 
-def decided(plan: Plan, steps: Sequence[StepStatus], results: Mapping[int, Any]) -> dict[str, bool]:
+def find_decided(plan: Plan, steps: Sequence[StepStatus], results: Mapping[int, Any]) -> dict[str, bool]:
     """What is known of a run's conditions, given the states of its steps and their results."""
     conditional = [step.when for step in plan.steps if step.when is not None]
     if not conditional:
@@ -107,7 +107,7 @@ def decided(plan: Plan, steps: Sequence[StepStatus], results: Mapping[int, Any])
     known: dict[str, bool] = {}
     for condition in conditional:
         what, positive = decision(condition)
-        if what in known or not open_.isdisjoint(read_by(condition)):
+        if what in known or not open_.isdisjoint(find_reads(condition)):
             continue
         try:
             known[what] = holds(condition, by_key(plan, results)) == positive

@@ -47,7 +47,7 @@ def by_key(plan: Plan, results: Mapping[int, Any]) -> dict[str, Any]:
     return {plan.steps[index].key: result for index, result in results.items()}
 
 
-def read_by(condition: Condition) -> set[str]:
+def find_reads(condition: Condition) -> set[str]:
     """The keys of the steps whose results a condition reads."""
     return {str(name[1]) for name in names_in(_read(condition.tree)) if name[0] == "steps" and len(name) > 1}
 
@@ -64,18 +64,18 @@ def decision(condition: Condition) -> tuple[str, bool]:
     return canonical(tree).decode(), positive
 
 
-def filled_in(tree: Tree, values: Mapping[tuple[Any, ...], Tree]) -> Tree:
+def fill_in(tree: Tree, values: Mapping[tuple[Any, ...], Tree]) -> Tree:
     """An expression in which names are replaced."""
     match tree[0]:
         case "name":
             return values.get(tree[1], tree)
         case "list":
-            return ("list", tuple(filled_in(part, values) for part in tree[1]))
+            return ("list", tuple(fill_in(part, values) for part in tree[1]))
         case "call" | "row":
-            return (tree[0], tree[1], tuple(filled_in(part, values) for part in tree[2]))
+            return (tree[0], tree[1], tuple(fill_in(part, values) for part in tree[2]))
         case "not" | "minus":
-            return (tree[0], filled_in(tree[1], values))
+            return (tree[0], fill_in(tree[1], values))
         case "chain":
-            rest = tuple((sign, filled_in(part, values)) for sign, part in tree[2])
-            return ("chain", filled_in(tree[1], values), rest)
+            rest = tuple((sign, fill_in(part, values)) for sign, part in tree[2])
+            return ("chain", fill_in(tree[1], values), rest)
     return tree

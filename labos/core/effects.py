@@ -345,7 +345,7 @@ def is_reported(value: Any) -> bool:
     )
 
 
-def reported(value: Any, result: Any) -> Any:
+def resolve_value(value: Any, result: Any) -> Any:
     """A value as it is once the result is known; null where the result does not say."""
     if not is_reported(value):
         return value
@@ -390,7 +390,7 @@ def changes_labware(effects: Iterable[AnyEffect]) -> bool:
     return any(map(_changed, effects))
 
 
-def taken_over(effects: Iterable[AnyEffect]) -> set[LabwareId]:
+def find_labware_changed(effects: Iterable[AnyEffect]) -> set[LabwareId]:
     """The labware that an action carries, takes a lid off or puts one on, or changes. What it only needs, or
     takes liquid out of, it leaves to whom it belongs."""
     found: set[LabwareId] = set()
@@ -406,7 +406,7 @@ def _changed(effect: AnyEffect) -> TypeGuard[Sets | Transfers]:
     return isinstance(effect, Transfers) or (isinstance(effect, Sets) and effect.of == "labware")
 
 
-def touched(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
+def find_labware_used(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
     """Labware that exists before the action and that the action carries or works on."""
     found: list[Move | Needs] = [effect for effect in effects if type(effect) in _WORKED_ON]  # type: ignore[misc]
     names = [effect.labware for effect in found if effect.labware]

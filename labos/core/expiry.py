@@ -14,7 +14,7 @@ from labos.core import reasons
 from labos.core.effects import Consumes
 from labos.core.ids import ModuleName
 from labos.core.model import PlanStep
-from labos.core.resources import Level, Lot, needed
+from labos.core.resources import Level, Lot, sum_needed
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
@@ -33,7 +33,7 @@ def in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | 
     if run.has_started:
         for effect in step.effects:
             if isinstance(effect, Consumes):
-                amounts[step.module, effect.resource] = needed(step.effects, effect.resource)
+                amounts[step.module, effect.resource] = sum_needed(step.effects, effect.resource)
     else:
         for _, module, resource, amount in state.runs.plans[run.plan].uses_up:
             amounts[module, resource] = amounts.get((module, resource), 0.0) + amount

@@ -10,18 +10,18 @@ from labos.core.state import LabState
 from labos.core.waits import party
 
 
-def held_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
+def find_other_holder(state: LabState, name: ModuleName, run: RunState) -> str:
     """The owner who holds a module against this run: whose labware stands where it claims the
     module, whose plan says so, or who left a door or lid away from rest. Empty if nobody does."""
-    return claimed_by_other(state, name, party(run)) or kept_by_other(state, name, run)
+    return find_other_claimant(state, name, party(run)) or find_other_keeper(state, name, run)
 
 
-def kept_by_other(state: LabState, name: ModuleName, run: RunState) -> str:
+def find_other_keeper(state: LabState, name: ModuleName, run: RunState) -> str:
     """The owner whose plan keeps the module, or who left a door or lid away from rest; empty if nobody."""
     return holder_by_plan(state, name, run) or door_left_by(state, name, run)
 
 
-def used_meanwhile(state: LabState, place: StationName, run: RunState) -> str:
+def find_user_meanwhile(state: LabState, place: StationName, run: RunState) -> str:
     """Who was let in to a station, or to its module, after this run's labware was seen to have left it:
     another owner, or the action that is at work there. Empty if nobody was."""
     station = state.bench.stations[place]
@@ -33,10 +33,10 @@ def used_meanwhile(state: LabState, place: StationName, run: RunState) -> str:
     for action in state.actions.within(workcell_of(name)) if state.modules.by_name[name].busy else ():
         if action.module == name and action.exclusive and action.run != run.id:
             return run_owner(action.run)
-    return held_by_other(state, name, run)
+    return find_other_holder(state, name, run)
 
 
-def claimed_by_other(state: LabState, name: ModuleName, allowed: tuple[Owner, ...]) -> str:
+def find_other_claimant(state: LabState, name: ModuleName, allowed: tuple[Owner, ...]) -> str:
     """Whose labware stands where it claims the module, is about to, or may be standing there; not one
     of the allowed."""
     bench = state.bench

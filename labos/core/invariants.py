@@ -18,7 +18,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 
 
-def broken(state: LabState) -> str:
+def find_broken(state: LabState) -> str:
     """The first invariant that does not hold, as a sentence; empty if all do."""
     bench = state.bench
     return (
@@ -33,7 +33,7 @@ def broken(state: LabState) -> str:
     )
 
 
-def broken_by(state: LabState, events: Iterable[Event]) -> str:
+def find_broken_by(state: LabState, events: Iterable[Event]) -> str:
     """The first invariant that does not hold around what these events speak of. Cheaper than
     ``broken``, and enough where everything held before."""
     stations: dict[StationName, Station] = {}
@@ -95,7 +95,7 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
             return f"{name} expects {station.expected} arrivals"
         if len(station.lots) != len(station.stock):
             return f"{name} has {len(station.stock)} in stock and lots of {len(station.lots)}"
-        if station.count - _seen_on_the_way(state, name, station) > station.spec.capacity:
+        if station.count - _count_seen_on_the_way(state, name, station) > station.spec.capacity:
             return f"{name} holds {station.count} of {station.spec.capacity}"
         for labware in station.labware:
             known = state.bench.labware.get(labware)
@@ -104,7 +104,7 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
     return ""
 
 
-def _seen_on_the_way(state: LabState, name: StationName, station: Station) -> int:
+def _count_seen_on_the_way(state: LabState, name: StationName, station: Station) -> int:
     """What was seen here while nobody knows how its motion ended, and is expected here too: it is one."""
     moving = [state.bench.labware[item].moving for item in station.labware if item in state.bench.labware]
     ways = [arrivals(state.bench.reserved.get(ActionId(action), ())) for action in moving if action]

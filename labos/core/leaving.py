@@ -108,6 +108,6 @@ def scene_of(state: LabState, run: RunState) -> Scene:
     )
 
 
-def lost(state: LabState, run: RunState) -> bool:
+def has_lost_labware(state: LabState, run: RunState) -> bool:
     """Whether nobody knows where some of a run's labware is."""
     return any(item.maybe for item in state.bench.owned(run_owner(run.id)))

@@ -286,7 +286,7 @@ AnyPart = Part | int
 """A part of a plan, or what is done when the step of this index has failed."""
 
 
-def served_by(part: AnyPart) -> int | None:
+def find_served_step(part: AnyPart) -> int | None:
     """The step whose failure a part of a plan is there for; None if it is for none."""
     return part if isinstance(part, int) else None
 
@@ -352,7 +352,7 @@ class PlanStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False
     @property
     def serves(self) -> int | None:
         """The step whose failure it is there for; None if it is for none."""
-        return served_by(self.part)
+        return find_served_step(self.part)
 
 
 class Hold(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):

@@ -145,7 +145,7 @@ class TaughtStation(msgspec.Struct, omit_defaults=True):
     by_type: dict[str, Taught] = {}
 
 
-def stopped_by(name: str) -> str:
+def describe_stop(name: str) -> str:
     """The error of a module that was stopped in an emergency."""
     return f"Stopped in an emergency{f' by {name}' if name else ''}; reset the module to go on."
 
@@ -387,7 +387,7 @@ def emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> Non
     module.stopped_at = event.stopped_at
     module.doubted = True
     if module.status != ModuleStatus.GONE:
-        module.status, module.error = ModuleStatus.ERROR, stopped_by(event.by)
+        module.status, module.error = ModuleStatus.ERROR, describe_stop(event.by)
 
 
 def requested(modules: Modules, event: ActionRequested, at: int) -> None:

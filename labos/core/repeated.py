@@ -24,6 +24,6 @@ HANDLERS: dict[Any, Any] = {}
 """No state depends on it."""
 
 
-def repeated(subject: str, request: str, why: str) -> list[Event]:
+def record_repeat(subject: str, request: str, why: str) -> list[Event]:
     """The events of a request that changes nothing: none, unless a reason was given."""
     return [RequestRepeated(subject, request, why)] if why else []

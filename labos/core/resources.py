@@ -82,7 +82,7 @@ class Resources(msgspec.Struct):
         return None if level is None else level.level
 
 
-def needed(effects: Iterable[AnyEffect], resource: str) -> float:
+def sum_needed(effects: Iterable[AnyEffect], resource: str) -> float:
     """How much of a resource effects use up together."""
     return sum(float(e.amount) for e in effects if isinstance(e, Consumes) and e.resource == resource)
 
@@ -95,7 +95,7 @@ def uses_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str, floa
     for index, step in enumerate(steps):
         for resource in {e.resource: True for e in step.effects if isinstance(e, Consumes)}:
             if (step.module, resource) not in fresh:
-                used.append((index, step.module, resource, needed(step.effects, resource)))
+                used.append((index, step.module, resource, sum_needed(step.effects, resource)))
         fresh.update((e.module, e.resource) for e in step.effects if isinstance(e, Replaces))
     return tuple(used)
 

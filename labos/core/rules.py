@@ -9,21 +9,21 @@ from __future__ import annotations
 from labos.core import reasons
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Station
-from labos.core.binding import bind, laid_up, unpromised
+from labos.core.binding import bind, check_module, find_unreserved
 from labos.core.booked import not_booked
 from labos.core.effects import AnyEffect, places
 from labos.core.expiry import in_date
-from labos.core.holding import held_by_other
+from labos.core.holding import find_other_holder
 from labos.core.ids import ActionId, ModuleName, local, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
 from labos.core.modules import ModuleStatus
 from labos.core.quotas import within_quota
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, anchored_at
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_anchor
 from labos.core.state import LabState
 from labos.core.waits import Wait, access_key, module_key, run_key, until_left_alone, zone_key
-from labos.core.watching import unwatched
-from labos.core.zones import at_work_in, stopped_in, zones_of
+from labos.core.watching import find_unwatched
+from labos.core.zones import at_work_in, find_stopped_module, zones_of
 
 NODE_AWAY_S = 60.0
 """Wall seconds for which the node of an action in flight may be gone before a person is asked."""
@@ -41,22 +41,22 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     return (
         _own_turn(state, run, step, index)
         or log_whole(state, step)
-        or halted(state, run, step)
+        or check_starts_allowed(state, run, step)
         or no_hands_inside(state, run, step)
         or within_quota(state, run, now)
         or _in_window(state, run, step, now)
-        or _rested(state, run, step, index, now)
+        or _check_retry_delay(state, run, step, index, now)
         or not_booked(state, run, step, now)
         or module_free(state, run, step)
-        or unwatched(state, (step,))
+        or find_unwatched(state, (step,))
         or zones_free(state, step)
-        or _supplied(state, run)
+        or _check_supplies(state, run)
         or in_date(state, run, step, now)
         or bind(state, run, step)
     )
 
 
-def held_wait(state: LabState, run: RunState) -> Wait:
+def find_approval_wait(state: LabState, run: RunState) -> Wait:
     """What a run waits for that was not approved yet."""
     proposal = state.approvals.open.get(run.id)
     why = ", and ".join(why.text for why in proposal.why) if proposal is not None else "its policy says so"
@@ -67,7 +67,7 @@ def _own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wai
     if run.unapproved:
         return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
     if run.held:
-        return held_wait(state, run)
+        return find_approval_wait(state, run)
     if run.paused:
         return Wait(reasons.Paused(run.id), (run_key(run.id),))
     if run.status == RunStatus.CANCELLING:
@@ -94,7 +94,7 @@ def log_whole(state: LabState, step: PlanStep) -> Wait | None:
     return Wait(reasons.LogShorter(", ".join([*names[:3], *more]), str(shorter.ended)))
 
 
-def halted(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+def check_starts_allowed(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     """Somebody lets nothing start there, but what brings modules back or arms out of the way."""
     if not state.lab.paused or step.recovers:
         return None
@@ -120,7 +120,7 @@ def no_hands_inside(state: LabState, run: RunState, step: PlanStep) -> Wait | No
 
 def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
     for window in step.windows:
-        ended = anchored_at(run, window)
+        ended = find_anchor(run, window)
         if ended is None:
             continue
         earliest = ended + lab_ns(state, window.wait_s)
@@ -129,7 +129,7 @@ def _in_window(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait
     return None
 
 
-def _rested(state: LabState, run: RunState, step: PlanStep, index: int, now: int) -> Wait | None:
+def _check_retry_delay(state: LabState, run: RunState, step: PlanStep, index: int, now: int) -> Wait | None:
     """Whether a step that failed has waited long enough to be tried again."""
     failed_at = run.steps[index].retried_at if run.steps else None
     if failed_at is None or step.retry is None:
@@ -155,7 +155,7 @@ def ends_by(state: LabState, action: Action) -> int | None:
     return action.requested_at + lab_ns(state, step.timeout_s)
 
 
-def missed_at(state: LabState, action: Action) -> int | None:
+def find_give_up_time(state: LabState, action: Action) -> int | None:
     """When to give up waiting for the node that carries an action out (UTC ns): once it has been gone for
     ``NODE_AWAY_S``. None if it is there, or somebody else knows how the action ended."""
     if (
@@ -169,7 +169,7 @@ def missed_at(state: LabState, action: Action) -> int | None:
     return module.gone_at + int(NODE_AWAY_S * 1e9)
 
 
-def stuck_at(state: LabState, action: Action) -> int | None:
+def find_standstill_time(state: LabState, action: Action) -> int | None:
     """When to tell somebody that a device stands still in the midst of an action and says why (UTC ns); None
     if it does not, or if it was told."""
     module = state.modules.by_name[action.module]
@@ -205,7 +205,7 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     key = module_key(step.module)
     if module is None:
         return Wait(reasons.NoModule(step.module), (key,))
-    away = laid_up(module, recovers=step.recovers)
+    away = check_module(module, recovers=step.recovers)
     if away:
         return away
     if not step.exclusive:
@@ -214,7 +214,7 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     if module.busy or (module.status == ModuleStatus.BUSY and not step.recovers):
         return Wait(reasons.ModuleBusy(step.module), (key,))
     # Whoever holds a module in error cannot go on before it is well again.
-    holder = "" if step.recovers else held_by_other(state, step.module, run)
+    holder = "" if step.recovers else find_other_holder(state, step.module, run)
     if holder:
         return Wait(reasons.Held(step.module, holder), (key,))
     for name in state.bench.by_module.get(step.module, ()):
@@ -230,7 +230,7 @@ def zones_free(state: LabState, step: PlanStep) -> Wait | None:
         busy = at_work_in(state, zone, step.module)
         if busy:
             return Wait(reasons.ZoneBusy(busy, zone), (zone_key(zone), module_key(busy)))
-        stopped = "" if step.recovers else stopped_in(state, zone, step.module)
+        stopped = "" if step.recovers else find_stopped_module(state, zone, step.module)
         if stopped:
             keys = (zone_key(zone), module_key(ModuleName(stopped)))
             return Wait(reasons.ZoneBarred(stopped, zone), keys)
@@ -245,7 +245,7 @@ def _in_motion(state: LabState, station: Station) -> bool:
     return any(a.status != ActionStatus.UNKNOWN or station.spec.name in places(a.effects) for a in moving)
 
 
-def _supplied(state: LabState, run: RunState) -> Wait | None:
+def _check_supplies(state: LabState, run: RunState) -> Wait | None:
     """A run is let in only where as much is left as all its steps use up, beside what those under way
     will still use, or as the module can hold at the most: what runs dry half-way would stand in others'
     way until somebody comes."""
@@ -258,7 +258,7 @@ def _supplied(state: LabState, run: RunState) -> Wait | None:
         level = state.resources.of(module, resource)
         if level is None:
             continue
-        left = unpromised(state, module, resource)
+        left = find_unreserved(state, module, resource)
         if left is not None and left - _to_come(state, module, resource) < min(amount, level.capacity):
             return Wait(reasons.UsedUp(module, resource), (module_key(module),))
     return None

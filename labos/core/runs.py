@@ -295,11 +295,11 @@ class Runs(msgspec.Struct):
 
 def queue_key(shape: str, run: RunState) -> str:
     """Runs with one key differ in nothing that decides whether they may start, but their age."""
-    state = (held_back(run), *clocks_of(run))
+    state = (find_holds(run), *clocks_of(run))
     return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{run.campaign}\x1f{state}"
 
 
-def held_back(run: RunState) -> int:
+def find_holds(run: RunState) -> int:
     """What keeps a run from being started, by itself: it is paused (1), no second person has approved it (2),
     it waits for an approval (4)."""
     return int(run.paused) + 2 * int(run.unapproved) + 4 * int(run.held)
@@ -310,7 +310,7 @@ def clocks_of(run: RunState) -> tuple[int, ...]:
     return tuple(anchor.ended_at for anchor in run.anchors)
 
 
-def anchored_at(run: RunState, window: Window) -> int | None:
+def find_anchor(run: RunState, window: Window) -> int | None:
     """When a window's clock started (UTC ns); None if it has not."""
     if window.anchor is not None:
         return run.steps[window.anchor].ended_at if run.steps else None

@@ -26,7 +26,7 @@ def ready(bench: Bench, hotel: StationName, but: Collection[StationName] = ()) -
     return next((s for s in vacant(bench, hotel) if bench.stations[s].known and s not in but), None)
 
 
-def taken(bench: Bench, hotel: StationName) -> bool:
+def is_taken(bench: Bench, hotel: StationName) -> bool:
     """Whether something stands or comes to stand on a shelf of which everybody is sure: one that may be
     free again without anybody's help."""
     return any(bench.stations[s].count and s not in bench.haunted for s in bench.shelves[hotel])
@@ -74,7 +74,7 @@ def spread(bench: Bench, place: StationName, items: Sequence[str]) -> list[tuple
     return [(shelf, items[n:] if n == last else items[n : n + 1]) for n, shelf in enumerate(shelves)]
 
 
-def told_shelves(
+def expand_hotels(
     planned: Sequence[AnyEffect], bound: Sequence[AnyEffect], args: dict[str, Any]
 ) -> dict[str, Any]:
     """Arguments that name hotels, with the shelves in their place."""

@@ -44,7 +44,7 @@ def looks(state: LabState, action: Action) -> tuple[StationName, ...]:
     )
 
 
-def unwatched(state: LabState, steps: Iterable[PlanStep]) -> Wait | None:
+def find_unwatched(state: LabState, steps: Iterable[PlanStep]) -> Wait | None:
     """A station of these steps' motions that is always looked at, and whose observer cannot be asked."""
     bench = state.bench
     for step in steps if bench.watched else ():

@@ -28,12 +28,12 @@ def zones_reached(
 ) -> tuple[str, ...]:
     """The zones of an action of a module whose ``own`` zone may be empty; ``zone_at`` tells that of
     a station."""
-    zones = dict.fromkeys([own, *map(zone_at, _reached(effects))])
+    zones = dict.fromkeys([own, *map(zone_at, _find_reached(effects))])
     zones.pop("", None)
     return tuple(zones)
 
 
-def _reached(effects: Iterable[AnyEffect]) -> list[StationName]:
+def _find_reached(effects: Iterable[AnyEffect]) -> list[StationName]:
     """The stations that an action reaches into."""
     places: list[StationName] = []
     for effect in effects:
@@ -53,7 +53,7 @@ def at_work_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     return ModuleName("")
 
 
-def stopped_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
+def find_stopped_module(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     """Another module that failed in a zone and is not known to have come out of it."""
     for name, module in state.modules.within(workcell_of(besides)):
         in_doubt = module.reached and module.status != ModuleStatus.IDLE
@@ -62,7 +62,7 @@ def stopped_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     return ModuleName("")
 
 
-def barred(state: LabState, cell: str) -> dict[str, ModuleName]:
+def find_barred_zones(state: LabState, cell: str) -> dict[str, ModuleName]:
     """Zones of a workcell that nobody else can use before a person or a device has done something, and the
     module in each of them."""
     found: dict[str, ModuleName] = {}

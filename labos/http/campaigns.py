@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from labos.core.campaigns import Budget, Campaign, Terms
-from labos.core.conditions import read_by
+from labos.core.conditions import find_reads
 from labos.core.decide.campaigns import SubmitCampaign, consumption, module_time_s
 from labos.core.decide.policy import demand_of
 from labos.core.ids import CampaignId, local
@@ -273,7 +273,7 @@ def _check_stop_rule(told: CampaignSource, checked: _Checked) -> None:
     if until is None or not checked.plans:
         return
     known = {step.key for plan in checked.plans for step in plan.steps}
-    for key in sorted(read_by(until) - known):
+    for key in sorted(find_reads(until) - known):
         place = told.source.place(("until",))
         remedy = near(key, known, "step")
         checked.report.error(f"The workflow has no step {key!r}.", place, field="until", remedy=remedy)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 
 from labos.core.decide.composites import ReportRound
-from labos.core.decide.contents import recorded
+from labos.core.decide.contents import list_recorded
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.rights import lacking
 from labos.core.decide.shorter import ConfirmStations, SayContents, must_be_said, to_say
@@ -145,7 +145,7 @@ def _station(state: LabState, name: StationName, said: bool) -> RoundStation:
         kind=station.spec.kind,
         capacity=station.spec.capacity,
         known=station.known,
-        recorded=list(recorded(state, name)),
+        recorded=list(list_recorded(state, name)),
         types={item: bench.labware[item].type for item in station.labware},
         perhaps=[item.id for item in bench.labware.values() if name in item.maybe],
         said=said,

@@ -55,7 +55,7 @@ from labos.runtime.kernel import error_of
 from labos.runtime.log_check import LogCheck
 from labos.runtime.marks import Marks
 from labos.runtime.registry import Registry
-from labos.runtime.stop import EVERYTHING, StopReport, meant, stop_modules
+from labos.runtime.stop import EVERYTHING, StopReport, resolve_target, stop_modules
 from labos.services.interventions import answered
 from labos.services.log import Log
 from labos.services.runs import RunHistory, run_history
@@ -520,7 +520,7 @@ class LabService:
         known = list(registry.living)
         with contextlib.suppress(LabosError):  # the log may be out of reach
             known += [name for name in self.kernel.state.modules.by_name if name not in known]
-        modules = meant(target, known)
+        modules = resolve_target(target, known)
         if not modules and target != EVERYTHING:
             raise NotFound(
                 f"This lab has no module or workcell {target!r}.",

@@ -21,7 +21,7 @@ from labos.core.state import LabState
 from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.http.lab_kernel import LabKernel
-from labos.planning.obstacle import explained
+from labos.planning.obstacle import explain_wait
 from labos.services.interventions import whereabouts
 
 QUEUED_SHOWN = 100
@@ -406,7 +406,7 @@ def waits_view(kernel: LabKernel, run: RunState, now: int) -> list[WaitView]:
     plan = kernel.state.runs.plan_of(run)
 
     def view(step: int, wait: Wait) -> WaitView:
-        why = explained(kernel.scheduler.safety, kernel.state, run, wait)
+        why = explain_wait(kernel.scheduler.safety, kernel.state, run, wait)
         return WaitView(step, plan.steps[step].key, wait.code, why, wait.blocked)
 
     if kernel.suspended:

@@ -13,7 +13,7 @@ import msgspec
 import structlog
 
 from labos.clock import Clock
-from labos.core.modules import stopped_by
+from labos.core.modules import describe_stop
 from labos.errors import BadInput, LabosError, NodeError, Unreadable
 from labos.node._admission import Admission
 from labos.node._outcome import text
@@ -125,7 +125,7 @@ class Admin:
         try:
             await self._stop(args)
         finally:
-            await self._fail(stopped_by(self.stopped_by))
+            await self._fail(describe_stop(self.stopped_by))
         return self.stopped_at
 
     async def _trace(self, args: dict[str, Any]) -> str:

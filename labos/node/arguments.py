@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.arguments import flaw, names_of, shown, wanted
+from labos.core.arguments import describe_arg, flaw, names_of, shorten
 from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid
 
@@ -33,9 +33,9 @@ def problems(spec: ActionSpec, args: Mapping[str, Any]) -> list[Problem]:
             found.append(Problem(written[1], f"is given twice, as {', '.join(written)}"))
         elif not written:
             if arg.required:
-                found.append(Problem(arg.name, f"is missing: {wanted(arg)}"))
+                found.append(Problem(arg.name, f"is missing: {describe_arg(arg)}"))
         elif flaw(arg, args[written[0]]):
-            found.append(Problem(written[0], f"must be {wanted(arg)}, not {shown(args[written[0]])}"))
+            found.append(Problem(written[0], f"must be {describe_arg(arg)}, not {shorten(args[written[0]])}"))
     known = ", ".join(arg.name for arg in spec.args)
     takes = f"takes {known}" if known else "takes no arguments"
     found.extend(Problem(name, f"is not known: {spec.name} {takes}") for name in args if name not in meant)

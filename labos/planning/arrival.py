@@ -20,7 +20,7 @@ from labos.core.effects import arrivals, carried
 from labos.core.ids import Owner, RunId, StationName, run_owner, workcell_of
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
-from labos.core.runs import RunState, RunStatus, held_back
+from labos.core.runs import RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.forecast import is_pending, length, pending_before, spread
@@ -122,7 +122,7 @@ def _leaves_at(state: LabState, owner: Owner, place: StationName, now: int) -> i
     not, or does not go on now."""
     kind, _, name = owner.partition(":")
     run = state.runs.active.get(RunId(name)) if kind == "run" else None
-    if run is None or run.status != RunStatus.ACTIVE or held_back(run):
+    if run is None or run.status != RunStatus.ACTIVE or find_holds(run):
         return None
     plan = state.runs.plan_of(run)
     leaving = (

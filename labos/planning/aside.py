@@ -22,7 +22,7 @@ from labos.planning.floor import Actor, Floor
 from labos.planning.layout import down, lay_out
 from labos.planning.moves import move
 from labos.planning.safety import Safety
-from labos.planning.stuck import stuck_on
+from labos.planning.stuck import find_block
 from labos.planning.touch import cell_key, near_key
 
 DOWN = (reasons.NoModule, reasons.ModuleDown, reasons.OutOfService)
@@ -34,16 +34,16 @@ def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wa
     One whose clock runs goes on as far as it can."""
     if run.status != RunStatus.ACTIVE or run.id in state.runs.windowed:
         return None
-    wait = stuck_on(state, run)
+    wait = find_block(state, run)
     if wait is None or not isinstance(wait.reason, DOWN):
         return None
     plan = state.runs.plan_of(run)
     left = [s for s, at in zip(plan.steps, run.steps, strict=True) if at.status not in SETTLED]
     dead = {s.module for s in left if down(state, s.module)}
-    wanted = _wanted(state, run)
+    wanted = _find_wanted(state, run)
     actor = safety.actor(state, run, tail=False)
     floor = lay_out(state, plan.workcell, [actor], hopeful=True)
-    if not wanted.isdisjoint(_kept(floor, actor)):
+    if not wanted.isdisjoint(_find_kept(floor, actor)):
         return None  # it is in the way here too
     stands = list(_stands(state, floor, actor, step, dead))
     if not stands or any(wanted.isdisjoint(kept) for kept in stands):
@@ -52,7 +52,7 @@ def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wa
     return Wait(reasons.BetterHere(plan.steps[step].key, tuple(sorted(dead))), keys)
 
 
-def _wanted(state: LabState, run: RunState) -> set[str]:
+def _find_wanted(state: LabState, run: RunState) -> set[str]:
     """What a run that comes to a stand keeps from others: any module, as somebody may come who needs it, and
     the places on the ways of those who are inside or waiting and can go to their ends."""
     cell = state.runs.plan_of(run).workcell
@@ -62,7 +62,7 @@ def _wanted(state: LabState, run: RunState) -> set[str]:
             wanted.update(place for s in known.plan.steps for place in places(s.effects))
     for other in state.runs.inside(cell):
         plan = state.runs.plan_of(other)
-        if other.id != run.id and stuck_on(state, other) is None:
+        if other.id != run.id and find_block(state, other) is None:
             left = [s for s, at in zip(plan.steps, other.steps, strict=True) if at.status not in SETTLED]
             wanted.update(place for s in left for place in places(s.effects))
     return wanted
@@ -81,7 +81,7 @@ def _stands(
             return
         move(floor, actor, motion)
         if number + 1 == len(way) or way[number + 1].step != motion.step:
-            yield _kept(floor, actor)
+            yield _find_kept(floor, actor)
     yield set()  # its way forks before it comes to a stand: nobody knows where that is
 
 
@@ -97,7 +97,7 @@ def _needs(state: LabState, step: PlanStep, dead: set[ModuleName]) -> bool:
     )
 
 
-def _kept(floor: Floor, actor: Actor) -> set[str]:
+def _find_kept(floor: Floor, actor: Actor) -> set[str]:
     """The modules and places that a run keeps from others by where its labware stands, by what it has left
     shut or open, and by its plan's word."""
     stands = [place for place, number in actor.own.items() if number and place not in floor.endless]

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from labos.core.booked import HORIZON_NS, blocked, contacts, is_exempt, no_gap, waits_for
+from labos.core.booked import HORIZON_NS, contacts, find_blocked, is_exempt, no_gap, waits_for
 from labos.core.bookings import Bookings, Span
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
@@ -67,7 +67,7 @@ def room_ends(state: LabState, name: RunId, now: int) -> int | None:
     found = (
         span.begins - stay.ends + 1
         for stay in _stays(state, plan, times, times)
-        for span in blocked(
+        for span in find_blocked(
             state, run.user, stay.module, now + stay.begins, now + HORIZON_NS, clears=stay.clears
         )
     )
@@ -111,7 +111,7 @@ def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[Stay], now
 def _first_met(state: LabState, user: str, stays: Iterable[Stay], now: int) -> tuple[Stay, Span] | None:
     for stay in stays:
         ends = max(stay.ends, stay.begins + 1)
-        for span in blocked(state, user, stay.module, now + stay.begins, now + ends, clears=stay.clears):
+        for span in find_blocked(state, user, stay.module, now + stay.begins, now + ends, clears=stay.clears):
             return stay, span
     return None
 

@@ -14,8 +14,8 @@ from labos.core.decide.runs import BreachWindow
 from labos.core.decide.steps import TimeOutAction
 from labos.core.decide.work import NoteOverdue
 from labos.core.ids import ActionId, InterventionId, RunId
-from labos.core.rules import closes_late_at, due_at, lab_ns, missed_at, stuck_at
-from labos.core.runs import anchored_at
+from labos.core.rules import closes_late_at, due_at, find_give_up_time, find_standstill_time, lab_ns
+from labos.core.runs import find_anchor
 from labos.core.state import LabState
 from labos.planning.alarms import Alarms
 from labos.planning.booked import BookingTimes
@@ -140,7 +140,7 @@ def _due(state: LabState, name: ActionId) -> int | None:
     action = state.actions.open.get(name)
     if action is None:
         return None
-    times = (due_at(state, action), missed_at(state, action), stuck_at(state, action))
+    times = (due_at(state, action), find_give_up_time(state, action), find_standstill_time(state, action))
     known = [due for due in times if due is not None]
     return min(known) + 1 if known else None
 
@@ -154,6 +154,6 @@ def _windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:
         if run is None or plan is None or run.is_breached(index) or not is_pending(run, index):
             continue
         for number, window in enumerate(plan.plan.steps[index].windows):
-            ended = anchored_at(run, window)
+            ended = find_anchor(run, window)
             if ended is not None and window.within_s is not None:
                 yield index, number, ended + lab_ns(state, window.within_s)

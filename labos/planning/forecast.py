@@ -14,7 +14,7 @@ from labos.core.effects import Carrying, carried
 from labos.core.ids import StationName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import lab_ns
-from labos.core.runs import PENDING, RunState, anchored_at
+from labos.core.runs import PENDING, RunState, find_anchor
 from labos.core.state import LabState
 from labos.core.waits import module_key, station_key, zone_key
 from labos.core.zones import zones_of
@@ -175,6 +175,6 @@ def _clocks(
     for window in state.runs.plan_of(run).steps[index].windows:
         ended = known.get(window.anchor) if window.anchor is not None else None
         if ended is None:
-            ended = anchored_at(run, window)
+            ended = find_anchor(run, window)
         if ended is not None:
             yield window, ended

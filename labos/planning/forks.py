@@ -17,7 +17,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.branches import Way, decided, left_out
+from labos.core.branches import Way, find_decided, may_leave_out
 from labos.core.effects import NOWHERE, Relid, Unlid
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
@@ -51,7 +51,7 @@ def futures(
 ) -> tuple[tuple[Motion, ...], tuple[Branch, ...]]:
     """What is left of a way that forks, given the states of the run's steps: the motions before the first
     fork, and the branches behind it. ``tail`` follows at the end of each."""
-    troubles, known = _troubled(run), decided(plan, steps, results_of(plan, run))
+    troubles, known = _list_failed(run), find_decided(plan, steps, results_of(plan, run))
     over = {
         index
         for index, status in enumerate(steps)
@@ -97,14 +97,14 @@ def _possible(way: Way, plan: Plan, steps: Sequence[StepStatus], troubles: Colle
             if status == DONE or in_trouble:
                 return False
         elif index in way.steps:
-            if (in_trouble or status == SKIPPED) and not left_out(plan, index):
+            if (in_trouble or status == SKIPPED) and not may_leave_out(plan, index):
                 return False
         elif status not in (PENDING, SKIPPED) and not way.fails:
             return False
     return True
 
 
-def _troubled(run: RunState) -> frozenset[int]:
+def _list_failed(run: RunState) -> frozenset[int]:
     """The steps that failed and whose recovery has begun."""
     return frozenset(index for index, step in enumerate(run.steps) if step.trouble is not None)
 
@@ -117,11 +117,13 @@ def _in_the_balance(ways: Sequence[Way], run: RunState, steps: Sequence[StepStat
     return sorted(index for index in failing - doubtful if steps[index] == IN_FLIGHT)
 
 
-def kept_for(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]) -> list[Motion]:
+def find_kept(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]) -> list[Motion]:
     """What has to be kept for the steps in flight that may fail, as nobody knows yet how they end: the places
     that their labware comes from, and what they let go of. A setpoint that they change is nobody else's:
     it may stay as it is."""
-    possible = [(way, motions) for way, motions in path.ways if _possible(way, plan, steps, _troubled(run))]
+    possible = [
+        (way, motions) for way, motions in path.ways if _possible(way, plan, steps, _list_failed(run))
+    ]
     grabs = {grab: True for _, motions in path.ways for motion in motions for grab in motion.grabs}
     changing = {key for key, number in Counter(key for key, _ in grabs).items() if number > 1}
     values = {key: None if key in changing else value for key, value in grabs}
@@ -142,7 +144,7 @@ def _left(motions: Iterable[Motion]) -> list[StationName]:
 
 
 def _outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list[Motion]:
-    """How a step in flight ends on this way. On the floor it counts as done, and what ``kept_for`` says is
+    """How a step in flight ends on this way. On the floor it counts as done, and what ``find_kept`` says is
     kept for the case that it fails."""
     motions = motions_of(path, index)
     found = [Motion(index, place, back=True) for place in _left(motions)]

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import msgspec
 
-from labos.core.algebra import refused
+from labos.core.algebra import check_effect
 from labos.core.effects import Carrying, Claims, Consumes, Needs, Requires, carried, hand_of
 from labos.core.ids import ModuleName, Owner, RunId, StationName, owner_parts, run_owner
 from labos.core.model import PlanStep
@@ -78,7 +78,7 @@ class _Search:
                 self.let_go(step.module, run)
             clearing = _Clearing(self, run, step)
             for effect in step.effects:
-                refused(clearing, effect)
+                check_effect(clearing, effect)
         self._not_trapped(run, steps)
 
     def is_full(self, place: StationName) -> bool:

@@ -16,16 +16,16 @@ from collections.abc import Iterable, Iterator
 import msgspec
 
 from labos.core import reasons
-from labos.core.booked import booked_now
+from labos.core.booked import find_begun_booking
 from labos.core.ids import ModuleName, RunId
 from labos.core.rules import examine, lab_ns
-from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, held_back
+from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.advice import options
 from labos.planning.forecast import earliest, is_pending
 from labos.planning.layout import down
-from labos.planning.passage import first_trap, tangled
+from labos.planning.passage import find_late_step, first_trap
 from labos.planning.player import FAR, Player, Step, chained
 from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play
 from labos.planning.safety import Safety
@@ -199,8 +199,8 @@ class Windows:
         if run.has_started and not safety.changes_anything(state, run, step):
             return None
         who = (str(run.id), step)
-        late = tangled(state, plan.cell, [who], safety)
-        if late is None or tangled(state, plan.cell, [], safety) is not None:
+        late = find_late_step(state, plan.cell, [who], safety)
+        if late is None or find_late_step(state, plan.cell, [], safety) is not None:
             return None
         again = self._calm_at(state, plan, who)
         return self._wait(state, plan, run, step, late, again) if again > plan.now else None
@@ -355,13 +355,13 @@ def _obliged(state: LabState, cell: str) -> Iterator[RunState]:
     """The runs of a workcell of which steps have to be started in time, and can be."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.get(name)
-        if run is None or held_back(run) or run.is_ending or run.has(UNKNOWN):
+        if run is None or find_holds(run) or run.is_ending or run.has(UNKNOWN):
             continue
         plan = state.runs.plan_of(run)
         chain = chained(run, plan, ())
         if not chain or any(down(state, plan.steps[step].module) for step in chain):
             continue
-        if booked_now(state, run, [plan.steps[step] for step in chain]) is None:
+        if find_begun_booking(state, run, [plan.steps[step] for step in chain]) is None:
             yield run
 
 
@@ -399,8 +399,8 @@ def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) ->
     starts = list(outcome.starts)
     outcome.trap = first_trap(state, plan.cell, starts, safety)
     if outcome.trap is None:
-        outcome.tangle = tangled(state, plan.cell, starts, safety)
-        if outcome.tangle is not None and tangled(state, plan.cell, [], safety) is not None:
+        outcome.tangle = find_late_step(state, plan.cell, starts, safety)
+        if outcome.tangle is not None and find_late_step(state, plan.cell, [], safety) is not None:
             outcome.tangle = None
     if outcome.trap is not None:
         name = outcome.trap[0][0]

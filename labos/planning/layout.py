@@ -14,8 +14,8 @@ from labos.core.algebra import (
     settings_after,
 )
 from labos.core.bench import Bench, Labware
-from labos.core.binding import laid_up
-from labos.core.effects import carried, touched
+from labos.core.binding import check_module
+from labos.core.effects import carried, find_labware_used
 from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
@@ -31,7 +31,7 @@ def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> boo
     """Whether a module needs a person or its device to come back before anybody can use it; to
     be ``recovered`` first, an error is no hindrance."""
     known = state.modules.by_name.get(module)
-    return known is None or module in state.lab.paused or laid_up(known, recovers=recovered) is not None
+    return known is None or module in state.lab.paused or check_module(known, recovers=recovered) is not None
 
 
 def standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:
@@ -86,7 +86,7 @@ def labware_in(state: LabState, cell: str) -> list[Labware]:
             names.update(dict.fromkeys(standing_there, True))
     for action in state.actions.within(cell):
         if action.effects:
-            names.update(dict.fromkeys(touched(action.effects), True))
+            names.update(dict.fromkeys(find_labware_used(action.effects), True))
     names.update(bench.lost)
     return [bench.labware[name] for name in names if name in bench.labware]
 

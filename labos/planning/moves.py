@@ -8,14 +8,14 @@ from typing import Any
 import msgspec
 
 from labos.core.algebra import (
-    reaching_refused,
-    standing_refused,
+    check_reaching,
+    check_standing,
 )
 from labos.core.binding import same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.planning.floor import CLOSING, OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim
-from labos.planning.paths import END, Motion, door_key, guards, kept_by
+from labos.planning.paths import END, Motion, door_key, find_kept_module, guards
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -72,13 +72,13 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
         asks = bool(motion.grabs) and not motion.recovers  # a recovery asks nobody
         if asks and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
             return False
-        return not motion.needs or all(found_at(floor, actor, places) for places in motion.needs)
+        return not motion.needs or all(find_usable_place(floor, actor, places) for places in motion.needs)
     mover = Mover(floor, actor)
     if motion.step <= CLOSING - END and _nothing_to_clear(mover, motion):
         return True
     if motion.uses and not may_use(floor, actor, motion.uses):
         return False
-    return standing_refused(mover, motion) is None and reaching_refused(mover, motion) is None
+    return check_standing(mover, motion) is None and check_reaching(mover, motion) is None
 
 
 def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
@@ -94,7 +94,7 @@ def _is_set(floor: Floor, key: str, wanted: Any) -> bool:
     return value is not UNSETTLED and (is_reported(value) or same(value, wanted))
 
 
-def found_at(floor: Floor, actor: Actor, places: Iterable[StationName]) -> StationName:
+def find_usable_place(floor: Floor, actor: Actor, places: Iterable[StationName]) -> StationName:
     """The first of some places where labware stands that an actor may use: its own first; empty if there is
     none."""
     owners = [None, *actor.inputs]
@@ -156,7 +156,7 @@ def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
     has labware in it or has left its door: who has would not get at it any more."""
     if not _may_hold(floor, actor, key, value):
         return False
-    module = kept_by(key)
+    module = find_kept_module(key)
     return not module or (
         _may_hold(floor, actor, door_key(module), None) and _claimable(floor, actor, module)
     )
@@ -368,7 +368,7 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> Held | None:
         before.values.append((key, floor.values.get(key)))
         floor.values[key] = value
     for places in motion.needs:
-        _borrow(floor, actor, found_at(floor, actor, places), before, keeps=motion.keeps)
+        _borrow(floor, actor, find_usable_place(floor, actor, places), before, keeps=motion.keeps)
     if motion.returns and before.lent:
         for place, owner in before.lent:
             pile, pool = floor.piles.get(place), floor.pools[owner]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labos.core.algebra import carrying_refused
+from labos.core.algebra import check_carrying
 from labos.core.binding import same
 from labos.core.ids import ModuleName, StationName, experiment_owner, local
 from labos.core.reasons import NoWayOut
@@ -18,13 +18,13 @@ from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.planning.floor import Actor, Floor
 from labos.planning.layout import lay_out
-from labos.planning.moves import Mover, found_at, may_move, move
-from labos.planning.paths import Motion, door_key, hold_key, kept_by
+from labos.planning.moves import Mover, find_usable_place, may_move, move
+from labos.planning.paths import Motion, door_key, find_kept_module, hold_key
 from labos.planning.safety import Safety, View, as_seen, closes
 from labos.planning.witness import fresh, greedy
 
 
-def explained(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
+def explain_wait(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
     """What a wait is for, with the cause where safety found no way out."""
     told = sentence(wait)
     cause = obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
@@ -72,14 +72,14 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
             return f"needs {key.partition('/')[2]} = {value}, which nobody will have set"
     if not motion.target:
         for places in motion.needs:
-            if not found_at(floor, walker, places):
+            if not find_usable_place(floor, walker, places):
                 return f"finds nothing that it may use at {' or '.join(map(local, places))}"
         used = [motion.uses] if motion.uses else []
         grabbed = [key for key, _ in motion.grabs]
-        used += [kept_by(key) for key in grabbed if kept_by(key)]
+        used += [find_kept_module(key) for key in grabbed if find_kept_module(key)]
         return f"has to wait: {_holders(state, floor, walker, used, grabbed, others)}"
     met = Met(floor, walker, state, others)
-    return carrying_refused(met, motion) or met.kept_from(motion, [motion.uses])
+    return check_carrying(met, motion) or met.kept_from(motion, [motion.uses])
 
 
 class Met:

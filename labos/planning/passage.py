@@ -49,7 +49,7 @@ def first_trap(
     return starts[high - 1], tuple(sorted(lost))
 
 
-def tangled(state: LabState, cell: str, starts: Sequence[Step], safety: Safety) -> Step | None:
+def find_late_step(state: LabState, cell: str, starts: Sequence[Step], safety: Safety) -> Step | None:
     """A step that could not follow in time after these starts, whoever goes first: others would have to move
     while its clock runs. None if there is none, or if it cannot be known."""
     here = _seen(state, cell, [name for name, _ in starts], safety)
@@ -63,7 +63,7 @@ def tangled(state: LabState, cell: str, starts: Sequence[Step], safety: Safety) 
     left = greedy(floor, here, [])
     ties = {actor.name: _ties(state, actor, starts) for actor in left}
     tied = next((actor for actor in left if any(ties[actor.name])), None)
-    if tied is None or _untangled(floor, left, ties):
+    if tied is None or _come_to_ends(floor, left, ties):
         return None
     return tied.name, max(ties[tied.name])
 
@@ -89,7 +89,7 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
     ]
 
 
-def _untangled(floor: Floor, actors: Sequence[Actor], ties: Mapping[str, Sequence[int]]) -> bool:
+def _come_to_ends(floor: Floor, actors: Sequence[Actor], ties: Mapping[str, Sequence[int]]) -> bool:
     """Whether actors come to their ends in an order in which tied motions follow at once."""
     seen: set[tuple[int, ...]] = set()
 

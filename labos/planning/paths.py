@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.algebra import ModuleSettings, away_from_rest, needed_before, settings_after
+from labos.core.algebra import ModuleSettings, away_from_rest, find_requirements, settings_after
 from labos.core.branches import Way, ways
 from labos.core.effects import (
     NOWHERE,
@@ -227,7 +227,7 @@ def motions_of_steps(
         uses = user if step.exclusive and not moving else ModuleName("")
         needs, keeps = _needs(step, nests, before), changes_labware(step.effects)
         lent = lent or bool(needs)
-        wants = _without_rest(step.module, needed_before(step.effects), rest)
+        wants = _without_rest(step.module, find_requirements(step.effects), rest)
         sets = _without_rest(step.module, after.variables, rest)
         if grabs or needs or (wants and not moving) or (uses and not mine):
             motions.append(
@@ -289,7 +289,7 @@ def guards(module: ModuleName) -> tuple[str, str]:
     return door_key(module), hold_key(module)
 
 
-def kept_by(key: str) -> ModuleName:
+def find_kept_module(key: str) -> ModuleName:
     """The module that a run keeps by its plan's word if it holds this; empty if it is something else."""
     return ModuleName(key.removeprefix("hold:") if key.startswith("hold:") else "")
 

@@ -14,7 +14,7 @@ from labos.core.actions import ActionStatus
 from labos.core.effects import carried
 from labos.core.ids import RunId
 from labos.core.model import PlanStep
-from labos.core.runs import SETTLED, RunState, held_back
+from labos.core.runs import SETTLED, RunState, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, station_key, zone_key
 from labos.core.zones import zones_of
@@ -56,8 +56,8 @@ class Patience:
                 continue
             for index in _overtakable(sleepers, elder.id):
                 if takes is None:
-                    takes = needed(state, plan.steps[step])
-                if takes & needed(state, state.runs.plan_of(elder).steps[index]):
+                    takes = list_keys(state, plan.steps[step])
+                if takes & list_keys(state, state.runs.plan_of(elder).steps[index]):
                     self.overtake(elder.id, run.id)
                     break
 
@@ -78,18 +78,18 @@ class Patience:
             return None
         mine: set[str] = set()
         for elder in state.runs.inside(plan.workcell):
-            if elder.position >= run.position or not self.is_over(elder.id) or held_back(elder):
+            if elder.position >= run.position or not self.is_over(elder.id) or find_holds(elder):
                 continue
             waiting = _overtakable(sleepers, elder.id)
             if not waiting:
                 continue
             mine = mine or {
-                key for step in plan.steps for key in (module_key(step.module), *needed(state, step))
+                key for step in plan.steps for key in (module_key(step.module), *list_keys(state, step))
             }
             steps = state.runs.plan_of(elder).steps
             left = [step for step, at in zip(steps, elder.steps, strict=True) if at.status not in SETTLED]
             theirs = {module_key(step.module) for step in left}.union(
-                *(needed(state, steps[i]) for i in waiting)
+                *(list_keys(state, steps[i]) for i in waiting)
             )
             if mine & theirs:
                 return elder.id
@@ -105,7 +105,7 @@ def _is_overtakable(wait: Wait) -> bool:
     return not wait.blocked and not isinstance(wait.reason, NOT_OVERTAKEN)
 
 
-def needed(state: LabState, step: PlanStep) -> frozenset[str]:
+def list_keys(state: LabState, step: PlanStep) -> frozenset[str]:
     """The keys of the modules, stations and zones that a step needs."""
     found: list[str] = []
     if step.exclusive:

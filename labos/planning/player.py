@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from labos.core.model import Plan, Window
 from labos.core.rules import lab_ns
-from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, anchored_at, statuses_of
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, find_anchor, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import party
 from labos.planning.forecast import deadline, earliest, is_pending, pending_before
@@ -51,7 +51,7 @@ def chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
 
 def _begins(run: RunState, window: Window, begun: set[int]) -> bool:
     """Whether a window's clock runs once these steps have been started."""
-    return anchored_at(run, window) is not None if window.of else window.anchor in begun
+    return find_anchor(run, window) is not None if window.of else window.anchor in begun
 
 
 class Player:

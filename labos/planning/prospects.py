@@ -15,7 +15,7 @@ from functools import partial
 import msgspec
 
 from labos.core.actions import Action
-from labos.core.booked import blocked
+from labos.core.booked import find_blocked
 from labos.core.decide import Command, Rejection
 from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.composites import SubmitWithLabware
@@ -349,6 +349,6 @@ def _booked(
     state: LabState, user: str, modules: dict[ModuleName, bool], since: int, until: int
 ) -> Iterator[str]:
     for name in modules:
-        spans = blocked(state, user, name, since, until) if since < until else []
+        spans = find_blocked(state, user, name, since, until) if since < until else []
         if spans:
             yield f"{local(name)} is booked for {state.bookings.open[spans[0].booking].whom} meanwhile."

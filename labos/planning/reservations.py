@@ -21,11 +21,11 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.actions import Action
-from labos.core.booked import booked_now
+from labos.core.booked import find_begun_booking
 from labos.core.effects import carried
 from labos.core.ids import RunId
 from labos.core.rules import lab_ns
-from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, held_back
+from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
@@ -244,7 +244,7 @@ class Reservations:
         urgent = self._urgent[cell] = {}
         for name in state.runs.windowed_in[cell]:
             run = state.runs.get(name)
-            if run is None or held_back(run) or run.status == RunStatus.CANCELLING or run.has(UNKNOWN):
+            if run is None or find_holds(run) or run.status == RunStatus.CANCELLING or run.has(UNKNOWN):
                 continue
             for index in state.runs.plans[run.plan].windowed:
                 if is_pending(run, index) and not run.is_breached(index):
@@ -301,7 +301,7 @@ def _reservation(
         chain = [step for step in chain if step not in over]
     if any(down(state, plan.steps[step].module) for step in chain):
         return None
-    if booked_now(state, run, [plan.steps[step] for step in chain]) is not None:
+    if find_begun_booking(state, run, [plan.steps[step] for step in chain]) is not None:
         return None
     latest = dict.fromkeys(chain, end)
     for follower in reversed(chain):

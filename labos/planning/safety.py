@@ -39,12 +39,12 @@ from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
 from labos.core.state import LabState
 from labos.planning.floor import CLOSING, Actor, Branch, Floor, is_closing
-from labos.planning.forks import FORKED, futures, kept_for, motions_of
+from labos.planning.forks import FORKED, find_kept, futures, motions_of
 from labos.planning.layout import down, keep, lay_out, standing
 from labos.planning.leaving import leaving
 from labos.planning.moves import may_move, move
 from labos.planning.paths import Motion, Path, path_of
-from labos.planning.stuck import reaches_into, stuck_on
+from labos.planning.stuck import find_block, reaches_into
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
 
 OVER = (*SETTLED, IN_FLIGHT)
@@ -206,7 +206,7 @@ class Safety:
             steps[step] = IN_FLIGHT
             tail = self._tail(state, run, mover.owners) if view.closing or not mover.parks else ()
             mover.motions, mover.forks = futures(path, plan, run, steps, tail)
-            keep(floor, mover, [kept for kept in kept_for(path, plan, run, steps) if kept.step == step])
+            keep(floor, mover, [kept for kept in find_kept(path, plan, run, steps) if kept.step == step])
             if known.witness and known.witness[0] == (name, FORKED):
                 here = [fresh(actor) for actor in actors]
                 order = replay(copy(floor), here, known.witness)
@@ -301,7 +301,7 @@ class Safety:
             motions = (*leaving(state, run, *_rules(state, plan.workcell)), *behind)
         elif path.ways:
             motions, forks = futures(path, plan, run, states, behind)
-            kept = kept_for(path, plan, run, states)
+            kept = find_kept(path, plan, run, states)
         own, lost = standing(state, owners)
         return Actor(
             str(run.id),
@@ -309,7 +309,7 @@ class Safety:
             motions,
             own,
             (user_owner(run.user), SHARED),
-            stuck=lost or stuck_on(state, run) is not None,
+            stuck=lost or find_block(state, run) is not None,
             parks=bool(behind) and experiment is not None and experiment.status == ExperimentStatus.OPEN,
             forks=forks,
             kept=tuple(kept),

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import ActionStatus
-from labos.core.algebra import refused, settings_after
+from labos.core.algebra import check_effect, settings_after
 from labos.core.binding import same
 from labos.core.effects import (
     AnyEffect,
@@ -124,7 +124,7 @@ class Scene:
                     return holder
         turn = Turn(self, player, step)
         for effect in step.effects:
-            found = refused(turn, effect)
+            found = check_effect(turn, effect)
             if found is not None:
                 return found
         return None

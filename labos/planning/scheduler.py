@@ -22,7 +22,7 @@ from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, work
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, held_back
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
@@ -34,7 +34,7 @@ from labos.planning.patience import Patience
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
-from labos.planning.stuck import asked, stuck_on
+from labos.planning.stuck import find_block, find_questions
 from labos.planning.touch import (
     BENCH,
     BOOKING,
@@ -123,7 +123,7 @@ class Scheduler:
             return wait
         queued = not run.has_started
         if queued:
-            stuck = stuck_on(state, run)
+            stuck = find_block(state, run)
             if stuck is not None:
                 return stuck  # let in, it would come to a stand on the bench
         if queued or self.safety.changes_anything(state, run, step):
@@ -187,7 +187,7 @@ class Scheduler:
         steps = state.runs.plans[run.plan].starts if not run.has_started else ready(state, run)
         with self.reservations.only_asking():
             found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
-        return [*asked(state, run), *((step, wait) for step, wait in found if wait is not None)]
+        return [*find_questions(state, run), *((step, wait) for step, wait in found if wait is not None)]
 
     # -- waking ------------------------------------------------------------------------------
 
@@ -365,7 +365,7 @@ class Scheduler:
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
         for elder in self.room.impatient(state, plan.plan.workcell):
-            if elder.position >= run.position or held_back(elder):
+            if elder.position >= run.position or find_holds(elder):
                 continue
             mine = mine or {step.module for step in plan.plan.steps}
             if mine.isdisjoint(step.module for step in state.runs.plan_of(elder).steps):
@@ -390,7 +390,7 @@ class Scheduler:
             self._futile.clear()
         known = self._futile.get(elder.id)
         if known is None:
-            known = stuck_on(state, elder) is not None or bool(obstacle(self.safety, state, elder))
+            known = find_block(state, elder) is not None or bool(obstacle(self.safety, state, elder))
             self._futile[elder.id] = known
         return known
 

@@ -11,33 +11,33 @@ from typing import Any
 
 from labos.core import reasons
 from labos.core.bench import Labware, variable_of
-from labos.core.binding import laid_up, same, unfit, unpromised, usable_at
-from labos.core.booked import booked_now
+from labos.core.binding import check_module, find_unreserved, same, unfit, usable_at
+from labos.core.booked import find_begun_booking
 from labos.core.effects import Carrying, Needs, Requires, Sets, places
 from labos.core.ids import LabwareId, ModuleName, Owner, StationName, run_owner
 from labos.core.model import MAIN, PlanStep
-from labos.core.rules import halted, held_wait
+from labos.core.rules import check_starts_allowed, find_approval_wait
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, statuses_of
 from labos.core.state import LabState
 from labos.core.topics import FailedStep
 from labos.core.waits import Wait, module_key, run_key, station_key, zone_key
-from labos.core.watching import unwatched
-from labos.core.zones import barred, zones_of
+from labos.core.watching import find_unwatched
+from labos.core.zones import find_barred_zones, zones_of
 
 
-def stuck_on(state: LabState, run: RunState) -> Wait | None:
+def find_block(state: LabState, run: RunState) -> Wait | None:
     """The first thing that a run cannot get past whatever the others do; None if there is nothing."""
     steps = state.runs.plan_of(run).steps
     if run.unapproved:
         return Wait(reasons.Unapproved(run.user), (run_key(run.id),))
     if run.held:
-        return held_wait(state, run)
+        return find_approval_wait(state, run)
     if run.paused:
         return Wait(reasons.Paused(run.id), (run_key(run.id),))
     if run.has(UNKNOWN):
         key = steps[run.statuses.index(UNKNOWN)].key
         return Wait(reasons.Outcome(key), (run_key(run.id),))
-    for _, wait in asked(state, run):
+    for _, wait in find_questions(state, run):
         return wait
     states = statuses_of(state.runs.plan_of(run), run)
     left = [step for step, status in zip(steps, states, strict=True) if status not in SETTLED]
@@ -45,16 +45,16 @@ def stuck_on(state: LabState, run: RunState) -> Wait | None:
         _halted(state, run, left)
         or _lost(state, (run_owner(run.id),))
         or _down(state, left)
-        or booked_now(state, run, left)
+        or find_begun_booking(state, run, left)
         or _cut_off(state, run, left)
         or _barred(state, run, left)
-        or unwatched(state, left)
+        or find_unwatched(state, left)
         or _dry(state, run)
         or _at_a_loss(state, run)
     )
 
 
-def asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
+def find_questions(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
     """The steps that failed and of which a person has to say what becomes of them."""
     steps = state.runs.plan_of(run).steps
     questions = state.interventions.of_run(run.id)
@@ -64,7 +64,7 @@ def asked(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
 
 def _halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
     for step in left if state.lab.paused else ():
-        wait = halted(state, run, step)
+        wait = check_starts_allowed(state, run, step)
         if wait is not None:
             return wait
     return None
@@ -85,7 +85,7 @@ def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
         module = state.modules.by_name.get(name)
         if module is None:
             return Wait(reasons.NoModule(name), (module_key(name),))
-        wait = laid_up(module, recovers=name in recovered)
+        wait = check_module(module, recovers=name in recovered)
         if wait is not None:
             return wait
     return None
@@ -96,7 +96,7 @@ def _cut_off(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait |
     for name in state.modules.in_cell.get(state.runs.plan_of(run).workcell, ()):
         module = state.modules.by_name[name]
         if module.cut_off and any(reaches_into(state, name, places(s.effects)) for s in left):
-            return laid_up(module)
+            return check_module(module)
     return None
 
 
@@ -108,7 +108,7 @@ def reaches_into(state: LabState, module: ModuleName, reached: Iterable[StationN
 
 def _barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
     """A zone that a run has to pass and in which another arm stands still."""
-    zones = barred(state, state.runs.plan_of(run).workcell)
+    zones = find_barred_zones(state, state.runs.plan_of(run).workcell)
     for step in left if zones else ():
         if step.exclusive and not step.recovers:
             for zone in zones_of(state, step.module, step.effects):
@@ -127,7 +127,7 @@ def _dry(state: LabState, run: RunState) -> Wait | None:
             continue
         if state.resources.of(module, resource) is None:
             continue
-        if (unpromised(state, module, resource) or 0.0) < amount:
+        if (find_unreserved(state, module, resource) or 0.0) < amount:
             return Wait(reasons.UsedUp(module, resource), (module_key(module),))
     return None
 

@@ -68,7 +68,7 @@ def consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
     return used
 
 
-def taken(plan: Plan) -> dict[StationName, int]:
+def count_taken(plan: Plan) -> dict[StationName, int]:
     """How many pieces of labware the plan takes from each stack."""
     pieces: dict[StationName, int] = {}
     for step in _usual(plan):

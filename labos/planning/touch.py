@@ -136,10 +136,10 @@ def window_key(run: RunId) -> str:
     return f"window:{run}"
 
 
-def touched(state: LabState, event: Event) -> tuple[str, ...]:
+def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
     """The keys that an event touches; called after it was folded."""
     cell = _cell_of(state, event)
-    keys = _touched(state, event, everything_in(cell) if cell else EVERYTHING)
+    keys = _find_touched_keys(state, event, everything_in(cell) if cell else EVERYTHING)
     if isinstance(event, ActionEvent) and keys:
         keys = (*keys, due_key(event.action))
     if not cell or not keys:
@@ -175,7 +175,7 @@ def cell_of_run(state: LabState, run: str) -> str:
     return state.runs.plan_of(known).workcell if known is not None else ""
 
 
-def _touched(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
+def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
     """The keys that an event touches; ``everything`` is the key of its workcell."""
     match event:
         case ActionRequested():

@@ -36,10 +36,10 @@ from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 from labos.core.users import LABOS
 from labos.core.waits import Wait
-from labos.planning.obstacle import explained
+from labos.planning.obstacle import explain_wait
 from labos.planning.scheduler import Scheduler
 from labos.planning.sleepers import Name, Sleepers
-from labos.planning.touch import touched
+from labos.planning.touch import find_touched_keys
 
 MOST_RUNS = 200
 """Runs that wait and are carried on; of more, the first of each user."""
@@ -142,7 +142,7 @@ class VirtualLab:
     def _ask(self, command: Command, actor: str = LABOS) -> list[Event] | Rejection:
         answer = carry_out(self.state, command, self._write, actor)
         for event in [] if isinstance(answer, Rejection) else answer:
-            self._keys.update(touched(self.state, event))
+            self._keys.update(find_touched_keys(self.state, event))
             self._observe(event)
         return answer
 
@@ -318,7 +318,7 @@ class VirtualLab:
         found = next((wait for wait in waits if wait.blocked), None) or next(iter(waits), None)
         if found is None:
             return "nobody can say how its action ended"
-        return explained(self._scheduler.safety, self.state, run, found)
+        return explain_wait(self._scheduler.safety, self.state, run, found)
 
 
 class _Listening(Sleepers):

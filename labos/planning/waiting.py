@@ -20,7 +20,7 @@ from labos.core.effects import Carrying, Needs, places
 from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner, workcell_of
 from labos.core.model import Plan
 from labos.core.plans import PlanState
-from labos.core.runs import RunState, clocks_of, held_back, queue_key
+from labos.core.runs import RunState, clocks_of, find_holds, queue_key
 from labos.core.state import LabState
 from labos.planning.layout import destination, labware_in
 
@@ -247,12 +247,12 @@ class WaitingRoom:
         elif run.experiment and experiment not in stake:
             stake.append(experiment)
         clocks = clocks_of(run)
-        bundle = "\x1f".join((shape, str(run.priority), str(held_back(run)), str(clocks), *stake))
+        bundle = "\x1f".join((shape, str(run.priority), str(find_holds(run)), str(clocks), *stake))
         self._classes.setdefault(bundle, {})[group] = True
         self._cell_of[bundle] = cell
         self._in_cell.setdefault(cell, {})[bundle] = True
         self._oldest.pop(bundle, None)
-        self._kinds[bundle] = (_starts(state.runs.plans[run.plan]), held_back(run), *clocks, *stake)
+        self._kinds[bundle] = (_starts(state.runs.plans[run.plan]), find_holds(run), *clocks, *stake)
         self._bundle_of[group] = bundle
         for owner in owners:
             self._of_owner.setdefault(owner, {}).setdefault(cell, {})[group] = True

@@ -9,7 +9,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.clock import Clock
-from labos.core.decide.outcomes import kept
+from labos.core.decide.outcomes import limit_result
 from labos.core.ids import ModuleName
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import Unreadable
@@ -62,7 +62,7 @@ def read_about(payload: bytes, whose: str) -> AboutReport:
 def writable(outcome: Outcome) -> Outcome:
     """How an attempt ended, in a form that the log can hold."""
     error = cut(outcome.error)
-    return msgspec.structs.replace(outcome, error=error, result=kept(outcome.result))
+    return msgspec.structs.replace(outcome, error=error, result=limit_result(outcome.result))
 
 
 def module_in(key: str, form: str) -> ModuleName | None:

@@ -23,7 +23,7 @@ from labos.core.decide.limits import BAD_TEXT, fault_of
 from labos.core.decide.nodes import Quarantine
 from labos.core.failures import SUSPICIOUS
 from labos.core.ids import ActionId, LabId, ModuleName
-from labos.core.invariants import broken_by
+from labos.core.invariants import find_broken_by
 from labos.core.registry import Event
 from labos.errors import (
     BadInput,
@@ -34,7 +34,7 @@ from labos.errors import (
     Refused,
 )
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import touched
+from labos.planning.touch import find_touched_keys
 from labos.runtime.follower import Follower
 from labos.runtime.guard import CircuitBreaker, FaultyCommands
 from labos.runtime.kernel_log import KernelLog, KernelSettings
@@ -238,7 +238,7 @@ class Kernel(KernelLog):
 
         events = carry_out(ledger.state, command, write, actor)
         for entry in entries[begin:]:
-            self._keys.update(touched(ledger.state, entry.event))
+            self._keys.update(find_touched_keys(ledger.state, entry.event))
         return events
 
     def _plan(self, turn: _Turn, *, is_wake: bool) -> None:
@@ -311,7 +311,7 @@ class Kernel(KernelLog):
             self._record_fault(f"{command!r}: {decided.message}")
 
     def _check(self, events: Sequence[Event]) -> None:
-        fault = broken_by(self.state, events)
+        fault = find_broken_by(self.state, events)
         if fault:
             names = ", ".join(event.TYPE for event in events)
             raise InvariantBroken(f"[{names}] would break what must always hold: {fault}")

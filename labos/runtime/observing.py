@@ -113,7 +113,7 @@ def station_named_by(module: ModuleName, place: str) -> StationName:
     return StationName(f"{workcell_of(module)}/{bare}" if "." in bare else f"{module}.{bare}")
 
 
-def reported_contents(state: LabState, what: Any) -> tuple[int | None, LabwareId] | None:
+def read_contents(state: LabState, what: Any) -> tuple[int | None, LabwareId] | None:
     """What a node says of a station: whether something is there, how much, or its barcode; as a count
     (null: at least one) and the labware that bears it. None if it cannot tell."""
     if isinstance(what, bool):

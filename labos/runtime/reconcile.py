@@ -26,7 +26,7 @@ from labos.core.modules import NodeJoined, NodeStateChanged
 from labos.core.state import LabState
 from labos.errors import BusError, LabosError, StoreError
 from labos.runtime.ledger import Entry
-from labos.runtime.observing import ObservingListener, reported_contents, station_named_by
+from labos.runtime.observing import ObservingListener, read_contents, station_named_by
 
 KINDS = ("unknown_action", "lost_labware")
 """Questions about motions that nobody saw end."""
@@ -161,5 +161,5 @@ class Reconciler(ObservingListener[InterventionId]):
 def sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
     """What a node says of a station: whether something is there, how much, or its barcode; null if
     it cannot tell."""
-    said = reported_contents(state, what) if station in state.bench.stations else None
+    said = read_contents(state, what) if station in state.bench.stations else None
     return ObserveStation(station, by, *said) if said is not None else None

@@ -34,7 +34,7 @@ class StopReport(msgspec.Struct, frozen=True):
     silent: dict[ModuleName, str] = {}
 
 
-def meant(target: str, modules: Iterable[ModuleName]) -> list[ModuleName]:
+def resolve_target(target: str, modules: Iterable[ModuleName]) -> list[ModuleName]:
     """The modules that a target names: one of them by its full or local name, all of a workcell,
     or everything (``*``). Of several modules of one name all are meant: rather one too many."""
     return [

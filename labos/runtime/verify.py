@@ -15,14 +15,14 @@ import structlog
 from labos.core.actions import Action, ActionReported, ActionStatus
 from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
-from labos.core.decide.verification import Seen, VerifyAction, disturbed
+from labos.core.decide.verification import Seen, VerifyAction, is_disturbed
 from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.texts import cut
 from labos.errors import BusError, LabosError
 from labos.ports import Bus
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.observing import ObservingListener, reported_contents
+from labos.runtime.observing import ObservingListener, read_contents
 
 PAUSE_S = 0.5
 
@@ -55,7 +55,7 @@ class Verifier(ObservingListener[ActionId]):
         give_up = clock.monotonic() + self._patience_s
         try:
             while (action := self._reported(name)) is not None:
-                if disturbed(self._kernel.state, action):
+                if is_disturbed(self._kernel.state, action):
                     give_up = clock.monotonic() + self._patience_s
                     await asyncio.sleep(PAUSE_S)
                     continue
@@ -93,7 +93,7 @@ class Verifier(ObservingListener[ActionId]):
             except BusError as error:
                 why = str(error).rstrip(".")
             for place in places:
-                said = reported_contents(self._kernel.state, sights.get(place))
+                said = read_contents(self._kernel.state, sights.get(place))
                 if said is not None:
                     observed.append(Seen(place, local(observer), *said))
                 else:
@@ -137,7 +137,7 @@ class Verifier(ObservingListener[ActionId]):
     def _scene(self, action: Action) -> list[tuple[Any, ...]]:
         """What is known of the places that are looked at: if it changes meanwhile, what is seen is old."""
         bench = self._kernel.state.bench
-        moving = disturbed(self._kernel.state, action)
+        moving = is_disturbed(self._kernel.state, action)
         return [
             (place, moving, tuple(station.labware), len(station.stock), bench.haunted.get(place, 0))
             for place in action.looks

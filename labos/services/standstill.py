@@ -33,7 +33,7 @@ from labos.core.topics import PlannedWork
 from labos.core.waits import Wait
 from labos.planning.obstacle import obstacle
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import touched, wakes_many
+from labos.planning.touch import find_touched_keys, wakes_many
 
 Kind = Literal["error", "person", "resource", "planned", "other"]
 ErrorClass = Literal["", "software", "operational", "experiment"]
@@ -104,7 +104,7 @@ class Standstill:
     # -- what is still true --------------------------------------------------------------------
 
     def _forget(self, event: Event) -> None:
-        keys = touched(self.state, event)
+        keys = find_touched_keys(self.state, event)
         furnished = isinstance(event, WorkcellApplied | StationsApplied)
         if furnished:
             self._scheduler = Scheduler()

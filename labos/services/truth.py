@@ -10,7 +10,7 @@ from labos.core.bench import Labware
 from labos.core.effects import moved
 from labos.core.envelope import Record
 from labos.core.ids import ActionId, StationName, local, workcell_of
-from labos.core.invariants import broken
+from labos.core.invariants import find_broken
 from labos.core.labware import LabwarePlaced
 from labos.core.model import StationSpec
 from labos.core.registry import decode
@@ -59,7 +59,7 @@ def differences(world: World, state: LabState, records: Sequence[Record], workce
         places.pop(lid_of(stacked), None)
     found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
     found += repeated_work(world, records, workcell)
-    fault = broken(state)
+    fault = find_broken(state)
     return [*found, fault] if fault else found
 
 

@@ -20,7 +20,7 @@ from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
-from labos.planning.obstacle import explained
+from labos.planning.obstacle import explain_wait
 from labos.planning.scheduler import Scheduler
 
 NOTICED_NS = 1_000_000
@@ -86,7 +86,7 @@ def reasons(
     scheduler = scheduler or Scheduler()
 
     def words(wait: Wait) -> str:
-        return explained(scheduler.safety, state, run, wait) if causes else sentence(wait)
+        return explain_wait(scheduler.safety, state, run, wait) if causes else sentence(wait)
 
     return [
         *_absent_nodes(state, run),

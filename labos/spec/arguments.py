@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from labos.core.arguments import flaw, names_of, unit_of, wanted
+from labos.core.arguments import describe_arg, flaw, names_of, unit_of
 from labos.core.canonical import refuse_non_finite
 from labos.core.model import ActionSpec, Arg
 from labos.spec.durations import SECONDS, quantity
@@ -107,4 +107,4 @@ def _with_unit(arg: Arg, text: str) -> Any:
 
 def _how(arg: Arg) -> str:
     """What the argument takes, as a remedy."""
-    return f"Write {wanted(arg)} for {arg.name!r}."
+    return f"Write {describe_arg(arg)} for {arg.name!r}."

@@ -10,7 +10,7 @@ import msgspec
 from pydantic import BeforeValidator, Field
 
 from labos.core.campaigns import Budget, Terms
-from labos.core.conditions import condition, filled_in
+from labos.core.conditions import condition, fill_in
 from labos.core.expressions import ExpressionError, names_in, parse_expression
 from labos.core.model import Condition
 from labos.errors import SpecError
@@ -162,7 +162,7 @@ def stop_rule(text: str) -> Condition:
         raise ExpressionError(
             f"{text!r} reads no result.", remedy="Name a step's result: `steps.Read.result.od > 0.5`."
         )
-    return condition(text, filled_in(tree, values))
+    return condition(text, fill_in(tree, values))
 
 
 def _until(text: str, source: Source, report: Report) -> Condition | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.conditions import condition, filled_in
+from labos.core.conditions import condition, fill_in
 from labos.core.expressions import ExpressionError, Tree, look_up, names_in, parse_expression
 from labos.core.model import Condition
 from labos.spec.layout import Written
@@ -60,7 +60,7 @@ class Conditions:
             what = "`expect` says nothing of the step's result."
             self.steps.error(f"Step {self.steps.keys[index]!r}: {what}", path, "Name it: `result.od > 0.1`.")
             return None
-        return written.text, filled_in(tree, values)
+        return written.text, fill_in(tree, values)
 
     def _of_step(self, index: int, name: tuple[Any, ...], written: Written, path: Path_) -> Tree | None:
         """A name of an earlier step's result, with the step's key."""

@@ -6,7 +6,7 @@ from collections import Counter
 from contextlib import suppress
 from typing import Any
 
-from labos.core.algebra import carry, refused, settings_after
+from labos.core.algebra import carry, check_effect, settings_after
 from labos.core.effects import (
     AnyEffect,
     Carrying,
@@ -45,9 +45,9 @@ class StepOnPaper:
         for kind in (Needs, Requires):
             for effect in self.step.effects:
                 if isinstance(effect, kind):
-                    refused(self, effect)
+                    check_effect(self, effect)
         for effect in carried(self.step.effects):
-            refused(self, effect)
+            check_effect(self, effect)
             self._hauls.append((effect, *self._haul(effect)))
         self._room_for_all()
         for what, piece, plate in self._hauls:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.actions import Action
 from labos.core.effects import Claims, Move, Relid, Take, Unlid
-from labos.core.holding import claimed_by_other, used_meanwhile
+from labos.core.holding import find_other_claimant, find_user_meanwhile
 from labos.core.ids import ActionId, RunId, local
 from labos.core.interventions import Intervention
 from labos.core.state import LabState
@@ -110,9 +110,9 @@ def _look_for_move(world: World, state: LabState, question: Intervention, device
 def _used_meanwhile(state: LabState, question: Intervention, effect: Move) -> bool:
     run = state.runs.active.get(RunId(question.run))
     if run is not None:
-        return bool(used_meanwhile(state, effect.source, run))
+        return bool(find_user_meanwhile(state, effect.source, run))
     source, owner = state.bench.stations[effect.source], state.bench.labware[effect.labware].owner
-    return source.full or bool(source.spec.claim and claimed_by_other(state, source.spec.module, (owner,)))
+    return source.full or bool(source.spec.claim and find_other_claimant(state, source.spec.module, (owner,)))
 
 
 def _slot(state: LabState, effect: Move) -> str:

@@ -19,7 +19,7 @@ from labos.core.actions import ActionRequested
 from labos.core.ids import ExperimentId, RunId
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import examine
-from labos.core.runs import RunState, anchored_at
+from labos.core.runs import RunState, find_anchor
 from labos.core.state import LabState
 from labos.core.steps import WindowBreached
 from labos.core.waits import Wait
@@ -335,7 +335,7 @@ def one_by_one(instance: Instance) -> Life:
                 late = [
                     ended + int(window.within_s * SECOND) + 1
                     for window in life.plans[run.id].steps[index].windows
-                    if window.within_s is not None and (ended := anchored_at(run, window)) is not None
+                    if window.within_s is not None and (ended := find_anchor(run, window)) is not None
                 ]
                 waits += [at for at in late if at > lab.now]
         at = life.next_time(min(waits, default=None))

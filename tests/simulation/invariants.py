@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from labos.core.envelope import Record
 from labos.core.fold import evolve
-from labos.core.invariants import broken
+from labos.core.invariants import find_broken
 from labos.core.registry import decode
 from labos.core.state import LabState
 
@@ -20,5 +20,5 @@ def folded_again(records: Sequence[Record]) -> LabState:
         evolve(state, decode(head.type, head.schema, record.payload), head.position, head.recorded_at)
         last = number + 1 == len(records) or records[number + 1].head.recorded_at != head.recorded_at
         if last:
-            assert broken(state) == "", f"after event {head.position}"
+            assert find_broken(state) == "", f"after event {head.position}"
     return state

@@ -94,6 +94,6 @@ def test_the_grip_that_a_station_leaves_is_chosen_and_changed_on_the_way() -> No
 
 
 def test_without_the_rule_fingers_hit_the_plate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding, "gripped", lambda *_: None)
+    monkeypatch.setattr(binding, "check_grip", lambda *_: None)
     crashes = (crash for seed in range(3) for crash in live_through(seed)[1])
     assert any("rams its wide fingers into a plate at hidex.default" in crash for crash in crashes)

@@ -60,12 +60,12 @@ def test_who_would_run_out_of_a_liquid_waits() -> None:
 
 
 def test_where_only_solid_things_are_counted_the_robot_runs_dry(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.unpromised
+    real = binding.find_unreserved
 
     def solid(state: LabState, module: ModuleName, resource: str) -> float | None:
         return real(state, module, resource) if resource in ("tips", "foil", "tape") else float("inf")
 
     for place in (binding, rules, stuck):
-        monkeypatch.setattr(place, "unpromised", solid)
+        monkeypatch.setattr(place, "find_unreserved", solid)
     for seed in range(3):
         assert "runs out of color_A" in lived(seed)[1], f"seed {seed}"

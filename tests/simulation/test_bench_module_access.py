@@ -144,7 +144,7 @@ def crashed(what: str, words: str) -> bool:
 
 
 def test_without_claims_tips_go_into_somebody_elses_seal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(holding, "claimed_by_other", lambda state, name, allowed: "")
+    monkeypatch.setattr(holding, "find_other_claimant", lambda state, name, allowed: "")
     monkeypatch.setattr("labos.planning.moves._claimable", lambda floor, actor, claim: True)
     assert crashed("deck", "drives its tips into a seal")
 

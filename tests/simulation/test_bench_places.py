@@ -225,18 +225,18 @@ def test_what_must_not_be_done_waits_and_says_why(what: str) -> None:
 
 
 def without_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.room_at
+    real = binding.check_room
 
     def roomy(state: LabState, place: StationName) -> Wait | None:
         wait = real(state, place)
         return None if wait is not None and wait.code == "occupied" else wait
 
-    monkeypatch.setattr(binding, "room_at", roomy)
+    monkeypatch.setattr(binding, "check_room", roomy)
 
 
 def test_without_room_plates_are_put_on_plates(monkeypatch: pytest.MonkeyPatch) -> None:
     without_room(monkeypatch)
-    monkeypatch.setattr(kernel, "broken_by", lambda state, events: "")
+    monkeypatch.setattr(kernel, "find_broken_by", lambda state, events: "")
     for seed in SEEDS:
         crashes, _ = CORNER.mishandled(THROUGH_A, seed, plan_with=bare_rule)
         assert any("puts a plate on a plate" in crash for crash in crashes), f"seed {seed}"
@@ -254,7 +254,7 @@ def test_nor_would_such_a_batch_be_written(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_with_two_hands_at_a_stack_nobody_knows_what_is_on_top(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding, "undisturbed", lambda state, place: None)
+    monkeypatch.setattr(binding, "check_stack_alone", lambda state, place: None)
     found = (CORNER.mishandled(OVER_THE_PILE, seed)[1] for seed in range(6))
     assert any("wc.of_" in wrong for wrongs in found for wrong in wrongs)
 
@@ -297,7 +297,7 @@ def test_without_asking_for_the_lid_the_cycler_refuses(monkeypatch: pytest.Monke
 
 
 def test_without_types_a_plate_is_crushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding, "accepted", lambda state, what, kind: None)
+    monkeypatch.setattr(binding, "check_accepts", lambda state, what, kind: None)
     for seed in SEEDS:
         crashes, _ = CORNER.mishandled(WAITING["type"], seed, plan_with=bare_rule)
         assert any("crushes a plate" in crash for crash in crashes), f"seed {seed}"
@@ -310,12 +310,12 @@ def test_without_setpoints_somebody_bakes_too_hot(monkeypatch: pytest.MonkeyPatc
 
 
 def test_without_waiting_for_rest_a_tray_shakes_under_a_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.reachable
+    real = binding.check_reachable
 
     def any_time(state: LabState, run: RunState, place: StationName) -> Wait | None:
         wait = real(state, run, place)
         return None if wait is not None and wait.code == "module_busy" else wait
 
-    monkeypatch.setattr(binding, "reachable", any_time)
+    monkeypatch.setattr(binding, "check_reachable", any_time)
     found = [CORNER.mishandled(ON_THE_TRAY, seed, plan_with=bare_rule)[0] for seed in SEEDS]
     assert all(any("shakes under a hand" in crash for crash in crashes) for crashes in found), found

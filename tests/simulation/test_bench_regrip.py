@@ -63,14 +63,14 @@ def test_in_a_storm_too() -> None:
 
 
 def test_without_the_rule_it_sets_a_plate_onto_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.room_at
+    real = binding.check_room
 
     def room_at(state: LabState, place: StationName) -> Wait | None:
         return None if place == "corner/wc.regrip" else real(state, place)
 
-    monkeypatch.setattr(binding, "room_at", room_at)
+    monkeypatch.setattr(binding, "check_room", room_at)
     # Beside the rule, the kernel refuses to write that two plates stand where there is room for one.
-    monkeypatch.setattr("labos.runtime.kernel.broken_by", lambda state, events: "")
+    monkeypatch.setattr("labos.runtime.kernel.find_broken_by", lambda state, events: "")
     for seed in range(4):
         crashes, _ = CORNER.mishandled(RUNS, seed, plan_with=bare_rule)
         assert any("at wc.regrip" in crash for crash in crashes), f"seed {seed}: {crashes}"

@@ -50,7 +50,7 @@ def test_every_plate_comes_back_from_its_own_slot() -> None:
 
 
 def test_with_a_slot_that_is_not_the_devices_it_grips_empty_air(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labos.core.decide.outcomes.reported", lambda value, result: "stacker4_slot22")
+    monkeypatch.setattr("labos.core.decide.outcomes.resolve_value", lambda value, result: "stacker4_slot22")
     assert any("grips empty air" in crash for crash in CORNER.crashes(RUNS, 0))
 
 

@@ -65,7 +65,7 @@ def live(
 def _unruled(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rule switched off: everything is thought to be there in any amount."""
     for place in (binding, rules, stuck):
-        monkeypatch.setattr(place, "unpromised", lambda state, module, resource: float("inf"))
+        monkeypatch.setattr(place, "find_unreserved", lambda state, module, resource: float("inf"))
 
 
 @few_and_many(1, 3)

@@ -125,7 +125,7 @@ def test_what_is_known_only_then_waits_and_says_why() -> None:
 
 
 def test_without_the_rule_plates_are_set_crosswise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding, "facing", lambda *_: None)
+    monkeypatch.setattr(binding, "check_rotation", lambda *_: None)
     _, lab = live_through(0, parked_and_read())
     try:
         (crash, *_) = lab.world.crashes()

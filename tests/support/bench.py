@@ -47,7 +47,7 @@ from labos.core.effects import (
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, ExperimentId, InterventionId, LabId, ModuleName, RunId, StationName
 from labos.core.interventions import Intervention
-from labos.core.invariants import broken
+from labos.core.invariants import find_broken
 from labos.core.model import Hold, ModuleSpec, Plan, PlanStep, StationKind, StationSpec, Workcell
 from labos.core.registry import Event, decode, encode
 from labos.core.resources import LevelSet
@@ -56,7 +56,7 @@ from labos.core.runs import RunState, results_of
 from labos.core.state import LabState, from_picture, picture
 from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler, ready
-from labos.planning.touch import touched
+from labos.planning.touch import find_touched_keys
 
 CELL = "cell"
 SECOND = 1_000_000_000
@@ -237,7 +237,7 @@ class Driver:
             assert answer.message.endswith("."), answer
             return answer
         for event in answer:
-            self.keys.update(touched(self.state, event))
+            self.keys.update(find_touched_keys(self.state, event))
         return answer
 
     def do(self, command: Command, actor: str = "labos") -> list[Event]:
@@ -261,7 +261,7 @@ class Driver:
         version = self.state.versions.get(stream, 0) + 1
         evolve(self.state, event, position, self.now)
         self.log.append(Entry(event, position, self.now, stream, version))
-        fault = broken(self.state) if self.careful else ""
+        fault = find_broken(self.state) if self.careful else ""
         assert not fault, f"after {event}: {fault}"
         return event
 
@@ -278,7 +278,7 @@ class Driver:
     def set_level(self, event: LevelSet) -> None:
         """Somebody counted what is left."""
         self.write(event)
-        self.keys.update(touched(self.state, event))
+        self.keys.update(find_touched_keys(self.state, event))
 
     def submit(self, what: Plan, user: str = "ada", **more: Any) -> RunId:
         self.do(SubmitRun(what, user, **more))

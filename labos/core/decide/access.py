@@ -9,7 +9,7 @@ import msgspec
 
 from labos.core.actions import ActionStatus
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
-from labos.core.decide.by_hand import answered
+from labos.core.decide.by_hand import withdraw_answered
 from labos.core.decide.cancelling import cancel_all
 from labos.core.decide.runs import SubmitRun, plan_digest, submit_run
 from labos.core.decide.work import work_on
@@ -18,7 +18,7 @@ from labos.core.lab import AccessEnded, AccessGranted, AccessRequested
 from labos.core.labware import LabwareObserved, LabwarePlaced, LabwareRemoved, StationDeclared
 from labos.core.modules import ModuleStatus
 from labos.core.registry import Event
-from labos.core.repeated import repeated
+from labos.core.repeated import record_repeat
 from labos.core.state import LabState
 
 
@@ -93,7 +93,7 @@ def request_access(state: LabState, command: RequestAccess) -> Decision:
     inside = state.lab.access.get(cell)
     if inside is not None:
         if inside.by == command.by:
-            return repeated(cell, "access", command.why)
+            return record_repeat(cell, "access", command.why)
         return Rejection(
             "occupied",
             f"{inside.by} reaches into {cell} already{f' ({inside.why})' if inside.why else ''}.",
@@ -138,7 +138,7 @@ def end_access(state: LabState, command: EndAccess) -> Decision:
             return found
         events += found
         fresh += any(isinstance(event, LabwarePlaced) for event in found)
-    return [*answered(state, events, command.by), *events]
+    return [*withdraw_answered(state, events, command.by), *events]
 
 
 def _apply_change(

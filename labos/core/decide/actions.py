@@ -26,9 +26,9 @@ from labos.core.decide._base import Command, Decision, Rejection, Report, decide
 from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import give_up
 from labos.core.decide.inputs import fill_inputs, name_returned_files
-from labos.core.decide.outcomes import back_in_place, effect_events, kept, settle, shown_by
+from labos.core.decide.outcomes import back_in_place, effect_events, find_shown_outcome, limit_result, settle
 from labos.core.decide.steps import doubting
-from labos.core.decide.work import asked_of_person, work_on
+from labos.core.decide.work import ask_for_work, work_on
 from labos.core.effects import (
     AnyEffect,
     Draws,
@@ -37,9 +37,9 @@ from labos.core.effects import (
     Take,
     Transfers,
     carried,
+    find_labware_changed,
+    find_labware_used,
     moved,
-    taken_over,
-    touched,
 )
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
 from labos.core.interventions import InterventionResolved
@@ -49,7 +49,7 @@ from labos.core.modules import ModuleStatus, NodeStateChanged, unproven
 from labos.core.registry import Event
 from labos.core.rules import ends_by, examine
 from labos.core.runs import RunStarted, RunState, RunStatus, results_of
-from labos.core.shelves import told_shelves
+from labos.core.shelves import expand_hotels
 from labos.core.state import LabState
 from labos.core.topics import LateResult
 from labos.core.waits import Wait
@@ -138,7 +138,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     effects = _name_new_labware(state, _fill_in_wells(plan, results, found))
     if fault := _find_liquid_fault(state, effects):
         return _fail_start(state, run, step, fault)
-    args = told_shelves(step.effects, effects, _fill_in_from_labware(state, args, effects))
+    args = expand_hotels(step.effects, effects, _fill_in_from_labware(state, args, effects))
     events += _become_its_own(state, run, found)
     module = state.modules.by_name[step.module]
     args = _add_labware_types(state, args, effects)
@@ -161,7 +161,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         )
     )
     if step.by_person:
-        events.append(asked_of_person(state, run, step, command.action, args, effects, command.now))
+        events.append(ask_for_work(state, run, step, command.action, args, effects, command.now))
     unfit = recordable(events)
     if isinstance(unfit, Rejection):  # results of earlier steps were too large for it
         return _fail_start(state, run, step, unfit.message)
@@ -173,8 +173,8 @@ def _become_its_own(
 ) -> Iterator[LabwareHandedOver]:
     """What a step touches belongs to its run: what it carries or changes for good, what it only needs until
     the run ends."""
-    owner, stays, labware = run_owner(run.id), taken_over(effects), state.bench.labware
-    names = touched(effects)
+    owner, stays, labware = run_owner(run.id), find_labware_changed(effects), state.bench.labware
+    names = find_labware_used(effects)
     lids = {labware[name].lid: name for name in names if labware[name].lid}
     for name in dict.fromkeys((*names, *lids)):
         item, lent = labware[name], stays.isdisjoint((name, lids.get(name, name)))
@@ -304,7 +304,7 @@ def _is_recovery(state: LabState, action: Action) -> bool:
 
 @decides(FinishAction)
 def finish_action(state: LabState, command: FinishAction) -> Decision:
-    command = msgspec.structs.replace(command, result=kept(command.result))
+    command = msgspec.structs.replace(command, result=limit_result(command.result))
     action = state.actions.open.get(command.action)
     if action is None:
         return _keep_evidence(state, command)
@@ -430,7 +430,7 @@ def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:
     question = state.interventions.about(action.id)
     name = next((move.labware for move in moved(action.effects)), None)
     item = state.bench.labware.get(name) if name is not None else None
-    choice = shown_by(state, action, item.station) if item is not None else ""
+    choice = find_shown_outcome(state, action, item.station) if item is not None else ""
     if question is None or not choice:
         return []
     seen = InterventionResolved(question.id, "withdrawn", "labos", "seen meanwhile, where it stands")

@@ -397,7 +397,11 @@ def _stand_asked(state: LabState, booking: Booking) -> Iterator[bool]:
 
 
 def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:
-    found = [(module, item) for module in modules_of(state, booking.target) for item in _left(state, module)]
+    found = [
+        (module, item)
+        for module in modules_of(state, booking.target)
+        for item in _list_standing(state, module)
+    ]
     items = [item for _, item in found if not _is_theirs(state, booking, item)]
     if not items:
         return
@@ -412,7 +416,7 @@ def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:
         )
 
 
-def _left(state: LabState, module: ModuleName) -> list[Labware]:
+def _list_standing(state: LabState, module: ModuleName) -> list[Labware]:
     """What stands in a module, and not in storage that stands apart or in waste."""
     stations = [state.bench.stations[name] for name in state.bench.by_module.get(module, ())]
     inside = [station for station in stations if not station.spec.stands_apart]
@@ -462,7 +466,7 @@ def withdraw_what_was_cleared(state: LabState, event: Event) -> Iterator[Event]:
             still = topic.action in state.actions.open
         else:
             modules = modules_of(state, booking.target)
-            standing = {item.id for module in modules for item in _left(state, module)}
+            standing = {item.id for module in modules for item in _list_standing(state, module)}
             still = any(name in standing for name in topic.labware)
         if not still:
             yield InterventionResolved(question.id, "withdrawn", "labos", "the place is clear")

@@ -15,7 +15,7 @@ WHERE_IT_IS = ("lost_labware", "failed_run")
 """Questions that ask where labware is, or what became of it."""
 
 
-def answered(state: LabState, events: Sequence[Event], by: str) -> list[Event]:
+def withdraw_answered(state: LabState, events: Sequence[Event], by: str) -> list[Event]:
     """The questions that answer themselves by what somebody took away or put somewhere: all that they are
     about was among it, or had left the bench before."""
     told = {labware for event in events if (labware := _find_settled(state, event))}

@@ -24,14 +24,14 @@ from labos.core.campaigns import (
     is_over,
     must_stop,
 )
-from labos.core.conditions import read_by
+from labos.core.conditions import find_reads
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.runs import QUOTA, SubmitRun, submit_run
 from labos.core.ids import CampaignId, RunId
 from labos.core.model import MAIN, Plan
 from labos.core.registry import Event
-from labos.core.repeated import repeated
+from labos.core.repeated import record_repeat
 from labos.core.resources import uses_up
 from labos.core.roles import lacks_role_for
 from labos.core.runs import RunPaused, RunResumed, RunSubmitted
@@ -182,7 +182,7 @@ def pause_campaign(state: LabState, command: PauseCampaign) -> Decision:
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status == CampaignStatus.PAUSED:
-        return repeated(campaign.id, "pause", command.why)
+        return record_repeat(campaign.id, "pause", command.why)
     if campaign.status != CampaignStatus.OPEN:
         return _refuse_rows(campaign)
     waiting = [run for run in _find_queued(campaign) if not state.runs.queued[run].paused]
@@ -221,7 +221,11 @@ def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
 def unfit_terms(campaign: Campaign, terms: Terms) -> Rejection | None:
     """Why a campaign cannot go on under these terms."""
     until, known = terms.until, campaign.terms.until
-    if until is None or not campaign.next_row or (known is not None and read_by(until) <= read_by(known)):
+    if (
+        until is None
+        or not campaign.next_row
+        or (known is not None and find_reads(until) <= find_reads(known))
+    ):
         return None
     return Rejection(
         "until_reads_more",
@@ -236,7 +240,7 @@ def cancel_campaign(state: LabState, command: CancelCampaign) -> Decision:
     if isinstance(campaign, Rejection):
         return campaign
     if campaign.status == CampaignStatus.CANCELLED:
-        again = repeated(campaign.id, "cancel", command.why)
+        again = record_repeat(campaign.id, "cancel", command.why)
         runs = campaign.runs if command.stay else ()
         return chain(again, _cancel_runs(state, runs, command.why, stay=True))
     return _cancel(state, campaign, command)
@@ -287,7 +291,7 @@ def _find_steps_read(campaign: Campaign, plan: Plan) -> dict[str, int]:
     """The steps whose results the stop rule reads."""
     if campaign.terms.until is None:
         return {}
-    wanted = read_by(campaign.terms.until)
+    wanted = find_reads(campaign.terms.until)
     return {step.key: index for index, step in enumerate(plan.steps) if step.key in wanted}
 
 

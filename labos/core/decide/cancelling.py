@@ -8,9 +8,9 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.endings import ending, under_way
 from labos.core.decide.runs import alive
 from labos.core.ids import RunId
-from labos.core.leaving import lost, scene_of, steps_out, way_out, will_leave
+from labos.core.leaving import has_lost_labware, scene_of, steps_out, way_out, will_leave
 from labos.core.registry import Event
-from labos.core.repeated import repeated
+from labos.core.repeated import record_repeat
 from labos.core.runs import RunCancelled, RunCancelling, RunLeaving, RunState, RunStatus
 from labos.core.state import LabState
 
@@ -25,7 +25,8 @@ class CancelRun(Command, frozen=True):
 
 
 class TakeWayOut(Command, frozen=True):
-    """Nothing of a cancelled run is in flight any more."""
+    """Nothing of a cancelled run is in flight any more. Planning says when, after all that the last result
+    has caused; which steps of its way out the run needs is worked out here (decision 69)."""
 
     run: RunId
 
@@ -42,7 +43,7 @@ def cancel_run(state: LabState, command: CancelRun) -> Decision:
     if isinstance(run, Rejection):
         return run
     if run.is_ending and (run.stay or not command.stay):
-        return repeated(command.run, "cancel", command.why)
+        return record_repeat(command.run, "cancel", command.why)
     leaves = run.status == RunStatus.ACTIVE and not command.stay and bool(steps_out(state.runs.plan_of(run)))
     if leaves or under_way(run):
         return [RunCancelling(command.run, stay=command.stay, reason=command.why)]
@@ -63,7 +64,7 @@ def take_way_out(state: LabState, command: TakeWayOut) -> Decision:
     run = state.runs.active.get(command.run)
     if run is None or under_way(run) or not will_leave(state.runs.plan_of(run), run):
         return []
-    steps = () if lost(state, run) else way_out(state.runs.plan_of(run), scene_of(state, run))
+    steps = () if has_lost_labware(state, run) else way_out(state.runs.plan_of(run), scene_of(state, run))
     return [RunLeaving(run.id, steps)] if steps else ending(state, run, RunCancelled(run.id), "was cancelled")
 
 

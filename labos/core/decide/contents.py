@@ -22,7 +22,7 @@ from labos.core.state import LabState
 GONE = StationName("")
 
 
-def recorded(state: LabState, name: StationName) -> list[str]:
+def list_recorded(state: LabState, name: StationName) -> list[str]:
     """What stands at a station by the record, as ``contents_events`` takes it."""
     station, labware = state.bench.stations[name], state.bench.labware
     if station.spec.kind == "waste":

@@ -10,7 +10,7 @@ from labos.core.experiments import ExperimentCancelled
 from labos.core.ids import ExperimentId, ModuleName
 from labos.core.lab import WHOLE_LAB, StartsPaused, StartsResumed
 from labos.core.open_experiments import ExperimentStatus
-from labos.core.repeated import repeated
+from labos.core.repeated import record_repeat
 from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
 
@@ -54,7 +54,7 @@ def pause_starts(state: LabState, command: PauseStarts) -> Decision:
     if unknown is not None:
         return unknown
     if command.target in state.lab.paused:
-        return repeated(command.target, "pause", command.why)
+        return record_repeat(command.target, "pause", command.why)
     return [StartsPaused(command.target, command.by, command.why)]
 
 
@@ -83,7 +83,7 @@ def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
         return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
     runs = [run for run in map(state.runs.get, experiment.runs) if run is not None]
     if experiment.status != ExperimentStatus.OPEN:
-        again = repeated(command.experiment, "cancel", command.why)
+        again = record_repeat(command.experiment, "cancel", command.why)
         return chain(again, cancel_all(state, runs, command.stay, command.why) if command.stay else ())
     said = f": {command.why}" if command.why else ""
     ended = ExperimentCancelled(command.experiment, f"cancelled by {command.by}{said}")

@@ -14,13 +14,13 @@ from labos.core.decide.approvals import answer_approval
 from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.experiments import close_experiment, end_without_closing
 from labos.core.decide.observation import settle_sight
-from labos.core.decide.outcomes import LARGEST_RESULT, found_again, kept, read_later, settle
+from labos.core.decide.outcomes import LARGEST_RESULT, is_read_later, limit_result, settle, settle_found
 from labos.core.decide.proposals import answer_question
 from labos.core.decide.runs import answer_late
-from labos.core.decide.shorter import compared
+from labos.core.decide.shorter import finish_round
 from labos.core.decide.steps import answer_failed
 from labos.core.effects import Move, Relid, Unlid, arrivals
-from labos.core.holding import used_meanwhile
+from labos.core.holding import find_user_meanwhile
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId, StationName, local
 from labos.core.interventions import (
     Intervention,
@@ -97,7 +97,7 @@ def _decide_answer(state: LabState, question: Intervention, command: ResolveInte
             action = state.actions.open.get(topic.action)
             return [] if action is None else _confirm(state, action, command)
         case LostLabware():
-            return _expect_room(state, lambda: found_again(state, topic.motions, choice, by))
+            return _expect_room(state, lambda: settle_found(state, topic.motions, choice, by))
         case Barcode():
             return settle_barcode(state, topic, choice, by)
         case NotSeen() | SeenElsewhere() | Unexpected():
@@ -117,7 +117,7 @@ def _decide_answer(state: LabState, question: Intervention, command: ResolveInte
         case OutrankedNode():
             return [ModulePutBack(ModuleName(topic.module))]
         case ShorterLog():
-            return compared(state, by, command.note)
+            return finish_round(state, by, command.note)
         case LostExperiment():
             return _close(state, topic) if choice == "close" else []
         case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | BookedPlace() | None:
@@ -179,7 +179,7 @@ def _refuse_taken_source(state: LabState, action: Action) -> Rejection | None:
         item = state.bench.labware.get(effect.labware)
         if item is None or effect.source in (item.station, *item.maybe):
             continue
-        other = used_meanwhile(state, effect.source, state.runs.active[action.run])
+        other = find_user_meanwhile(state, effect.source, state.runs.active[action.run])
         if other:
             seen = f"was seen at {local(item.station)}" if item.station else "was not seen there"
             return Rejection(
@@ -192,13 +192,13 @@ def _refuse_taken_source(state: LabState, action: Action) -> Rejection | None:
 
 def _refuse_result(state: LabState, action: Action, command: ResolveIntervention) -> Rejection | None:
     """Why later steps, or the log, could not do with the result that was told."""
-    if command.result is None and read_later(state, action):
+    if command.result is None and is_read_later(state, action):
         return Rejection(
             "result_needed",
             f"Later steps of {action.run} read the result of {action.name!r} on {local(action.module)}.",
             "Say what it measured (--result JSON), or answer not_done to have it done again.",
         )
-    if kept(command.result) != command.result:
+    if limit_result(command.result) != command.result:
         return Rejection(
             "too_large",
             f"The result has more than {LARGEST_RESULT} bytes.",

@@ -7,7 +7,7 @@ from itertools import chain
 
 from labos.core.bench import Station, arrival, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides, many, recordable
-from labos.core.decide.shorter import found_shorter
+from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, places
 from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
@@ -72,13 +72,13 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
     yield KernelStarted(command.epoch, command.version)
     if leaps:
         knows = "says that it was put back, perhaps from an older copy"
-        yield from found_shorter(state, "the restored database", knows, 0, ended)
+        yield from record_shorter_log(state, "the restored database", knows, 0, ended)
     # Earlier versions asked about each module whose node knew more than the log: that becomes one round.
     asked = state.interventions.open_about(DiscoveredAction)
     for name in dict.fromkeys(ModuleName(question.module) for question in asked):
         module = state.modules.by_name.get(name)
         knows = "knows more, as was asked before"
-        yield from found_shorter(state, str(name), knows, 0, ended, workcell_of(name))
+        yield from record_shorter_log(state, str(name), knows, 0, ended, workcell_of(name))
         if module is not None and module.out_of_service:
             yield ModulePutBack(name)
     for question in asked:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
-from labos.core.decide.shorter import Found, told_by
+from labos.core.decide.shorter import Found, record_journal
 from labos.core.decide.steps import doubting
 from labos.core.failures import since
 from labos.core.ids import ModuleName, local
@@ -19,7 +19,7 @@ from labos.core.modules import (
     NodeStateChanged,
 )
 from labos.core.registry import Event
-from labos.core.rules import lab_ns, missed_at
+from labos.core.rules import find_give_up_time, lab_ns
 from labos.core.state import LabState
 
 
@@ -141,7 +141,7 @@ def join_node(state: LabState, command: JoinNode) -> Decision:
         command.status,
         command.simulated,
     )
-    return [joined, *told_by(state, command.module, command.discovered, command.beyond)]
+    return [joined, *record_journal(state, command.module, command.discovered, command.beyond)]
 
 
 @decides(LoseNode)
@@ -172,7 +172,7 @@ def report_state(state: LabState, command: ReportState) -> Decision:
 def hear_journal(state: LabState, command: HearJournal) -> Decision:
     if command.module not in state.modules.by_name:
         return _refuse_unknown(command.module)
-    return told_by(state, command.module, command.found, command.beyond)
+    return record_journal(state, command.module, command.found, command.beyond)
 
 
 @decides(TakeOut)
@@ -187,7 +187,7 @@ def take_out(state: LabState, command: TakeOut) -> Decision:
 def _take_out(state: LabState, command: TakeOut) -> Iterator[Event]:
     yield ModuleTakenOut(command.module, command.why or "no reason given", command.until)
     for action in list(state.actions.open.values()):
-        if action.module == command.module and missed_at(state, action) is not None:
+        if action.module == command.module and find_give_up_time(state, action) is not None:
             yield from doubting(state, action, "its node is gone, and the module was taken out of service")
 
 

@@ -9,7 +9,7 @@ from typing import assert_never
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Labware, Station
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
-from labos.core.decide.outcomes import read_later, settle, shown_by
+from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
 from labos.core.effects import carried, hand_of, moved, places
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import (
@@ -242,7 +242,7 @@ class Sight:
     def _shown(self, action: Action, told: set[LabwareId]) -> str:
         """The outcome of an unknown action, if where its labware stands shows it; else empty."""
         names = [e.labware for e in moved(action.effects)]
-        choice = shown_by(self._state, action, self._found.get(names[0])) if names else ""
+        choice = find_shown_outcome(self._state, action, self._found.get(names[0])) if names else ""
         if choice:
             told.add(names[0])
         return choice
@@ -293,7 +293,7 @@ def _settle_take(state: LabState, action: Action, place: StationName, by: str) -
     motions = carried(action.effects)
     question = state.interventions.about(action.id)
     there = len(motions) == 1 and motions[0].target == place
-    if question is None or not there or read_later(state, action) or may_still_act(state, action):
+    if question is None or not there or is_read_later(state, action) or may_still_act(state, action):
         return []
     withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"seen by {by}, where it stands")
     return chain([withdrawn], settle(state, action, "done", by))

@@ -30,7 +30,7 @@ from labos.core.effects import (
     hand_of,
     moved,
     places,
-    reported,
+    resolve_value,
 )
 from labos.core.ids import NOBODY, SHARED, LabwareId, ModuleName, Owner, StationName, local, run_owner
 from labos.core.interventions import InterventionRequested
@@ -82,7 +82,7 @@ def question_about(
     return state.interventions.ask(topic, text)
 
 
-def kept(result: Any) -> Any:
+def limit_result(result: Any) -> Any:
     """A result, or the note that it was too large for the log or cannot be written there: nodes keep to the
     limits, and a result that does not is not worth a stopped lab."""
     if result is None:
@@ -94,14 +94,14 @@ def kept(result: Any) -> Any:
     return result if size <= LARGEST_RESULT else {"$too_large": size}
 
 
-def read_later(state: LabState, action: Action) -> bool:
+def is_read_later(state: LabState, action: Action) -> bool:
     """Whether later steps of its run read what an action results in."""
     run = state.runs.active.get(action.run)
     told = bool(action.looks)  # its device has said what it results in
     return run is not None and not told and action.step in state.runs.plan_of(run).feeds
 
 
-def shown_by(state: LabState, action: Action, place: StationName | None) -> str:
+def find_shown_outcome(state: LabState, action: Action, place: StationName | None) -> str:
     """The answer about an unknown action that the place of its labware gives; empty if it gives none. What is
     in the hand, or on the way, shows nothing: somebody has to put it down first."""
     motions = carried(action.effects)
@@ -110,7 +110,7 @@ def shown_by(state: LabState, action: Action, place: StationName | None) -> str:
         return ""
     if place == move.source:
         return "not_done"
-    return "done" if place == move.target and not read_later(state, action) else ""
+    return "done" if place == move.target and not is_read_later(state, action) else ""
 
 
 def settle(state: LabState, action: Action, choice: str, by: str, result: Any = None) -> Iterator[Event]:
@@ -135,7 +135,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
             case Take() if choice == "gone":
                 yield from _take_away(state, action.run, effect, by)
             case Consumes() if choice == "gone":
-                yield from used_up(state, action, effect)
+                yield from record_usage(state, action, effect)
             case _:
                 pass
 
@@ -149,7 +149,7 @@ def effect_events(
     if done == "none":
         yield from back_in_place(state, action)
         return
-    seen = {} if looked else carried_off(state, action)
+    seen = {} if looked else find_carried_off(state, action)
     # From which lots liquid came is read before it is used up.
     for effect in sorted(action.effects, key=lambda effect: not isinstance(effect, Transfers)):
         match effect:
@@ -162,12 +162,12 @@ def effect_events(
                 yield uncertain(action, effect, why)
             case Take() if done == "all":
                 owner = run_owner(action.run) if action.run in state.runs.active else SHARED
-                yield from unstacked(state, effect, owner, action.run, action.id)
+                yield from take_from_stack(state, effect, owner, action.run, action.id)
             case Sets(of="module"):
-                value = reported(effect.value, result) if done == "all" else None
+                value = resolve_value(effect.value, result) if done == "all" else None
                 yield VariableSet(action.module, effect.variable, value, action.run)
             case Sets() if effect.labware in state.bench.labware:
-                value = reported(effect.value, result) if done == "all" else None
+                value = resolve_value(effect.value, result) if done == "all" else None
                 yield LabwareChanged(effect.labware, action.run, effect.variable, value, action.id)
             case Claims() if action.run in state.runs.active:
                 value = effect.value if done == "all" else None
@@ -180,7 +180,7 @@ def effect_events(
                 yield from _draw(state, action, effect, certain=done == "all")
             case Consumes():
                 # Of a failed action it is not known how much was used: all is the safe answer.
-                yield from used_up(state, action, effect)
+                yield from record_usage(state, action, effect)
             case Replaces() if done == "all":
                 yield from _replace_pack(state, effect)
             case _:
@@ -190,7 +190,7 @@ def effect_events(
         yield _ask_where(state, action, lost, why)
 
 
-def used_up(state: LabState, action: Action, effect: Consumes) -> list[Event]:
+def record_usage(state: LabState, action: Action, effect: Consumes) -> list[Event]:
     """What an action used, one event for each lot."""
     if not effect.amount:
         return []
@@ -241,7 +241,7 @@ def _find_doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, f
     return [(w, volume) for w, volume in doses if volume] if effect.labware in state.bench.labware else []
 
 
-def carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:
+def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:
     """Where somebody has seen labware of a motion since nobody knew how that ended, if that is on none of
     its places: that is later than what the device tells now."""
     own = {StationName(""), hand_of(action.module), *places(action.effects)}
@@ -283,7 +283,7 @@ def _turn(state: LabState, action: Action, effect: Move) -> list[Event]:
     return [LabwareChanged(labware.id, action.run, "a1", way, action.id)]
 
 
-def unstacked(
+def take_from_stack(
     state: LabState, effect: Take, owner: Owner, run: str = "", action: str = ""
 ) -> Iterator[Event]:
     """The topmost item of a stack as labware of its own, and its lid, if it has one."""
@@ -332,7 +332,7 @@ def _ask_where(
     )
 
 
-def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by: str) -> Iterator[Event]:
+def settle_found(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by: str) -> Iterator[Event]:
     """The events that follow when a person says where lost labware is."""
     for effect in motions:
         match effect, choice:
@@ -350,6 +350,6 @@ def found_again(state: LabState, motions: tuple[AnyEffect, ...], choice: str, by
             case Take(), "gone":
                 yield from _take_away(state, "", effect, by)
             case Take(), "target":
-                yield from unstacked(state, effect, SHARED)
+                yield from take_from_stack(state, effect, SHARED)
             case _:
                 pass

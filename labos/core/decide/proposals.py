@@ -73,7 +73,7 @@ def approve_proposal(state: LabState, command: ApproveProposal) -> Decision:
     events = approving(state, proposal, command)
     if isinstance(events, Rejection):
         return events
-    return chain(_answered(state, proposal.subject, "approve", command.by, command.why), events)
+    return chain(_resolve_question(state, proposal.subject, "approve", command.by, command.why), events)
 
 
 @decides(RefuseProposal)
@@ -82,7 +82,7 @@ def refuse_proposal(state: LabState, command: RefuseProposal) -> Decision:
     if isinstance(proposal, Rejection):
         return proposal
     return chain(
-        _answered(state, proposal.subject, "refuse", command.by, command.why),
+        _resolve_question(state, proposal.subject, "refuse", command.by, command.why),
         refusing(state, proposal, command),
     )
 
@@ -121,7 +121,7 @@ def _approving(state: LabState, proposal: Proposal, command: ApproveProposal) ->
         yield RunApproved(run.id, command.by)
     if proposal.kind == "experiment":
         for waiting in list(_waiting_for(state, proposal.subject)):
-            yield from _answered(state, waiting.subject, "approve", command.by, command.why)
+            yield from _resolve_question(state, waiting.subject, "approve", command.by, command.why)
             yield ApprovalGiven(waiting.subject, "run", waiting.digest, command.by, command.why)
 
 
@@ -225,7 +225,7 @@ def _questions(state: LabState, subject: str) -> list[Intervention]:
     return [q for q in state.interventions.all_about(subject) if isinstance(q.topic, Approval)]
 
 
-def _answered(
+def _resolve_question(
     state: LabState, subject: str, choice: str, by: str, note: str
 ) -> Iterable[InterventionResolved]:
     """The question about a proposal is answered along with it."""

@@ -30,8 +30,8 @@ from labos.core.open_experiments import Experiment, ExperimentStatus
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.quotas import queue_is_full
 from labos.core.registry import Event
-from labos.core.repeated import repeated
-from labos.core.resources import needed
+from labos.core.repeated import record_repeat
+from labos.core.resources import sum_needed
 from labos.core.runs import (
     PENDING,
     RunPaused,
@@ -39,7 +39,7 @@ from labos.core.runs import (
     RunState,
     RunStatus,
     RunSubmitted,
-    anchored_at,
+    find_anchor,
 )
 from labos.core.state import LabState
 from labos.core.steps import WindowBreached
@@ -168,7 +168,7 @@ def _beyond_capacity(state: LabState, step: PlanStep) -> Rejection | None:
         level = state.resources.of(step.module, effect.resource) if isinstance(effect, Consumes) else None
         if level is None or not isinstance(effect, Consumes):
             continue
-        amount = needed(step.effects, effect.resource)
+        amount = sum_needed(step.effects, effect.resource)
         if amount > level.capacity:
             return Rejection(
                 "beyond_capacity",
@@ -259,7 +259,7 @@ def pause_run(state: LabState, command: PauseRun) -> Decision:
     if isinstance(run, Rejection):
         return run
     if run.paused:
-        return repeated(command.run, "pause", command.why)
+        return record_repeat(command.run, "pause", command.why)
     return [RunPaused(command.run, command.why)]
 
 
@@ -280,7 +280,7 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
         return []
     plan = state.runs.plan_of(run)
     window = plan.steps[command.step].windows[command.window]
-    if anchored_at(run, window) is None or (run.has_started and run.steps[command.step].status != PENDING):
+    if find_anchor(run, window) is None or (run.has_started and run.steps[command.step].status != PENDING):
         return []
     started_by, _ = clock_of(run, plan, window)
     within = window.within_s or 0.0

@@ -10,7 +10,7 @@ import msgspec
 from labos.core.actions import Action, ActionDiscovered, ActionStatus
 from labos.core.bench import parts, removal
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
-from labos.core.decide.contents import contents_events, recorded
+from labos.core.decide.contents import contents_events, list_recorded
 from labos.core.decide.endings import ending, under_way
 from labos.core.effects import AnyEffect, Carrying, Needs, carried, hand_of, places
 from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
@@ -83,7 +83,7 @@ class ConfirmStations(Command, frozen=True):
     by: str
 
 
-def found_shorter(
+def record_shorter_log(
     state: LabState, evidence: str, knows: str, known: int, ended: int, workcell: str = ""
 ) -> list[Event]:
     """The events for a piece of evidence: none if it is known already. The first one asks a person."""
@@ -119,10 +119,10 @@ def report_shorter_log(state: LabState, command: ReportShorterLog) -> Decision:
         if position
         else "says that it may be older than the bench"
     )
-    return found_shorter(state, command.evidence, knows, position, command.ended)
+    return record_shorter_log(state, command.evidence, knows, position, command.ended)
 
 
-def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond: int) -> list[Event]:
+def record_journal(state: LabState, module: ModuleName, found: Sequence[Found], beyond: int) -> list[Event]:
     """The events for what a module's journal knows and the log does not: actions, of which the labware is
     uncertain now, and that it was told of a log up to the position ``beyond`` (0: it was not)."""
     actions, doubted = state.actions, state.modules.by_name[module]
@@ -154,7 +154,7 @@ def told_by(state: LabState, module: ModuleName, found: Sequence[Found], beyond:
     highest = max(beyond, *(entry.position for entry in found), 0)
     # One that tells of very many may know of more than it tells.
     cell = workcell_of(module) if beyond or len(found) >= MANY_FOUND else ""
-    events = found_shorter(state, str(module), " and ".join(knows), highest, state.position, cell)
+    events = record_shorter_log(state, str(module), " and ".join(knows), highest, state.position, cell)
     if not (fresh or events):
         return []
     # What it was left like, a lid or a door, follows from actions too.
@@ -276,7 +276,7 @@ def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
 
 
 def _say_as_recorded(state: LabState, name: StationName, by: str) -> SayContents:
-    return SayContents(name, by, tuple(recorded(state, name)))
+    return SayContents(name, by, tuple(list_recorded(state, name)))
 
 
 def _refuse_without_round(state: LabState) -> Rejection | None:
@@ -337,7 +337,7 @@ def strange_motion(state: LabState, cell: str) -> str:
     return ""
 
 
-def compared(state: LabState, by: str, note: str) -> Decision:
+def finish_round(state: LabState, by: str, note: str) -> Decision:
     """What follows when a person says that all was said; refused, by name, while something was not."""
     left = to_say(state)
     if left:

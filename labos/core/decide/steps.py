@@ -19,8 +19,8 @@ from labos.core.canonical import canonical
 from labos.core.conditions import by_key, holds
 from labos.core.decide._base import Command, Decision, decides
 from labos.core.decide.endings import fail_run, give_up
-from labos.core.decide.outcomes import carried_off, question_about, uncertain
-from labos.core.decide.waiting import asked_to_see_to
+from labos.core.decide.outcomes import find_carried_off, question_about, uncertain
+from labos.core.decide.waiting import ask_about_waiting_device
 from labos.core.effects import Requires, Sets, carried, moved
 from labos.core.expressions import ExpressionError
 from labos.core.ids import ActionId, RunId, local
@@ -28,7 +28,7 @@ from labos.core.interventions import InterventionRequested
 from labos.core.labware import LabwareUncertain
 from labos.core.model import Plan, PlanStep
 from labos.core.registry import Event
-from labos.core.rules import NODE_AWAY_S, due_at, missed_at, stuck_at
+from labos.core.rules import NODE_AWAY_S, due_at, find_give_up_time, find_standstill_time
 from labos.core.runs import FAILED, RunState, RunStatus, results_of
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected
@@ -48,14 +48,14 @@ def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
     action = state.actions.open.get(command.action)
     if action is None:
         return []
-    due, missed = due_at(state, action), missed_at(state, action)
+    due, missed = due_at(state, action), find_give_up_time(state, action)
     if due is not None and command.now > due:
         step = state.runs.plan_of(state.runs.active[action.run]).steps[action.step]
         return doubting(state, action, f"it did not end within {step.timeout_s:g} s")
     if missed is not None and command.now > missed:
         return doubting(state, action, f"its node has been gone for {NODE_AWAY_S:g} s")
-    stuck = stuck_at(state, action)
-    return [asked_to_see_to(state, action)] if stuck is not None and command.now > stuck else []
+    stuck = find_standstill_time(state, action)
+    return [ask_about_waiting_device(state, action)] if stuck is not None and command.now > stuck else []
 
 
 def doubting(
@@ -66,7 +66,7 @@ def doubting(
     ids = (action.id, action.run, action.step, action.module, action.attempt)
     events: list[Event] = [ActionUnknown(*ids, why)]
     if maybe is None:
-        seen = carried_off(state, action)
+        seen = find_carried_off(state, action)
         moves = [move for move in moved(action.effects) if move.labware not in seen]
         maybe = [uncertain(action, effect, why) for effect in moves]
     return [*events, *maybe, question_about(state, action, why, maybe)]

@@ -8,7 +8,7 @@ from itertools import chain, islice
 
 from labos.core.bench import Station, arrival, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.by_hand import answered
+from labos.core.decide.by_hand import withdraw_answered
 from labos.core.effects import carried
 from labos.core.expiry import DATE, first_old
 from labos.core.ids import (
@@ -32,7 +32,7 @@ from labos.core.labware import (
 )
 from labos.core.model import PlanStep
 from labos.core.registry import Event
-from labos.core.resources import Level, ResourceReplenished, needed
+from labos.core.resources import Level, ResourceReplenished, sum_needed
 from labos.core.runs import PENDING, SETTLED
 from labos.core.shelves import vacant
 from labos.core.state import LabState
@@ -105,7 +105,7 @@ def replenish(state: LabState, command: Replenish) -> Decision:
     if command.expires and not DATE.fullmatch(command.expires):
         return Rejection("bad_date", f"{command.expires!r} is no date.", "Write 2027-05-31, say.")
     flying = map(state.actions.open.__getitem__, state.modules.by_name[module].in_flight)
-    if command.instead and any(needed(action.effects, resource) for action in flying):
+    if command.instead and any(sum_needed(action.effects, resource) for action in flying):
         return Rejection(
             "in_use", f"{local(module)} is using up {resource} just now.", "Wait until its action has ended."
         )
@@ -232,7 +232,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
         throws = functools.partial(_throws, waste=command.station)
         awaited = _find_waiting(state, throws) if waste and found.full else ()
         events.append(StationUnloaded(command.station, count, awaited))
-    return [*answered(state, events, command.by), *events]
+    return [*withdraw_answered(state, events, command.by), *events]
 
 
 def _find_waiting(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[RunId, ...]:
@@ -251,7 +251,7 @@ def _find_waiting(state: LabState, lacks: Callable[[PlanStep], bool]) -> tuple[R
 def _lacks(step: PlanStep, level: Level, module: ModuleName, resource: str, today: str) -> bool:
     if step.module != module:
         return False
-    amount = needed(step.effects, resource)
+    amount = sum_needed(step.effects, resource)
     return amount > level.level or first_old(level, amount, today) is not None
 
 

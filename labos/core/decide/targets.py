@@ -231,16 +231,16 @@ def cells_of(state: LabState, subject: str) -> tuple[str, ...]:
 
 
 def of_new_booking(state: LabState, command: bookings.MakeBooking) -> Iterable[Target]:
-    yield Target(_needed_to_book(state, command), (workcell_of(ModuleName(command.target)),))
+    yield Target(_find_role_to_book(state, command), (workcell_of(ModuleName(command.target)),))
 
 
 def of_changed_booking(state: LabState, command: bookings.ChangeBooking) -> Iterable[Target]:
     for target in of_booking(state, command):
         yield target
-        yield Target(_needed_to_book(state, command), target.cells)
+        yield Target(_find_role_to_book(state, command), target.cells)
 
 
-def _needed_to_book(state: LabState, command: bookings.MakeBooking | bookings.ChangeBooking) -> Role:
+def _find_role_to_book(state: LabState, command: bookings.MakeBooking | bookings.ChangeBooking) -> Role:
     """For others, for maintenance, and again and again only an operator books; an admin also where others
     have booked."""
     terms, who = command.terms, person_of(command.by)

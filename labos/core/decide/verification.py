@@ -53,7 +53,7 @@ class VerifyAction(Report, frozen=True):
 @decides(VerifyAction)
 def verify_action(state: LabState, command: VerifyAction) -> Decision:
     action = state.actions.open.get(command.action)
-    if action is None or action.status != ActionStatus.REPORTED or disturbed(state, action):
+    if action is None or action.status != ActionStatus.REPORTED or is_disturbed(state, action):
         return []
     sights = {seen.station: seen for seen in command.seen if seen.station in action.looks}
     events: list[Event] = [
@@ -77,7 +77,7 @@ def verify_action(state: LabState, command: VerifyAction) -> Decision:
     return chain(events, finishing(state, action, end))
 
 
-def disturbed(state: LabState, action: Action) -> bool:
+def is_disturbed(state: LabState, action: Action) -> bool:
     """Whether another action is changing what stands where this one is looked at: what is seen there
     now says nothing."""
     return any(

@@ -28,7 +28,7 @@ from labos.core.state import LabState
 from labos.core.topics import DeviceWaits, PlannedWork, UnknownAction
 
 
-def asked_to_see_to(state: LabState, action: Action) -> InterventionRequested:
+def ask_about_waiting_device(state: LabState, action: Action) -> InterventionRequested:
     """The question about the module that stands still with this action."""
     name = local(action.module)
     said = state.modules.by_name[action.module].error.rstrip(".") or "it does not say why"

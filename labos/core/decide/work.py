@@ -32,7 +32,7 @@ class NoteOverdue(Command, frozen=True):
     now: int
 
 
-def asked_of_person(
+def ask_for_work(
     state: LabState,
     run: RunState,
     step: PlanStep,

@@ -263,7 +263,7 @@ def test_a_start_that_breaks_an_invariant_suspends_starts(
         monkeypatch.undo()
         await until(lambda: is_open(kernel) and bool(kernel.state.actions.open), 20.0)
 
-    monkeypatch.setattr(kernel_module, "broken_by", broken)
+    monkeypatch.setattr(kernel_module, "find_broken_by", broken)
     in_kernel(tmp_path, work, furnish=False)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from labos.core.decide import Rejection
 from labos.core.decide.actions import AcceptAction, FinishAction, RefuseAction, ResendAction
 from labos.core.decide.cancelling import CancelRun
-from labos.core.decide.contents import recorded
+from labos.core.decide.contents import list_recorded
 from labos.core.decide.experiments import EndExperiment, LoseExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
@@ -168,7 +168,7 @@ class Chaos:
         """Somebody goes round a bench of which the log has lost sight, and finds some things elsewhere."""
         lab, rng = self.lab, self.rng
         for name in to_say(lab.state):
-            found = recorded(lab.state, name)
+            found = list_recorded(lab.state, name)
             what = rng.choice(
                 [
                     found,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labos.core.arguments import flaw, names_of, wanted
+from labos.core.arguments import describe_arg, flaw, names_of
 from labos.core.model import ActionSpec, Arg
 from labos.node.arguments import problems
 from labos.spec.arguments import bind
@@ -39,11 +39,11 @@ def test_what_is_wrong_with_a_value(arg: Arg, value: Any, told: str) -> None:
 
 
 def test_what_an_argument_takes_is_said_in_words() -> None:
-    assert wanted(TIME) == "a number from 0.5 to 9.9 s"
-    assert wanted(Arg("t", "int", unit="°C")) == "a whole number in °C"
-    assert wanted(Arg("t", "int", minimum=1)) == "a whole number of at least 1"
-    assert wanted(Arg("t", "int", maximum=1, unit="s")) == "a whole number of at most 1 s"
-    assert wanted(Arg("g", "str", choices=("a", 1))) == "one of 'a', 1"
+    assert describe_arg(TIME) == "a number from 0.5 to 9.9 s"
+    assert describe_arg(Arg("t", "int", unit="°C")) == "a whole number in °C"
+    assert describe_arg(Arg("t", "int", minimum=1)) == "a whole number of at least 1"
+    assert describe_arg(Arg("t", "int", maximum=1, unit="s")) == "a whole number of at most 1 s"
+    assert describe_arg(Arg("g", "str", choices=("a", 1))) == "one of 'a', 1"
     assert names_of(ActionSpec("seal", args=(TIME,))) == {"time": TIME, "seconds": TIME}
 
 
@@ -77,8 +77,8 @@ def test_what_a_file_may_say_a_node_accepts(arg: Arg, value: Any) -> None:
 
 def test_a_mere_number_has_no_unit_in_messages() -> None:
     stacker = Arg("stacker", "int", unit="1", minimum=1, maximum=3)
-    assert wanted(stacker) == "a whole number from 1 to 3"
-    assert wanted(Arg("n", "int", unit="1")) == "a whole number"
+    assert describe_arg(stacker) == "a whole number from 1 to 3"
+    assert describe_arg(Arg("n", "int", unit="1")) == "a whole number"
     faults: list[str] = []
     bind(ActionSpec("a", args=(stacker,)), {"stacker": "2 mm"}, lambda *fault: faults.append(" ".join(fault)))
     assert "has no unit, not in 'mm'" in faults[0]

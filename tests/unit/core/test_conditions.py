@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from labos.core import conditions
-from labos.core.conditions import decision, filled_in, holds
+from labos.core.conditions import decision, fill_in, holds
 from labos.core.expressions import parse_expression
 from labos.core.model import Condition, OnError, Plan
 from labos.core.runs import DONE, FAILED, PENDING, SKIPPED, RunFailed
@@ -125,5 +125,5 @@ def test_opposite_conditions_decide_the_same(first: str, second: str, same: bool
 
 def test_names_are_filled_in_wherever_they_stand() -> None:
     tree = parse_expression("not (len([payload.x, 2]) + -payload.x * 2 > payload.x) and payload.x in [1]")
-    filled = filled_in(tree, {("payload", "x"): ("value", 1)})
+    filled = fill_in(tree, {("payload", "x"): ("value", 1)})
     assert holds(conditions.condition("", filled), {}) is True

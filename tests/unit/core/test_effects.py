@@ -14,8 +14,8 @@ from labos.core.effects import (
     Sets,
     Take,
     places,
-    reported,
     resolve,
+    resolve_value,
 )
 from labos.core.ids import StationName
 
@@ -70,7 +70,7 @@ def test_effects_are_told_apart_by_their_tag_and_refuse_unknown_fields() -> None
 def test_what_the_device_decides_is_left_until_it_says_so() -> None:
     slot = Sets("labware", "slot", "{result.slot}")
     assert resolve(slot, {}, StationName) == slot
-    assert reported("{result.slot}", {"slot": "s7"}) == "s7"
-    assert reported("{result}", 4) == 4
-    assert reported("{result.slot}", None) is None
-    assert reported("plain", {"slot": "s7"}) == "plain"
+    assert resolve_value("{result.slot}", {"slot": "s7"}) == "s7"
+    assert resolve_value("{result}", 4) == 4
+    assert resolve_value("{result.slot}", None) is None
+    assert resolve_value("plain", {"slot": "s7"}) == "plain"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from labos.core import reasons
-from labos.core.binding import nothing_at, same, usable_at
+from labos.core.binding import explain_missing, same, usable_at
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.nodes import LoseNode, ReportState, TakeOut
-from labos.core.holding import held_by_other
+from labos.core.holding import find_other_holder
 from labos.core.ids import LabwareId, Owner, RunId
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import StationSpec
@@ -135,7 +135,7 @@ def test_a_lid_left_away_from_rest_holds_without_labware() -> None:
     other = lab.submit(plan(step("dev")))
     lab.step(run)
     assert wait(lab, other).names == ("cell/dev", "run:R1")
-    assert held_by_other(lab.state, lab.state.modules.by_name["cell/dev"].spec.name, lab.run(run)) == ""  # type: ignore[index]
+    assert find_other_holder(lab.state, lab.state.modules.by_name["cell/dev"].spec.name, lab.run(run)) == ""  # type: ignore[index]
     lab.step(run, 1)
     assert lab.code(other) == "", "a run that has ended holds nothing"
 
@@ -459,7 +459,7 @@ def test_why_there_is_nothing_to_use() -> None:
     other = lab.submit(plan(step("cam", needs("c"))))
     assert (wait(lab, other).code, wait(lab, other).blocked) == ("nothing_there", True)
     assert wait(lab, lab.submit(route("a", "c", arm="arm2"))).code == "in_motion"
-    assert nothing_at(lab.state, lab.run(run), "cell/nowhere").code == "still_to_come"  # type: ignore[arg-type]
+    assert explain_missing(lab.state, lab.run(run), "cell/nowhere").code == "still_to_come"  # type: ignore[arg-type]
     assert usable_at(lab.state, lab.run(run), "cell/nowhere") is None  # type: ignore[arg-type]
 
 

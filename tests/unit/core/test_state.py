@@ -11,7 +11,7 @@ import pytest
 from labos.core.decide.nodes import LoseNode
 from labos.core.effects import Move
 from labos.core.ids import ActionId, LabwareId, Owner, StationName
-from labos.core.invariants import broken
+from labos.core.invariants import find_broken
 from labos.core.model import ActionSpec, Description
 from labos.core.modules import Flight
 from labos.core.runs import StepState
@@ -48,7 +48,7 @@ def lively() -> Driver:
 
 def test_a_picture_is_the_state() -> None:
     lab = lively()
-    assert broken(lab.state) == ""
+    assert find_broken(lab.state) == ""
     back = from_picture(picture(lab.state))
     assert back == lab.state
     assert order(back) == order(lab.state)
@@ -231,9 +231,9 @@ def test_each_invariant_is_seen_when_it_breaks(damage: Callable[[LabState], None
     run = lab.submit(plan(step("arm", take("stack", "b")), step("arm", move("b", "c"))))
     lab.step(run)
     lab.start(run, 1)
-    assert broken(lab.state) == ""
+    assert find_broken(lab.state) == ""
     damage(lab.state)
-    assert sentence in broken(lab.state)
+    assert sentence in find_broken(lab.state)
 
 
 def test_a_node_that_is_lost_breaks_nothing() -> None:

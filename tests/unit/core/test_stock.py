@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from labos.core.binding import unpromised
+from labos.core.binding import find_unreserved
 from labos.core.decide import Rejection
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.runs import SubmitRun
@@ -79,7 +79,7 @@ def test_two_in_flight_are_not_promised_the_same() -> None:
     both = [lab.submit(plan(step("dev", consumes("foil", 2), exclusive=False))) for _ in range(2)]
     action = lab.start(both[0])
     assert lab.code(both[1]) == "used_up"
-    assert unpromised(lab.state, DEV, "foil") == 1
+    assert find_unreserved(lab.state, DEV, "foil") == 1
     lab.fail(action, "none")
     assert lab.code(both[1]) == "", "what failed without effect used nothing"
     lab.check_log()
@@ -102,7 +102,7 @@ def test_a_failed_action_has_used_what_it_says(effects: str, left: float) -> Non
 def test_an_unknown_action_has_used_what_a_person_says(choice: str, left: float) -> None:
     lab = dry(10)
     lab.doubt(lab.start(lab.submit(plan(step("dev", consumes("foil", 4)), step("dev")))))
-    assert unpromised(lab.state, DEV, "foil") == 6, "until then it may be used"
+    assert find_unreserved(lab.state, DEV, "foil") == 6, "until then it may be used"
     lab.answer(lab.question("unknown_action"), choice)
     assert lab.state.resources.left(DEV, "foil") == left
 

@@ -20,7 +20,7 @@ from labos.core.state import from_picture, picture
 from labos.core.waits import Wait
 from labos.planning.safety import Safety
 from labos.planning.scheduler import ready
-from labos.planning.stuck import stuck_on
+from labos.planning.stuck import find_block
 from tests.support.bench import (
     Driver,
     claims,
@@ -166,7 +166,7 @@ class Explored:
 
     def starts(self, lab: Driver, *, newcomers: bool) -> Iterator[Start]:
         """What the rules let start."""
-        queued = [r for r in lab.state.runs.queued.values() if newcomers and stuck_on(lab.state, r) is None]
+        queued = [r for r in lab.state.runs.queued.values() if newcomers and find_block(lab.state, r) is None]
         for run in [*lab.state.runs.active.values(), *queued]:
             steps = ready(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
             for index in steps:

@@ -11,7 +11,7 @@ from labos.core.shares import Group, Member
 from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
 from labos.planning.scheduler import Scheduler
-from labos.planning.stuck import stuck_on
+from labos.planning.stuck import find_block
 from tests.support.bench import SECOND, START, Driver, hold, move, plan, sets, small, step, take
 
 MINUTE, HOUR = 60 * SECOND, 3600 * SECOND
@@ -153,7 +153,7 @@ def test_a_run_inside_that_has_no_gap_any_more_is_an_obstacle_and_no_reason_to_w
     book(lab, "dev", 5, 60 * 24 - 10, rule="FREQ=DAILY")
     lab.pump()
     assert wait_of(lab, stands).code == "no_gap"
-    stuck = stuck_on(lab.state, lab.run(stands))
+    stuck = find_block(lab.state, lab.run(stands))
     assert stuck is not None
     assert stuck.code == "no_gap"
     other = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "trash"))))
@@ -168,10 +168,10 @@ def test_safety_takes_runs_for_stuck_while_a_booking_has_begun() -> None:
     book(lab, "dev", 5, 60)
     lab.pump()
     assert wait_of(lab, run).code == "booked_soon"
-    assert stuck_on(lab.state, lab.run(run)) is None
+    assert find_block(lab.state, lab.run(run)) is None
     lab.now = START + 5 * MINUTE
     lab.pump()
-    stuck = stuck_on(lab.state, lab.run(run))
+    stuck = find_block(lab.state, lab.run(run))
     assert stuck is not None
     assert stuck.code == "booked"
     lab.now = START + 60 * MINUTE

@@ -13,7 +13,7 @@ from labos.core.decide.handover import HandOver
 from labos.core.ids import LabwareId, Owner
 from labos.core.model import Plan
 from labos.core.waits import Wait
-from labos.planning.obstacle import explained
+from labos.planning.obstacle import explain_wait
 from labos.planning.scheduler import Scheduler
 from tests.support.bench import (
     Driver,
@@ -185,7 +185,7 @@ def test_who_needs_what_is_not_there_is_not_let_in_and_says_what_is_missing() ->
     run = lab.submit(plan(step("dev"), *looked_at("cam.nest").steps))
     assert lab.pump() == []
     ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
-    told = explained(lab.scheduler.safety, lab.state, lab.run(run), wait)
+    told = explain_wait(lab.scheduler.safety, lab.state, lab.run(run), wait)
     assert told.endswith("finds nothing that it may use at cam.nest"), told
     lab.stock("cam.nest", 1)
     assert lab.work(random.Random(0)), lab.stuck()
@@ -228,7 +228,7 @@ def test_who_needs_a_variable_that_nobody_will_set_says_so() -> None:
     run = lab.submit(plan(step("cam"), step("dev", requires("mode", 0))))
     assert lab.pump() == []
     ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
-    told = explained(lab.scheduler.safety, lab.state, lab.run(run), wait)
+    told = explain_wait(lab.scheduler.safety, lab.state, lab.run(run), wait)
     assert told.endswith("'s1' needs dev.mode = 0, which nobody will have set"), told
 
 

@@ -7,7 +7,7 @@ from typing import get_args
 
 from labos.core.reasons import AnyReason, BetterHere, Quota, Urgency
 from labos.planning.explain import remedy
-from labos.planning.obstacle import explained
+from labos.planning.obstacle import explain_wait
 from labos.services.waits import reasons
 from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
 
@@ -26,7 +26,7 @@ CELL = workcell(
 def cause(lab: Driver, run: str) -> str:
     ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
     assert wait.code == "no_way_out"
-    return explained(lab.scheduler.safety, lab.state, lab.run(run), wait)
+    return explain_wait(lab.scheduler.safety, lab.state, lab.run(run), wait)
 
 
 def through(*places: str) -> Driver:

@@ -13,7 +13,7 @@ from labos.core.ids import ModuleName
 from labos.planning.obstacle import obstacle
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
-from labos.planning.stuck import stuck_on
+from labos.planning.stuck import find_block
 from tests.support.bench import (
     Driver,
     hold,
@@ -525,7 +525,7 @@ def test_who_finds_that_its_labware_does_not_fit_is_in_the_way(why: str) -> None
         )
     )
     lab.step(lost)
-    stuck = stuck_on(lab.state, lab.run(lost))
+    stuck = find_block(lab.state, lab.run(lost))
     assert stuck is not None
     assert (stuck.code, stuck.blocked) == (why, True)
     needing = lab.submit(route("stack", "z", "x", "trash", arm="arm2"))

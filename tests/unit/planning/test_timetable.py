@@ -6,7 +6,7 @@ import msgspec
 
 from labos.core.effects import Consumes
 from labos.core.model import Plan, PlanStep, Window
-from labos.planning.timetable import consumption, taken, timetable
+from labos.planning.timetable import consumption, count_taken, timetable
 from tests.support.bench import plan, step, take
 
 
@@ -70,7 +70,7 @@ def test_what_is_used_up() -> None:
         step("dev", Consumes("foil", 0.5), Consumes("ink", 2)),
     )
     assert consumption(what) == {("cell/dev", "foil"): 1.5, ("cell/dev", "ink"): 2}
-    assert taken(what) == {"cell/stack": 1}
+    assert count_taken(what) == {"cell/stack": 1}
 
 
 def test_a_long_plan_is_laid_out() -> None:

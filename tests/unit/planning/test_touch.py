@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from labos.core.registry import TYPES
 from labos.core.state import LabState
-from labos.planning.touch import EVERYTHING, cell_key, touched
+from labos.planning.touch import EVERYTHING, cell_key, find_touched_keys
 from tests.support.bench import move, needs, plan, requires, route, sets, small, step
 from tests.unit.core.test_registry import EXAMPLES
 
 
 def test_every_event_has_an_answer_even_where_nothing_is_known() -> None:
     for example in EXAMPLES:
-        keys = touched(LabState(), example)
+        keys = find_touched_keys(LabState(), example)
         assert isinstance(keys, tuple)
         assert all(isinstance(key, str) for key in keys)
     assert len(EXAMPLES) == len(TYPES)
