@@ -30,7 +30,9 @@ TRUTH = 4.9065e-12
 
 
 @contextmanager
-def at_the_beamline(open_lab: OpenLab, tmp_path: Path, *faults: str, falls: float = 0.0) -> Iterator[LabClient]:
+def at_the_beamline(
+    open_lab: OpenLab, tmp_path: Path, *faults: str, falls: float = 0.0
+) -> Iterator[LabClient]:
     world = Settings.of(tmp_path / "lab").world("aps_8id")
     beamline = Beamline(tmp_path / "beamline", world, *faults)
     beamline.start()

@@ -57,9 +57,7 @@ class TecanSimulator(Gated):
             await self.take_time(350)
             place = self.place("default")
             bubbles = _polymers.bubbles_in(self.world, self.top(place))
-            plate = self.world.work(
-                self.name, "read", place, method=method, start_nm=start_nm, end_nm=end_nm
-            )
+            plate = self.world.work(self.name, "read", place, method=method, start_nm=start_nm, end_nm=end_nm)
             nms = [round(start_nm + number * step_nm, 1) for number in range(count)]
             return Attachment(name, self._table(plate, nms, wells, bubbles))
 
@@ -68,9 +66,7 @@ class TecanSimulator(Gated):
         names = [grid.well(row, column) for row in range(grid.rows) for column in range(grid.columns)]
         noisy, draw = _polymers.noisy, self._random.gauss
         spectra = {
-            nm: {
-                well: math.nan if well in bubbles else noisy(see(well, nm), draw, MOST_OD) for well in names
-            }
+            nm: {well: math.nan if well in bubbles else noisy(see(well, nm), draw, MOST_OD) for well in names}
             for nm in nms
         }
         return write_table(spectra, grid)

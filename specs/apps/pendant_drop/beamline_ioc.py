@@ -58,7 +58,9 @@ def speckle(rate, frames, period, photons, random):
     field = fresh()
     counts = np.empty((frames, *rate.shape), dtype="uint8")
     for number in range(frames):
-        counts[number] = np.minimum(random.poisson(photons * np.mean(np.abs(field) ** 2, axis=0)), MOST_COUNTS)
+        counts[number] = np.minimum(
+            random.poisson(photons * np.mean(np.abs(field) ** 2, axis=0)), MOST_COUNTS
+        )
         field = keep * field + renew * fresh()
     return counts
 

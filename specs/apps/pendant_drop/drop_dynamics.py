@@ -126,7 +126,9 @@ def _curve(counts: np.ndarray, q: np.ndarray, period: float) -> Curve:
         found, spread = curve_fit(siegert, lag, g2, p0=start, sigma=sigma, bounds=([0, 0], [2, np.inf]))
     except RuntimeError as error:
         raise BadSeries("no fit of g₂") from error
-    return Curve(math.sqrt(middle), lag, g2, deviation, float(found[0]), float(found[1]), float(np.sqrt(spread[1, 1])))
+    return Curve(
+        math.sqrt(middle), lag, g2, deviation, float(found[0]), float(found[1]), float(np.sqrt(spread[1, 1]))
+    )
 
 
 def radius_of(diffusion: float, temperature: float, viscosity: float) -> float:

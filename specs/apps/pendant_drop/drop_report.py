@@ -63,7 +63,9 @@ def write_report(folder: Path, drops: Sequence[Drop], viscosity: float, where: s
 def write_pictures(path: Path, microscope: np.ndarray, frame: np.ndarray) -> None:
     """The drop as the microscope sees it, and a frame of the detector, beside each other."""
     shown = (255 * (frame / max(int(frame.max()), 1))).astype("uint8")
-    left, right = (Image.fromarray(picture).resize((320, 320), Image.NEAREST) for picture in (microscope, shown))
+    left, right = (
+        Image.fromarray(picture).resize((320, 320), Image.NEAREST) for picture in (microscope, shown)
+    )
     both = Image.new("L", (650, 320), 255)
     both.paste(left, (0, 0))
     both.paste(right, (330, 0))
@@ -75,7 +77,9 @@ def _draw_g2(drop: Drop) -> Figure:
     axes = figure.subplots()
     for number, curve in enumerate(drop.dynamics.curves):
         color = f"C{number}"
-        axes.errorbar(curve.lag * 1e6, curve.g2, curve.deviation, fmt=".", color=color, label=f"{curve.q / 1e6:.0f}")
+        axes.errorbar(
+            curve.lag * 1e6, curve.g2, curve.deviation, fmt=".", color=color, label=f"{curve.q / 1e6:.0f}"
+        )
         fitted = 1 + curve.contrast * np.exp(-2 * curve.rate * curve.lag)
         axes.plot(curve.lag * 1e6, fitted, color=color)
     axes.set(xlabel="lag (µs)", ylabel="g₂", xscale="log", title=f"Well {drop.well}")

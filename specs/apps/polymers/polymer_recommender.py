@@ -83,7 +83,9 @@ class Recommender:
         order = np.argsort([self._differ(seen, self.target) for seen in self.colours])[:3]
         best = np.array([_point(self.recipes[number]) for number in order])
         step = self._random.choice([0.01, 0.03, 0.1], (count, 1))
-        points = best[self._random.integers(len(best), size=count)] + step * self._random.normal(size=(count, 3))
+        points = best[self._random.integers(len(best), size=count)] + step * self._random.normal(
+            size=(count, 3)
+        )
         points = np.clip(points, 0, 1)
         total = points[:, :2].sum(axis=1, keepdims=True)
         points[:, :2] /= np.maximum(total, 1.0)
@@ -91,7 +93,9 @@ class Recommender:
 
 
 def _fit(known: np.ndarray, values: np.ndarray, seed: int) -> GaussianProcessRegressor:
-    kernel = ConstantKernel(2.0, (0.1, 100)) * RBF([0.4, 0.4, 0.6], (0.05, 10)) + WhiteKernel(1e-4, (1e-6, 1e-1))
+    kernel = ConstantKernel(2.0, (0.1, 100)) * RBF([0.4, 0.4, 0.6], (0.05, 10)) + WhiteKernel(
+        1e-4, (1e-6, 1e-1)
+    )
     model = GaussianProcessRegressor(kernel, normalize_y=True, random_state=seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # a bound is reached, and meant

@@ -44,9 +44,7 @@ def write_report(folder: Path, samples: Sequence[Sample], target: Lab, tolerance
 def _write_table(path: Path, samples: Sequence[Sample]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow(
-            "batch well share_A share_B share_C chain_length L a b x y difference_CIE2000".split()
-        )
+        table.writerow("batch well share_A share_B share_C chain_length L a b x y difference_CIE2000".split())
         for sample in samples:
             table.writerow(
                 [sample.batch, sample.well, *sample.recipe, *sample.lab, *sample.xy, sample.difference]

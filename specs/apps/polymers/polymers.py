@@ -84,13 +84,17 @@ class Search:
     def run(self) -> None:
         wanted, experiment = self.wanted, self.experiment
         experiment.run(FLOWS / "new_plate.yaml")
-        experiment.note("loop_started", "make, measure and learn", batches=wanted.batches, target=wanted.target)
+        experiment.note(
+            "loop_started", "make, measure and learn", batches=wanted.batches, target=wanted.target
+        )
         for number in range(wanted.batches):
             self._batch(number)
             nearest = self.recommender.nearest
             met = nearest <= wanted.tolerance
             shown = nearest if self.samples else None
-            experiment.note("condition_checked", "near enough", nearest=shown, limit=wanted.tolerance, met=met)
+            experiment.note(
+                "condition_checked", "near enough", nearest=shown, limit=wanted.tolerance, met=met
+            )
             if met:
                 break
         experiment.note("loop_ended", "make, measure and learn", samples=len(self.samples))
@@ -134,7 +138,9 @@ class Search:
         for again in range(self.wanted.measure_again):
             if not judged.no_number:
                 break
-            self._tell_error("no number in a spectrum", judged.no_number, table, f"measured again ({again + 1})")
+            self._tell_error(
+                "no number in a spectrum", judged.no_number, table, f"measured again ({again + 1})"
+            )
             result = self.experiment.run(
                 FLOWS / "measure_again.yaml", {"batch": number, "step": self.wanted.step_nm}
             )
@@ -151,7 +157,9 @@ class Search:
     def _handle_saturated(self, wells: list[str], table: Any) -> None:
         self._tell_error("saturated spectrum", wells, table, self.wanted.saturated)
         if self.wanted.saturated == "ask":
-            words = f"Spectra of {', '.join(wells)} are saturated: look at the plate and at the stock solutions."
+            words = (
+                f"Spectra of {', '.join(wells)} are saturated: look at the plate and at the stock solutions."
+            )
             self.experiment.run(FLOWS / "ask.yaml", {"instruction": words})
         self.monomers_ul *= THINNER
 
@@ -202,7 +210,9 @@ def main() -> int:
     parser.add_argument("--home", help="the lab's folder")
     parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
     parser.add_argument("--user", default="ada", help="whose experiment it is")
-    parser.add_argument("--payload", type=Path, default=HERE / "payloads" / "violet.yaml", help="what is wanted")
+    parser.add_argument(
+        "--payload", type=Path, default=HERE / "payloads" / "violet.yaml", help="what is wanted"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the recommender")
     parser.add_argument("--out", type=Path, help="a folder for the report (polymers-EXPERIMENT)")
     parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
