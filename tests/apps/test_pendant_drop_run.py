@@ -10,15 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
-
-from tests.support.needed import need
-
-need("aioca", "epics")
-for package in ("scipy", "matplotlib"):
-    pytest.importorskip(package)
-
 from pendant_drop import Wanted, measure_diffusion
+from PIL import Image
 
 from labos.client import LabClient, RunFailed
 from labos.errors import LabosError
@@ -27,6 +20,9 @@ from labos.settings import Settings
 from tests.apps.beamline import Beamline
 from tests.apps.conftest import OpenLab
 from tests.apps.support import cancel_at, notes, standing, until_clean
+from tests.support.needed import need
+
+need("aioca", "epics")
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(120)]
 

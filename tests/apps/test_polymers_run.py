@@ -7,10 +7,6 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-
-for package in ("colour", "sklearn", "matplotlib"):
-    pytest.importorskip(package)
-
 from polymers import Wanted, find_polymer
 
 from labos.client import LabClient, RunFailed

@@ -10,6 +10,7 @@ import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+from threadpoolctl import threadpool_limits
 
 LENGTHS = (5.0, 60.0)
 SPACING = 0.02
@@ -44,8 +45,10 @@ class Recommender:
         if len(self.recipes) < 4:
             return [_recipe(point) for point in self._anywhere(count)]
         candidates = np.vstack([self._anywhere(CANDIDATES // 2), self._near_best(CANDIDATES // 2)])
+        with threadpool_limits(1):  # more threads are slower with so few numbers
+            gains = self._gains(candidates)
         chosen: list[np.ndarray] = []
-        for number in np.argsort(-self._gains(candidates), kind="stable"):
+        for number in np.argsort(-gains, kind="stable"):
             point = candidates[number]
             if all(np.max(np.abs(point - other)) >= SPACING for other in chosen):
                 chosen.append(point)
