@@ -377,7 +377,7 @@ def _array_file(name: str, told: Reading) -> Attachment:
     values = numpy.asarray(told.value)
     if values.dtype.kind not in "buif":
         raise DeviceError(f"{name} is no array of numbers.", effects="all")
-    if values.dtype.kind in "ui" and values.size and 0 <= values.min() and values.max() < 256:
+    if values.dtype.kind in "ui" and values.size and values.min() >= 0 and values.max() < 256:
         values = values.astype("uint8")
     content = io.BytesIO()
     numpy.save(content, values.reshape(-1), allow_pickle=False)

@@ -1,5 +1,5 @@
-"""The instruments of the applications without a lab: simulated devices on one bench in memory, and the speckle
-of the simulated beamline."""
+"""The instruments of the applications without a lab: simulated devices on one bench in memory, and the
+speckle of the simulated beamline."""
 
 from __future__ import annotations
 
@@ -61,7 +61,9 @@ class Platform:
 
     def _setup(self, name: str) -> Setup:
         at = self.world.last_motion()  # each reading has other noise
-        return Setup(name=name, workcell="cnm", world=self.world, seed=self.seed * 1000 + at, config=self.config)
+        return Setup(
+            name=name, workcell="cnm", world=self.world, seed=self.seed * 1000 + at, config=self.config
+        )
 
 
 def _load_beamline() -> ModuleType:
@@ -76,7 +78,13 @@ beamline: Any = _load_beamline()
 
 
 def series(
-    liquid: str, particle: str, *, frames: int = 256, period: float = 2e-5, photons: float = 40.0, seed: int = 0
+    liquid: str,
+    particle: str,
+    *,
+    frames: int = 256,
+    period: float = 2e-5,
+    photons: float = 40.0,
+    seed: int = 0,
 ) -> Series:
     """What the detector sees of spheres in a liquid."""
     q = beamline.q_of_pixels()

@@ -54,7 +54,14 @@ def test_a_dark_or_saturated_series_is_told(photons: float, why: str) -> None:
 
 
 def test_a_series_that_is_not_whole_is_told() -> None:
-    told = {"side": 40, "frames": 256, "centre": -12.0, "q_per_pixel": 1e6, "period": 2e-5, "temperature": 298}
+    told = {
+        "side": 40,
+        "frames": 256,
+        "centre": -12.0,
+        "q_per_pixel": 1e6,
+        "period": 2e-5,
+        "temperature": 298,
+    }
     with pytest.raises(BadSeries, match="incomplete series"):
         series_of(told, np.zeros(100, "uint8"))
     assert series_of(told, np.zeros(256 * 1600, "uint8")).counts.shape == (256, 40, 40)

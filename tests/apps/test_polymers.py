@@ -73,8 +73,12 @@ def slow(*values: object) -> object:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, slow(3), slow(4), slow(5)])
-@pytest.mark.parametrize("target", [(44.0, 12.0, -55.0), slow((60.0, 49.0, 16.0)), slow((76.0, -33.0, -33.0))])
-def test_the_recommender_comes_within_what_is_just_seen(target: tuple[float, float, float], seed: int) -> None:
+@pytest.mark.parametrize(
+    "target", [(44.0, 12.0, -55.0), slow((60.0, 49.0, 16.0)), slow((76.0, -33.0, -33.0))]
+)
+def test_the_recommender_comes_within_what_is_just_seen(
+    target: tuple[float, float, float], seed: int
+) -> None:
     """At most ten batches of six; each measured as the reader does, with its noise."""
     platform, recommender = Platform(seed), Recommender(target, difference, seed)
     nearest = []

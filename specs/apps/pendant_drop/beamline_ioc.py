@@ -1,8 +1,8 @@
 """A simulated beamline as an EPICS IOC, on ``softioc``: a detector that sees speckle, and a microscope.
 
-It looks at the simulated bench: what the arm mixed, and whether a drop hung after the detector was armed. Spheres
-in the drop move by Brownian motion, and each pixel sees a speckle that forgets itself at the rate D q². All sizes
-are those of a small area of a fast detector; numbers are plausible, and invented.
+It looks at the simulated bench: what the arm mixed, and whether a drop hung after the detector was armed.
+Spheres in the drop move by Brownian motion, and each pixel sees a speckle that forgets itself at the rate
+D q². All sizes are those of a small area of a fast detector; numbers are plausible, and invented.
 
     WORLD=lab/worlds/aps_8id.db python specs/apps/pendant_drop/beamline_ioc.py
 
@@ -46,8 +46,8 @@ def q_of_pixels():
 
 
 def speckle(rate, frames, period, photons, random):
-    """Counts by frame and pixel: intensities of fields that forget themselves at ``rate`` (1/s), and the noise
-    of counting."""
+    """Counts by frame and pixel: intensities of fields that forget themselves at ``rate`` (1/s), and the
+    noise of counting."""
     keep = np.exp(-rate * period)
     renew = np.sqrt(1 - keep**2)
 
@@ -82,7 +82,10 @@ class Bench:
         self.path = path
 
     def motions(self, after=0):
-        words = "SELECT seq, verb, facts FROM motion WHERE seq > ? AND verb IN ('create_sample', 'run_droplet') ORDER BY seq"
+        words = (
+            "SELECT seq, verb, facts FROM motion"
+            " WHERE seq > ? AND verb IN ('create_sample', 'run_droplet') ORDER BY seq"
+        )
         try:
             with contextlib.closing(sqlite3.connect(f"file:{self.path}?mode=ro", uri=True, timeout=5)) as db:
                 return [(seq, verb, json.loads(facts)) for seq, verb, facts in db.execute(words, (after,))]

@@ -1,13 +1,14 @@
 """From a series of speckle to a diffusion coefficient.
 
 g₂(τ) = ⟨I(t) I(t+τ)⟩ / ⟨I⟩², over pixels of about one q and over time. For spheres that diffuse it is
-1 + β exp(-2 D q² τ) (Siegert), so that D is the slope of the rate Γ = D q² over q². Stokes and Einstein make a
-radius of it.
+1 + β exp(-2 D q² τ) (Siegert), so that D is the slope of the rate Γ = D q² over q². Stokes and Einstein make
+a radius of it.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,7 +95,7 @@ def dynamics_of(series: Series) -> Dynamics:
     q = series.q.reshape(-1)
     edges = np.quantile(q, np.linspace(0, 1, Q_BINS + 1))
     curves = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         inside = (q >= low) & (q <= high)
         curves.append(_curve(flat[:, inside], q[inside], series.period))
     q2, rates = np.array([curve.q**2 for curve in curves]), np.array([curve.rate for curve in curves])

@@ -48,12 +48,12 @@ def write_report(folder: Path, drops: Sequence[Drop], viscosity: float, where: s
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "drops.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow("well diffusion_m2_per_s error_m2_per_s radius_nm".split())
+        table.writerow(["well", "diffusion_m2_per_s", "error_m2_per_s", "radius_nm"])
         for drop in drops:
             radius = radius_of(drop.dynamics.diffusion, drop.temperature, viscosity)
             table.writerow([drop.well, drop.dynamics.diffusion, drop.dynamics.error, radius * 1e9])
-    _draw_g2(drops[0]).savefig(folder / "g2.png", dpi=110)
-    _draw_rates(drops).savefig(folder / "rates.png", dpi=110)
+    draw_g2(drops[0]).savefig(folder / "g2.png", dpi=110)
+    draw_rates(drops).savefig(folder / "rates.png", dpi=110)
     write_pictures(folder / "drop.png", drops[0].microscope, drops[0].frame)
     page = folder / "index.html"
     page.write_text(_page(drops, summary_of(drops, viscosity), where), "utf-8")
@@ -72,7 +72,8 @@ def write_pictures(path: Path, microscope: np.ndarray, frame: np.ndarray) -> Non
     both.save(path)
 
 
-def _draw_g2(drop: Drop) -> Figure:
+def draw_g2(drop: Drop) -> Figure:
+    """Correlations of a drop, with what was fitted."""
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     for number, curve in enumerate(drop.dynamics.curves):
@@ -87,7 +88,8 @@ def _draw_g2(drop: Drop) -> Figure:
     return figure
 
 
-def _draw_rates(drops: Sequence[Drop]) -> Figure:
+def draw_rates(drops: Sequence[Drop]) -> Figure:
+    """Rates over q², with a line for each drop."""
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     for number, drop in enumerate(drops):

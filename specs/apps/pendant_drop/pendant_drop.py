@@ -1,8 +1,8 @@
 """Pendant drop: measures how fast particles diffuse in a drop that hangs from a robot's pipette.
 
-The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": one workflow of an arm
-with a pipette on a tool changer, at a beamline whose detector takes a series of speckle. The series becomes a
-diffusion coefficient, and a radius by Stokes and Einstein.
+The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": one workflow of an
+arm with a pipette on a tool changer, at a beamline whose detector takes a series of speckle. The series
+becomes a diffusion coefficient, and a radius by Stokes and Einstein.
 
     python specs/apps/pendant_drop/pendant_drop.py --home lab --user qi
 """
@@ -159,8 +159,8 @@ class Measurement:
 def measure_diffusion(
     lab: LabClient, user: str, wanted: Wanted, *, out: Path | None = None
 ) -> tuple[Summary, str]:
-    """Run the experiment and write its report; returns what was found, and a line about it that says where the
-    data is."""
+    """Run the experiment and write its report; returns what was found, and a line about it that says where
+    the data is."""
     with Experiment(lab, "pendant drop", user, workcell="aps_8id") as experiment:
         measurement = Measurement(lab, experiment, wanted)
         measurement.run()
@@ -174,7 +174,8 @@ def measure_diffusion(
         experiment.note("publication", "report", page=str(page.resolve()))
     found = summary_of(measurement.drops, wanted.viscosity)
     return found, (
-        f"D = {found.diffusion * 1e12:.3f} ± {found.error * 1e12:.3f} µm²/s, a radius of {found.radius * 1e9:.1f} nm, "
+        f"D = {found.diffusion * 1e12:.3f} ± {found.error * 1e12:.3f} µm²/s, "
+        f"a radius of {found.radius * 1e9:.1f} nm, "
         f"from {len(measurement.drops)} of {len(wanted.wells)} drops. The data: {where}; {page}"
     )
 

@@ -8,13 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from polymer_colours import Lab, rgb_of
 from polymer_recommender import Recipe
-
-mpl.rcParams["svg.hashsalt"] = "polymers"
 
 
 class Sample(NamedTuple):
@@ -34,8 +31,8 @@ def write_report(folder: Path, samples: Sequence[Sample], target: Lab, tolerance
     """Write ``spectra.png``, ``convergence.png``, ``samples.csv`` and ``index.html``; returns the page."""
     folder.mkdir(parents=True, exist_ok=True)
     _write_table(folder / "samples.csv", samples)
-    _draw_spectra(samples).savefig(folder / "spectra.png", dpi=110)
-    _draw_convergence(samples, target, tolerance).savefig(folder / "convergence.png", dpi=110)
+    draw_spectra(samples).savefig(folder / "spectra.png", dpi=110)
+    draw_convergence(samples, target, tolerance).savefig(folder / "convergence.png", dpi=110)
     page = folder / "index.html"
     page.write_text(_page(samples, target, tolerance, where), "utf-8")
     return page
@@ -44,14 +41,30 @@ def write_report(folder: Path, samples: Sequence[Sample], target: Lab, tolerance
 def _write_table(path: Path, samples: Sequence[Sample]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow("batch well share_A share_B share_C chain_length L a b x y difference_CIE2000".split())
+        table.writerow(
+            [
+                "batch",
+                "well",
+                "share_A",
+                "share_B",
+                "share_C",
+                "chain_length",
+                "L",
+                "a",
+                "b",
+                "x",
+                "y",
+                "difference_CIE2000",
+            ]
+        )
         for sample in samples:
             table.writerow(
                 [sample.batch, sample.well, *sample.recipe, *sample.lab, *sample.xy, sample.difference]
             )
 
 
-def _draw_spectra(samples: Sequence[Sample]) -> Figure:
+def draw_spectra(samples: Sequence[Sample]) -> Figure:
+    """Spectra, each in the colour that it makes."""
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     for sample in samples:
@@ -60,7 +73,8 @@ def _draw_spectra(samples: Sequence[Sample]) -> Figure:
     return figure
 
 
-def _draw_convergence(samples: Sequence[Sample], target: Lab, tolerance: float) -> Figure:
+def draw_convergence(samples: Sequence[Sample], target: Lab, tolerance: float) -> Figure:
+    """How different from the target each sample is, and the nearest beside the target."""
     figure = Figure(figsize=(7, 4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 1))
     order = np.arange(1, len(samples) + 1)
@@ -87,9 +101,9 @@ def _page(samples: Sequence[Sample], target: Lab, tolerance: float, where: str) 
 <style>body{{font-family:sans-serif;max-width:50em;margin:2em auto}}img{{max-width:100%}}
 td,th{{padding:.2em .6em;text-align:right}}</style>
 <h1>Electrochromic polymers</h1>
-<p>Target L*a*b* {target}; nearest {nearest.lab} in well {nearest.well} of batch {nearest.batch}: a difference of
-{nearest.difference:.2f} (CIE 2000), tolerance {tolerance:g}. Recipe: {a:.3f}, {b:.3f} and {c:.3f} of the monomers
-A, B and C, {length:g} units in a chain.</p>
+<p>Target L*a*b* {target}; nearest {nearest.lab} in well {nearest.well} of batch {nearest.batch}:
+a difference of {nearest.difference:.2f} (CIE 2000), tolerance {tolerance:g}. Recipe: {a:.3f}, {b:.3f} and
+{c:.3f} of the monomers A, B and C, {length:g} units in a chain.</p>
 <img src="convergence.png" alt="difference to the target, sample by sample">
 <img src="spectra.png" alt="spectra">
 <table><tr><th></th><th>batch</th><th>well</th><th>A</th><th>B</th><th>C</th><th>units</th><th>difference</th></tr>

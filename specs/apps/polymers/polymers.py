@@ -1,8 +1,8 @@
 """Electrochromic polymers: finds the monomers and the chain length of a polymer of a wanted colour.
 
-The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": a synthesis platform
-makes a batch of polymers on a plate, an arm carries it to a reader and back, spectra become colours, and a
-model proposes the next batch.
+The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": a synthesis
+platform makes a batch of polymers on a plate, an arm carries it to a reader and back, spectra become colours,
+and a model proposes the next batch.
 
     python specs/apps/polymers/polymers.py --home lab --user ada
 """
@@ -132,8 +132,8 @@ class Search:
         return {**doses, **more}
 
     def _good_wells(self, number: int, wells: list[str], spectra: Spectra, table: Any) -> list[str]:
-        """Wells whose spectra can be used. Those without numbers are measured again; of saturated ones a person
-        is asked, or the next batch is made thinner. What stays bad is left out."""
+        """Wells whose spectra can be used. Those without numbers are measured again; of saturated ones a
+        person is asked, or the next batch is made thinner. What stays bad is left out."""
         judged = judge(spectra, wells)
         for again in range(self.wanted.measure_again):
             if not judged.no_number:
@@ -200,7 +200,8 @@ def find_polymer(lab: LabClient, user: str, wanted: Wanted, *, seed: int = 0, ou
     nearest = search.recommender.nearest
     verdict = "found" if nearest <= wanted.tolerance else "not found"
     return (
-        f"{verdict}: a difference of {nearest:.2f} (CIE 2000) to the target after {len(search.samples)} samples. "
+        f"{verdict}: a difference of {nearest:.2f} (CIE 2000) to the target "
+        f"after {len(search.samples)} samples. "
         f"The data: {where}; {page}"
     )
 
