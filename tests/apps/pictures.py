@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from labos.spec.library import specs_folder
 
 APPS = specs_folder() / "apps"
-VIOLET = (44.0, 12.0, -55.0)
+BLUE = (44.0, 12.0, -55.0)
 
 
 def draw_polymers() -> Figure:
-    """The way to a blue-violet, of a simulated platform and reader."""
+    """The way to a deep blue, of a simulated platform and reader."""
     from polymer_colours import chromaticity_of, difference, lab_of
     from polymer_recommender import Recommender
     from polymer_report import Sample, draw_convergence
@@ -24,7 +24,7 @@ def draw_polymers() -> Figure:
 
     from tests.apps.simulated import Platform
 
-    platform, recommender = Platform(), Recommender(VIOLET, difference, 0)
+    platform, recommender = Platform(), Recommender(BLUE, difference, 0)
     samples: list[Sample] = []
     for batch in range(4):
         wells, recipes = well_names(6 * batch, 6), recommender.ask(6)
@@ -32,10 +32,10 @@ def draw_polymers() -> Figure:
         nm, spectra = platform.measure()
         labs = [lab_of(nm, spectra[well]) for well in wells]
         for well, recipe, lab in zip(wells, recipes, labs, strict=True):
-            apart, xy = difference(lab, VIOLET), chromaticity_of(nm, spectra[well])
+            apart, xy = difference(lab, BLUE), chromaticity_of(nm, spectra[well])
             samples.append(Sample(batch, well, recipe, lab, xy, apart, nm, spectra[well]))
         recommender.tell(recipes, labs)
-    return draw_convergence(samples, VIOLET, 1.0)
+    return draw_convergence(samples, BLUE, 1.0)
 
 
 def draw_pendant_drop() -> Figure:

@@ -132,4 +132,4 @@ def test_a_bad_payload_is_refused_with_its_reason(tmp_path: Path, text: str, why
 def test_the_packaged_payload_is_good() -> None:
     from polymers import HERE
 
-    assert read_wanted(HERE / "payloads" / "violet.yaml") == Wanted((44.0, 12.0, -55.0))
+    assert read_wanted(HERE / "payloads" / "blue.yaml") == Wanted((44.0, 12.0, -55.0))

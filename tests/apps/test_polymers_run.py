@@ -16,7 +16,7 @@ from tests.apps.support import cancel_at, notes, standing, until_clean
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(120)]
 
-VIOLET = (44.0, 12.0, -55.0)
+BLUE = (44.0, 12.0, -55.0)
 SPEED = 20_000.0
 
 
@@ -25,7 +25,7 @@ def test_a_colour_is_found_and_its_data_is_where_the_last_line_says(
 ) -> None:
     out = tmp_path / "out"
     with open_lab("cnm", SPEED, ("bubbles: 0.02", "bubbles: 0.3")) as lab, LabClient(lab.url) as client:
-        told = find_polymer(client, "ada", Wanted(VIOLET, tolerance=1.0), out=out)
+        told = find_polymer(client, "ada", Wanted(BLUE, tolerance=1.0), out=out)
         assert told.startswith("found: ")
         assert "experiment E1" in told
         assert told.endswith(str(out / "index.html"))
@@ -53,7 +53,7 @@ def test_a_person_is_asked_of_saturated_spectra_and_a_cancelled_search_is_cleare
     open_lab: OpenLab, tmp_path: Path
 ) -> None:
     with open_lab("cnm", 5000.0, ("bubbles: 0.02", "bubbles: 0")) as lab, LabClient(lab.url) as client:
-        thick = Wanted(VIOLET, tolerance=0.0, batches=2, wells=4, monomers_ul=240.0)
+        thick = Wanted(BLUE, tolerance=0.0, batches=2, wells=4, monomers_ul=240.0)
         told = find_polymer(client, "ada", thick, out=tmp_path / "out")
         assert told.startswith("not found: ")
         saturated = notes(client, "saturated spectrum")
@@ -66,7 +66,7 @@ def test_a_person_is_asked_of_saturated_spectra_and_a_cancelled_search_is_cleare
         until_clean(client)
 
         for action in ("run_program", "measure_sample"):
-            why = cancel_at(client, lambda: find_polymer(client, "ada", Wanted(VIOLET), out=tmp_path), action)
+            why = cancel_at(client, lambda: find_polymer(client, "ada", Wanted(BLUE), out=tmp_path), action)
             assert isinstance(why, RunFailed)
             assert why.result.status == "cancelled"
             until_clean(client)

@@ -212,7 +212,7 @@ def main() -> int:
     parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
     parser.add_argument("--user", default="ada", help="whose experiment it is")
     parser.add_argument(
-        "--payload", type=Path, default=HERE / "payloads" / "violet.yaml", help="what is wanted"
+        "--payload", type=Path, default=HERE / "payloads" / "blue.yaml", help="what is wanted"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the recommender")
     parser.add_argument("--out", type=Path, help="a folder for the report (polymers-EXPERIMENT)")
