@@ -354,7 +354,7 @@ class SignalNode(ForeignNode):
             else:
                 result = _plain(await self._get(told.result)) if told.result else None
             if told.files:
-                files = {key: _array_file(key, await self._get(name)) for key, name in told.files.items()}
+                files = {key: array_file(key, await self._get(name)) for key, name in told.files.items()}
                 result = {**(result or {}), **files}
             # What was last told of its state may be older than the end.
             state = self.mapping.state
@@ -368,7 +368,7 @@ class SignalNode(ForeignNode):
         return result
 
 
-def _array_file(name: str, told: Reading) -> Attachment:
+def array_file(name: str, told: Reading) -> Attachment:
     """An array as numpy writes it. Raises DeviceError for what is no array of numbers."""
     try:
         import numpy
