@@ -4,7 +4,7 @@ It looks at the simulated bench: what the arm mixed, and whether a drop hung aft
 Spheres in the drop move by Brownian motion, and each pixel sees a speckle that forgets itself at the rate
 D q². All sizes are those of a small area of a fast detector; numbers are plausible, and invented.
 
-    WORLD=lab/worlds/aps_8id.db python specs/apps/pendant_drop/beamline_ioc.py
+    WORLD=lab/world/aps_8id.db python specs/apps/pendant_drop/beamline_ioc.py
 
 ``FAULTS`` is a list by commas of what goes wrong with the first series: ``dark`` (no beam), ``bright`` (no
 attenuator helps) or nothing.
@@ -15,6 +15,7 @@ import json
 import math
 import os
 import sqlite3
+import sys
 import threading
 import time
 
@@ -90,7 +91,7 @@ class Bench:
             with contextlib.closing(sqlite3.connect(f"file:{self.path}?mode=ro", uri=True, timeout=5)) as db:
                 return [(seq, verb, json.loads(facts)) for seq, verb, facts in db.execute(words, (after,))]
         except sqlite3.OperationalError:
-            return []  # nothing has moved yet
+            return []  # the lab has not begun yet
 
 
 class Beamline:
@@ -117,8 +118,11 @@ class Beamline:
 
 
 def main():
+    world = os.environ.get("WORLD", "")
+    if not os.path.isdir(os.path.dirname(world) or "."):
+        sys.exit(f"There is no simulated bench {world!r}. Start the lab first, and set WORLD to its file.")
     faults = [fault.strip() for fault in os.environ.get("FAULTS", "").split(",") if fault.strip()]
-    beamline = Beamline(Bench(os.environ["WORLD"]), faults, int(os.environ.get("SEED", "0")))
+    beamline = Beamline(Bench(world), faults, int(os.environ.get("SEED", "0")))
     dispatcher = asyncio_dispatcher.AsyncioDispatcher()
     builder.SetDeviceName(os.environ.get("PREFIX", "8IDI"))
 
