@@ -101,6 +101,8 @@ class Beamline:
         self.armed_at = None
 
     def arm(self):
+        if not os.path.exists(self.bench.path):
+            print(f"There is no simulated bench {self.bench.path}: no drop will be seen.", flush=True)  # noqa: T201
         seen = self.bench.motions()
         self.armed_at = seen[-1][0] if seen else 0
 
@@ -119,8 +121,8 @@ class Beamline:
 
 def main():
     world = os.environ.get("WORLD", "")
-    if not os.path.isdir(os.path.dirname(world) or "."):
-        sys.exit(f"There is no simulated bench {world!r}. Start the lab first, and set WORLD to its file.")
+    if not world:
+        sys.exit("Set WORLD to the file of the lab's simulated bench, as lab/world/aps_8id.db.")
     faults = [fault.strip() for fault in os.environ.get("FAULTS", "").split(",") if fault.strip()]
     beamline = Beamline(Bench(world), faults, int(os.environ.get("SEED", "0")))
     dispatcher = asyncio_dispatcher.AsyncioDispatcher()
