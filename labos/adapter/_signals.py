@@ -9,6 +9,7 @@ what an action is ``done`` by names the action's own id, the device's word count
 from __future__ import annotations
 
 import asyncio
+import io
 from typing import Any, ClassVar
 
 import msgspec
@@ -21,11 +22,13 @@ from labos.adapter._channels import (
     Reading,
     fits,
     leaves_open,
+    missing_package,
 )
 from labos.adapter._foreign import ForeignNode
 from labos.adapter._placeholders import fill
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.files import Attachment
 from labos.node.node import Setup, current_action
 from labos.spec.flaws import flaw_in
 from labos.spec.signals import Actuation, Condition, Protocol, Put, SignalMapping
@@ -350,6 +353,9 @@ class SignalNode(ForeignNode):
                 result: Any = {key: _plain(await self._get(name)) for key, name in told.result.items()}
             else:
                 result = _plain(await self._get(told.result)) if told.result else None
+            if told.files:
+                files = {key: array_file(key, await self._get(name)) for key, name in told.files.items()}
+                result = {**(result or {}), **files}
             # What was last told of its state may be older than the end.
             state = self.mapping.state
             for name in {*state.alarms, *(error.pv for error in state.error), state.why} - {""}:
@@ -360,6 +366,22 @@ class SignalNode(ForeignNode):
         if error := self._error():
             raise DeviceError(f"It came to its end, and then: {error}")
         return result
+
+
+def array_file(name: str, told: Reading) -> Attachment:
+    """An array as numpy writes it. Raises DeviceError for what is no array of numbers."""
+    try:
+        import numpy
+    except ImportError as error:
+        raise missing_package(error) from error
+    values = numpy.asarray(told.value)
+    if values.dtype.kind not in "buif":
+        raise DeviceError(f"{name} is no array of numbers.", effects="all")
+    if values.dtype.kind in "ui" and values.size and values.min() >= 0 and values.max() < 256:
+        values = values.astype("uint8")
+    content = io.BytesIO()
+    numpy.save(content, values.reshape(-1), allow_pickle=False)
+    return Attachment(f"{name}.npy", content.getvalue())
 
 
 def _names(mapping: SignalMapping) -> set[str]:

@@ -22,7 +22,8 @@ class EpicsNode(SignalNode):
 
     def client(self, protocol: Protocol) -> Channels:
         address = str(self.setup.config.get(f"{protocol}_address") or "")
-        numbers = frozenset(self.mapping.find(name)[1] for name in self.mapping.numbers)
+        files = [name for action in self.mapping.actions.values() for name in action.files.values()]
+        numbers = frozenset(self.mapping.find(name)[1] for name in (*self.mapping.numbers, *files))
         if protocol == "ca":
             from labos.adapter._epics_ca import CaChannels
 

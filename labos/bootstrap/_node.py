@@ -120,7 +120,9 @@ async def run_node(
                 f"This node would be {ours}, but the lab's bench is {theirs}.",
                 remedy="Start it with --simulate." if told.simulated else "Start it without --simulate.",
             )
-        foreign = not simulate and told.interface not in ("", "native")
+        # On a simulated bench only what is said to be a simulator itself is reached at its address.
+        reached = not simulate or told.config.get("simulator") is True
+        foreign = reached and told.interface not in ("", "native")
         told = with_own_settings(told, settings.node_settings, module)
         node_class = foreign_class(module, told) if foreign else own_class(module, told, node_class)
         node = node_class(_setup(name, workcell, settings, told, simulate, wire))

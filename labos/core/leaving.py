@@ -15,7 +15,7 @@ import msgspec
 
 from labos.core.algebra import away_from_rest, carry, settings_after
 from labos.core.branches import order_of
-from labos.core.effects import Needs, carried
+from labos.core.effects import Needs, Requires, Sets, carried
 from labos.core.ids import ModuleName, StationName, run_owner
 from labos.core.model import ON_CANCEL, Plan, PlanStep
 from labos.core.runs import RunState, RunStatus
@@ -74,8 +74,11 @@ def _needed(step: PlanStep, scene: Scene) -> bool:
         return False
     doors = settings_after(step.effects).variables
     now = scene.doors.get(step.module, {})
-    changes = len(doors) < len(step.effects) or any(now.get(name) != value for name, value in doors.items())
-    return changes or not doors
+    does_more = any(
+        not isinstance(effect, Requires) and not (isinstance(effect, Sets) and effect.of == "module")
+        for effect in step.effects
+    )
+    return does_more or not doors or any(now.get(name) != value for name, value in doors.items())
 
 
 def _carry_out(step: PlanStep, scene: Scene) -> None:

@@ -54,14 +54,22 @@ class Condition(Part):
 
 class Actuation(Part):
     """An action: ``set`` what moves nothing, then ``start`` it with one put; it is ``done`` when all of
-    these hold, and has ``failed`` when one of those does."""
+    these hold, and has ``failed`` when one of those does. ``files`` are arrays of numbers that are too long
+    for a result: each becomes a file of it, ``NAME.npy``, as numpy writes arrays."""
 
     start: Put
     set: Many[Put] = []
     done: Many[Condition] = []
     failed: Many[Condition] = []
     result: str | dict[str, str] = ""
+    files: dict[str, str] = {}
     timeout: Seconds | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _names_what_stands_beside_files(self) -> Actuation:
+        if self.files and isinstance(self.result, str) and self.result:
+            raise ValueError("beside `files`, `result` needs a name for each process variable")
+        return self
 
     @property
     def is_proven(self) -> bool:

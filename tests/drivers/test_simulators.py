@@ -407,7 +407,7 @@ def test_readers_read_behind_a_closed_gate(bench: Bench, world: World) -> None:
         await hidex.close_lid()
         await tecan.close_gate()
         assert await hidex.run_assay("OD") == "OD_0001.csv"
-        assert await tecan.measure_sample("ECP", tecan_iteration=2) == "tecan_2.asc"
+        assert (await tecan.measure_sample("ECP", tecan_iteration=2)).name == "tecan_2.asc"
 
     asyncio.run(body())
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from labos.errors import DeviceError
 from labos_drivers.gateway.driver import GatewayDriver
@@ -21,11 +23,20 @@ class ChemspeedDriver(GatewayDriver):
     async def close_gate(self) -> None:
         await self.call("close_lid")
 
-    async def run_program(self, program: str) -> None:
+    async def run_program(
+        self,
+        program: str,
+        wells: Sequence[str] = (),
+        volumes: Mapping[str, Sequence[float]] | None = None,
+        lengths: Sequence[float] = (),
+    ) -> None:
         if not PROGRAM.fullmatch(program):
             raise DeviceError(
                 f"{self.name}: {program[:40]!r} is no name of a program.",
                 effects="none",
                 remedy="Name it as AutoSuite does, without a folder.",
             )
-        await self.call("run_program", program=program)
+        recipe: dict[str, Any] = {}
+        if wells:
+            recipe = {"wells": list(wells), "volumes": dict(volumes or {}), "lengths": list(lengths)}
+        await self.call("run_program", program=program, **recipe)

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from labos.node import Param, Requires, Sets, Station, action
+from labos.node import Param, Requires, Sets, Station, Transfers, action
 from labos_drivers.chemspeed.driver import ChemspeedDriver
 from labos_drivers.chemspeed.simulator import ChemspeedSimulator
 from labos_drivers.chemspeed.wire import ChemspeedOnWire
 from labos_drivers.gateway.driver import BehindGateway
+
+MONOMERS = ("monomer_A", "monomer_B", "monomer_C")
+
+Volumes = Annotated[
+    list[float] | None,
+    Param(unit="µL", description="of that monomer's solution, a volume for each well"),
+]
 
 
 class Chemspeed(BehindGateway):
@@ -39,12 +46,30 @@ class Chemspeed(BehindGateway):
         """Close the hood."""
         await self.device.close_gate()
 
-    @action(Requires("module", "lid", "closed"), duration_s=3600, aliases=("run_protocol", "run_chemspeed"))
+    @action(
+        Requires("module", "lid", "closed"),
+        *(Transfers(monomer, "{wells}", f"{{{monomer}_volumes}}") for monomer in MONOMERS),
+        duration_s=3600,
+        aliases=("run_protocol", "run_chemspeed"),
+    )
     async def run_program(
         self,
         program: Annotated[
             str, Param(aliases=("name_protocol", "program_name"), description="an AutoSuite program")
         ],
+        wells: Annotated[
+            list[str] | None, Param(description="wells of the plate that the program fills, as [A1, A2]")
+        ] = None,
+        monomer_A_volumes: Volumes = None,  # noqa: N803
+        monomer_B_volumes: Volumes = None,  # noqa: N803
+        monomer_C_volumes: Volumes = None,  # noqa: N803
+        chain_lengths: Annotated[
+            list[float] | None, Param(unit="1", description="units in a chain, a number for each well")
+        ] = None,
     ) -> None:
-        """Run a program to its end; the hood must be closed."""
-        await self.device.run_program(program)
+        """Run a program to its end; the hood must be closed.
+
+        A program that makes polymers to measure reads what each well is to get."""
+        given = dict(zip(MONOMERS, (monomer_A_volumes, monomer_B_volumes, monomer_C_volumes), strict=True))
+        volumes = {monomer: doses for monomer, doses in given.items() if doses is not None}
+        await self.device.run_program(program, wells or (), volumes, chain_lengths or ())

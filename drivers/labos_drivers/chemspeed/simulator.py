@@ -2,17 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
+from labos.node import DeviceError
 from labos_drivers._simulation import Gated
 
 
 class ChemspeedSimulator(Gated):
-    """A platform that makes its samples with or without a plate from outside."""
+    """A platform that makes its samples with or without a plate from outside. With the configuration
+    ``bubbles`` (0 to 1) some wells keep a bubble."""
 
     gate_s = 6.0
 
-    async def run_program(self, program: str) -> None:
+    async def run_program(
+        self,
+        program: str,
+        wells: Sequence[str] = (),
+        volumes: Mapping[str, Sequence[float]] | None = None,
+        lengths: Sequence[float] = (),
+    ) -> None:
+        volumes = volumes or {}
+        for what, values in {**volumes, "chain_lengths": lengths}.items():
+            if len(values) != len(wells):
+                raise DeviceError(
+                    f"{self.name}: {len(wells)} wells, but {len(values)} values of {what}.",
+                    effects="none",
+                    remedy="Give one value a well.",
+                )
         with self.motion():
             self.needs_closed()
             await self.take_time(3600)
             place = self.place("default")
-            self.world.work(self.name, "synthesise", place if self.top(place) else "", program=program)
+            if wells and not self.top(place):
+                raise DeviceError(f"{self.name}: there is no plate to fill.", effects="none")
+            recipe = {"wells": list(wells), "volumes": dict(volumes), "lengths": list(lengths)}
+            self.world.work(
+                self.name,
+                "synthesise",
+                place if self.top(place) else "",
+                program=program,
+                **(recipe if wells else {}),
+            )
+            for well in wells:
+                if self._random.random() < float(self.config.get("bubbles", 0.0)):
+                    self.world.work(self.name, "bubble", place, well=well)

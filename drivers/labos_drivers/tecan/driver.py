@@ -106,7 +106,7 @@ class TecanDriver(Wired):
             with self._scanning():
                 for wavelength in wavelengths:
                     spectra[wavelength] = self._spectrum_at(wavelength, grid)
-            return Attachment(name, _table(spectra, grid))
+            return Attachment(name, protocol.write_table(spectra, grid))
 
     def _wavelengths(self, start_nm: float, end_nm: float, step_nm: float) -> list[float]:
         if start_nm > end_nm:
@@ -293,12 +293,3 @@ class TecanDriver(Wired):
             error.remedy = error.remedy or "Check that no other program uses the reader."
             raise
         return WHO if text.decode("ascii", "replace").startswith(STATES) else f"what answers {text[:40]!r}"
-
-
-def _table(spectra: Spectra, grid: Grid) -> bytes:
-    lines = ["\t".join(["*", *(f"{nm:g}nm" for nm in spectra)])]
-    for row in range(grid.rows):
-        for column in range(grid.columns):
-            well = grid.well(row, column)
-            lines.append("\t".join([well, *(f"{told[well]:.4f}" for told in spectra.values())]))
-    return ("\r\n".join(lines) + "\r\n").encode("utf-16-le")

@@ -51,7 +51,7 @@ class Tecan(OnBenchOrWire):
         tecan_iteration: Annotated[int, Param(unit="1", minimum=0, description="numbers the file")] = 0,
         step: Annotated[float, Param(unit="nm", minimum=0.1, maximum=770)] = 20.0,
         wells: Annotated[int, Param(unit="1", choices=(96, 384))] = 96,
-    ) -> Attachment | str:
+    ) -> Attachment:
         """Measure a spectrum of each well; the result is the file that the reader exported."""
         name = f"{self.setup.name}_{tecan_iteration}.asc"
         return await self.device.measure(protocol_path, start, end, step, wells, name)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import xor
 from typing import NamedTuple
@@ -186,3 +186,14 @@ def optical_density(told: Calibration, pairs: Sequence[tuple[int, int]]) -> floa
         raise ValueError("the lamp gave no light")
     transmittance = sum(seen) / len(seen) * (told.reference_bright - told.reference_dark) / through
     return round(-math.log10(max(transmittance, 10**-MOST_OD)), 4)
+
+
+def write_table(spectra: Mapping[float, Mapping[str, float]], grid: Grid) -> bytes:
+    """Optical densities by wavelength and well, as Magellan exports them: tabs, UTF-16."""
+    lines = ["\t".join(["*", *(f"{nm:g}nm" for nm in spectra)])]
+    for row in range(grid.rows):
+        for column in range(grid.columns):
+            well = grid.well(row, column)
+            told = (spectrum[well] for spectrum in spectra.values())
+            lines.append("\t".join([well, *("NaN" if math.isnan(od) else f"{od:.4f}" for od in told)]))
+    return ("\r\n".join(lines) + "\r\n").encode("utf-16-le")

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 from zlib import crc32
 
+from labos.node import Attachment, DeviceError, World
+from labos_drivers import _polymers
 from labos_drivers._optics import absorbance_of
 from labos_drivers._simulation import Gated
+from labos_drivers.tecan.protocol import GRIDS, MOST_OD, write_table
+
+MOST_WAVELENGTHS = 800
 
 
 def absorbance(
@@ -21,23 +28,48 @@ def absorbance(
     return 0.04 + height / (1 + ((nm - middle) / 60) ** 2)
 
 
+def optics_of(world: World, plate: str) -> Callable[[str, float], float]:
+    """The optical density of a plate's wells at a wavelength (nm): of the polymers that were made in it, else
+    of what was pipetted into it."""
+    polymers = _polymers.synthesised(world, plate)
+    contents = {} if polymers else world.contents(plate)
+    nothing = _polymers.Polymer((0.0, 0.0, 0.0), 1.0)
+    if polymers:
+        return lambda well, nm: _polymers.absorbance_of(polymers.get(well, nothing), nm)
+    return lambda well, nm: absorbance(plate, well, nm, contents)
+
+
 class TecanSimulator(Gated):
-    """Reads what is on its carrier."""
+    """Reads what is on its carrier, with noise. A well with a bubble reads as no number."""
 
     variable = "gate"
     gate_s = 10.0
 
     async def measure(
         self, method: str, start_nm: float, end_nm: float, step_nm: float, wells: int, name: str
-    ) -> str:
+    ) -> Attachment:
+        count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
+        if not 0 < count <= MOST_WAVELENGTHS:
+            raise DeviceError(f"{self.name}: {count} wavelengths cannot be measured.", effects="none")
         with self.motion():
             self.needs_closed()
             self.needs_bare(self.place("default"), "reads through a lid")
             await self.take_time(350)
-            self.world.work(
-                self.name, "read", self.place("default"), method=method, start_nm=start_nm, end_nm=end_nm
-            )
-            return name
+            place = self.place("default")
+            bubbles = _polymers.bubbles_in(self.world, self.top(place))
+            plate = self.world.work(self.name, "read", place, method=method, start_nm=start_nm, end_nm=end_nm)
+            nms = [round(start_nm + number * step_nm, 1) for number in range(count)]
+            return Attachment(name, self._table(plate, nms, wells, bubbles))
+
+    def _table(self, plate: str, nms: list[float], wells: int, bubbles: set[str]) -> bytes:
+        grid, see = GRIDS[wells], optics_of(self.world, plate)
+        names = [grid.well(row, column) for row in range(grid.rows) for column in range(grid.columns)]
+        noisy, draw = _polymers.noisy, self._random.gauss
+        spectra = {
+            nm: {well: math.nan if well in bubbles else noisy(see(well, nm), draw, MOST_OD) for well in names}
+            for nm in nms
+        }
+        return write_table(spectra, grid)
 
     def reset(self) -> None:
         super().reset()

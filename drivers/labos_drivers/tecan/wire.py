@@ -10,7 +10,7 @@ from labos.node.world import lid_of
 from labos_drivers._onwire import OnWire
 from labos_drivers.tecan import protocol
 from labos_drivers.tecan.protocol import GRIDS, Calibration, frame
-from labos_drivers.tecan.simulator import absorbance
+from labos_drivers.tecan.simulator import optics_of
 
 CALIBRATION = Calibration(dark=120, bright=50120, reference_dark=80, reference_bright=40080)
 SETTINGS = re.compile(
@@ -186,7 +186,7 @@ class TecanOnWire(OnWire):
 
     def _flash(self, well: str) -> None:
         plate = self.top(self.place("default"))
-        od = absorbance(plate, well, self._nm, self.world.contents(plate)) if plate else 0.0
+        od = optics_of(self.world, plate)(well, self._nm) if plate else 0.0
         if plate and self.world.at(lid_of(plate)):
             self.world.crash(self.name, self.place("default"), "reads through a lid")
         light = 10**-od * self._random.gauss(1.0, 0.002)

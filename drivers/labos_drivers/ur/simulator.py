@@ -12,7 +12,8 @@ PENDANT_S = 50.0
 
 
 class URSimulator(Arm):
-    """With a gripper, and a dock from which it can fetch a pipette."""
+    """With a gripper, and a dock from which it can fetch a pipette. With the configuration ``falls`` (0 to 1)
+    some drops fall off the tip."""
 
     transfer_s = 45.0
 
@@ -27,6 +28,8 @@ class URSimulator(Arm):
 
     async def pendant(self, action: str, plate: str = "", **facts: Any) -> None:
         """An action of the pendant drop experiment."""
+        if action == "run_droplet" and self._random.random() < float(self.config.get("falls", 0.0)):
+            facts["fell"] = True
         with self.motion():
             if plate:
                 self.world.enter(self.name, self.place(plate))

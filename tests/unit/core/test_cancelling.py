@@ -198,3 +198,15 @@ def test_what_the_person_said_who_cancelled_is_in_the_log() -> None:
     assert [e.why for e in events if isinstance(e, RunCancelled)] == ["no more reagent"]
     with pytest.raises(AssertionError, match="The field 'why' has"):
         lab.do(CancelRun(run, stay=True, why="x" * 3000))  # type: ignore[arg-type]
+
+
+def test_a_tool_is_fetched_only_if_it_is_off_and_put_back_only_if_it_is_on() -> None:
+    """Steps that need a state and set another one are left out where the other one is there already."""
+    flow = with_way_out(
+        step("dev", requires("lid", "open"), sets("lid", "closed")),
+        step("dev", requires("lid", "closed"), sets("lid", "open")),
+    )
+    lab, run = under_way(2, flow)  # the lid is being closed
+    assert goes(lab, run) == [1]
+    lab, run = under_way(4, flow)  # it is being opened
+    assert goes(lab, run) == [0, 1]

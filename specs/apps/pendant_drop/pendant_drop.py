@@ -1,0 +1,208 @@
+"""Pendant drop: measures how fast particles diffuse in a drop that hangs from a robot's pipette.
+
+The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": one workflow of an
+arm with a pipette on a tool changer, at a beamline whose detector takes a series of speckle. The series
+becomes a diffusion coefficient, and a radius by Stokes and Einstein.
+
+    python specs/apps/pendant_drop/pendant_drop.py --home lab --user qi
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from drop_dynamics import BadSeries, dynamics_of, series_of
+from drop_report import Drop, Summary, summary_of, write_report
+
+from labos.client import Experiment, LabClient
+from labos.errors import BadInput, LabosError
+
+HERE = Path(__file__).resolve().parent
+FLOWS = HERE / "workflows"
+LESS_LIGHT = 1 / 3
+
+
+@dataclass
+class Wanted:
+    """What the payload file says."""
+
+    liquid_1: str
+    liquid_2: str
+    viscosity: float
+    wells: list[str] = field(default_factory=lambda: ["A1"])
+    frames: int = 256
+    period: float = 2e-5
+    transmission: float = 0.1
+    again: int = 3
+    no_drop: str = "again"
+
+    def __post_init__(self) -> None:
+        if not self.viscosity > 0:
+            raise BadInput("`viscosity` must be above 0.", remedy="Give it in Pa s: 0.00089 for water.")
+        if not self.wells:
+            raise BadInput("`wells` is empty.", remedy="Name a well: [A1].")
+        if self.no_drop not in ("again", "ask"):
+            raise BadInput(f"`no_drop: {self.no_drop}` is unknown.", remedy="Write again or ask.")
+
+
+def read_wanted(path: Path) -> Wanted:
+    """A payload file. Raises BadInput."""
+    try:
+        told = yaml.safe_load(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise BadInput(f"{path} cannot be read: {error}") from None
+    names = {known.name for known in fields(Wanted)}
+    if not isinstance(told, dict):
+        raise BadInput(f"{path} is no table.", remedy=f"Known are {', '.join(sorted(names))}.")
+    if unknown := sorted(set(told) - names):
+        raise BadInput(f"{path}: {unknown[0]!r} is unknown.", remedy=f"Known are {', '.join(sorted(names))}.")
+    try:
+        return Wanted(**told)
+    except TypeError as error:
+        raise BadInput(f"{path}: {error}.") from None
+
+
+class Measurement:
+    """One experiment: a drop from each well."""
+
+    def __init__(self, lab: LabClient, experiment: Experiment, wanted: Wanted) -> None:
+        self.lab, self.experiment, self.wanted = lab, experiment, wanted
+        self.transmission = wanted.transmission
+        self.drops: list[Drop] = []
+
+    def run(self) -> None:
+        wells = self.wanted.wells
+        self.experiment.note("loop_started", "drops", wells=wells)
+        for well in wells:
+            drop = self._measure(well)
+            if drop is not None:
+                self.drops.append(drop)
+        self.experiment.note("loop_ended", "drops", measured=[drop.well for drop in self.drops])
+
+    def _measure(self, well: str) -> Drop | None:
+        """A drop from a well; again, if it gave no good series. None if none did."""
+        for _ in range(1 + self.wanted.again):
+            told = self._run(well)
+            try:
+                drop = self._look(well, told)
+            except BadSeries as bad:
+                self._handle(str(bad), well, told)
+                continue
+            found = drop.dynamics
+            self.experiment.note(
+                "local_compute",
+                "diffusion coefficient",
+                well=well,
+                series=told["series"],
+                diffusion=found.diffusion,
+                error=found.error,
+                rates=[curve.rate for curve in found.curves],
+            )
+            return drop
+        return None
+
+    def _run(self, well: str) -> dict[str, Any]:
+        wanted = self.wanted
+        payload = {
+            "well": well,
+            "liquid_1": wanted.liquid_1,
+            "liquid_2": wanted.liquid_2,
+            "frames": wanted.frames,
+            "period": wanted.period,
+            "transmission": self.transmission,
+        }
+        result = self.experiment.run(FLOWS / "pendant_drop.yaml", payload)
+        told: dict[str, Any] = result.result("Take series")
+        return told
+
+    def _look(self, well: str, told: dict[str, Any]) -> Drop:
+        """What a series tells. Raises BadSeries."""
+        if told["drop"] not in ("Yes", 1):
+            raise BadSeries("no drop seen")
+        series = series_of(told, self._array(told["series"]))
+        picture = self._array(told["microscope"])
+        side = int(np.sqrt(picture.size))
+        return Drop(
+            well, dynamics_of(series), series.temperature, series.counts[0], picture.reshape(side, side)
+        )
+
+    def _array(self, file: Any) -> np.ndarray:
+        try:
+            return np.load(io.BytesIO(self.lab.file(file)), allow_pickle=False)
+        except ValueError as error:
+            raise BadSeries("unreadable series") from error
+
+    def _handle(self, what: str, well: str, told: dict[str, Any]) -> None:
+        """An experiment error: the result is out of range. Picture and series are named by their digests."""
+        then = "again"
+        if what == "saturated series":
+            self.transmission *= LESS_LIGHT
+            then = f"again with a transmission of {self.transmission:.3g}"
+        elif what == "no drop seen" and self.wanted.no_drop == "ask":
+            then = "a person is asked"
+        files = {name: told.get(name) for name in ("microscope", "series")}
+        self.experiment.note(
+            "condition_checked", what, met=False, error="experiment", well=well, then=then, **files
+        )
+        if then == "a person is asked":
+            words = f"No drop was seen from well {well}: look at the tip and at the well."
+            self.experiment.run(FLOWS / "ask.yaml", {"instruction": words})
+
+
+def measure_diffusion(
+    lab: LabClient, user: str, wanted: Wanted, *, out: Path | None = None
+) -> tuple[Summary, str]:
+    """Run the experiment and write its report; returns what was found, and a line about it that says where
+    the data is."""
+    with Experiment(lab, "pendant drop", user, workcell="aps_8id") as experiment:
+        measurement = Measurement(lab, experiment, wanted)
+        measurement.run()
+        if not measurement.drops:
+            raise LabosError(
+                f"No drop of {experiment.id} gave a series that could be used.",
+                remedy="Look at its pictures in the log.",
+            )
+        where = f"experiment {experiment.id} in the lab's log, with series and pictures as files"
+        page = write_report(out or Path(f"drops-{experiment.id}"), measurement.drops, wanted.viscosity, where)
+        experiment.note("publication", "report", page=str(page.resolve()))
+    found = summary_of(measurement.drops, wanted.viscosity)
+    return found, (
+        f"D = {found.diffusion * 1e12:.3f} ± {found.error * 1e12:.3f} µm²/s, "
+        f"a radius of {found.radius * 1e9:.1f} nm, "
+        f"from {len(measurement.drops)} of {len(wanted.wells)} drops. The data: {where}; {page}"
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Measure how fast particles diffuse in a pendant drop.")
+    parser.add_argument("--home", help="the lab's folder")
+    parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
+    parser.add_argument("--user", default="qi", help="whose experiment it is")
+    parser.add_argument(
+        "--payload", type=Path, default=HERE / "payloads" / "silica_50.yaml", help="what is measured"
+    )
+    parser.add_argument("--out", type=Path, help="a folder for the report (drops-EXPERIMENT)")
+    parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
+    given = parser.parse_args()
+    try:
+        wanted = read_wanted(given.payload)
+        with LabClient(given.url, home=given.home, patience_s=given.patience) as lab:
+            _, told = measure_diffusion(lab, given.user, wanted, out=given.out)
+    except LabosError as error:
+        print(f"pendant drop: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    print(f"pendant drop: {told}")  # noqa: T201
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

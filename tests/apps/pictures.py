@@ -1,0 +1,76 @@
+"""Draws the pictures of the applications' pages anew: ``python -m tests.apps.pictures``."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from labos.spec.library import specs_folder
+
+APPS = specs_folder() / "apps"
+BLUE = (44.0, 12.0, -55.0)
+
+
+def draw_polymers() -> Figure:
+    """The way to a deep blue, of a simulated platform and reader."""
+    from polymer_colours import chromaticity_of, difference, lab_of
+    from polymer_recommender import Recommender
+    from polymer_report import Sample, draw_convergence
+    from polymers import well_names
+
+    from tests.apps.simulated import Platform
+
+    platform, recommender = Platform(), Recommender(BLUE, difference, 0)
+    samples: list[Sample] = []
+    for batch in range(4):
+        wells, recipes = well_names(6 * batch, 6), recommender.ask(6)
+        platform.make(wells, recipes)
+        nm, spectra = platform.measure()
+        labs = [lab_of(nm, spectra[well]) for well in wells]
+        for well, recipe, lab in zip(wells, recipes, labs, strict=True):
+            apart, xy = difference(lab, BLUE), chromaticity_of(nm, spectra[well])
+            samples.append(Sample(batch, well, recipe, lab, xy, apart, nm, spectra[well]))
+        recommender.tell(recipes, labs)
+    return draw_convergence(samples, BLUE, 1.0)
+
+
+def draw_pendant_drop() -> Figure:
+    """Rates of three drops of the simulated beamline."""
+    from drop_dynamics import dynamics_of
+    from drop_report import Drop, draw_rates
+
+    from tests.apps.simulated import series
+
+    nothing = np.zeros((1, 1))
+    seen = [series("water", "silica_50", seed=seed) for seed in range(3)]
+    drops = [Drop(f"A{n + 1}", dynamics_of(s), s.temperature, nothing, nothing) for n, s in enumerate(seen)]
+    return draw_rates(drops)
+
+
+PICTURES = {"polymers": draw_polymers, "pendant_drop": draw_pendant_drop}
+
+
+def drawn(app: str) -> bytes:
+    """The picture of an application's page."""
+    content = io.BytesIO()
+    PICTURES[app]().savefig(content, format="png", dpi=90)
+    return content.getvalue()
+
+
+def picture_of(app: str) -> Path:
+    return APPS / app / f"{app}.png"
+
+
+def main() -> None:
+    for app in PICTURES:
+        sys.path.append(str(APPS / app))
+    for app in PICTURES:
+        picture_of(app).write_bytes(drawn(app))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""Arrays of process variables as files of a result."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labos.adapter._channels import Reading
+from labos.adapter._signals import array_file
+from labos.errors import DeviceError
+from labos.spec.flaws import flaw_in
+from labos.spec.signals import SignalMapping
+
+
+def read(values: Any) -> Any:
+    attachment = array_file("series", Reading(values))
+    assert attachment.name == "series.npy"
+    assert not isinstance(attachment.content, Path)
+    return np.load(io.BytesIO(attachment.content), allow_pickle=False)
+
+
+def test_numbers_come_back_as_they_were() -> None:
+    counts = read([0, 7, 255])
+    assert (counts.tolist(), counts.dtype) == ([0, 7, 255], np.uint8)
+    assert read([-1, 300]).tolist() == [-1, 300]
+    assert read([0.5, float("inf")]).tolist() == [0.5, float("inf")]
+    assert np.isnan(read([float("nan")]))
+    assert read(3).tolist() == [3], "an array of one value comes as that value"
+    assert read([]).size == 0
+
+
+@pytest.mark.parametrize("values", ["a picture", ["a", "b"], None])
+def test_what_is_no_array_of_numbers_is_told(values: Any) -> None:
+    with pytest.raises(DeviceError, match="series is no array of numbers") as told:
+        array_file("series", Reading(values))
+    assert told.value.effects == "all", "the action itself is over"
+
+
+def test_beside_files_a_result_has_names() -> None:
+    action = {"start": {"pv": "Expose"}, "files": {"series": "Series"}}
+    assert not flaw_in(SignalMapping, {"actions": {"expose": {**action, "result": {"frames": "Taken"}}}})
+    assert not flaw_in(SignalMapping, {"actions": {"expose": action}})
+    flaw = flaw_in(SignalMapping, {"actions": {"expose": {**action, "result": "Taken"}}})
+    assert "needs a name for each process variable" in str(flaw)
