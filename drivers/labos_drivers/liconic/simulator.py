@@ -118,10 +118,15 @@ class LiconicSimulator(Simulated):
                 self.world.crash(self.name, self.place(source), "moves a plate while it shakes")
             self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * nominal_s)
+            if source != "exchange" and self.top(self.place(source)):
+                self.world.work(self.name, "cool", self.place(source), at_h=self.hours())
             self.world.grip(self.name, self.place(source))
             await self.take_time(0.3 * nominal_s)
             self.world.enter(self.name, self.place(target))
             self.world.release(self.name, self.place(target))
+            if target != "exchange":
+                warm = {"at_h": self.hours(), "celsius": self.temperature.target}
+                self.world.work(self.name, "incubate", self.place(target), **warm)
             await self.take_time(0.3 * nominal_s)
 
     def look(self) -> dict[str, Any]:
