@@ -24,9 +24,9 @@ from labos.errors import LabosError
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [path for path in [str(HERE)] if path not in sys.path]
 
-from analysis import BadReading, Curve, check, fit  # noqa: E402
-from layout import DRUG  # noqa: E402
-from plots import draw, write_page  # noqa: E402
+from growth_analysis import BadReading, Curve, check, fit  # noqa: E402
+from growth_layout import DRUG  # noqa: E402
+from growth_plots import draw, write_page  # noqa: E402
 
 MOST_PLATES = 20
 """Of the first stacker of the incubator."""

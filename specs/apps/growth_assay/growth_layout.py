@@ -4,7 +4,7 @@ Columns 1 and 2 hold no drug, columns 3 to 12 a dose each, falling by half. Rows
 replicates of each dose), rows E to H the same without cells (their blanks). Run by itself, it writes the
 protocol of each workcell anew:
 
-    python specs/apps/growth_assay/layout.py
+    python specs/apps/growth_assay/growth_layout.py
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def for_ot2() -> str:
     """A protocol for the OT-2, as YAML."""
     wells = dict(zip(LIQUIDS, ("A1", "A3", "A4", "A2"), strict=True))
     lines = [
-        "# Written by layout.py: medium, drug and cells of an assay plate.",
+        "# Written by growth_layout.py: medium, drug and cells of an assay plate.",
         "metadata:",
         "  protocolName: Growth assay plate",
         '  apiLevel: "2.12"',

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from analysis import Column, Curve, summarise
+from growth_analysis import Column, Curve, summarise
 from matplotlib.figure import Figure
 
 NO_DOSE = 0.03

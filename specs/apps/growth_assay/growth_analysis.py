@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from layout import BLANKS, COLUMNS, REPLICATES, doses
+from growth_layout import BLANKS, COLUMNS, REPLICATES, doses
 from scipy.optimize import curve_fit
 
 from labos.errors import LabosError
