@@ -17,8 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from labos.client import Experiment, LabClient
-from labos.client._results import RunResult
+from labos.client import Experiment, LabClient, RunResult
 from labos.errors import LabosError
 
 HERE = Path(__file__).resolve().parent
