@@ -28,7 +28,10 @@ from labos.spec.uses import workflow_in
     "--map", "maps", multiple=True, metavar="OLD=NEW", help="A module, and the one that stands in for it."
 )
 @click.option(
-    "--output", "-o", type=click.Path(dir_okay=False, path_type=Path), help="The file to write (WORKFLOW_TO.yaml)."
+    "--output",
+    "-o",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The file to write (WORKFLOW_TO.yaml).",
 )
 @click.option("--force", is_flag=True, help="Overwrite a file that is there.")
 @payload_option
@@ -59,7 +62,8 @@ def command(
 
     path, known = spec_path("workflows", workflow), descriptions()
     before, after = (
-        compile_workcell(read(spec_path("workcells", name), last_wins=True), known).workcell for name in (old, new)
+        compile_workcell(read(spec_path("workcells", name), last_wins=True), known).workcell
+        for name in (old, new)
     )
     _, file = workflow_in(read(path, last_wins=True))
     if file is None:
@@ -85,7 +89,9 @@ def command(
             }
         )
     else:
-        show_table(("module", "becomes", "why"), [(m.module, m.becomes or "-", m.why) for m in proposal.matches])
+        show_table(
+            ("module", "becomes", "why"), [(m.module, m.becomes or "-", m.why) for m in proposal.matches]
+        )
         for misfit in proposal.misfits:
             click.echo(f"does not fit: {misfit}")
         for line in differing(text, renamed):
@@ -103,6 +109,8 @@ def _pairs(maps: tuple[str, ...]) -> dict[str, str]:
     for pair in maps:
         old, equals, new = pair.partition("=")
         if not (old and equals and new):
-            raise BadInput(f"--map {pair!r} is no pair of modules.", remedy="Write OLD=NEW: pf400=platecrane.")
+            raise BadInput(
+                f"--map {pair!r} is no pair of modules.", remedy="Write OLD=NEW: pf400=platecrane."
+            )
         found[old] = new
     return found

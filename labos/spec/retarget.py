@@ -126,9 +126,7 @@ def _places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterator[tuple[
             yield owner, station
 
 
-def _choose(
-    old: _Module, need: _Need, modules: Mapping[str, _Module], places: Stations
-) -> tuple[str, str]:
+def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: Stations) -> tuple[str, str]:
     """The module for which most speaks among those with all actions; of equals the first by name."""
     best, chosen, why = 0.0, "", "nothing here does that"
     for name, module in sorted(modules.items()):
@@ -197,6 +195,8 @@ def differing(old: str, new: str) -> Sequence[str]:
 
     return [
         line
-        for line in difflib.unified_diff(old.splitlines(), new.splitlines(), "before", "after", lineterm="", n=0)
+        for line in difflib.unified_diff(
+            old.splitlines(), new.splitlines(), "before", "after", lineterm="", n=0
+        )
         if not line.startswith("@@")
     ]

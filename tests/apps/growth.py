@@ -1,4 +1,4 @@
-"""The growth assay's own files, as its program imports them, and readings of a plate as the bench would show."""
+"""The growth assay's own files, as its program imports them, and readings of a plate as the bench shows it."""
 
 from __future__ import annotations
 

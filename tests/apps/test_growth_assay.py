@@ -61,15 +61,21 @@ def test_on_bio(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
     made = [run for run in runs if run.workflow == "create_plate"]
     read = {str(run.id): run for run in runs if run.workflow == "read_plate"}
     assert len(made) == len(read) == 3
-    ended = {run.id: step.ended_at for run in made for step in run.steps if step.key.endswith("Into incubator")}
+    ended = {
+        run.id: step.ended_at for run in made for step in run.steps if step.key.endswith("Into incubator")
+    }
     taken = sorted(
-        step.requested_at for run in read.values() for step in run.steps if step.key.endswith("Out of incubator")
+        step.requested_at
+        for run in read.values()
+        for step in run.steps
+        if step.key.endswith("Out of incubator")
     )
     twelve_h = 12 * 3600 * 1e9 / SPEED
     for warm, cold in zip(sorted(ended.values()), taken, strict=True):
         assert cold - warm >= twelve_h
     assert max(ended.values()) < min(taken), "the plates grew side by side"
-    assert World(str(tmp_path / "lab" / "world.sqlite")).crashes() == []
+    world = World(str(lab.runtime.settings.world("bio")))
+    assert (len(world.motions("incubate")), world.crashes()) == (3, [])
 
 
 @pytest.mark.full

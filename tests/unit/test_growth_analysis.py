@@ -1,4 +1,4 @@
-"""The growth assay's analysis, against the truth of the simulated bench and on readings that are of no use."""
+"""The growth assay's analysis, against the truth of the simulated bench and on useless readings."""
 
 from __future__ import annotations
 
@@ -67,7 +67,10 @@ def test_blanks_are_taken_off() -> None:
         ({"H12": math.nan, "B3": math.inf}, "2 of 96 wells have no value: B3, H12"),
         ({"C4": "OVER"}, "C4"),
         ({"C4": True}, "C4"),
-        ({f"A{column}": None for column in range(1, 13)}, "12 of 96 wells have no value: A1, A2, A3, A4, A5 …"),
+        (
+            {f"A{column}": None for column in range(1, 13)},
+            "12 of 96 wells have no value: A1, A2, A3, A4, A5 …",
+        ),
     ],
 )
 def test_readings_without_a_value_are_refused(spoil: dict[str, Any], why: str) -> None:
@@ -85,7 +88,9 @@ def test_what_is_no_table_is_refused(shown: Any) -> None:
         growth_analysis.check(shown, "R7 at T0")
 
 
-@pytest.mark.parametrize("last", [table(seed=5), table((12.0, 4.0), seed=6), table(WARM, seed=7, cells=False)])
+@pytest.mark.parametrize(
+    "last", [table(seed=5), table((12.0, 4.0), seed=6), table(WARM, seed=7, cells=False)]
+)
 def test_where_nothing_has_grown_nothing_is_fitted(last: dict[str, Any]) -> None:
     """Read twice at once, kept cold, or made without cells."""
     first = growth_analysis.check(table(seed=1), "T0")
@@ -107,7 +112,9 @@ def test_both_protocols_make_the_same_plate() -> None:
         for liquid in growth_layout.LIQUIDS
     }
     assert by_ot2 == by_solo == wanted
-    assert {sum(by[well] for by in wanted.values() if well in by) for well in growth_layout.volumes("medium")} == {200}
+    assert {
+        sum(by[well] for by in wanted.values() if well in by) for well in growth_layout.volumes("medium")
+    } == {200}
 
 
 def test_the_solo_takes_its_protocol() -> None:

@@ -59,7 +59,9 @@ def assay(lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int
         experiment.note("loop_ended", "plates", plates=len(tables))
         good, bad = _sorted_out(experiment, tables)
         if not good:
-            raise BadReading(f"No plate can be used. {' '.join(bad)}", remedy="Look at the tables in the log.")
+            raise BadReading(
+                f"No plate can be used. {' '.join(bad)}", remedy="Look at the tables in the log."
+            )
         first, last_ = [pair[0] for pair in good], [pair[1] for pair in good]
         curve = fit(first, last_)
         experiment.note("local_compute", "dose-response curve", plates=len(good), **curve._asdict())

@@ -134,7 +134,10 @@ def _matrix(column: dict[str, float]) -> list[str]:
 
 def write_protocols(folder: Path = HERE) -> None:
     """Write the protocol of each workcell into its folder."""
-    for name, text in (("rpl/protocols/assay_plate.yaml", for_ot2()), ("bio/protocols/assay_plate.hso", for_solo())):
+    for name, text in (
+        ("rpl/protocols/assay_plate.yaml", for_ot2()),
+        ("bio/protocols/assay_plate.hso", for_solo()),
+    ):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(text.encode())
 

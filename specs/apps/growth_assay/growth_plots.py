@@ -36,7 +36,13 @@ def draw(
     x = np.geomspace(NO_DOSE, 40.0, 200)
     axes.plot(x, [start + curve.at(dose) for dose in x], color="#1f5fa8", linewidth=1)
     axes.axvline(curve.ic50, color="#b5482a", linestyle="--", linewidth=1)
-    axes.annotate(f"IC50 {curve.ic50:.2f} mg/L", (curve.ic50, 0.02), color="#b5482a", rotation=90, va="bottom")
+    axes.annotate(
+        f"IC50 {curve.ic50:.2f} mg/L",
+        (curve.ic50, 1.0),
+        xytext=(6, 0),
+        textcoords="offset points",
+        color="#b5482a",
+    )
     axes.set_xscale("log")
     axes.set_xlabel(f"{drug} (mg/L; no drug at the left)")
     axes.set_ylabel("blank-adjusted OD590")
@@ -76,7 +82,8 @@ def write_page(
 <html lang="en"><meta charset="utf-8"><title>Growth assay {name}</title>
 <style>body {{ font: 15px sans-serif; margin: 2em }} td, th {{ padding: 2px 12px; text-align: right }}</style>
 <h1>Growth assay {name}</h1>
-<p>{len(first)} plates. IC50 {curve.ic50:.3f} ± {curve.ic50_error:.3f} mg/L, Hill coefficient {curve.hill:.2f}.</p>
+<p>{len(first)} plates. IC50 {curve.ic50:.3f} ± {curve.ic50_error:.3f} mg/L,
+Hill coefficient {curve.hill:.2f}.</p>
 <img alt="dose-response curve" src="data:image/png;base64,{shown}">
 <table><tr><th>mg/L</th><th>OD590 at T0</th><th>OD590 at T12</th></tr>{rows}</table>
 </html>

@@ -33,7 +33,9 @@ steps:
 @pytest.mark.parametrize(
     ("flow", "payload"), [("create_plate", ["slot=1"]), ("read_plate", ["slot=1", "made_by=R1"])]
 )
-def test_the_growth_assay_differs_in_names_of_modules_only(flow: str, payload: list[str], tmp_path: Path) -> None:
+def test_the_growth_assay_differs_in_names_of_modules_only(
+    flow: str, payload: list[str], tmp_path: Path
+) -> None:
     """The workflow of BIO is that of RPL as it was retargeted."""
     shutil.copytree(APP.parents[1], tmp_path / "specs", ignore=shutil.ignore_patterns("__pycache__"))
     old, new = APP / "rpl" / f"{flow}.yaml", APP / "bio" / f"{flow}.yaml"
@@ -89,7 +91,10 @@ def test_what_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     ("step", "misfit"),
     [
-        ("module: camera_module, action: take_picture", "No module of bio stands in for camera_module (take_picture)."),
+        (
+            "module: camera_module, action: take_picture",
+            "No module of bio stands in for camera_module (take_picture).",
+        ),
         (
             "module: pf400, action: transfer, args: {source: ot2_growth_beta.deck2, target: sealer.default}",
             "No module of bio stands in for ot2_growth_beta (no action, but stations).",
@@ -140,7 +145,10 @@ def test_who_is_named_is_taken_even_if_it_cannot(tmp_path: Path, capsys: pytest.
     [
         ("    module: arm", "    module: crane"),
         ("    module: arm2", "    module: arm2"),
-        ("    args: {source: arm.hand, target: my_arm.hand}", "    args: {source: crane.hand, target: my_arm.hand}"),
+        (
+            "    args: {source: arm.hand, target: my_arm.hand}",
+            "    args: {source: crane.hand, target: my_arm.hand}",
+        ),
         ("    args: {text: the arm. It moves}", "    args: {text: the arm. It moves}"),
         ("    args: {file: old/arm.yaml}", "    args: {file: old/arm.yaml}"),
         ("    # arm.hand", "    # arm.hand"),
