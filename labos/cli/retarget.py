@@ -46,9 +46,9 @@ def command(
     payloads: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Propose for each module of WORKFLOW one of the other workcell that has its actions and stations, say what
-    does not fit, write the file with the other names, and validate it. Nothing but names changes. Exit code 1
-    if something does not fit, or if the file has errors.
+    """Propose for each module of WORKFLOW one of the other workcell that has its actions and
+    stations, say what does not fit, write the file with the other names, and validate it. Nothing
+    but names changes. Exit code 1 if something does not fit, or if the file has errors.
 
     \b
     labos retarget seal.yaml --from rpl --to bio

@@ -72,8 +72,8 @@ class Found(msgspec.Struct, frozen=True):
 
 def named_by(name: str, folder: Path) -> str:
     """The file that a logical name means, such as ``protocols/mix`` for ``protocols/mix.py``: the only one of
-    that name in its folder, whatever its ending. The name itself if it has an ending or no folder, or if there
-    is not just one."""
+    that name in its folder, whatever its ending. The name itself if it has an ending or no folder, or if
+    there is not just one."""
     if not is_logical(name):
         return name
     try:

@@ -165,12 +165,12 @@ def _misfits(name: str, module: _Module, need: _Need, places: Stations) -> Itera
             yield f"{new}.{action} takes no argument {arg!r}, which {name}.{action} takes."
     for station in sorted(need.stations):
         if not places.matches(f"{new}.{station}"):
-            yield f"{new} has no station {station!r}: give one of its stations that alias in the workcell file."
+            yield f"{new} has no station {station!r}: make it an alias of one in the workcell file."
 
 
 def rename(text: str, mapping: Mapping[str, str], workcells: tuple[str, str]) -> str:
-    """A workflow's text with other names of modules and of the workcell, and else as it was, with its comments
-    and lines."""
+    """A workflow's text with other names of modules and of the workcell, and else as it was, with its
+    comments."""
     old, new = (PurePath(cell).stem for cell in workcells)
     names = {one: other for one, other in mapping.items() if one != other}
     some = "|".join(sorted(map(re.escape, names), key=len, reverse=True))

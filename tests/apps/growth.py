@@ -1,4 +1,4 @@
-"""The growth assay's own files, as its program imports them, and readings of a plate as the bench shows it."""
+"""The growth assay's own files, as its program imports them, and readings as the bench shows them."""
 
 from __future__ import annotations
 

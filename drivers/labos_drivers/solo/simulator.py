@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from labos_drivers._deck import Deck, facts_of
 from labos_drivers.solo.protocol import dispensed_by
@@ -16,6 +17,10 @@ class SoloSimulator(Deck):
     drawers = POSITIONS
 
     async def run_protocol(self, protocol: str) -> None:
-        liquids, file = self.config.get("liquids") or {}, Path(protocol)
-        text = file.read_text("utf-8", "replace") if liquids and file.is_file() else ""
-        await self.pipette(300, protocol=protocol, **facts_of(dispensed_by(text, liquids)))
+        await self.pipette(300, protocol=protocol, **self._dispensed(Path(protocol)))
+
+    def _dispensed(self, file: Path) -> dict[str, Any]:
+        liquids = self.config.get("liquids")
+        if not liquids or not file.is_file():
+            return {}
+        return facts_of(dispensed_by(file.read_text("utf-8", "replace"), liquids))

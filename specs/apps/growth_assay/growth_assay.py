@@ -1,8 +1,8 @@
 """Growth assay: how much of a drug halves the growth of bacteria.
 
 The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": for each plate a
-workflow that makes and reads it (T0), twelve hours in the incubator, and a workflow that reads it again (T12).
-Plates interleave: while one grows, the next are made.
+workflow that makes and reads it (T0), twelve hours in the incubator, and a workflow that reads it again
+(T12). Plates interleave: while one grows, the next are made.
 
     labos up rpl_growth --simulate --speed 2000 --home lab
     python specs/apps/growth_assay/growth_assay.py --home lab --user bo --plates 10
