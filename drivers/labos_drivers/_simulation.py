@@ -60,10 +60,6 @@ class Simulated:
         if self._halted:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
 
-    def hours(self) -> float:
-        """Lab time by this machine's clock; only differences mean something."""
-        return asyncio.get_running_loop().time() * self._setup.pace / 3600.0
-
     def scattered(self, nominal_s: float) -> float:
         """How long it really takes this time."""
         return nominal_s * self._random.uniform(1 - JITTER, 1 + JITTER)

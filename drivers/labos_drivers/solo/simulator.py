@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from labos_drivers._deck import Deck, facts_of
 from labos_drivers.solo.protocol import dispensed_by
@@ -17,10 +16,11 @@ class SoloSimulator(Deck):
     drawers = POSITIONS
 
     async def run_protocol(self, protocol: str) -> None:
-        await self.pipette(300, protocol=protocol, **self._dispensed(Path(protocol)))
+        liquids = self.config.get("liquids") or {}
+        dispensed = dispensed_by(self.text_of(protocol), liquids) if liquids else {}
+        await self.pipette(300, protocol=protocol, **facts_of(dispensed))
 
-    def _dispensed(self, file: Path) -> dict[str, Any]:
-        liquids = self.config.get("liquids")
-        if not liquids or not file.is_file():
-            return {}
-        return facts_of(dispensed_by(file.read_text("utf-8", "replace"), liquids))
+    def text_of(self, protocol: str) -> str:
+        """What the protocol says; nothing, if it is only a name."""
+        file = Path(protocol)
+        return file.read_text("utf-8", "replace") if file.is_file() else ""
