@@ -18,6 +18,7 @@ from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from labos_drivers._growth import IC50_MG_PER_L
 from tests.apps.growth import APP, table
+from tests.support.lab_process import until
 from tests.unit.test_growth_analysis import TOLERANCE
 
 pytest.importorskip("scipy")
@@ -50,6 +51,7 @@ def test_on_bio(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
         with LabClient(lab.url) as client:
             runs = [client.status(f"R{number}") for number in range(1, 7)]
             kinds = {note["payload"]["kind"] for note in client.events(type="experiment.noted")}
+            leaves_the_bench_clean(client, World(str(lab.runtime.settings.world("bio"))))
     assert "growth assay: IC50 0.9" in told or "growth assay: IC50 0.8" in told
     assert f"the data is in {out / 'E1'}, and in the log as E1." in told
     assert kinds == {"loop_started", "loop_ended", "local_compute", "publication"}
@@ -76,6 +78,17 @@ def test_on_bio(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
     assert max(ended.values()) < min(taken), "the plates grew side by side"
     world = World(str(lab.runtime.settings.world("bio")))
     assert (len(world.motions("incubate")), world.crashes()) == (3, [])
+
+
+def leaves_the_bench_clean(client: LabClient, world: World) -> None:
+    """A run that is cancelled while its plate stands in the liquid handler."""
+    run = client.submit(APP / "bio" / "create_plate.yaml", {"slot": 9}, user="bo", workcell="bio")
+    until(lambda: any(s.key == "Pipette" and s.requested_at for s in client.status(run).steps), "it pipettes")
+    client.cancel(run, "bo")
+    assert client.wait(run).status == "cancelled"
+    assert {place.partition(".")[0] for place in world.places() if not place.startswith("lid:")} == {
+        "platecrane"
+    }
 
 
 @pytest.mark.full
@@ -114,5 +127,12 @@ def test_a_plate_with_a_bad_reading_is_left_out_and_told_with_its_table() -> Non
 def test_the_workcells_files_are_those_that_the_program_names() -> None:
     for cell in ("rpl", "bio"):
         assert {path.name for path in (APP / cell).glob("*.yaml")} == {
-            *("create_plate.yaml", "read_plate.yaml", "get_plate.yaml", "incubate.yaml", "take_out.yaml")
+            *(
+                "create_plate.yaml",
+                "read_plate.yaml",
+                "get_plate.yaml",
+                "incubate.yaml",
+                "take_out.yaml",
+                "way_out.yaml",
+            )
         }
