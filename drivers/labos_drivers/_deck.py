@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from labos_drivers._simulation import Simulated
+
+
+def facts_of(dispensed: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """What goes into wells (µL by liquid and well), as the bench notes it; nothing, if there is none."""
+    wells = sorted({well for doses in dispensed.values() for well in doses})
+    volumes = {liquid: [doses.get(well, 0.0) for well in wells] for liquid, doses in dispensed.items()}
+    return {"volumes": volumes, "wells": wells} if wells else {}
 
 
 class Deck(Simulated):

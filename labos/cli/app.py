@@ -34,6 +34,7 @@ SECTIONS = {
         "new": "A workcell, workflow or application to begin with.",
         "validate": "Check a workflow before anything moves.",
         "plan": "The steps of a workflow, and how long they take.",
+        "retarget": "Rewrite a workflow for another workcell.",
         "import": "Rewrite files of WEI and MADSci in LabOS' own form.",
         "schema": "The JSON Schema of a file, for editors.",
         "actions": "What a module can do: actions, arguments, units and ranges.",

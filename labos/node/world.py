@@ -309,6 +309,17 @@ class World:
                         amounts[liquid] *= max(1.0 - dose / level, 0.0)
             return found
 
+    def history(self, plate: str, *verbs: str) -> list[Motion]:
+        """What happened to a plate of these verbs, in order."""
+        rows = self._db.execute(
+            "SELECT seq, device, verb, place, plate, facts FROM motion WHERE plate = ? ORDER BY seq", (plate,)
+        )
+        return [
+            Motion(seq, device, done, place, plate, json.loads(facts))
+            for seq, device, done, place, plate, facts in rows
+            if done in verbs
+        ]
+
     def is_shut(self, place: str) -> bool:
         """Whether a lid or drawer keeps hands out of a place."""
         with self._turn():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import msgspec
 
@@ -19,23 +19,32 @@ MOST_FILES, HEAD = 50, 64 * 1024
 LEVELS = 3
 """How many folders above a workflow's may be the lab's."""
 
+_LOGICAL = re.compile(r"(?:[\w.-]+/)+[\w-]+")
+
 _STEPS = re.compile(r"^(flowdef|steps):", re.MULTILINE)
 _WORKCELL = re.compile(r"^(modules|workcell_nodes|nodes):", re.MULTILINE)
 
 
 def lab_folder(folder: Path) -> Path:
     """The nearest folder, up to three above, that holds a workcell file: paths in a workflow may lead through
-    it, as ``../protocols/mix.py`` does. The workflow's own folder if none does."""
-    found = find_workcells(folder)
-    return found[0].parent if found else folder
+    it, as ``../protocols/mix.py`` does; also one that has them in a folder ``workcells`` of its own, as the
+    packaged specs have. The workflow's own folder if none does."""
+    for around in (folder, *folder.parents[:LEVELS]):
+        if _workcells_in(around) or _workcells_in(around / "workcells"):
+            return around
+    return folder
 
 
 def find_workcells(folder: Path) -> list[Path]:
     """The workcell files of the nearest folder, up to three above, that holds any."""
     for around in (folder, *folder.parents[:LEVELS]):
-        if found := [path for path in sorted(around.glob("*.y*ml"))[:MOST_FILES] if _is_workcell(path)]:
+        if found := _workcells_in(around):
             return found
     return []
+
+
+def _workcells_in(folder: Path) -> list[Path]:
+    return [path for path in sorted(folder.glob("*.y*ml"))[:MOST_FILES] if _is_workcell(path)]
 
 
 def is_within(path: Path, folder: Path) -> bool:
@@ -61,12 +70,39 @@ class Found(msgspec.Struct, frozen=True):
     problem: str = ""
 
 
+def named_by(name: str, folder: Path) -> str:
+    """The file that a logical name means, such as ``protocols/mix`` for ``protocols/mix.py``: the only one of
+    that name in its folder, whatever its ending. The name itself if it has an ending or no folder, or if
+    there is not just one."""
+    if not is_logical(name):
+        return name
+    try:
+        found = [path.name for path in sorted((folder / name).parent.glob(f"{PurePath(name).name}.*"))]
+    except (OSError, ValueError):
+        return name
+    return str(PurePath(name).with_name(found[0])) if len(found) == 1 else name
+
+
+def is_logical(name: str) -> bool:
+    """Whether a text may name a file without its ending."""
+    return _LOGICAL.fullmatch(name) is not None
+
+
 class FileFinder:
     """Looks first among the files that were handed in, then in the folders."""
 
     def __init__(self, given: Mapping[str, bytes], folders: Sequence[Path]) -> None:
         self.given = given
         self.folders = [folder.resolve() for folder in folders]
+
+    def full_name(self, name: str) -> str:
+        """The name of the file that a logical name means: of those handed in, else in the folders."""
+        if name in self.given or not is_logical(name):
+            return name
+        given = [full for full in self.given if str(PurePath(full).with_suffix("")) == name]
+        if given:
+            return given[0] if len(given) == 1 else name
+        return next((full for f in self.folders if (full := named_by(name, f)) != name), name)
 
     def find(self, name: str) -> Found:
         """The file of that name. A path that leads out of a folder, and out of the lab's folder around it, is

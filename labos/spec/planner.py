@@ -298,7 +298,8 @@ class Planner:
             if arg.type == "station":
                 args[arg.name] = self._place(value, module, entry, at)
             elif arg.type == "file":
-                self._pin(value, entry, at)
+                args[arg.name] = self.finder.full_name(value)
+                self._pin(args[arg.name], entry, at)
         if self.remarks.report.errors == faults:
             self._choose_grips(module, action, args)
             return args

@@ -41,6 +41,8 @@ class HidexDriver(GatewayDriver):
             )
         if action == "read_plate" and not (isinstance(told, dict) and isinstance(told.get("wells"), dict)):
             raise Garbled(f"{self.name}: {str(told)[:80]!r} is no table of wells.", effects="all")
+        if action == "read_plate":  # what was too dark for the reader has no value
+            told.setdefault("overflow", [well for well, value in told["wells"].items() if value is None])
         return told
 
     def _check(self, assay: str) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 from zlib import crc32
 
 from labos.node import Setup
+from labos_drivers._growth import Stay, growth_of
 from labos_drivers._optics import absorbance_of
 from labos_drivers._simulation import Gated
 
@@ -14,6 +15,9 @@ GRIDS = {"384": (16, 24), "": (8, 12)}
 """Rows and columns, by what a plate's type has in its name."""
 
 USUAL_NM = 600.0
+
+HIGHEST_OD = 4.0
+"""What absorbs more has no value: the reader overflows."""
 
 
 class HidexSimulator(Gated):
@@ -45,22 +49,39 @@ class HidexSimulator(Gated):
             rows, columns = next(grid for mark, grid in GRIDS.items() if mark in kind)
             wells = [f"{chr(65 + row)}{column + 1}" for row in range(rows) for column in range(columns)]
             self.reads += 1
+            read = self._absorbances(plate, wells, assay)
             return {
                 "file": f"{assay}_{self.reads:04}.csv",
                 "quantity": "absorbance",
                 "unit": "OD",
-                "wells": self._absorbances(plate, wells, assay),
+                "wells": read,
+                "overflow": [well for well, level in read.items() if level is None],
             }
 
-    def _absorbances(self, plate: str, wells: list[str], assay: str) -> dict[str, float]:
+    def _absorbances(self, plate: str, wells: list[str], assay: str) -> dict[str, float | None]:
         """Of what was pipetted into it, at the wavelength in the assay's name (nm). A plate into which
         nothing was holds something of its own."""
         contents = self.world.contents(plate)
         told = re.search(r"[2-9][0-9]{2}", assay)
         nm = float(told[0]) if told else USUAL_NM
-        found = {}
+        found: dict[str, float | None] = {}
+        stays = self._stays(plate) if contents else []
         for well in wells:
             own = 0.05 + crc32(f"{plate}/{well}".encode()) % 2000 / 1000
-            level = absorbance_of(contents.get(well, {}), nm) if contents else own
-            found[well] = round(level + self._random.gauss(0.0, 0.005), 4)
+            held = contents.get(well, {})
+            level = absorbance_of(held, nm) + growth_of(held, stays) if contents else own
+            shown = round(level + self._random.gauss(0.0, 0.005), 4)
+            found[well] = shown if shown <= HIGHEST_OD else None
         return found
+
+    def _stays(self, plate: str) -> list[Stay]:
+        """How long the plate was kept warm so far, each time that it was."""
+        stays: list[Stay] = []
+        since: tuple[float, float] | None = None
+        for motion in self.world.history(plate, "incubate", "cool"):
+            if motion.verb == "incubate":
+                since = motion.facts["at_h"], motion.facts["celsius"]
+            elif since is not None:
+                stays.append((max(motion.facts["at_h"] - since[0], 0.0), since[1]))
+                since = None
+        return stays

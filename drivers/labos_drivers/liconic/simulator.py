@@ -118,11 +118,20 @@ class LiconicSimulator(Simulated):
                 self.world.crash(self.name, self.place(source), "moves a plate while it shakes")
             self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * nominal_s)
+            if source != "exchange" and self.top(self.place(source)):
+                self.world.work(self.name, "cool", self.place(source), at_h=self._hours())
             self.world.grip(self.name, self.place(source))
             await self.take_time(0.3 * nominal_s)
             self.world.enter(self.name, self.place(target))
             self.world.release(self.name, self.place(target))
+            if target != "exchange":
+                warm = {"at_h": self._hours(), "celsius": self.temperature.target}
+                self.world.work(self.name, "incubate", self.place(target), **warm)
             await self.take_time(0.3 * nominal_s)
+
+    def _hours(self) -> float:
+        """Lab time by this machine's clock; only differences mean something."""
+        return asyncio.get_running_loop().time() * self._setup.pace / 3600.0
 
     def look(self) -> dict[str, Any]:
         """Two plate sensors: shovel and transfer station."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 
 from labos.link import FarEnd
 from labos.node import Crash, Setup
@@ -145,13 +146,22 @@ class LiconicOnWire(OnWire):
         if not self.top(self.place(source)):
             self._fail(NO_PLATE)
             return
+        if source != "exchange":
+            self.world.work(self.name, "cool", self.place(source), at_h=self._hours())
         self.world.grip(self.name, self.place(source))
         self.after(0.3 * nominal_s, lambda: self._place(target, 0.3 * nominal_s))
 
     def _place(self, target: str, back_s: float) -> None:
         self.world.enter(self.name, self.place(target))
         self.world.release(self.name, self.place(target))
+        if target != "exchange":
+            warm = {"at_h": self._hours(), "celsius": self.words[protocol.TEMPERATURE] / 10}
+            self.world.work(self.name, "incubate", self.place(target), **warm)
         self.after(back_s, self._is_ready)
+
+    def _hours(self) -> float:
+        """Lab time by this machine's clock; only differences mean something."""
+        return time.monotonic() * self._pace / 3600.0
 
     def _is_ready(self) -> None:
         self.ready = True

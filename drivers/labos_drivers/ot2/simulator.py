@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from labos.node import DeviceError, Setup
-from labos_drivers._deck import Deck
+from labos_drivers._deck import Deck, facts_of
 
 SLOTS = (*(f"deck{number}" for number in range(1, 12)), "deck1_cooler")
 
@@ -33,6 +36,9 @@ class OT2Simulator(Deck):
         variables: dict[str, Any],
     ) -> dict[str, Any]:
         """Run it, and answer with the robot's own name for the run."""
+        if (liquids := self.config.get("liquids")) and not volumes:
+            told = facts_of(dispensed_by(protocol, liquids))
+            volumes, wells = told.get("volumes", volumes), told.get("wells", wells)
         tips = min(len(wells), COLUMN)  # what it does beyond the wells that it is told is not simulated
         facts = {
             "protocol": _sha256(protocol),
@@ -51,6 +57,22 @@ class OT2Simulator(Deck):
     async def resume_run(self) -> None:
         """A simulated gantry waits for nobody."""
         raise DeviceError(f"{self.name}: no run waits.", effects="none")
+
+
+def dispensed_by(protocol: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """What a protocol that was written as YAML puts into wells that it lists with a volume each (µL by liquid
+    and well); ``liquids`` says what is in the wells that it takes from, as ``reservoir:A1``."""
+    path, found = Path(protocol), dict[str, dict[str, float]]()
+    if path.suffix not in (".yaml", ".yml") or not path.is_file():
+        return found
+    for command in yaml.safe_load(path.read_text("utf-8")).get("commands", ()):
+        liquid, volumes = liquids.get(str(command.get("source"))), command.get("volume")
+        if liquid and isinstance(volumes, list):
+            doses = found.setdefault(liquid, {})
+            for place, ul in zip(command["destination"], volumes, strict=True):
+                well = str(place).rpartition(":")[2]
+                doses[well] = doses.get(well, 0.0) + float(ul)
+    return found
 
 
 def _sha256(protocol: str) -> str:

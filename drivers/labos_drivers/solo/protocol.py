@@ -104,3 +104,30 @@ def _steps(lines: list[str]) -> Iterator[list[str]]:
 def _whole(step: list[str], number: int) -> int | None:
     """A property that is a whole number from 0; None if it is not."""
     return int(step[number]) if len(step) > number and step[number].isdecimal() else None
+
+
+ROWS, COLUMNS = "ABCDEFGH", 12
+
+
+def dispensed_by(text: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """What the steps of a protocol put into wells (µL by liquid and well); ``liquids`` says what stands at
+    the positions that it takes from."""
+    found: dict[str, dict[str, float]] = {}
+    liquid = ""
+    for step in _steps(text.splitlines()[POSITIONS:]):
+        if step[0] == "Aspirate":
+            liquid = liquids.get(step[1], "") if len(step) > 1 else ""
+        elif step[0] == "Dispense" and liquid:
+            doses = found.setdefault(liquid, {})
+            for well, ul in _matrix(step):
+                doses[well] = doses.get(well, 0.0) + ul
+    return found
+
+
+def _matrix(step: list[str]) -> Iterator[tuple[str, float]]:
+    """The volumes that a step has for single wells: eight lines of twelve numbers."""
+    rows = [line.split(",") for line in step if line.count(",") == COLUMNS - 1]
+    for row, volumes in zip(ROWS, rows, strict=False):
+        for column, volume in enumerate(volumes, 1):
+            if float(volume) > 0:
+                yield f"{row}{column}", float(volume)

@@ -18,6 +18,9 @@ class SoloOfText(SoloSimulator):
         self.given = text
         await self.run_protocol(name)
 
+    def text_of(self, protocol: str) -> str:
+        return self.given
+
 
 class SoloOnWire(GatewayOnWire[SoloOfText]):
     instrument = "solo"

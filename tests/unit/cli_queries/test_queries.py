@@ -61,7 +61,7 @@ def test_log_tells_each_event_in_a_sentence(ask: Ask) -> None:
         *("1", "2025-06-15", "15:06:40.000+00:00", "lab.created"),
         *["the", "lab", "'paper'", "was", "created,", "simulated", "at", "10", "×", "real", "time"],
     ]
-    assert "R1 #4 'Seal plate': sealer.seal requested (attempt 1)" in "\n".join(lines)
+    assert "R1 #4 'Seal plate/Seal': sealer.seal requested (attempt 1)" in "\n".join(lines)
 
 
 def test_log_as_json_is_what_was_stored(ask: Ask) -> None:
@@ -234,7 +234,7 @@ def test_explain_names_what_a_run_waits_for(ask: Ask, home: Path) -> None:
     told = ask("explain", "R2").stdout
     assert "R2 (pcr, bo) is active." in told
     assert "no kernel runs this lab now" in told
-    assert "So far 5 of 14 steps are done; the last was #4 'Seal plate', done" in told
+    assert "So far 5 of 14 steps are done; the last was #4 'Seal plate/Seal', done" in told
     append(home, ModuleTakenOut(ModuleName("rpl/pf400"), "smoke"))
     told = ask("explain", "R2").stdout
     assert "#5 'Move to Biometra' waits: pf400 is out of service (smoke)." in told

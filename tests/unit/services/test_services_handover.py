@@ -62,7 +62,7 @@ def test_what_the_next_shift_has_to_know(tmp_path: Path) -> None:
     )
     assert len(pieces["P2"].maybe) > 1, "nobody knows where it is"
     short = next(short for short in found.runs_out if short.what == "sealer foil")
-    assert (short.run, short.step) == ("R4", "Seal plate")
+    assert (short.run, short.step) == ("R4", "Seal plate/Seal")
     assert [(pack.lot, pack.left) for pack in found.expired] == [("new", 1)]
     assert found.twh.interventions == 1, "the module that was taken out"
 

@@ -128,7 +128,7 @@ def test_every_type_of_event_is_told_in_a_sentence(kind: str) -> None:
 def test_sentences_bear_the_names_of_steps(log: SqlEventStore) -> None:
     names = catalogue_of(log)
     told = [describe(event, head, names) for event, head in events(log.read())]
-    assert "R1 #4 'Seal plate': sealer.seal requested (attempt 1)" in told
+    assert "R1 #4 'Seal plate/Seal': sealer.seal requested (attempt 1)" in told
     assert "R1: P1 moved from sciclops.exchange to ot2_pcr_alpha.deck1_cooler" in told
     assert "R1: ada submitted 'pcr'" in told
     assert "the lab 'paper' was created, simulated at 10 × real time" in told

@@ -1,0 +1,116 @@
+"""``labos retarget``: a workflow of one workcell for another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import msgspec
+
+from labos.cli._complete import completes
+from labos.cli._options import json_option
+from labos.cli._out import show_json, show_table
+from labos.cli._payload import payload_option, read_payload
+from labos.cli._specs import spec_path
+from labos.cli.validate import examine
+from labos.errors import BadInput, SpecError
+from labos.spec import compile_workcell
+from labos.spec.retarget import differing, propose, rename
+from labos.spec.source import read
+from labos.spec.uses import workflow_in
+
+
+@click.command("retarget", short_help="Rewrite a workflow for another workcell.")
+@click.argument("workflow", shell_complete=completes("workflow"))
+@click.option("--from", "old", required=True, metavar="W", help="The workcell it was written for.")
+@click.option("--to", "new", required=True, metavar="W", help="The workcell on which it is to run.")
+@click.option(
+    "--map", "maps", multiple=True, metavar="OLD=NEW", help="A module, and the one that stands in for it."
+)
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The file to write (WORKFLOW_TO.yaml).",
+)
+@click.option("--force", is_flag=True, help="Overwrite a file that is there.")
+@payload_option
+@json_option
+def command(
+    workflow: str,
+    old: str,
+    new: str,
+    maps: tuple[str, ...],
+    output: Path | None,
+    force: bool,
+    payloads: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Propose for each module of WORKFLOW one of the other workcell that has its actions and
+    stations, say what does not fit, write the file with the other names, and validate it. Nothing
+    but names changes. Exit code 1 if something does not fit, or if the file has errors.
+
+    \b
+    labos retarget seal.yaml --from rpl --to bio
+    labos retarget seal.yaml --from rpl --to bio --map pf400=platecrane -o bio/seal.yaml
+    labos retarget seal.yaml --from rpl --to bio --json
+
+    What differs in more than names (an incubator's steps, lids) belongs into files that `use:` names, one for
+    each workcell, in the folder of the file that is written.
+    """
+    from labos.bootstrap import descriptions
+
+    path, known = spec_path("workflows", workflow), descriptions()
+    before, after = (
+        compile_workcell(read(spec_path("workcells", name), last_wins=True), known).workcell
+        for name in (old, new)
+    )
+    _, file = workflow_in(read(path, last_wins=True))
+    if file is None:
+        raise SpecError(f"{path} is no workflow that can be read.", remedy="labos validate says why.")
+    target = output or path.with_name(f"{path.stem}_{after.name}.yaml")
+    if target.exists() and not force:
+        raise BadInput(f"{target} is there already.", remedy="Name another with --output, or add --force.")
+    proposal = propose(file, before, after, _pairs(maps), known)
+    text = path.read_text(encoding="utf-8")
+    renamed = rename(text, proposal.mapping, (old, new))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(renamed, encoding="utf-8")
+    verdict, _ = examine(str(target), new, read_payload(payloads), True)
+    fits = verdict.sound and not proposal.misfits
+    if as_json:
+        show_json(
+            {
+                "fits": fits,
+                "file": str(target),
+                **msgspec.to_builtins(proposal),
+                "difference": list(differing(text, renamed)),
+                "findings": msgspec.to_builtins(verdict.findings),
+            }
+        )
+    else:
+        show_table(
+            ("module", "becomes", "why"), [(m.module, m.becomes or "-", m.why) for m in proposal.matches]
+        )
+        for misfit in proposal.misfits:
+            click.echo(f"does not fit: {misfit}")
+        for line in differing(text, renamed):
+            click.echo(line)
+        for finding in verdict.findings:
+            click.echo(f"{finding.severity}: {finding.as_error()}")
+        click.echo(f"{target}: written, " + ("no errors." if fits else "it cannot be used as it is."))
+    if not fits:
+        click.get_current_context().exit(1)
+
+
+def _pairs(maps: tuple[str, ...]) -> dict[str, str]:
+    """Raises BadInput for what is no pair of names."""
+    found = {}
+    for pair in maps:
+        old, equals, new = pair.partition("=")
+        if not (old and equals and new):
+            raise BadInput(
+                f"--map {pair!r} is no pair of modules.", remedy="Write OLD=NEW: pf400=platecrane."
+            )
+        found[old] = new
+    return found

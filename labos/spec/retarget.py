@@ -1,0 +1,202 @@
+"""Proposes how a workflow of one workcell runs on another: which module does what, and what does not fit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import PurePath
+from typing import Any
+
+import msgspec
+
+from labos.core.arguments import names_of
+from labos.core.ids import local
+from labos.core.model import Description, Workcell
+from labos.errors import BadInput
+from labos.spec.about import described
+from labos.spec.findings import near
+from labos.spec.models import StepEntry, WorkflowFile
+from labos.spec.references import keys_in, texts_in
+from labos.spec.stations import Stations
+from labos.spec.uses import entries_of
+
+SAME_DRIVER, SAME_NAME, BOTH_CARRY, ACTION, ARGUMENT, STATION = 40.0, 20.0, 10.0, 4.0, 0.5, 2.0
+"""How much speaks for a module that has the other's driver, name or hand; each of the actions, arguments
+and stations that the workflow uses."""
+
+
+NAMES_NOTHING = ("name", "description", "metadata", "labos")
+"""Keys of a workflow file under which names mean no modules."""
+
+
+class Match(msgspec.Struct, frozen=True):
+    """A module of the one workcell and the one that stands in for it (empty: none); ``why`` it was chosen."""
+
+    module: str
+    becomes: str
+    why: str
+
+
+class Proposal(msgspec.Struct, frozen=True):
+    matches: list[Match]
+    misfits: list[str]
+
+    @property
+    def mapping(self) -> dict[str, str]:
+        return {match.module: match.becomes for match in self.matches if match.becomes}
+
+
+class _Need(msgspec.Struct):
+    """What a workflow asks of a module: arguments by action, and stations."""
+
+    actions: dict[str, set[str]] = {}
+    stations: set[str] = set()
+
+
+class _Module(msgspec.Struct, frozen=True):
+    """A module of a workcell with what its driver says of it."""
+
+    name: str
+    driver: str
+    about: Description
+
+
+def propose(
+    file: WorkflowFile,
+    old: Workcell,
+    new: Workcell,
+    given: Mapping[str, str],
+    descriptions: Mapping[str, Description],
+) -> Proposal:
+    """Which modules of ``new`` do what those of ``old`` did; ``given`` names some beforehand. Raises BadInput
+    for a name of no module."""
+    before, after = _described(old, descriptions), _described(new, descriptions)
+    for one, other in given.items():
+        _refuse_strangers(one, before, old.name)
+        _refuse_strangers(other, after, new.name)
+    places = Stations(new.name, new.stations)
+    matches, misfits = list[Match](), list[str]()
+    for name, need in _needs(file, before).items():
+        if name in given:
+            chosen, why = given[name], "as you said"
+        else:
+            chosen, why = _choose(before[name], need, after, places)
+        matches.append(Match(name, chosen, why))
+        if chosen:
+            misfits += _misfits(name, after[chosen], need, places)
+        else:
+            actions = ", ".join(sorted(need.actions)) or "no action, but stations"
+            misfits.append(f"No module of {new.name} stands in for {name} ({actions}).")
+    return Proposal(matches, misfits)
+
+
+def _described(cell: Workcell, descriptions: Mapping[str, Description]) -> dict[str, _Module]:
+    found = {}
+    for module in cell.modules:
+        about = described(module, descriptions)
+        if about is not None:
+            found[local(module.name)] = _Module(local(module.name), module.driver, about)
+    return found
+
+
+def _refuse_strangers(name: str, modules: Mapping[str, _Module], workcell: str) -> None:
+    if name not in modules:
+        raise BadInput(
+            f"--map: the workcell {workcell} has no module {name!r}.", remedy=near(name, modules, "module")
+        )
+
+
+def _needs(file: WorkflowFile, modules: Mapping[str, _Module]) -> dict[str, _Need]:
+    """By module, in the order in which the workflow names them."""
+    found: dict[str, _Need] = {}
+    for _, entry in entries_of(file):
+        if entry.module in modules and not keys_in(entry.module):
+            need = found.setdefault(entry.module, _Need())
+            need.actions.setdefault(entry.action, set()).update(entry.args)
+        for owner, station in _places(entry, modules):
+            found.setdefault(owner, _Need()).stations.add(station)
+    return found
+
+
+def _places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterator[tuple[str, str]]:
+    values: list[Any] = [entry.args, entry.payload]
+    for text in texts_in([value for value in values if value]):
+        owner, dot, station = text.partition(".")
+        if dot and owner in modules and re.fullmatch(r"[\w.]+", station):
+            yield owner, station
+
+
+def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: Stations) -> tuple[str, str]:
+    """The module for which most speaks among those with all actions; of equals the first by name."""
+    best, chosen, why = 0.0, "", "nothing here does that"
+    for name, module in sorted(modules.items()):
+        actions = {action: module.about.action(action) for action in need.actions}
+        held = [station for station in need.stations if places.matches(f"{name}.{station}")]
+        if None in actions.values() or not (actions or held):
+            continue
+        taken = sum(
+            bool(spec and arg in names_of(spec))
+            for action, spec in actions.items()
+            for arg in need.actions[action]
+        )
+        reasons = {
+            "the same driver": SAME_DRIVER * (module.driver == old.driver),
+            "the same name": SAME_NAME * (name == old.name),
+            "both carry": BOTH_CARRY * (module.about.manipulator and old.about.manipulator),
+            "the same actions": ACTION * len(actions) + ARGUMENT * taken,
+            "the same stations": STATION * len(held),
+        }
+        if (score := sum(reasons.values())) > best:
+            best, chosen = score, name
+            why = ", ".join(reason for reason, weight in reasons.items() if weight)
+    return chosen, why
+
+
+def _misfits(name: str, module: _Module, need: _Need, places: Stations) -> Iterator[str]:
+    """What the workflow asks of a module that this one does not have."""
+    new = module.name
+    for action, args in sorted(need.actions.items()):
+        spec = module.about.action(action)
+        if spec is None:
+            yield f"{new} has no action {action!r}, which {name} has."
+            continue
+        known = names_of(spec)
+        for arg in sorted(args - known.keys()):
+            yield f"{new}.{action} takes no argument {arg!r}, which {name}.{action} takes."
+    for station in sorted(need.stations):
+        if not places.matches(f"{new}.{station}"):
+            yield f"{new} has no station {station!r}: make it an alias of one in the workcell file."
+
+
+def rename(text: str, mapping: Mapping[str, str], workcells: tuple[str, str]) -> str:
+    """A workflow's text with other names of modules and of the workcell, and else as it was, with its
+    comments."""
+    old, new = (PurePath(cell).stem for cell in workcells)
+    names = {one: other for one, other in mapping.items() if one != other}
+    some = "|".join(sorted(map(re.escape, names), key=len, reverse=True))
+    in_steps = re.compile(rf"(?<![\w./-])(?:{some})(?=\.\w)|(?<=module: )(?:{some})(?![\w.-])")
+    in_lists = re.compile(rf"(?<![\w./-])(?:{some})(?![\w-])")
+    lines, top = [], ""
+    for line in text.split("\n"):
+        if key := re.match(r"([\w-]+):", line):
+            top = key[1]
+        if top == "workcell":
+            line = re.sub(rf"(?<![\w-]){re.escape(old)}(?![\w-])", new, line)
+        elif names and top not in NAMES_NOTHING and not line.lstrip().startswith("#"):
+            pattern = in_lists if top in ("modules", "hold") else in_steps
+            line = pattern.sub(lambda found: names[found[0]], line)
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def differing(old: str, new: str) -> Sequence[str]:
+    """The lines that differ, as ``diff`` shows them."""
+    import difflib
+
+    return [
+        line
+        for line in difflib.unified_diff(
+            old.splitlines(), new.splitlines(), "before", "after", lineterm="", n=0
+        )
+        if not line.startswith("@@")
+    ]

@@ -1,0 +1,153 @@
+"""Growth assay: how much of a drug halves the growth of bacteria.
+
+The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": for each plate a
+workflow that makes and reads it (T0), twelve hours in the incubator, and a workflow that reads it again
+(T12). Plates interleave: while one grows, the next are made.
+
+    labos up rpl_growth --simulate --speed 2000 --home lab
+    python specs/apps/growth_assay/growth_assay.py --home lab --user bo --plates 10
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from labos.client import Experiment, LabClient, RunResult
+from labos.errors import LabosError
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [path for path in [str(HERE)] if path not in sys.path]
+
+from growth_analysis import BadReading, Curve, check, fit  # noqa: E402
+from growth_layout import DRUG  # noqa: E402
+from growth_plots import draw, write_page  # noqa: E402
+
+MOST_PLATES = 20
+"""Of the first stacker of the incubator."""
+
+
+class Outcome(NamedTuple):
+    """What an assay has found; ``bad`` says of each plate that was left out why."""
+
+    experiment: str
+    curve: Curve
+    plates: int
+    bad: list[str]
+    folder: Path
+
+
+def assay(lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int = 1) -> Outcome:
+    """Run the experiment and write its data. Raises BadReading if no plate can be used."""
+    flows = HERE / workcell
+    with Experiment(lab, "growth assay", user, workcell=workcell) as experiment:
+        experiment.note("loop_started", "plates", plates=plates, drug=DRUG)
+        made = [_submit(experiment, flows / "create_plate.yaml", {"slot": n}) for n in range(1, plates + 1)]
+        firsts, lasts = dict[str, RunResult](), dict[str, str]()
+        for slot, run in enumerate(made, 1):
+            # Each is read twelve hours after its own incubation began; the next plates are made meanwhile.
+            firsts[run] = _completed(lab, run)
+            lasts[run] = _submit(experiment, flows / "read_plate.yaml", {"slot": slot, "made_by": run})
+        tables = [
+            (run, firsts[run].result("Read T0"), _completed(lab, last).result("Read T12"))
+            for run, last in lasts.items()
+        ]
+        experiment.note("loop_ended", "plates", plates=len(tables))
+        good, bad = _sorted_out(experiment, tables)
+        if not good:
+            raise BadReading(
+                f"No plate can be used. {' '.join(bad)}", remedy="Look at the tables in the log."
+            )
+        first, last_ = [pair[0] for pair in good], [pair[1] for pair in good]
+        curve = fit(first, last_)
+        experiment.note("local_compute", "dose-response curve", plates=len(good), **curve._asdict())
+        written = _write(folder / experiment.id, experiment.id, first, last_, curve)
+        experiment.note("publication", "plots and table", files=[str(path) for path in written])
+    return Outcome(experiment.id, curve, len(good), bad, folder / experiment.id)
+
+
+def _submit(experiment: Experiment, flow: Path, payload: Mapping[str, Any]) -> str:
+    return experiment.lab.submit(
+        flow, payload, user=experiment.user, workcell=experiment.workcell, experiment=experiment.id
+    )
+
+
+def _completed(lab: LabClient, run: str) -> RunResult:
+    """The run at its end. Raises LabosError if it did not complete."""
+    result = lab.wait(run)
+    if not result.succeeded:
+        raise LabosError(f"Run {run} ({result.workflow}) {result.status}: {result.why or 'no reason'}.")
+    return result
+
+
+def _sorted_out(
+    experiment: Experiment, tables: Sequence[tuple[str, Any, Any]]
+) -> tuple[list[tuple[dict[str, float], dict[str, float]]], list[str]]:
+    """The readings of plates that can be used, and what is wrong with the others: an experiment error in the
+    log, with the table."""
+    good, bad = [], []
+    for run, first, last in tables:
+        try:
+            good.append((check(first, f"{run} at T0"), check(last, f"{run} at T12")))
+        except BadReading as error:
+            bad.append(error.message)
+            experiment.note(
+                "condition_checked",
+                "readings can be used",
+                met=False,
+                error="experiment",
+                why=error.message,
+                tables={"T0": first, "T12": last},
+            )
+    return good, bad
+
+
+def _write(
+    folder: Path,
+    experiment: str,
+    first: Sequence[Mapping[str, float]],
+    last: Sequence[Mapping[str, float]],
+    curve: Curve,
+) -> list[Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    picture, data = folder / "growth.png", folder / "readings.json"
+    draw(first, last, curve, DRUG).savefig(picture, dpi=120)
+    data.write_text(json.dumps({"T0": list(first), "T12": list(last), "curve": curve._asdict()}, indent=1))
+    page = write_page(folder, experiment, picture.read_bytes(), curve, first, last)
+    return [picture, page, data]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Find how much of a drug halves the growth of bacteria.")
+    parser.add_argument("--home", help="the lab's folder")
+    parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
+    parser.add_argument("--user", default="bo", help="whose experiment it is")
+    parser.add_argument("--workcell", choices=("rpl", "bio"), default="rpl", help="where it runs")
+    parser.add_argument("--plates", type=int, default=1, help=f"how many, {MOST_PLATES} at the most")
+    parser.add_argument("--out", type=Path, default=Path("growth"), help="the folder for plots and tables")
+    parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
+    given = parser.parse_args()
+    if not 1 <= given.plates <= MOST_PLATES:
+        parser.error(f"--plates is {given.plates}: give 1 to {MOST_PLATES}.")
+    try:
+        with LabClient(given.url, home=given.home, patience_s=given.patience) as lab:
+            found = assay(lab, given.user, given.workcell, given.out, plates=given.plates)
+    except LabosError as error:
+        print(f"growth assay: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    for why in found.bad:
+        print(f"growth assay: left out: {why}", file=sys.stderr)  # noqa: T201
+    ic50, error = found.curve.ic50, found.curve.ic50_error
+    print(f"growth assay: IC50 {ic50:.3f} ± {error:.3f} mg/L of {DRUG}, from {found.plates} plates.")  # noqa: T201
+    print(f"growth assay: the data is in {found.folder}, and in the log as {found.experiment}.")  # noqa: T201
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

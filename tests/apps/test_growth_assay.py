@@ -1,0 +1,138 @@
+"""The growth assay from start to end, on simulated workcells at scaled time."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labos.bootstrap import LabThread, descriptions
+from labos.client import LabClient
+from labos.node.world import World
+from labos.settings import Settings
+from labos.spec import find_spec, load_workcell
+from labos_drivers._growth import IC50_MG_PER_L
+from tests.apps.growth import APP, table
+from tests.support.lab_process import until
+from tests.unit.test_growth_analysis import TOLERANCE
+
+pytest.importorskip("scipy")
+pytest.importorskip("matplotlib")
+
+import growth_analysis
+import growth_assay
+
+TRUTH = IC50_MG_PER_L["tetracycline"]
+SPEED = 8000.0
+
+
+@contextmanager
+def lab_of(cell: str, home: Path) -> Iterator[LabThread]:
+    workcell = load_workcell(find_spec("workcells", cell), descriptions())
+    with LabThread(Settings.of(home, simulate=True, speed=SPEED), [workcell], nodes="processes") as lab:
+        yield lab
+
+
+@pytest.mark.slow
+def test_on_bio(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three plates, as one calls the program: they interleave, the curve is found, and the data is where the
+    last line says."""
+    with lab_of("bio", tmp_path / "lab") as lab:
+        out = tmp_path / "out"
+        words = ["--url", lab.url, "--workcell", "bio", "--plates", "3", "--out", str(out)]
+        monkeypatch.setattr(sys, "argv", ["growth_assay", *words])
+        assert growth_assay.main() == 0
+        told = capsys.readouterr().out
+        with LabClient(lab.url) as client:
+            runs = [client.status(f"R{number}") for number in range(1, 7)]
+            kinds = {note["payload"]["kind"] for note in client.events(type="experiment.noted")}
+            leaves_the_bench_clean(client, World(str(lab.runtime.settings.world("bio"))))
+    assert "growth assay: IC50 0.9" in told or "growth assay: IC50 0.8" in told
+    assert f"the data is in {out / 'E1'}, and in the log as E1." in told
+    assert kinds == {"loop_started", "loop_ended", "local_compute", "publication"}
+    folder = out / "E1"
+    assert (folder / "growth.png").read_bytes().startswith(b"\x89PNG")
+    assert "data:image/png;base64," in (folder / "growth.html").read_text()
+    data = json.loads((folder / "readings.json").read_text())
+    assert data["curve"]["ic50"] == pytest.approx(TRUTH, rel=TOLERANCE)
+    made = [run for run in runs if run.workflow == "create_plate"]
+    read = {str(run.id): run for run in runs if run.workflow == "read_plate"}
+    assert len(made) == len(read) == 3
+    ended = {
+        run.id: step.ended_at for run in made for step in run.steps if step.key.endswith("Into incubator")
+    }
+    taken = sorted(
+        step.requested_at
+        for run in read.values()
+        for step in run.steps
+        if step.key.endswith("Out of incubator")
+    )
+    twelve_h = 12 * 3600 * 1e9 / SPEED
+    for warm, cold in zip(sorted(ended.values()), taken, strict=True):
+        assert cold - warm >= twelve_h
+    assert max(ended.values()) < min(taken), "the plates grew side by side"
+    world = World(str(lab.runtime.settings.world("bio")))
+    assert (len(world.motions("incubate")), world.crashes()) == (3, [])
+
+
+def leaves_the_bench_clean(client: LabClient, world: World) -> None:
+    """A run that is cancelled while its plate stands in the liquid handler."""
+    run = client.submit(APP / "bio" / "create_plate.yaml", {"slot": 9}, user="bo", workcell="bio")
+    until(lambda: any(s.key == "Pipette" and s.requested_at for s in client.status(run).steps), "it pipettes")
+    client.cancel(run, "bo")
+    assert client.wait(run).status == "cancelled"
+    assert {place.partition(".")[0] for place in world.places() if not place.startswith("lid:")} == {
+        "platecrane"
+    }
+
+
+@pytest.mark.full
+def test_ten_plates_interleave_on_rpl(tmp_path: Path) -> None:
+    with lab_of("rpl_growth", tmp_path / "lab") as lab, LabClient(lab.url) as client:
+        found = growth_assay.assay(client, "bo", "rpl", tmp_path / "out", plates=10)
+    assert (found.plates, found.bad) == (10, [])
+    assert found.curve.ic50 == pytest.approx(TRUTH, rel=TOLERANCE)
+
+
+class Noted:
+    """Keeps what an application has told the log."""
+
+    def __init__(self) -> None:
+        self.notes: list[tuple[str, str, Mapping[str, Any]]] = []
+
+    def note(self, kind: str, name: str, **facts: Any) -> None:
+        self.notes.append((kind, name, facts))
+
+
+def test_a_plate_with_a_bad_reading_is_left_out_and_told_with_its_table() -> None:
+    overflown = table((12.0, 37.0), seed=4)
+    overflown["wells"]["D7"], overflown["overflow"] = None, ["D7"]
+    experiment = Noted()
+    tables = [("R1", table(), table((12.0, 37.0), seed=2)), ("R2", table(seed=3), overflown)]
+    good, bad = growth_assay._sorted_out(experiment, tables)  # type: ignore[arg-type]
+    assert len(good) == 1
+    assert bad == ["R2 at T12: 1 of 96 wells have no value: D7."]
+    ((kind, name, facts),) = experiment.notes
+    assert (kind, name) == ("condition_checked", "readings can be used")
+    assert facts["error"] == "experiment"
+    assert facts["tables"]["T12"] == overflown
+    assert growth_analysis.fit([good[0][0]], [good[0][1]]).ic50 == pytest.approx(TRUTH, rel=TOLERANCE)
+
+
+def test_the_workcells_files_are_those_that_the_program_names() -> None:
+    for cell in ("rpl", "bio"):
+        assert {path.name for path in (APP / cell).glob("*.yaml")} == {
+            *(
+                "create_plate.yaml",
+                "read_plate.yaml",
+                "get_plate.yaml",
+                "incubate.yaml",
+                "take_out.yaml",
+                "way_out.yaml",
+            )
+        }
