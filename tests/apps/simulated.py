@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
-from unittest import mock
 
 import numpy as np
 from drop_dynamics import Series
@@ -68,9 +67,17 @@ class Platform:
 
 def _load_beamline() -> ModuleType:
     """The module of the IOC, without the library by which it is one."""
-    with mock.patch.dict(sys.modules, softioc=mock.MagicMock()):
+    library = ModuleType("softioc")
+    for name in ("asyncio_dispatcher", "builder", "softioc"):
+        setattr(library, name, ModuleType(name))
+    before = sys.modules.get("softioc")
+    sys.modules["softioc"] = library
+    try:
         import beamline_ioc
-
+    finally:
+        del sys.modules["softioc"]
+        if before is not None:
+            sys.modules["softioc"] = before
     return beamline_ioc
 
 
