@@ -50,8 +50,8 @@ def test_nothing_is_submitted_if_a_row_is_wrong(client: LabClient, tmp_path: Pat
     before = client.health()["position"]
     with pytest.raises(BadInput) as error:
         client.submit_campaign(written(tmp_path, "1\nhot\n3\ncold\n"), user="ada")
-    assert "rows.csv:3:1: payload.seal.time: Row 2:" in str(error.value)
-    assert "rows.csv:5:1: payload.seal.time: Row 4:" in str(error.value)
+    assert "rows.csv:3:1: steps[1].args.time (Seal plate/Seal): Row 2:" in str(error.value)
+    assert "rows.csv:5:1: steps[1].args.time (Seal plate/Seal): Row 4:" in str(error.value)
     assert "Write a number from 0 to 999.9 s" in str(error.value)
     assert client.health()["position"] == before
 
