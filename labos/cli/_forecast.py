@@ -90,7 +90,7 @@ def show_ways(found: Mapping[str, Any]) -> None:
 
 def show_campaign(campaign: Mapping[str, Any], now: int) -> list[tuple[str, str]]:
     """When a campaign starts and ends."""
-    seen, left = campaign["foreseen"], campaign["rows_left"]
+    seen, left = campaign["rows_forecast"], campaign["rows_left"]
     rate = f", by the rate of the next {seen} of {left} rows" if seen < left else ""
     ends = show_expected(campaign["ends"], now)
     return [

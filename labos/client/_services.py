@@ -17,7 +17,7 @@ LARGEST_IN_EVENT = 16 * 1024
 LONGEST_ERROR = 1000
 
 
-class Logs(Protocol):
+class ExperimentLog(Protocol):
     """What computations need of an experiment."""
 
     def note(self, kind: str, name: str, **facts: Any) -> None: ...
@@ -28,7 +28,7 @@ class Logs(Protocol):
 class Computations:
     """Of one experiment. Nothing is opened or imported before the first of them."""
 
-    def __init__(self, experiment: Logs) -> None:
+    def __init__(self, experiment: ExperimentLog) -> None:
         self._experiment = experiment
         self._places: dict[str, Any] = {}
         self._attempts: Attempts | None = None

@@ -18,7 +18,7 @@ from labos.core.users import person_of
 from labos.errors import BadInput, KeyReused, SpecError
 from labos.http.bodies import Amendment, NewCampaign
 from labos.http.service import LabService, WorkflowText
-from labos.planning.prospects import Prospect
+from labos.planning.lab_forecast import LabForecast
 from labos.services.times import parse_until
 from labos.spec import SpecErrors, compile_workflow, parse_workflow
 from labos.spec.campaign import CampaignSource, parse_campaign, stop_rule
@@ -118,7 +118,7 @@ async def submit_campaign(service: LabService, new: NewCampaign, request: str) -
     return str(campaign), estimate
 
 
-async def foresee_campaign(service: LabService, new: NewCampaign) -> tuple[Estimate, Prospect]:
+async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Estimate, LabForecast]:
     """Check all of it, and ask what it would bring. Raises as ``submit_campaign``."""
     told, deadline, workcell, checked = await _read(service, new)
     estimate = _estimate(service, told, workcell, checked)

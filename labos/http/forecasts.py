@@ -13,9 +13,9 @@ from labos.core.model import Plan
 from labos.core.state import picture
 from labos.http.campaign_rows import CampaignRows
 from labos.planning.durations import LEARNED_FROM, Drift, Durations
-from labos.planning.prospects import Prospect, Question
+from labos.planning.lab_forecast import ForecastRequest, LabForecast
 from labos.ports import LogQuery
-from labos.runtime.foreseeing import Foreseer
+from labos.runtime.forecasting import ForecastProcess
 from labos.services.log import Log, events
 
 if TYPE_CHECKING:
@@ -36,14 +36,14 @@ class Forecasts:
 
     def __init__(self, service: LabService) -> None:
         self._service = service
-        self._foreseer = Foreseer()
-        self._learned = Learned(service.parts.store)
+        self._process = ForecastProcess()
+        self._learned = LearnedDurations(service.parts.store)
         self._rows = CampaignRows(service)
-        self._queue: Prospect | None = None
+        self._queue: LabForecast | None = None
         self._queue_at: tuple[int, float] = (-1, 0.0)
         self._turn = asyncio.Lock()
 
-    async def queue(self) -> Prospect:
+    async def queue(self) -> LabForecast:
         """What is to be expected of everything that is submitted. Raises Refused."""
         async with self._turn:
             position, clock = self._service.kernel.state.position, self._service.parts.clock
@@ -54,11 +54,11 @@ class Forecasts:
                 self._queue_at = (position, clock.monotonic())
             return self._queue
 
-    async def of_run(self, command: SubmitRun | SubmitWithLabware, actor: str) -> Prospect:
+    async def of_run(self, command: SubmitRun | SubmitWithLabware, actor: str) -> LabForecast:
         """What a run would bring. Raises Refused."""
         return await self._ask(command, actor)
 
-    async def of_campaign(self, command: SubmitCampaign, plans: list[Plan], actor: str) -> Prospect:
+    async def of_campaign(self, command: SubmitCampaign, plans: list[Plan], actor: str) -> LabForecast:
         """What a campaign would bring whose rows have such plans. Raises Refused."""
         return await self._ask(command, actor, plans)
 
@@ -71,13 +71,13 @@ class Forecasts:
         new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None,
         actor: str = "",
         plans: list[Plan] | None = None,
-    ) -> Prospect:
+    ) -> LabForecast:
         spreads = (await self._learned.durations()).spreads()
         rows = await self._known_rows()
         kernel = self._service.kernel
 
-        def question() -> Question:
-            return Question(
+        def request() -> ForecastRequest:
+            return ForecastRequest(
                 picture=picture(kernel.state),
                 now=kernel.clock.now_ns(),
                 spreads=spreads,
@@ -87,7 +87,7 @@ class Forecasts:
                 new_rows=plans or [],
             )
 
-        return await self._foreseer.foresee(question)
+        return await self._process.forecast_lab(request)
 
     async def _known_rows(self) -> dict[CampaignId, list[Plan]]:
         """Plans of the next rows of the campaigns that go on."""
@@ -100,7 +100,7 @@ class Forecasts:
         return found
 
 
-class Learned:
+class LearnedDurations:
     """Durations as far as the log goes."""
 
     def __init__(self, store: Log) -> None:

@@ -123,8 +123,8 @@ BY_ITSELF: Mapping[str, Role | Literal["nobody"]] = {
     "stop_modules": "submitter",
     "trace_wires": "operator",
     "check_run": "submitter",
-    "foresee_run": "submitter",
-    "foresee_campaign_file": "submitter",
+    "forecast_run": "submitter",
+    "forecast_campaign_file": "submitter",
 }
 """What operations need that change something without a command. A viewer does it with passwords, tokens and
 names of their own; an admin with those of others."""
@@ -137,7 +137,7 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "submit_run": ("labos run", "labos submit", "labos do", "labos reset", "labos home"),
     "sign_run": ("labos sign",),
     "submit_campaign_file": ("labos campaign submit",),
-    "foresee_campaign_file": ("labos campaign plan",),
+    "forecast_campaign_file": ("labos campaign plan",),
     "pause_campaign": ("labos campaign pause",),
     "resume_campaign": ("labos campaign resume",),
     "cancel_campaign": ("labos campaign cancel",),

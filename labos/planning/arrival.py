@@ -20,14 +20,19 @@ from labos.core.effects import arrivals, carried
 from labos.core.ids import Owner, RunId, StationName, run_owner, workcell_of
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
+from labos.core.rules import lab_ns
 from labos.core.runs import RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.forecast import is_pending, length, pending_before, spread
 from labos.planning.touch import cell_key
 
+LEAST_S = 1.0
+"""Nobody waits outside for less than so many lab seconds. What takes longer than it should is looked at again
+and again, and not without a pause."""
 
-def too_soon(state: LabState, run: RunState, step: int, now: int, others: Iterable[Plan]) -> Wait | None:
+
+def check_arrival(state: LabState, run: RunState, step: int, now: int, others: Iterable[Plan]) -> Wait | None:
     """What a run waits for outside so that its labware does not block the place to which this first step
     brings it; None if it may be let in. ``others`` are plans of those who are inside or wait too."""
     plan = state.runs.plan_of(run)
@@ -39,7 +44,7 @@ def too_soon(state: LabState, run: RunState, step: int, now: int, others: Iterab
     stop, onward, after = first
     free_at = _free_at(state, onward, now)
     arrives = now + sum(length(state, plan.steps[i]) for i in (step, *after))
-    if free_at is None or free_at <= arrives:
+    if free_at is None or free_at < arrives + lab_ns(state, LEAST_S):
         return None
     if not any(_leads_elsewhere(other, stop, onward) for other in others if other is not plan):
         return None

@@ -26,7 +26,7 @@ from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
-from labos.planning.arrival import too_soon
+from labos.planning.arrival import check_arrival
 from labos.planning.aside import better_here
 from labos.planning.deadlines import Deadlines
 from labos.planning.obstacle import obstacle
@@ -137,7 +137,7 @@ class Scheduler:
                     # It protects nothing any more once it has to wait for a booking.
                     until = booked.room_ends(state, RunId(elder), now) if state.bookings.open else None
                     return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
-                early = too_soon(state, run, step, now, self._company(state, plan.workcell))
+                early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
                 if early is not None and run not in self.room.impatient(state, plan.workcell):
                     return early
                 inside = self.patience.keeps_out(state, run, self.sleepers)
@@ -352,7 +352,7 @@ class Scheduler:
             waits.append(wait)
         return None, waits
 
-    def _company(self, state: LabState, cell: str) -> Iterator[Plan]:
+    def _list_plans(self, state: LabState, cell: str) -> Iterator[Plan]:
         """Plans of those who are in a workcell, and of some who wait for it: one of each bundle."""
         yield from map(state.runs.plan_of, state.runs.inside(cell))
         for bundle in self.room.within(cell)[:MOST_BUNDLES]:

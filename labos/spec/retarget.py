@@ -29,7 +29,7 @@ NAMES_NOTHING = ("name", "description", "metadata", "labos")
 """Keys of a workflow file under which names mean no modules."""
 
 
-class Match(msgspec.Struct, frozen=True):
+class ModuleMatch(msgspec.Struct, frozen=True):
     """A module of the one workcell and the one that stands in for it (empty: none); ``why`` it was chosen."""
 
     module: str
@@ -37,8 +37,8 @@ class Match(msgspec.Struct, frozen=True):
     why: str
 
 
-class Proposal(msgspec.Struct, frozen=True):
-    matches: list[Match]
+class Retargeting(msgspec.Struct, frozen=True):
+    matches: list[ModuleMatch]
     misfits: list[str]
 
     @property
@@ -67,7 +67,7 @@ def propose(
     new: Workcell,
     given: Mapping[str, str],
     descriptions: Mapping[str, Description],
-) -> Proposal:
+) -> Retargeting:
     """Which modules of ``new`` do what those of ``old`` did; ``given`` names some beforehand. Raises BadInput
     for a name of no module."""
     before, after = _described(old, descriptions), _described(new, descriptions)
@@ -75,19 +75,19 @@ def propose(
         _refuse_strangers(one, before, old.name)
         _refuse_strangers(other, after, new.name)
     places = Stations(new.name, new.stations)
-    matches, misfits = list[Match](), list[str]()
+    matches, misfits = list[ModuleMatch](), list[str]()
     for name, need in _needs(file, before).items():
         if name in given:
             chosen, why = given[name], "as you said"
         else:
             chosen, why = _choose(before[name], need, after, places)
-        matches.append(Match(name, chosen, why))
+        matches.append(ModuleMatch(name, chosen, why))
         if chosen:
             misfits += _misfits(name, after[chosen], need, places)
         else:
             actions = ", ".join(sorted(need.actions)) or "no action, but stations"
             misfits.append(f"No module of {new.name} stands in for {name} ({actions}).")
-    return Proposal(matches, misfits)
+    return Retargeting(matches, misfits)
 
 
 def _described(cell: Workcell, descriptions: Mapping[str, Description]) -> dict[str, _Module]:

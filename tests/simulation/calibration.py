@@ -21,7 +21,7 @@ from labos.core.fold import evolve
 from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
 from labos.core.state import LabState, from_picture, picture
 from labos.planning.durations import Durations, quantile
-from labos.planning.prospects import Question, RunProspect, foresee
+from labos.planning.lab_forecast import ExpectedRun, ForecastRequest, forecast_lab
 from labos.planning.virtual import VirtualLab
 from labos.services.log import events
 from labos.testing.faults import QUIET
@@ -47,7 +47,7 @@ BATCH, PAUSE_S = 4, 30_000.0
 class Case(msgspec.Struct, frozen=True):
     """A run: what was expected of it when it was submitted, and what came (UTC ns)."""
 
-    expected: RunProspect
+    expected: ExpectedRun
     submitted: int
     started: int
     ended: int
@@ -112,8 +112,8 @@ def cases(
         evolve(state, event, head.position, head.recorded_at)
         durations.learn(event, head.recorded_at)
         if isinstance(event, RunSubmitted) and event.run in ended:
-            question = Question(picture(state), head.recorded_at, durations.spreads(), steps=steps)
-            expected = next(run for run in foresee(question).runs if run.run == event.run)
+            question = ForecastRequest(picture(state), head.recorded_at, durations.spreads(), steps=steps)
+            expected = next(run for run in forecast_lab(question).runs if run.run == event.run)
             yield Case(expected, head.recorded_at, started[event.run], ended[event.run])
 
 

@@ -13,7 +13,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.runs import RunCompleted, RunStarted
 from labos.core.state import from_picture, picture
 from labos.planning.durations import Durations, Spreads
-from labos.planning.prospects import Question, foresee
+from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.virtual import MOST_RUNS, Play, VirtualLab, keep_first
 from tests.simulation.clocked import Instance, Life
 from tests.support.bench import (
@@ -104,15 +104,15 @@ PRINT = plan(
 )
 
 
-def asked(lab: Driver, **more: object) -> Question:
-    return Question(picture(lab.state), lab.now, Spreads(), **more)  # type: ignore[arg-type]
+def asked(lab: Driver, **more: object) -> ForecastRequest:
+    return ForecastRequest(picture(lab.state), lab.now, Spreads(), **more)  # type: ignore[arg-type]
 
 
 def test_what_is_used_up_calls_a_person_when_the_first_run_needs_it() -> None:
     lab = small(ink=25.0)
     for _ in range(4):
         lab.submit(PRINT)
-    told = foresee(asked(lab))
+    told = forecast_lab(asked(lab))
     assert [run.ends is None for run in told.runs] == [False, False, True, True]
     assert "ink" in told.runs[2].waits
     (touch,) = told.touches
@@ -128,7 +128,7 @@ def test_a_step_by_hand_is_a_planned_touch_and_goes_on() -> None:
     lab = small()
     by_hand = plan(step("hands", by_person=True, duration_s=60.0), *PRINT.steps, name="by hand")
     lab.submit(by_hand)
-    told = foresee(asked(lab))
+    told = forecast_lab(asked(lab))
     (touch,) = told.touches
     assert touch.planned
     assert touch.at.expected_at == lab.now
@@ -140,7 +140,7 @@ def test_a_waste_that_fills_and_a_stack_that_empties_are_told() -> None:
     lab = small(plates=1)
     for _ in range(2):
         lab.submit(PRINT)
-    told = foresee(asked(lab))
+    told = forecast_lab(asked(lab))
     assert "the stack stack is empty" in [touch.why for touch in told.touches]
     assert told.runs[0].ends is not None
     assert told.runs[1].starts is None
@@ -151,7 +151,7 @@ def test_nothing_runs_into_a_booking() -> None:
     begins = lab.now + 100 * SECOND
     lab.do(MakeBooking(f"{CELL}/dev", NewTerms(begins=begins, ends=begins + HOUR, user="bo"), "bo", lab.now))
     lab.submit(PRINT, user="ada")
-    told = foresee(asked(lab, new=SubmitRun(PRINT, "bo"), actor="labos"))
+    told = forecast_lab(asked(lab, new=SubmitRun(PRINT, "bo"), actor="labos"))
     ada, bo = (next(run for run in told.runs if run.user == user) for user in ("ada", "bo"))
     assert ada.starts is not None
     assert ada.starts.earliest_at >= begins + HOUR
@@ -165,7 +165,7 @@ def test_a_booking_of_every_day_is_not_followed_for_ever() -> None:
     terms = NewTerms(begins=begins, ends=begins + HOUR, user="bo", rule="FREQ=DAILY")
     lab.do(MakeBooking(f"{CELL}/dev", terms, "bo", lab.now))
     lab.submit(PRINT, user="ada")
-    told = foresee(asked(lab))
+    told = forecast_lab(asked(lab))
     assert told.runs[0].ends is None
     assert told.touches
 
@@ -183,11 +183,11 @@ def test_whoever_goes_first_delays_the_others() -> None:
     for _ in range(3):
         lab.submit(PRINT)
     before = picture(lab.state)
-    told = foresee(asked(lab, new=SubmitRun(PRINT, "bo", priority=5), actor="labos"))
+    told = forecast_lab(asked(lab, new=SubmitRun(PRINT, "bo", priority=5), actor="labos"))
     assert picture(lab.state) == before
     assert len(told.new) == 1
     assert {delay.run: delay.by_s for delay in told.delays} == dict.fromkeys(("R1", "R2", "R3"), 120.0)
-    last = foresee(asked(lab, new=SubmitRun(PRINT, "ada"), actor="labos"))
+    last = forecast_lab(asked(lab, new=SubmitRun(PRINT, "ada"), actor="labos"))
     assert last.delays == []
 
 
@@ -195,9 +195,9 @@ def test_rows_of_a_campaign_are_let_in_as_there_is_room_and_a_deadline_is_judged
     lab = small()
     terms = Terms(deadline=lab.now + 1000 * SECOND)
     campaign = SubmitCampaign("screen", "ada", "print", CELL, 10, "t", "d", terms)
-    told = foresee(asked(lab, new=campaign, new_rows=[PRINT], actor="labos"))
+    told = forecast_lab(asked(lab, new=campaign, new_rows=[PRINT], actor="labos"))
     (found,) = told.campaigns
-    assert (found.rows_left, found.foreseen, len(told.new)) == (10, 10, 10)
+    assert (found.rows_left, found.rows_forecast, len(told.new)) == (10, 10, 10)
     assert found.ends is not None
     assert abs(found.ends.expected_at - lab.now - 1200 * SECOND) <= 200 * SECOND
     assert told.conflicts == ["The deadline would be missed."]
@@ -207,16 +207,18 @@ def test_of_long_campaigns_the_end_is_reckoned_by_their_rate() -> None:
     lab = small(plates=40, ink=100.0)
     free = plan(step("dev", duration_s=100.0), name="wait")
     campaign = SubmitCampaign("long", "ada", "wait", CELL, 1000, "t", "d")
-    told = foresee(asked(lab, new=campaign, new_rows=[free], actor="labos", most_runs=20))
+    told = forecast_lab(asked(lab, new=campaign, new_rows=[free], actor="labos", most_runs=20))
     (found,) = told.campaigns
-    assert (found.rows_left, found.foreseen) == (1000, 20)
+    assert (found.rows_left, found.rows_forecast) == (1000, 20)
     assert found.ends is not None
     assert found.ends.expected_at - lab.now == pytest.approx(100_000 * SECOND, rel=0.03)
 
 
 def test_what_is_refused_is_told() -> None:
     lab = small()
-    told = foresee(asked(lab, new=SubmitCampaign("none", "ada", "print", CELL, 0, "t", "d"), actor="labos"))
+    told = forecast_lab(
+        asked(lab, new=SubmitCampaign("none", "ada", "print", CELL, 0, "t", "d"), actor="labos")
+    )
     assert "no rows" in told.refusal
 
 
@@ -224,7 +226,7 @@ def test_the_same_question_has_the_same_answer() -> None:
     lab = small()
     for _ in range(3):
         lab.submit(PRINT)
-    assert foresee(asked(lab)) == foresee(asked(lab))
+    assert forecast_lab(asked(lab)) == forecast_lab(asked(lab))
 
 
 def test_of_ten_thousand_runs_that_wait_a_bounded_part_is_looked_at() -> None:

@@ -75,7 +75,7 @@ def test_what_is_not_submitted_is_foreseen_and_leaves_no_trace(home: Home) -> No
         assert client.health()["position"] == before
     forecast = told["forecast"]
     (found,) = forecast["campaigns"]
-    assert (found["rows_left"], found["foreseen"], len(forecast["new"])) == (4, 4, 4)
+    assert (found["rows_left"], found["rows_forecast"], len(forecast["new"])) == (4, 4, 4)
     assert told["consumables"]["foil"] == {"needed": 4, "left": 3}
     assert any("foil" in touch["why"] for touch in forecast["touches"])
     assert any("deadline" in conflict for conflict in forecast["conflicts"])

@@ -9,27 +9,27 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ExperimentId
 from labos.core.users import person_of
 from labos.http.bodies import NewCampaign, NewRun
-from labos.http.campaigns import Estimate, foresee_campaign
+from labos.http.campaigns import Estimate, forecast_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
 from labos.planning.durations import Drift
-from labos.planning.prospects import Prospect
+from labos.planning.lab_forecast import LabForecast
 from labos.spec.findings import Finding
 
 
 class Forecast(msgspec.Struct, frozen=True):
     """What is expected of the lab. ``drifts`` are the actions that take longer or shorter than they did."""
 
-    forecast: Prospect
+    forecast: LabForecast
     drifts: list[Drift]
 
 
 class RunForecast(msgspec.Struct, frozen=True):
     """What a run would bring, and what its workflow's files made the lab remark."""
 
-    forecast: Prospect
+    forecast: LabForecast
     warnings: tuple[Finding, ...] = ()
 
 
@@ -37,7 +37,7 @@ class CampaignForecast(msgspec.Struct, frozen=True):
     """What a campaign would bring, and what all its rows ask of the lab."""
 
     estimate: Estimate
-    forecast: Prospect
+    forecast: LabForecast
 
 
 async def get_forecast(call: Call) -> Forecast:
@@ -47,7 +47,7 @@ async def get_forecast(call: Call) -> Forecast:
     return Forecast(await forecasts.queue(), await forecasts.drifts())
 
 
-async def foresee_run(call: Call, body: NewRun) -> RunForecast:
+async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     """Nothing is submitted, nothing is kept. It is taken as approved."""
     service = call.service
     service.expect_role(body.user, "submitter")  # before anything is planned
@@ -61,9 +61,9 @@ async def foresee_run(call: Call, body: NewRun) -> RunForecast:
     return RunForecast(await service.forecasts.of_run(command, body.user), compiled.findings)
 
 
-async def foresee_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
+async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
     """It is checked row by row; nothing is submitted, nothing is kept. It is taken as approved."""
-    estimate, forecast = await foresee_campaign(call.service, body)
+    estimate, forecast = await forecast_campaign(call.service, body)
     return CampaignForecast(estimate, forecast)
 
 
@@ -90,7 +90,7 @@ OPERATIONS = (
     Operation(
         method="POST",
         path="/runs/forecast",
-        handler=foresee_run,
+        handler=forecast_run,
         client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
         summary="When a run would start and end, without submitting it",
         tag="runs",
@@ -102,7 +102,7 @@ OPERATIONS = (
     Operation(
         method="POST",
         path="/campaigns/forecast",
-        handler=foresee_campaign_file,
+        handler=forecast_campaign_file,
         client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
         summary="What a campaign would need and bring, without submitting it",
         tag="campaigns",

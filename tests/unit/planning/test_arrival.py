@@ -112,3 +112,33 @@ def test_nobody_waits_outside_for_ever() -> None:
         rounds += 1
         assert rounds <= 2 * PATIENCE
     assert rounds > 3
+
+
+def test_what_takes_too_long_is_looked_at_again_with_pauses() -> None:
+    """The one in the way is overdue, and is followed by a step that would just not end before the other
+    arrives: the end that is expected moves on with the clock."""
+    slow = plan(
+        *SLOW.steps[:3],
+        step("dev", key="wash", duration_s=55.56),
+        step("arm", move("dev.nest", "trash"), key="out", duration_s=30.0),
+        name="slow",
+    )
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    lab.submit(slow)
+    lab.pump()
+    for seconds in (40.0, 30.0):
+        lab.wait(seconds)
+        lab.finish(lab.flying()[0])
+        lab.pump()
+    lab.submit(slow)
+    lab.do(PauseRun(lab.submit(QUICK), "ada"))
+    lab.pump()
+    lab.wait(3600.0)  # far longer than 600 s
+    for _ in range(100):
+        if "R2#0" in lab.pump():
+            return
+        alarm = lab.scheduler.next_wake()
+        assert alarm is not None
+        assert alarm - lab.now >= SECOND
+        lab.now = alarm

@@ -49,7 +49,7 @@ class Times(msgspec.Struct, frozen=True):
     latest_at: int
 
 
-class RunProspect(msgspec.Struct, frozen=True):
+class ExpectedRun(msgspec.Struct, frozen=True):
     """What is expected of a run. ``starts`` is when it started if it has; null: not in sight. ``waits`` is
     why it does not come to its end without a person."""
 
@@ -62,20 +62,20 @@ class RunProspect(msgspec.Struct, frozen=True):
     waits: str = ""
 
 
-class CampaignProspect(msgspec.Struct, frozen=True):
-    """What is expected of a campaign. Of its rows that are left, the first ``foreseen`` were carried on; if
-    that is less than all, ``ends`` goes on at their rate."""
+class ExpectedCampaign(msgspec.Struct, frozen=True):
+    """What is expected of a campaign. The first ``rows_forecast`` of the rows that are left were carried on;
+    if that is less than all, ``ends`` goes on at their rate."""
 
     campaign: str
     name: str
     starts: Times | None
     ends: Times | None
     rows_left: int
-    foreseen: int
+    rows_forecast: int
     waits: str = ""
 
 
-class TouchProspect(msgspec.Struct, frozen=True):
+class ExpectedTouch(msgspec.Struct, frozen=True):
     """When a person is needed next, for what, and what is to be done about it. ``planned``: a workflow asks
     for it."""
 
@@ -96,16 +96,16 @@ class Delay(msgspec.Struct, frozen=True):
     by_s: float | None
 
 
-class Prospect(msgspec.Struct, frozen=True):
+class LabForecast(msgspec.Struct, frozen=True):
     """What is expected of a lab from ``now_at`` on, after ``plays`` plays. ``left_out`` runs that wait were
     not looked at. ``new`` are the runs of what is not submitted yet; ``delays`` and ``conflicts`` are what
     it would bring."""
 
     now_at: int
     plays: int
-    runs: list[RunProspect] = []
-    campaigns: list[CampaignProspect] = []
-    touches: list[TouchProspect] = []
+    runs: list[ExpectedRun] = []
+    campaigns: list[ExpectedCampaign] = []
+    touches: list[ExpectedTouch] = []
     left_out: int = 0
     cut: bool = False
     new: list[str] = []
@@ -114,7 +114,7 @@ class Prospect(msgspec.Struct, frozen=True):
     refusal: str = ""
 
 
-class Question(msgspec.Struct):
+class ForecastRequest(msgspec.Struct):
     """What is asked: of a state as a picture, at a time. ``new`` is what somebody thinks of submitting, and
     ``new_rows`` plans of its rows, if it is a campaign. ``rows`` are plans of rows of campaigns that are
     known."""
@@ -131,47 +131,47 @@ class Question(msgspec.Struct):
     steps: int = STEPS
 
 
-def foresee(question: Question, is_late: Callable[[], bool] = lambda: False) -> Prospect:
+def forecast_lab(request: ForecastRequest, is_late: Callable[[], bool] = lambda: False) -> LabForecast:
     """Carry the lab on, several times; once it ``is_late``, not once more."""
-    base = from_picture(question.picture)
-    left_out = keep_first(base, question.most_runs)
-    base.recorded_at = max(base.recorded_at, question.now)
-    asker = _Asker(question, picture(base))
-    usual = asker.play(0)
-    if asker.refusal:
-        return Prospect(question.now, 0, left_out=left_out, refusal=asker.refusal)
-    count = max(FEWEST, min(MOST, question.steps // max(1, usual.steps)))
-    before = asker.play(0, without=True) if question.new is not None else None
+    base = from_picture(request.picture)
+    left_out = keep_first(base, request.most_runs)
+    base.recorded_at = max(base.recorded_at, request.now)
+    forecaster = _Forecaster(request, picture(base))
+    usual = forecaster.play(0)
+    if forecaster.refusal:
+        return LabForecast(request.now, 0, left_out=left_out, refusal=forecaster.refusal)
+    count = max(FEWEST, min(MOST, request.steps // max(1, usual.steps)))
+    before = forecaster.play(0, without=True) if request.new is not None else None
     plays = [usual]
     while len(plays) <= count and not is_late():
-        plays.append(asker.play(len(plays)))
-    conflicts = list(_conflicts(question, base, plays, asker.new)) if question.new is not None else []
-    return Prospect(
-        now_at=question.now,
+        plays.append(forecaster.play(len(plays)))
+    conflicts = list(_conflicts(request, base, plays, forecaster.new)) if request.new is not None else []
+    return LabForecast(
+        now_at=request.now,
         plays=len(plays),
-        runs=[_run(asker, plays, name) for name in usual.users],
-        campaigns=_campaigns(asker, plays),
+        runs=[_run(forecaster, plays, name) for name in usual.users],
+        campaigns=_campaigns(forecaster, plays),
         touches=_touches(plays),
         left_out=left_out,
         cut=usual.cut,
-        new=[str(name) for name in usual.users if _is_new(asker, usual, name)],
+        new=[str(name) for name in usual.users if _is_new(forecaster, usual, name)],
         delays=list(_delays(before, usual)) if before is not None else [],
         conflicts=conflicts,
     )
 
 
-class _Asker:
+class _Forecaster:
     """Carries copies of a state on. ``new`` is the run or campaign that is not submitted yet."""
 
-    def __init__(self, question: Question, base: bytes) -> None:
-        self.question, self.base = question, base
+    def __init__(self, request: ForecastRequest, base: bytes) -> None:
+        self.request, self.base = request, base
         self.workflows: dict[RunId, str] = {}
         self.campaigns: dict[CampaignId, tuple[str, int]] = {}
         self.new, self.refusal = "", ""
 
     def play(self, number: int, *, without: bool = False) -> Play:
         """Number 0 takes the usual durations, others draw them."""
-        asked = self.question
+        asked = self.request
         state = from_picture(self.base)
         rows: dict[CampaignId, Sequence[Plan]] = dict(asked.rows)
         fresh = CampaignId(f"C{state.campaigns.named + 1}")
@@ -190,7 +190,7 @@ class _Asker:
         return lab.go_on()
 
     def _submit(self, lab: VirtualLab, command: Command) -> None:
-        answer = lab.submit(command, self.question.actor)
+        answer = lab.submit(command, self.request.actor)
         if isinstance(answer, Rejection):
             self.refusal = f"{answer.message} {answer.remedy}".strip()
             return
@@ -223,20 +223,20 @@ def _outer(ordered: Sequence[int], level: float) -> float:
     return quantile(ordered, min(1.0, max(0.0, place)))
 
 
-def _is_new(asker: _Asker, play: Play, name: RunId) -> bool:
-    return bool(asker.new) and asker.new in (name, play.members.get(name))
+def _is_new(forecaster: _Forecaster, play: Play, name: RunId) -> bool:
+    return bool(forecaster.new) and forecaster.new in (name, play.members.get(name))
 
 
-def _run(asker: _Asker, plays: list[Play], name: RunId) -> RunProspect:
+def _run(forecaster: _Forecaster, plays: list[Play], name: RunId) -> ExpectedRun:
     def of(pick: Callable[[Play], dict[RunId, int]]) -> Times | None:
         return times([pick(play)[name] for play in plays if name in pick(play)], len(plays))
 
     ends = of(lambda play: play.ends)
     usual = plays[0]
     failed = usual.failed.get(name, "")
-    return RunProspect(
+    return ExpectedRun(
         run=str(name),
-        workflow=asker.workflows.get(name, ""),
+        workflow=forecaster.workflows.get(name, ""),
         user=usual.users[name],
         campaign=str(usual.members.get(name, "")),
         starts=of(lambda play: play.starts),
@@ -245,9 +245,9 @@ def _run(asker: _Asker, plays: list[Play], name: RunId) -> RunProspect:
     )
 
 
-def _campaigns(asker: _Asker, plays: list[Play]) -> list[CampaignProspect]:
-    found: list[CampaignProspect] = []
-    for name, (title, left) in asker.campaigns.items():
+def _campaigns(forecaster: _Forecaster, plays: list[Play]) -> list[ExpectedCampaign]:
+    found: list[ExpectedCampaign] = []
+    for name, (title, left) in forecaster.campaigns.items():
         usual = [run for run, member in plays[0].members.items() if member == name]
         members = [[run for run, member in play.members.items() if member == name] for play in plays]
         begun = [
@@ -256,7 +256,7 @@ def _campaigns(asker: _Asker, plays: list[Play]) -> list[CampaignProspect]:
             if any(run in play.starts for run in runs)
         ]
         stays = next((plays[0].stays[run] for run in usual if run in plays[0].stays), "")
-        fresh = [run for run in usual if run not in asker.workflows]
+        fresh = [run for run in usual if run not in forecaster.workflows]
         rest = max(0, left - len(fresh))
         over = [
             _extrapolate([play.starts[run] for run in runs], [play.ends[run] for run in runs], rest)
@@ -264,13 +264,13 @@ def _campaigns(asker: _Asker, plays: list[Play]) -> list[CampaignProspect]:
             if runs and all(run in play.ends for run in runs)
         ]
         found.append(
-            CampaignProspect(
+            ExpectedCampaign(
                 campaign=str(name),
                 name=title,
                 starts=times(begun, len(plays)),
                 ends=times(over, len(plays)),
                 rows_left=left,
-                foreseen=len(fresh),
+                rows_forecast=len(fresh),
                 waits=stays,
             )
         )
@@ -286,9 +286,9 @@ def _extrapolate(starts: Sequence[int], ends: Sequence[int], rest: int) -> int:
     return ordered[-1] + rest * (ordered[-1] - min(starts))
 
 
-def _touches(plays: list[Play]) -> list[TouchProspect]:
+def _touches(plays: list[Play]) -> list[ExpectedTouch]:
     """When a person is needed, in order; what comes up in less than half of the plays is left out."""
-    found: list[TouchProspect] = []
+    found: list[ExpectedTouch] = []
     for touch in plays[0].touches:
         at = times(
             [
@@ -299,7 +299,7 @@ def _touches(plays: list[Play]) -> list[TouchProspect]:
             len(plays),
         )
         if at is not None:
-            found.append(TouchProspect(at, touch.why, touch.remedy, touch.run, touch.planned))
+            found.append(ExpectedTouch(at, touch.why, touch.remedy, touch.run, touch.planned))
     return sorted(found, key=lambda touch: touch.at.expected_at)
 
 
@@ -316,11 +316,11 @@ def _delays(before: Play, after: Play) -> Iterator[Delay]:
 # -- conflicts -----------------------------------------------------------------------------------
 
 
-def _conflicts(question: Question, state: LabState, plays: list[Play], new: str) -> Iterator[str]:
+def _conflicts(request: ForecastRequest, state: LabState, plays: list[Play], new: str) -> Iterator[str]:
     """What stands in the way of something that is not submitted yet, as sentences."""
-    command = question.new
+    command = request.new
     run = command.run if isinstance(command, SubmitWithLabware) else command
-    plans = question.new_rows if isinstance(run, SubmitCampaign) else [run.plan] if run else []
+    plans = request.new_rows if isinstance(run, SubmitCampaign) else [run.plan] if run else []
     modules = {step.module: True for plan in plans for step in plan.steps}
     for name in modules:
         module = state.modules.by_name.get(name)
@@ -332,9 +332,9 @@ def _conflicts(question: Question, state: LabState, plays: list[Play], new: str)
         for name, end in play.ends.items()
         if new and new in (name, play.members.get(name))
     ]
-    until = max(ends, default=question.now)
+    until = max(ends, default=request.now)
     user = run.user if run is not None else ""
-    yield from _booked(state, user, modules, question.now, until)
+    yield from _booked(state, user, modules, request.now, until)
     if isinstance(run, SubmitCampaign) and run.terms.deadline:
         late = [end for end in ends if end > run.terms.deadline]
         if late or not ends:

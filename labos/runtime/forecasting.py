@@ -16,7 +16,7 @@ import msgspec
 
 from labos.clock import SystemClock
 from labos.errors import Refused
-from labos.planning.prospects import Prospect, Question, foresee
+from labos.planning.lab_forecast import ForecastRequest, LabForecast, forecast_lab
 
 ENOUGH_S = 15.0
 """After so many seconds what was worked out has to do."""
@@ -32,18 +32,19 @@ NICE = 10
 _encode = msgspec.msgpack.Encoder().encode
 
 
-class Foreseer:
+class ForecastProcess:
     """Works out forecasts, one at a time."""
 
     def __init__(self) -> None:
         self._turn = asyncio.Semaphore(1)
         self._asked = 0
 
-    async def foresee(self, ask: Callable[[], Question]) -> Prospect:
-        """What is to be expected; the question is asked when its turn comes. Raises Refused."""
+    async def forecast_lab(self, ask: Callable[[], ForecastRequest]) -> LabForecast:
+        """What is to be expected; the request is asked when its turn comes. Raises Refused."""
         if self._asked >= MOST_ASKED:
             raise Refused(
-                f"{self._asked} forecasts are asked for already.", remedy="Ask again when they are told."
+                f"{self._asked} forecasts are asked for already.",
+                remedy="Ask again when they have been answered.",
             )
         self._asked += 1
         try:
@@ -52,8 +53,8 @@ class Foreseer:
         finally:
             self._asked -= 1
 
-    async def _work_out(self, question: Question) -> Prospect:
-        data = await asyncio.to_thread(_encode, question)
+    async def _work_out(self, request: ForecastRequest) -> LabForecast:
+        data = await asyncio.to_thread(_encode, request)
         process = await asyncio.create_subprocess_exec(
             sys.executable,
             "-m",
@@ -80,17 +81,17 @@ class Foreseer:
                 f"The forecast failed: {' '.join(last) or f'exit code {process.returncode}'}.",
                 remedy="The lab goes on without it; please report this.",
             )
-        return await asyncio.to_thread(msgspec.msgpack.decode, told, type=Prospect)
+        return await asyncio.to_thread(msgspec.msgpack.decode, told, type=LabForecast)
 
 
 def main() -> None:
-    """Read a question, write the answer."""
+    """Read a request, write the answer."""
     if hasattr(os, "nice"):
         os.nice(NICE)
     clock = SystemClock()
     began = clock.monotonic()
-    question = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Question)
-    found = foresee(question, lambda: clock.monotonic() - began > ENOUGH_S)
+    request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=ForecastRequest)
+    found = forecast_lab(request, lambda: clock.monotonic() - began > ENOUGH_S)
     sys.stdout.buffer.write(_encode(found))
 
 
