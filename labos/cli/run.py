@@ -96,9 +96,6 @@ def forecast(job: Job, home: str | None, *, as_json: bool) -> None:
     from labos.cli._lab import need_lab
     from labos.cli._out import show_json
 
-    place = [
-        dict(zip(("station", "labware", "variables"), put, strict=True)) for put in places_of(job.placed)
-    ]
     with need_lab(home) as client:
         told = client.forecast_run(
             job.text,
@@ -106,7 +103,7 @@ def forecast(job: Job, home: str | None, *, as_json: bool) -> None:
             user=job.user,
             workcell=job.workcell,
             priority=job.priority,
-            place=place,
+            place=places_of(job.placed),
         )
     found = told["forecast"]
     if as_json:

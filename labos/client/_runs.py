@@ -83,7 +83,8 @@ class RunCalls(GeneratedCalls):
         """When a run of a workflow would start and end, and what it would bring, as ``forecast``. Nothing is
         submitted. Options are those of ``check``."""
         payload = options.pop("payload", None) or {}
-        return self._forecast_run(workflow_text(workflow, payload), payload=payload, **options)
+        place = puts_of(options.pop("place", ()))
+        return self._forecast_run(workflow_text(workflow, payload), payload=payload, place=place, **options)
 
     def _note_approval(self, answer: Mapping[str, Any]) -> None:
         self.approval = str(answer.get("approval", ""))

@@ -16,6 +16,7 @@ import msgspec
 
 from labos.core.actions import Action
 from labos.core.booked import find_blocked
+from labos.core.campaigns import CampaignSubmitted
 from labos.core.decide import Command, Rejection
 from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.composites import SubmitWithLabware
@@ -23,6 +24,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import CampaignId, ModuleName, RunId, local
 from labos.core.model import Plan, PlanStep
 from labos.core.modules import ModuleStatus
+from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, from_picture, picture
 from labos.planning.durations import Spreads, quantile
 from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
@@ -194,8 +196,12 @@ class _Forecaster:
         if isinstance(answer, Rejection):
             self.refusal = f"{answer.message} {answer.remedy}".strip()
             return
-        name = "campaign" if isinstance(command, SubmitCampaign) else "run"
-        self.new = next((str(getattr(event, name)) for event in answer if hasattr(event, name)), "")
+        for event in answer:
+            match event:
+                case RunSubmitted():
+                    self.new = str(event.run)
+                case CampaignSubmitted():
+                    self.new = str(event.campaign)
 
 
 def _lasts(spreads: Spreads, pace: float, number: int, action: Action, step: PlanStep) -> int:

@@ -67,7 +67,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Home]:
 
 
 @pytest.mark.slow
-def test_what_is_not_submitted_is_foreseen_and_leaves_no_trace(home: Home) -> None:
+def test_what_is_not_submitted_is_forecast_and_leaves_no_trace(home: Home) -> None:
     with LabClient(home.lab.url) as client:
         before = client.health()["position"]
         told = json.loads(home("campaign", "plan", str(home.campaign), "--json").output)
@@ -83,6 +83,21 @@ def test_what_is_not_submitted_is_foreseen_and_leaves_no_trace(home: Home) -> No
     assert run.exit_code == 0
     assert "ends:        about " in run.output
     assert "delays:      nobody" in run.output
+
+
+@pytest.mark.slow
+def test_a_forecast_takes_labware_that_would_be_placed(home: Home) -> None:
+    flow = "labos: 1\nname: one\nsteps:\n  - {name: seal, module: sealer, action: seal, args: {time: 2}}\n"
+    one = home.flow.with_name("one.yaml")
+    one.write_text(flow)
+    placed = home("run", str(one), "--place", "sealer.default=plate96", "--dry-run")
+    assert placed.exit_code == 0, placed.output
+    assert "ends:        about " in placed.output
+    with LabClient(home.lab.url) as client:
+        same = client.forecast_run(one, user="ada", place=[("sealer.default", "plate96")])["forecast"]
+        assert same["runs"][-1]["ends"] is not None
+        bare = client.forecast_run(one, user="ada")["forecast"]
+        assert bare["runs"][-1]["ends"] is None, "there is no plate to seal"
 
 
 @pytest.mark.slow
