@@ -115,9 +115,9 @@ class Narrator:
     def _say_what_lasts(self, told: set[tuple[str, int]]) -> set[tuple[str, int]]:
         """The steps that are under way, but those ``told`` already; returns all of them."""
         runs = self.client.state(waits=False)["runs"]
-        steps = {(run["id"], step["since"]): describe_step(step) for run in runs for step in run["doing"]}
-        for (run, since), words in steps.items():
-            if (run, since) not in told:
+        steps = {(run["id"], step["step"]): describe_step(step) for run in runs for step in run["doing"]}
+        for (run, step), words in steps.items():
+            if (run, step) not in told:
                 click.echo(f"            {run} {words}")
         return set(steps)
 

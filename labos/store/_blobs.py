@@ -92,6 +92,8 @@ class FolderBlobs:
         source, aside = self._file(name), self.path / REMOVING / name
         try:
             make_folder(aside.parent)
+            if source.stat().st_mtime >= before:
+                return False  # a young blob is not put aside at all: its readers would have to look for it
             source.rename(aside)
             if aside.stat().st_mtime >= before:
                 aside.rename(source)

@@ -39,6 +39,13 @@ def lab(tmp_path: Path) -> Iterator[LabThread]:
         yield running
 
 
+def wait_for_idle_press(client: LabClient) -> None:
+    deadline = time.monotonic() + 20
+    while client.state()["modules"][0]["status"] != "IDLE":
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
 def test_a_run_says_what_it_waits_for(lab: LabThread, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_narrate, "SILENCE_S", 0.3)
     said, results = threading.Event(), list[RunResult]()
@@ -51,10 +58,7 @@ def test_a_run_says_what_it_waits_for(lab: LabThread, monkeypatch: pytest.Monkey
     lines: list[str] = []
     monkeypatch.setattr(_narrate.click, "echo", note)
     with LabClient(lab.url) as client, LabClient(lab.url) as other:
-        deadline = time.monotonic() + 20
-        while client.state()["modules"][0]["status"] != "IDLE":
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        wait_for_idle_press(client)
         after = client.health()["position"]
         run = client.submit({"name": "squeeze.yaml", "text": FLOW, "files": {}}, user="ada")
         thread = threading.Thread(target=lambda: results.append(Narrator(other, after).follow_run(run)))
@@ -80,6 +84,7 @@ def test_a_long_step_is_told_with_what_is_left(lab: LabThread, monkeypatch: pyte
     lines: list[str] = []
     monkeypatch.setattr(_narrate.click, "echo", note)
     with LabClient(lab.url) as client, LabClient(lab.url) as other:
+        wait_for_idle_press(client)
         watcher = Narrator(other, client.health()["position"])
         thread = threading.Thread(target=lambda: watcher.follow(over))
         thread.start()
@@ -90,5 +95,7 @@ def test_a_long_step_is_told_with_what_is_left(lab: LabThread, monkeypatch: pyte
         finally:
             over.set()
             thread.join(20)
-    (line,) = [line for line in lines if " left" in line]
+    told = [line for line in lines if " left" in line]
+    assert len(told) == 1, lines
+    (line,) = told
     assert re.fullmatch(rf" +{run} 'rest': press is at rest, about \d\d min( \d+ s)? left", line), line
