@@ -34,6 +34,7 @@ SECTIONS = {
         "new": "A workcell, workflow or application to begin with.",
         "validate": "Check a workflow before anything moves.",
         "plan": "The steps of a workflow, and how long they take.",
+        "planner": "Suggest in which order to start what is to be done.",
         "retarget": "Rewrite a workflow for another workcell.",
         "import": "Rewrite files of WEI and MADSci in LabOS' own form.",
         "schema": "The JSON Schema of a file, for editors.",

@@ -23,6 +23,7 @@ from labos.core import (
     shorter,
     signatures,
     steps,
+    suggestions,
     users,
 )
 from labos.core.actions import ActionRequested
@@ -59,6 +60,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("bookings", bookings.HANDLERS),
     ("lab", repeated.HANDLERS),
     ("lab", signatures.HANDLERS),
+    ("suggestions", suggestions.HANDLERS),
 )
 
 

@@ -21,6 +21,7 @@ from labos.core.resources import Resources
 from labos.core.runs import Runs
 from labos.core.shares import Shares
 from labos.core.shorter import Shorter
+from labos.core.suggestions import Suggestions
 from labos.core.users import Users
 
 
@@ -45,6 +46,7 @@ class LabState(msgspec.Struct):
     users: Users = msgspec.field(default_factory=Users)
     approvals: Approvals = msgspec.field(default_factory=Approvals)
     bookings: Bookings = msgspec.field(default_factory=Bookings)
+    suggestions: Suggestions = msgspec.field(default_factory=Suggestions)
 
 
 # Tables keep their order: who came first is part of the state.

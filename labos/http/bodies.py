@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import msgspec
 
 from labos.core.signatures import Meaning
+from labos.core.suggestions import MOST_STEPS
 from labos.http.access import StationChange
 from labos.http.limits import (
     MOST_ENTRIES,
@@ -134,6 +135,24 @@ class SharesFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     text: Annotated[FileText, says("the file")]
     by: Asker = ""
     name: Annotated[FileName, says("what errors call the file")] = "shares"
+
+
+class SuggestedStep(msgspec.Struct, forbid_unknown_fields=True):
+    run: Annotated[Name, says("a run's id")]
+    step: Annotated[int, msgspec.Meta(ge=0, le=100_000, description="which of its steps, counted from 0")]
+    start: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1, description="when it should start (UTC ns)")]
+
+
+class OrderSuggestion(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    steps: Annotated[
+        list[SuggestedStep],
+        msgspec.Meta(max_length=MOST_STEPS, description="in any order; none: no advice any more"),
+    ]
+    until: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1, description="until when it counts (UTC ns)")]
+    position: Annotated[
+        int, msgspec.Meta(ge=0, le=2**63 - 1, description="the log's position that it was worked out from")
+    ] = 0
+    by: Asker = ""
 
 
 class InterventionAnswer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):

@@ -38,6 +38,7 @@ from labos.core.decide.shorter import ConfirmStations, SayContents
 from labos.core.decide.signatures import SignRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.decide.submissions import ApplyPolicy
+from labos.core.decide.suggestions import SuggestOrder
 from labos.core.decide.teach import TeachLocation
 from labos.core.decide.users import (
     AddGroup,
@@ -78,6 +79,7 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "replenish_resource": (Replenish,),
     "teach_location": (TeachLocation,),
     "change_workcell": (ApplyWorkcell, DeclareStation),
+    "suggest_order": (SuggestOrder,),
     "request_workcell_access": (RequestAccess, SubmitRun),
     "end_workcell_access": (EndAccess,),
     "make_booking": (MakeBooking,),
@@ -151,6 +153,7 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "replenish_resource": ("labos replenish",),
     "teach_location": ("labos teach",),
     "change_workcell": ("labos workcell apply",),
+    "suggest_order": ("labos planner",),
     "request_workcell_access": ("labos access",),
     "end_workcell_access": ("labos access",),
     "make_booking": ("labos book add",),

@@ -35,6 +35,7 @@ from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import find_block, find_questions
+from labos.planning.suggested import LAST, Adviser
 from labos.planning.touch import (
     BENCH,
     BOOKING,
@@ -82,6 +83,7 @@ class Scheduler:
         self.sleepers = Sleepers()
         self.room = WaitingRoom()
         self.patience = Patience()
+        self.adviser = Adviser()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[RunId, bool] = {}
@@ -119,6 +121,8 @@ class Scheduler:
             return found
         wait = booked.against(state, run, step, now) if state.bookings.open else None
         wait = wait or self.reservations.against(state, run, step, now, self.safety)
+        if wait is None and state.suggestions.orders and not self._is_overtaken(state, run):
+            wait = self.adviser.against(state, run, step, now)
         if wait is not None:
             return wait
         queued = not run.has_started
@@ -297,15 +301,23 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _ordered(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, bool, int, bool, tuple[float, float], int]:
+        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], int]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, False, (0.0, 0.0), run.position)
+                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), run.position)
             calm, share = not is_urgent(state, run, now), self._standing(state, now, run.user)
-            return (deadline, 1, calm, -run.priority, waits, share, run.position)
+            orders = state.suggestions.orders
+            advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
+            return (deadline, 1, calm, -run.priority, advised, waits, share, run.position)
 
         return sorted(spots, key=rank)
+
+    def _is_overtaken(self, state: LabState, run: RunState) -> bool:
+        """Whether a run has waited for so long that nobody's advice holds it up."""
+        if run.has_started:
+            return self.patience.is_over(run.id)
+        return run in self.room.impatient(state, state.runs.plan_of(run).workcell)
 
     def _standing(self, state: LabState, now: int, user: str) -> tuple[float, float]:
         """The lab time that a user's group and the user have had for their weights, worked out once in a

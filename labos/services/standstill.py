@@ -289,6 +289,7 @@ class Standstill:
                 | reasons.Occupied()
                 | reasons.AfterElder()
                 | reasons.WouldBlock()
+                | reasons.AfterSuggested()
                 | reasons.Unsafe()
                 # Its own steps, or nobody in particular.
                 | reasons.After()

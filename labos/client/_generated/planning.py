@@ -16,6 +16,27 @@ class GeneratedPlanning(Calls):
         ``module``, ``driver``, ``description``, ``actions``."""
         return self._get(f"/modules/{in_path(module)}/actions")
 
+    def suggested_order(self, workcell: str) -> dict[str, Any]:
+        """In which order a planner suggests that the next steps of a workcell start. Of steps that have
+        started, or whose run has ended, nothing is said. Returns ``workcell``, ``by``, ``until``, ``steps``.
+        Raises NotFound."""
+        return self._get(f"/workcells/{in_path(workcell)}/order")
+
+    def suggest_order(
+        self, workcell: str, steps: Sequence[Mapping[str, Any]], until: int, position: int = 0, *, by: str
+    ) -> int:
+        """Suggest in which order the next steps of a workcell start. It replaces what was suggested before.
+        Steps of runs that have ended are left out. What is suggested never makes a step start that could not
+        start without it. ``steps``: in any order; none: no advice any more. ``until``: until when it counts
+        (UTC ns). ``position``: the log's position that it was worked out from. Returns the steps. Raises
+        NotFound, Refused."""
+        found: int = self._post(
+            f"/workcells/{in_path(workcell)}/order",
+            {"steps": steps, "until": until, "position": position, "by": by},
+            repeat=True,
+        )["steps"]
+        return found
+
     def _check_run(
         self,
         workflow: Mapping[str, Any],

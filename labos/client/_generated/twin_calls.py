@@ -416,6 +416,16 @@ class AsyncCalls:
         """Everything that is alive."""
         return await self.threads.call(self.sync.state, waits=waits)
 
+    async def suggest_order(
+        self, workcell: str, steps: Sequence[Mapping[str, Any]], until: int, position: int = 0, *, by: str
+    ) -> int:
+        """Suggest in which order the next steps of a workcell start."""
+        return await self.threads.call(self.sync.suggest_order, workcell, steps, until, position, by=by)
+
+    async def suggested_order(self, workcell: str) -> dict[str, Any]:
+        """In which order a planner suggests that the next steps of a workcell start."""
+        return await self.threads.call(self.sync.suggested_order, workcell)
+
     async def take_out(self, module: str, why: str, by: str, until_ns: int = 0) -> None:
         """Take a module out of service."""
         await self.threads.call(self.sync.take_out, module, why, by, until_ns)

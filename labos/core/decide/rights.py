@@ -36,6 +36,7 @@ from labos.core.decide import (
     steps,
     stock,
     submissions,
+    suggestions,
     targets,
     teach,
     users,
@@ -265,6 +266,7 @@ RIGHTS: dict[type[Command], Right] = {
     lab.ApplyWorkcell: Right(
         "admin", "an admin of the workcell; for a new one, of the whole lab", targets.of_file
     ),
+    suggestions.SuggestOrder: Right("operator", _OPERATOR, targets.of_workcell, "by"),
     # bookings
     bookings.MakeBooking: Right(
         "submitter",

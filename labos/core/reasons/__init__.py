@@ -49,6 +49,7 @@ from labos.core.reasons._modules import (
 )
 from labos.core.reasons._planning import (
     AfterElder,
+    AfterSuggested,
     BetterHere,
     FollowsLate,
     NotInTime,
@@ -131,6 +132,7 @@ AnyReason = (
     | WouldDelay
     | FollowsLate
     | AfterElder
+    | AfterSuggested
     | WouldBlock
     | BetterHere
     | NoWayOut
@@ -141,6 +143,7 @@ __all__ = [
     "Access",
     "After",
     "AfterElder",
+    "AfterSuggested",
     "AnyReason",
     "Asked",
     "BetterHere",

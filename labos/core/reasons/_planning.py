@@ -53,6 +53,13 @@ class WouldBlock(Reason, frozen=True):
     free_at: str
 
 
+class AfterSuggested(Reason, frozen=True):
+    SENTENCE = "the planner suggests that {run} goes first, at {place}"
+    WAKES = ("cell",)
+    run: str
+    place: str
+
+
 class BetterHere(Reason, frozen=True):
     SENTENCE = "{first} is down, and beyond {step!r} it would stand in others' way"
     WAKES = ("cell", "near", "module")

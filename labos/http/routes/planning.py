@@ -10,16 +10,19 @@ from labos.core.approvals import ApprovalRequested, Demand
 from labos.core.decide import Rejection, decide
 from labos.core.decide.policy import demand_of
 from labos.core.decide.runs import SubmitRun
-from labos.core.ids import ExperimentId, local
+from labos.core.decide.suggestions import SuggestOrder
+from labos.core.ids import ExperimentId, RunId, local
 from labos.core.model import MAIN
+from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.users import person_of
 from labos.errors import NotFound
-from labos.http.bodies import NewRun
+from labos.http.bodies import NewRun, OrderSuggestion
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
-from labos.http.queries import OfModule
+from labos.http.queries import OfModule, OfWorkcell
+from labos.planning.forecast import is_pending
 from labos.spec.about import described
 from labos.spec.findings import Finding
 
@@ -153,6 +156,58 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
     )
 
 
+class OrderedStep(msgspec.Struct, frozen=True):
+    """A step that should start at ``start`` (UTC ns)."""
+
+    run: str
+    step: int
+    start: int
+
+
+class SuggestedOrder(msgspec.Struct, frozen=True):
+    """The order that ``by`` suggests for a workcell, the earliest first. It counts up to ``until`` (UTC ns;
+    0: nothing is suggested)."""
+
+    workcell: str
+    by: str
+    until: int
+    steps: list[OrderedStep]
+
+
+async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
+    """Of steps that have started, or whose run has ended, nothing is said."""
+    state = call.kernel.state
+    if path.workcell not in state.lab.workcells:
+        raise NotFound(
+            f"There is no workcell {path.workcell!r}.",
+            remedy=f"Name one of these: {', '.join(sorted(state.lab.workcells)) or 'none'}.",
+        )
+    order = state.suggestions.orders.get(path.workcell)
+    if order is None or order.until <= call.kernel.clock.now_ns():
+        return SuggestedOrder(path.workcell, "", 0, [])
+    steps = []
+    for one in order.steps:
+        run = state.runs.get(one.run)
+        if run is not None and is_pending(run, one.step):
+            steps.append(OrderedStep(one.run, one.step, one.start))
+    return SuggestedOrder(path.workcell, order.by, order.until, steps)
+
+
+class Taken(msgspec.Struct, frozen=True):
+    """How many of the suggested steps are still to start."""
+
+    steps: int
+
+
+async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> Taken:
+    """It replaces what was suggested before. Steps of runs that have ended are left out. What is suggested
+    never makes a step start that could not start without it."""
+    steps = tuple(Suggested(RunId(one.run), one.step, one.start) for one in body.steps)
+    asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
+    events = await call.kernel.execute(asked, body.by)
+    return Taken(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))
+
+
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 
 OPERATIONS = (
@@ -164,6 +219,31 @@ OPERATIONS = (
         summary="What a module can do",
         tag="modules",
         needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/workcells/{workcell}/order",
+        handler=show_order,
+        client=Method("suggested_order"),
+        summary="In which order a planner suggests that the next steps of a workcell start",
+        tag="workcells",
+        needs="viewer",
+        problems=("not_found",),
+    ),
+    Operation(
+        method="POST",
+        path="/workcells/{workcell}/order",
+        handler=suggest_order,
+        client=Method("suggest_order", "workcell, steps, until, position", take="steps", repeat=True),
+        summary="Suggest in which order the next steps of a workcell start",
+        tag="workcells",
+        needs="operator",
+        problems=("not_found", "refused"),
+        example={
+            "steps": [{"run": "R1", "step": 2, "start": 1_790_000_000_000_000_000}],
+            "until": 1_790_000_600_000_000_000,
+        },
+        example_answer={"steps": 1},
     ),
     Operation(
         method="POST",

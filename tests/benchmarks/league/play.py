@@ -16,16 +16,19 @@ from msgspec.structs import replace
 from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.decide import Command, Rejection
 from labos.core.decide.actions import FinishAction
+from labos.core.decide.control import PauseStarts, ResumeStarts
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.nodes import JoinNode
 from labos.core.decide.runs import SubmitRun
 from labos.core.experiments import ExperimentStarted
 from labos.core.ids import ExperimentId, RunId, StationName
+from labos.core.lab import WHOLE_LAB
 from labos.core.model import Workcell
 from labos.core.registry import Event
 from labos.core.runs import RunCompleted, RunSubmitted
 from labos.core.steps import WindowBreached
+from labos.planner.planner import Planner
 from labos.planning.scheduler import Scheduler
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
@@ -74,12 +77,15 @@ class Player:
         plan_with: Callable[[], Scheduler] = Scheduler,
         jitter: float = 0.0,
         seed: int = 0,
+        planner: Planner | None = None,
     ) -> None:
         self.cell, self.stock, self.jitter = cell, stock, jitter
         self.random = random.Random(f"league/{seed}")
         self.loop = VirtualLoop()
         self.clock = VirtualClock(self.loop)
         self._plan_with = plan_with
+        self.planner = planner
+        self._asked = False
         self.outcome = Outcome(0.0, [], 0, {})
         self._begun: dict[tuple[RunId, int], float] = {}
         self._ends: dict[RunId, asyncio.Event] = {}
@@ -105,6 +111,10 @@ class Player:
         for station in self.cell.places:
             kind, count = self.stock.get(station.name, ("", 0))
             self._tell(DeclareStation(station.name, (kind,) * count))
+        if self.planner is not None:
+            self._tell(
+                PauseStarts(WHOLE_LAB, "league")
+            )  # until the planner has seen all that is there at once
         await asyncio.gather(*(self._do(number, work) for number, work in enumerate(works)))
         self.outcome.makespan_s = max(step.end_s for step in self.outcome.steps)
         await self.kernel.close()
@@ -133,6 +143,9 @@ class Player:
     def committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             event, now = entry.event, self.loop.time()
+            if isinstance(event, RunSubmitted) and self.planner is not None and not self._asked:
+                self._asked = True
+                self.loop.call_soon(self._ask_planner)
             if isinstance(event, ActionRequested):
                 self._begin(event, now)
             elif isinstance(event, ActionSucceeded):
@@ -145,6 +158,17 @@ class Player:
 
     def reopened(self) -> None:
         raise AssertionError("a log in memory is never read again")
+
+    def _ask_planner(self) -> None:
+        self._asked = False
+        assert self.planner is not None
+        state = self.kernel.state
+        waiting = list(state.runs.queued.values())
+        found = self.planner.suggest(state, self.cell.name, waiting, self.clock.now_ns())
+        if found is not None:
+            self._tell(found)
+        if WHOLE_LAB in state.lab.paused:
+            self._tell(ResumeStarts(WHOLE_LAB, "league"))
 
     def _begin(self, event: ActionRequested, now: float) -> None:
         self._begun[event.run, event.step] = now

@@ -1,0 +1,114 @@
+"""``labos planner``: suggests to a running lab in which order to start what is to be done."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, cast
+
+import click
+
+from labos.cli._options import user_option, who
+from labos.cli._query import Where, log_options, now_ns, open_log
+from labos.errors import LabosError
+
+if TYPE_CHECKING:
+    from labos.client import LabClient
+    from labos.core.state import LabState
+    from labos.planner.planner import Planner
+    from labos.planner.watch import Watch
+    from labos.ports import EventStore
+
+LOOK_S = 0.5
+"""How often it is looked for what is new in the log."""
+
+LOST_PAUSE_S = 5.0
+"""Between two tries to reach a lab that is away."""
+
+
+@click.command("planner", short_help="Suggest in which order to start what is to be done.")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.1, 600),
+    default=5.0,
+    show_default=True,
+    help="How long to look for an order each time.",
+)
+@click.option(
+    "--pause",
+    "pause_s",
+    type=click.FloatRange(0, 3600),
+    default=5.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Look for a new order for a workcell no more often than that.",
+)
+@click.option(
+    "--workcell", "cells", multiple=True, metavar="NAME", help="Only for this one; may be repeated."
+)
+@click.option("--once", is_flag=True, help="Suggest one order for each workcell, and end.")
+@user_option
+@log_options
+def command(
+    where: Where, seconds: float, pause_s: float, cells: tuple[str, ...], once: bool, user: str | None
+) -> None:
+    """Suggest to a running lab in which order to start the next steps, until Ctrl-C.
+
+    It follows the log. Whenever runs come or go, or something takes longer than planned, it looks for the
+    order in which all that is known would be over soonest, and suggests it. The lab decides as before: rules,
+    windows and deadlock avoidance are the lab's own, and without a planner, or with a bad one, only the order
+    is another. `labos explain RUN` says where a run waits for this reason. It needs OR-tools:
+    python -m pip install "labos-sdl[plan]". See docs/scheduling.md.
+
+    \b
+    labos planner
+    labos planner --workcell rpl --seconds 10
+    """
+    from labos.cli._lab import need_lab_of, orderly
+    from labos.planner.planner import Planner
+    from labos.planner.solve import expect_solver
+    from labos.planner.watch import Watch
+    from labos.runtime.follower import Follower
+
+    expect_solver()
+    asker, planner, watch = who(user), Planner(seconds=seconds), Watch()
+    next_look: dict[str, float] = {}
+    with orderly(), need_lab_of(where) as client, open_log(where) as log:
+        follower = Follower(cast("EventStore", log))  # which it only reads
+        try:
+            while True:
+                try:
+                    follower.catch_up()
+                    for cell in cells or sorted(follower.state.lab.workcells):
+                        if time.monotonic() < next_look.get(cell, 0.0):
+                            continue
+                        if _suggest(follower.state, cell, planner, watch, client, asker):
+                            next_look[cell] = time.monotonic() + pause_s
+                    if once:
+                        return
+                    time.sleep(LOOK_S)
+                except LabosError as error:
+                    if once:
+                        raise
+                    click.echo(f"labos: {error}", err=True)
+                    time.sleep(LOST_PAUSE_S)
+        except KeyboardInterrupt:
+            click.echo("The planner is closed. What it suggested last counts until its time is over.")
+
+
+def _suggest(
+    state: LabState, cell: str, planner: Planner, watch: Watch, client: LabClient, asker: str
+) -> bool:
+    """Look for an order for a workcell if that is worth it; whether it was."""
+    from labos.planner.watch import waiting_in
+
+    waiting = waiting_in(state, cell)
+    if not watch.is_due(state, cell, waiting, now_ns()):
+        return False
+    order = planner.suggest(state, cell, waiting, now_ns())
+    watch.note(state, cell, waiting, order)
+    if order is None:
+        return True
+    steps = [{"run": one.run, "step": one.step, "start": one.start} for one in order.steps]
+    taken = client.suggest_order(cell, steps, order.until, order.position, by=asker)
+    click.echo(f"{cell}: an order for {taken} steps of {len({one.run for one in order.steps})} runs.")
+    return True

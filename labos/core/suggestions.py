@@ -1,0 +1,49 @@
+"""Suggested orders: in which order a planner would start the next steps of a workcell.
+
+A suggestion is advice. It changes nothing but the order among steps that may start anyway.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.ids import RunId
+from labos.core.registry import Event, event
+
+MOST_STEPS = 400
+"""So many steps a suggestion has at most."""
+
+
+class Suggested(msgspec.Struct, frozen=True, gc=False):
+    """A step of a run should start at ``start`` (UTC ns)."""
+
+    run: RunId
+    step: int
+    start: int
+
+
+@event("order.suggested")
+class OrderSuggested(Event, frozen=True):
+    """A planner suggests in which order ``steps`` of a workcell should start, the earliest first. It replaces
+    what was suggested before, and counts until ``until`` (UTC ns)."""
+
+    workcell: str
+    by: str
+    until: int
+    steps: tuple[Suggested, ...]
+
+    def stream(self) -> str:
+        return f"order:{self.workcell}"
+
+
+class Suggestions(msgspec.Struct):
+    """The last suggestion for each workcell."""
+
+    orders: dict[str, OrderSuggested] = {}
+
+
+def fold_suggested(suggestions: Suggestions, event: OrderSuggested, at: int) -> None:
+    suggestions.orders[event.workcell] = event
+
+
+HANDLERS = {OrderSuggested: fold_suggested}

@@ -1,0 +1,61 @@
+"""Suggests an order for one workcell after the other, and remembers the last for the next search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from labos.core.decide.suggestions import SuggestOrder
+from labos.core.ids import RunId
+from labos.core.rules import lab_ns
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.core.suggestions import Suggested
+from labos.planner.problem import Problem, problem_of
+from labos.planner.solve import Schedule, solve
+
+Solver = Callable[[Problem, float, dict[int, float]], Schedule | None]
+
+STAYS_GOOD_S = 3600.0
+"""A suggestion counts at most so long after its last start (lab seconds)."""
+
+
+class Planner:
+    """``seconds`` is how long it may look for an order each time."""
+
+    def __init__(self, name: str = "planner", seconds: float = 5.0, solver: Solver = solve) -> None:
+        self.name, self.seconds = name, seconds
+        self._solve = solver
+        self._last: dict[str, dict[tuple[RunId, int], int]] = {}
+
+    def suggest(
+        self, state: LabState, cell: str, waiting: Iterable[RunState], now: int
+    ) -> SuggestOrder | None:
+        """The order that it suggests for a workcell; None if there is nothing to put in order, or nothing was
+        found in time. ``waiting`` are the runs that wait, in the order in which they would go."""
+        problem = problem_of(state, cell, waiting, now)
+        if len({task.run for task in problem.tasks}) < 2:
+            return None
+        last, pace = self._last.get(cell, {}), state.lab.pace
+        hint = {
+            number: max(0.0, (last[task.run, task.step] - now) / 1e9 * pace)
+            for number, task in enumerate(problem.tasks)
+            if (task.run, task.step) in last
+        }
+        found = self._solve(problem, self.seconds, hint)
+        if found is None:
+            return None
+        starts = {
+            (task.run, task.step): now + lab_ns(state, start)
+            for task, start in zip(problem.tasks, found.starts_s, strict=True)
+        }
+        self._last[cell] = starts
+        steps = tuple(
+            Suggested(task.run, task.step, starts[task.run, task.step])
+            for task in problem.tasks
+            if not task.runs
+        )
+        if not steps:
+            return None
+        until = max(step.start for step in steps) + lab_ns(state, STAYS_GOOD_S)
+        ordered = tuple(sorted(steps, key=lambda step: step.start))
+        return SuggestOrder(cell, self.name, until, ordered, state.position)

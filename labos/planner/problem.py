@@ -1,0 +1,239 @@
+"""What is still to be done in a workcell, as a problem of tasks and rooms, read from the lab's state.
+
+A task is a step that has not ended. It takes its module (if it is exclusive), the modules into whose places
+its hand reaches, and the place where it changes its grip. Labware takes room at a place from the start of
+the task that brings it to the end of the task that carries it away, and so it takes the deck (``claim``) to
+which the place belongs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+
+import msgspec
+
+from labos.core.actions import ActionStatus
+from labos.core.effects import carried
+from labos.core.ids import RunId, StationName, experiment_owner, run_owner
+from labos.core.model import MAIN, PlanStep
+from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_holds
+from labos.core.state import LabState
+from labos.core.suggestions import MOST_STEPS
+from labos.core.waits import module_key, station_key
+
+MOST_WAITING = 30
+"""So many runs that wait are looked at, those that go first."""
+
+DECK = "deck:"
+
+LEAST_S = 1.0
+"""What takes longer than it should is expected to take so much longer still (lab seconds)."""
+
+
+class Clock(msgspec.Struct, frozen=True):
+    """A task starts at least and at most so long (lab seconds) after another has ended. The other is a task
+    (``anchor``), or ended so long ago (``ago_s``)."""
+
+    anchor: int | None
+    ago_s: float
+    wait_s: float
+    within_s: float | None
+
+
+class Task(msgspec.Struct, frozen=True):
+    """A step that has not ended: how long it still takes (lab seconds), the keys of what one task at a time
+    may have, and the numbers of the tasks that end before. ``runs``: it is under way, and started."""
+
+    run: RunId
+    step: int
+    duration_s: float
+    takes: tuple[str, ...]
+    after: tuple[int, ...]
+    clocks: tuple[Clock, ...] = ()
+    runs: bool = False
+
+
+class Stay(msgspec.Struct, frozen=True):
+    """Labware takes room at ``place`` from the start of task ``first`` (None: now) to the end of
+    task ``last`` (None: for good)."""
+
+    place: str
+    first: int | None
+    last: int | None
+
+
+class Problem(msgspec.Struct, frozen=True):
+    """All tasks, those of a run together, and how many have room where. ``like`` are pairs of runs' first
+    tasks that are alike: the first goes first."""
+
+    tasks: tuple[Task, ...]
+    stays: tuple[Stay, ...]
+    room: dict[str, int]
+    like: tuple[tuple[int, int], ...]
+    ends: tuple[tuple[int, ...], ...]
+    more: tuple[bool, ...]
+
+
+def problem_of(state: LabState, cell: str, waiting: Iterable[RunState], now: int) -> Problem:
+    """What is to be done in a workcell: by the runs inside, and the first of those that are ``waiting``."""
+    reader = _Reader(state, now)
+    inside = [run for run in state.runs.inside(cell) if _goes_on(run)]
+    outside = [run for run in islice(waiting, MOST_WAITING) if not find_holds(run)]
+    for run in [*inside, *outside]:
+        if len(reader.tasks) + len(state.runs.plan_of(run).steps) > MOST_STEPS:
+            break
+        reader.read(run)
+    return reader.problem(cell)
+
+
+def _goes_on(run: RunState) -> bool:
+    return run.status == RunStatus.ACTIVE and not find_holds(run)
+
+
+class _Reader:
+    def __init__(self, state: LabState, now: int) -> None:
+        self.state, self.now = state, now
+        self.tasks: list[Task] = []
+        self.stays: list[Stay] = []
+        self.read_runs: dict[RunId, bool] = {}
+        self._places: dict[str, bool] = {}
+        self._taken: dict[str, int] = {}
+        self._looks: dict[str, int] = {}
+        self._like: list[tuple[int, int]] = []
+        self._ends: list[tuple[int, ...]] = []
+        self._more: list[bool] = []
+
+    def read(self, run: RunState) -> None:
+        plan = self.state.runs.plan_of(run)
+        self.read_runs[run.id] = True
+        base = len(self.tasks)
+        numbers: dict[int, int] = {}
+        for index, step in enumerate(plan.steps):
+            status = run.steps[index].status if run.has_started else PENDING
+            if step.part == MAIN and status not in SETTLED:
+                numbers[index] = base + len(numbers)
+        ended = {i: at.ended_at for i, at in enumerate(run.steps)} if run.has_started else {}
+        for index, number in numbers.items():
+            step = plan.steps[index]
+            after = tuple(numbers[before] for before in step.after if before in numbers)
+            flying = run.has_started and run.steps[index].status == IN_FLIGHT
+            clocks = tuple(self._clocks(step, numbers, ended))
+            duration_s = self._left_s(run, index, step) if flying else step.duration_s
+            self.tasks.append(Task(run.id, index, duration_s, self._takes(step), after, clocks, runs=flying))
+            assert number == len(self.tasks) - 1
+        self._carry(run, plan.steps, numbers)
+        before = {number for task in self.tasks[base:] for number in task.after}
+        self._ends.append(tuple(number for number in numbers.values() if number not in before))
+        self._more.append(bool(run.experiment))
+        if not run.has_started:
+            look = repr((plan.steps, run.user, run.experiment, run.priority))
+            if look in self._looks:
+                self._like.append((self._looks[look], base))
+            self._looks[look] = base
+
+    def _clocks(
+        self, step: PlanStep, numbers: dict[int, int], ended: dict[int, int | None]
+    ) -> Iterator[Clock]:
+        for window in step.windows:
+            if window.anchor is None:
+                continue
+            if window.anchor in numbers:
+                yield Clock(numbers[window.anchor], 0.0, window.wait_s, window.within_s)
+            elif (ended_at := ended.get(window.anchor)) is not None:
+                gone_s = (self.now - ended_at) / 1e9 * self.state.lab.pace
+                yield Clock(None, gone_s, window.wait_s, window.within_s)
+
+    def _left_s(self, run: RunState, index: int, step: PlanStep) -> float:
+        for action in self.state.actions.within(self.state.runs.plan_of(run).workcell):
+            if action.run == run.id and action.step == index and action.status != ActionStatus.UNKNOWN:
+                gone_s = (self.now - action.requested_at) / 1e9 * self.state.lab.pace
+                return max(step.duration_s - gone_s, LEAST_S)
+        return LEAST_S
+
+    def _takes(self, step: PlanStep) -> tuple[str, ...]:
+        found: dict[str, bool] = {}
+        if step.exclusive:
+            found[module_key(step.module)] = True
+        for what in carried(step.effects):
+            if what.via:
+                found[station_key(what.via)] = True
+            for place in what.entered:
+                spec = self.state.bench.stations[place].spec
+                if spec.module and not spec.stands_apart:
+                    found[module_key(spec.module)] = True
+        return tuple(found)
+
+    def _carry(self, run: RunState, steps: tuple[PlanStep, ...], numbers: dict[int, int]) -> None:
+        standing: dict[str, list[int | None]] = {}
+        owners = [run_owner(run.id), *([experiment_owner(run.experiment)] if run.experiment else [])]
+        for labware in [piece for owner in owners for piece in self.state.bench.owned(owner)]:
+            if not labware.on:
+                for place in self._counted(labware.station):
+                    standing.setdefault(place, []).append(None)
+        for index, step in enumerate(steps):
+            number = numbers.get(index)
+            if number is None:
+                continue
+            for what in carried(step.effects):
+                for place in self._counted(what.emptied):
+                    pieces = standing.get(place, [])
+                    if place.startswith(DECK) and len(pieces) > 1:
+                        pieces.pop()  # the run has the deck until its last piece has left
+                    elif pieces:
+                        self._stay(place, pieces.pop(0), number)
+                    elif self._stands(place):
+                        self._taken[place] = self._taken.get(place, 0) + 1
+                        self._stay(place, None, number)
+                for place in self._counted(what.filled):
+                    standing.setdefault(place, []).append(number)
+        # What a run leaves behind stands there for good. Not in an experiment: its next run will fetch
+        # it, and nobody knows when.
+        last = max(numbers.values(), default=None) if run.experiment else None
+        for place, pieces in standing.items():
+            for first in pieces[:1] if place.startswith(DECK) else pieces:
+                self._stay(place, first, last)
+
+    def _stands(self, place: str) -> bool:
+        """Whether labware stands at a place of which no other run has been found to fetch it."""
+        name = StationName(place.partition(":")[2])
+        return not place.startswith(DECK) and self._strangers(name) > self._taken.get(place, 0)
+
+    def _stay(self, place: str, first: int | None, last: int | None) -> None:
+        self._places[place] = True
+        self.stays.append(Stay(place, first, last))
+
+    def _counted(self, place: StationName) -> list[str]:
+        station = self.state.bench.stations.get(place)
+        if station is None or station.spec.kind in ("stack", "waste"):
+            return []
+        keys = [station_key(place)]
+        return [*keys, f"{DECK}{station.spec.claim}"] if station.spec.claim else keys
+
+    def problem(self, cell: str) -> Problem:
+        room: dict[str, int] = {}
+        for key in self._places:
+            name = key.partition(":")[2]
+            if key.startswith(DECK):
+                room[key] = 1
+                continue
+            station = self.state.bench.stations[StationName(name)]
+            shelves = self.state.bench.shelves.get(station.spec.name, [])
+            capacity = sum(self.state.bench.stations[s].spec.capacity for s in shelves)
+            strangers = self._strangers(station.spec.name) - self._taken.get(key, 0)
+            room[key] = (capacity or station.spec.capacity) - strangers
+        return Problem(
+            tuple(self.tasks),
+            tuple(self.stays),
+            room,
+            tuple(self._like),
+            tuple(self._ends),
+            tuple(self._more),
+        )
+
+    def _strangers(self, place: StationName) -> int:
+        """How many pieces stand at a place that none of these runs, and no experiment, will carry away."""
+        mine = {run_owner(run) for run in self.read_runs}
+        mine.update(map(experiment_owner, self.state.experiments.open))
+        labware = self.state.bench.labware
+        return sum(labware[name].owner not in mine for name in self.state.bench.stations[place].labware)

@@ -1,0 +1,125 @@
+"""Looks for a good schedule with OR-tools' CP-SAT (the extra ``plan``)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from importlib.util import find_spec
+
+import msgspec
+
+from labos.errors import SystemFailed
+from labos.planner.problem import Problem
+
+GOES_ON = 4
+"""An experiment's end of a run counts so much more than the end of all that is known."""
+
+TIDY = 0.3
+"""This part of the time is for ending each run sooner, once the whole is as short as was found."""
+
+
+class Schedule(msgspec.Struct, frozen=True):
+    """When each task starts (lab seconds from now), and how long all of it takes. ``bound_s``: none is
+    shorter; ``proven``: this one is the best."""
+
+    starts_s: tuple[float, ...]
+    makespan_s: float
+    bound_s: float
+    proven: bool
+
+
+def expect_solver() -> None:
+    """Raises SystemFailed if OR-tools are not installed."""
+    if find_spec("ortools") is None:
+        raise SystemFailed(
+            "The planner needs OR-tools, which are not installed.",
+            remedy='Install them: python -m pip install "labos-sdl[plan]"',
+        )
+
+
+def solve(problem: Problem, seconds: float, hint: Mapping[int, float] | None = None) -> Schedule | None:
+    """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
+    starts (lab seconds) of a schedule that is known, by task. Windows are kept where that is possible."""
+    from ortools.sat.python import cp_model
+
+    tasks = problem.tasks
+    unit = _unit_of([task.duration_s for task in tasks])
+    length = [max(1, math.ceil(task.duration_s / unit - 1e-9)) for task in tasks]
+    waits = [c.wait_s for task in tasks for c in task.clocks]
+    horizon = sum(length) + math.ceil(sum(waits) / unit) + 1
+    model = cp_model.CpModel()
+    begin = [model.new_int_var(0, 0 if task.runs else horizon, f"s{n}") for n, task in enumerate(tasks)]
+    end = [start + takes for start, takes in zip(begin, length, strict=True)]
+    whole = model.new_int_var(0, 2 * horizon, "makespan")
+    late: list[cp_model.IntVar] = []
+    using: dict[str, list[cp_model.IntervalVar]] = {}
+    for number, task in enumerate(tasks):
+        model.add(whole >= end[number])
+        if hint and number in hint:
+            model.add_hint(begin[number], round(hint[number] / unit))
+        interval = model.new_fixed_size_interval_var(begin[number], length[number], f"i{number}")
+        for name in task.takes:
+            using.setdefault(name, []).append(interval)
+        for before in task.after:
+            model.add(begin[number] >= end[before])
+        for clock in task.clocks:
+            anchor = end[clock.anchor] if clock.anchor is not None else -math.floor(clock.ago_s / unit)
+            model.add(begin[number] >= anchor + math.ceil(clock.wait_s / unit))
+            if clock.within_s is not None:
+                missed = model.new_bool_var(f"late{number}")
+                late.append(missed)
+                latest = anchor + math.floor(clock.within_s / unit)
+                model.add(begin[number] <= latest).only_enforce_if(~missed)
+    for intervals in using.values():
+        model.add_no_overlap(intervals)
+    standing: dict[str, list[cp_model.IntervalVar]] = {}
+    for number, stay in enumerate(problem.stays):
+        first = begin[stay.first] if stay.first is not None else 0
+        until = end[stay.last] if stay.last is not None else whole
+        size = model.new_int_var(0, 2 * horizon, f"stay{number}")
+        interval = model.new_interval_var(first, size, until, f"at{number}")
+        standing.setdefault(stay.place, []).append(interval)
+    for place, intervals in standing.items():
+        room = problem.room[place]
+        if room == 1:
+            model.add_no_overlap(intervals)
+        elif len(intervals) > room:
+            model.add_cumulative(intervals, [1] * len(intervals), max(room, 0))
+    for one, other in problem.like:
+        model.add(begin[one] <= begin[other])
+    over: list[cp_model.IntVar] = []
+    for number, last_tasks in enumerate(problem.ends):
+        over.append(model.new_int_var(0, 2 * horizon, f"end{number}"))
+        for last in last_tasks:
+            model.add(over[-1] >= end[last])
+    # Of an experiment more runs follow, which nobody knows yet: the sooner it goes on, the better.
+    goes_on = sum(last for last, more in zip(over, problem.more, strict=True) if more)
+    cost = whole + GOES_ON * goes_on + 4 * horizon * sum(late)
+    model.minimize(cost)
+    solver = cp_model.CpSolver()
+    solver.parameters.num_workers = 2
+    solver.parameters.max_time_in_seconds = seconds * (1 - TIDY)
+    status = solver.solve(model)
+    if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+        return None
+    proven, bound = status == cp_model.OPTIMAL, solver.best_objective_bound
+    starts = [solver.value(start) for start in begin]
+    # As good as that, and each run over as soon as may be.
+    model.add(cost <= round(solver.objective_value))
+    model.minimize(sum(over))
+    model.clear_hints()  # type: ignore[no-untyped-call]
+    for start, value in zip(begin, starts, strict=True):
+        model.add_hint(start, value)
+    solver.parameters.max_time_in_seconds = seconds * TIDY
+    if solver.solve(model) in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+        starts = [solver.value(start) for start in begin]
+    makespan = max((start + takes for start, takes in zip(starts, length, strict=True)), default=0)
+    return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
+
+
+def _unit_of(durations: list[float]) -> float:
+    """The time that one step of the clock stands for: the largest that all durations are multiples of, or one
+    second."""
+    whole = [round(seconds) for seconds in durations if seconds >= 1]
+    exact = all(abs(seconds - round(seconds)) < 1e-6 for seconds in durations)
+    return float(math.gcd(*whole)) if exact and whole else 1.0

@@ -1,0 +1,130 @@
+"""Following a suggested order.
+
+A step waits while another that was suggested to go before it, and takes what it takes, has not started. That
+is all a suggestion does: rules, windows, deadlock avoidance and the patience of others are asked as without
+it. So that bad advice does little harm, a step waits for another only
+
+- while something moves in the workcell: where nothing does, nobody waits for advice;
+- until that other should have started, and ``GRACE_S`` after that;
+- if its own run is not urgent, of a higher priority, or overtaken too often.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core import reasons
+from labos.core.actions import ActionStatus
+from labos.core.effects import carried
+from labos.core.ids import RunId
+from labos.core.model import MAIN, PlanStep
+from labos.core.rules import lab_ns
+from labos.core.runs import RunState, RunStatus, find_holds
+from labos.core.state import LabState
+from labos.core.suggestions import OrderSuggested, Suggested
+from labos.core.waits import Wait, module_key, station_key
+from labos.planning.forecast import is_pending
+from labos.planning.touch import cell_key
+from labos.planning.urgency import is_urgent
+
+GRACE_S = 60.0
+"""So many lab seconds after its time a step that has not started keeps nobody waiting any more."""
+
+LAST = 2**62
+
+
+class Advice(msgspec.Struct):
+    """A suggestion, ready to be asked: when each step should start, and by resource (the key of a module or
+    station) the steps that take it, the earliest first."""
+
+    order: OrderSuggested
+    starts: dict[tuple[RunId, int], int]
+    by_resource: dict[str, list[Suggested]]
+
+
+class Adviser:
+    """The suggestions of one state after the other, each put in order once."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, Advice] = {}
+
+    def start_of(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
+        """When a step (of a run that waits: its first one) should start; ``LAST`` if nothing is suggested."""
+        advice = self._advice(state, state.runs.plan_of(run).workcell, now)
+        if advice is None:
+            return LAST
+        if step is not None:
+            return advice.starts.get((run.id, step), LAST)
+        starts = state.runs.plans[run.plan].starts
+        return min((advice.starts.get((run.id, first), LAST) for first in starts), default=LAST)
+
+    def against(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
+        """For whom a start has to wait by what was suggested; None if it may go ahead."""
+        plan = state.runs.plan_of(run)
+        advice = self._advice(state, plan.workcell, now)
+        if advice is None or plan.steps[step].part != MAIN or not _is_moving(state, plan.workcell):
+            return None
+        if run.has_started and run.status != RunStatus.ACTIVE:
+            return None
+        mine = advice.starts.get((run.id, step), LAST)
+        urgent = is_urgent(state, run, now)
+        for resource in takes(state, plan.steps[step]):
+            for one in advice.by_resource.get(resource, ()):
+                if one.start >= mine:
+                    break
+                until = one.start + lab_ns(state, GRACE_S)
+                if one.run == run.id or until < now:
+                    continue
+                other = state.runs.get(one.run)
+                if other is None or not is_pending(other, one.step) or find_holds(other):
+                    continue
+                if other.has_started and other.status != RunStatus.ACTIVE:
+                    continue
+                if run.priority > other.priority or (urgent and not is_urgent(state, other, now)):
+                    continue
+                why = reasons.AfterSuggested(str(other.id), resource.partition(":")[2])
+                return Wait(why, (cell_key(plan.workcell),), until + 1)
+        return None
+
+    def _advice(self, state: LabState, cell: str, now: int) -> Advice | None:
+        order = state.suggestions.orders.get(cell)
+        if order is None or order.until <= now:
+            return None
+        known = self._known.get(cell)
+        if known is None or known.order is not order:
+            known = self._known[cell] = _put_in_order(state, order)
+        return known
+
+
+def _put_in_order(state: LabState, order: OrderSuggested) -> Advice:
+    advice = Advice(order, {}, {})
+    for one in order.steps:
+        run = state.runs.get(one.run)
+        if run is None:
+            continue
+        advice.starts[one.run, one.step] = one.start
+        for resource in takes(state, state.runs.plan_of(run).steps[one.step]):
+            advice.by_resource.setdefault(resource, []).append(one)
+    return advice
+
+
+def takes(state: LabState, step: PlanStep) -> list[str]:
+    """The keys of what one step at a time may have: its module, the modules that a hand reaches into, and the
+    places that it fills."""
+    found: dict[str, bool] = {}
+    if step.exclusive:
+        found[module_key(step.module)] = True
+    for what in carried(step.effects):
+        if what.via:
+            found[station_key(what.via)] = True
+        for place in what.entered:
+            spec = state.bench.stations[place].spec
+            if spec.module and not spec.stands_apart:
+                found[module_key(spec.module)] = True
+        if what.filled and state.bench.stations[what.filled].spec.kind not in ("stack", "waste"):
+            found[station_key(what.filled)] = True
+    return list(found)
+
+
+def _is_moving(state: LabState, cell: str) -> bool:
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
