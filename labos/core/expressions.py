@@ -256,17 +256,6 @@ def evaluate(tree: Tree, tables: Mapping[str, Any]) -> Any:
         raise ExpressionError("The expression leads to a number that is too large.") from None
 
 
-def is_true(text: str, tables: Mapping[str, Any]) -> bool:
-    """Whether a condition holds. Raises ExpressionError, also if it is neither true nor false."""
-    found = evaluate(parse_expression(text), tables)
-    if not isinstance(found, bool):
-        raise ExpressionError(
-            f"The condition {text!r} is neither true nor false but {_shown(found)}.",
-            remedy="Compare the value.",
-        )
-    return found
-
-
 def _value(tree: Tree, tables: Mapping[str, Any]) -> Any:
     match tree[0]:
         case "value":

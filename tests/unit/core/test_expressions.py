@@ -14,7 +14,6 @@ from labos.core.expressions import (
     LONGEST,
     ExpressionError,
     evaluate,
-    is_true,
     names_in,
     parse_expression,
 )
@@ -95,12 +94,6 @@ def test_names_are_found_wherever_they_stand() -> None:
     assert names_in(parse_expression(text)) == [
         ("result", "a"), ("payload", "b"), ("steps", "Take picture", "result", "c"), ("result", "d", 0)
     ]  # fmt: skip
-
-
-def test_a_condition_is_true_or_false_and_nothing_else() -> None:
-    assert is_true("1 < 2", {})
-    with pytest.raises(ExpressionError, match="neither true nor false but 3"):
-        is_true("1 + 2", {})
 
 
 WORDS = st.sampled_from(
