@@ -46,7 +46,7 @@ class Experiments(msgspec.Struct):
     members: dict[RunId, ExperimentId] = {}
 
 
-def started(experiments: Experiments, event: ExperimentStarted, at: int) -> None:
+def fold_experiment_started(experiments: Experiments, event: ExperimentStarted, at: int) -> None:
     experiments.named += 1
     if event.request:
         experiments.requests[event.request] = event.experiment
@@ -63,29 +63,29 @@ def started(experiments: Experiments, event: ExperimentStarted, at: int) -> None
     )
 
 
-def cancelled(experiments: Experiments, event: ExperimentCancelled, at: int) -> None:
+def fold_experiment_cancelled(experiments: Experiments, event: ExperimentCancelled, at: int) -> None:
     experiments.open[event.experiment].status = ExperimentStatus.CANCELLED
     experiments.ending[event.experiment] = True
 
 
-def closing(experiments: Experiments, event: ExperimentClosing, at: int) -> None:
+def fold_experiment_closing(experiments: Experiments, event: ExperimentClosing, at: int) -> None:
     experiments.open[event.experiment].status = ExperimentStatus.CLOSING
     experiments.ending[event.experiment] = True
 
 
-def ended(experiments: Experiments, event: ExperimentEnded, at: int) -> None:
+def fold_experiment_ended(experiments: Experiments, event: ExperimentEnded, at: int) -> None:
     del experiments.open[event.experiment]
     experiments.ending.pop(event.experiment, None)
 
 
-def submitted(experiments: Experiments, event: RunSubmitted, at: int) -> None:
+def fold_run_submitted(experiments: Experiments, event: RunSubmitted, at: int) -> None:
     experiment = experiments.open.get(event.experiment)
     if experiment is not None:
         experiment.runs[event.run] = True
         experiments.members[event.run] = event.experiment
 
 
-def run_left(experiments: Experiments, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(experiments: Experiments, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
     member = experiments.members.pop(event.run, None)
     experiment = experiments.open.get(member) if member is not None else None
     if experiment is not None:
@@ -93,12 +93,12 @@ def run_left(experiments: Experiments, event: RunCompleted | RunFailed | RunCanc
 
 
 HANDLERS = {
-    ExperimentStarted: started,
-    ExperimentCancelled: cancelled,
-    ExperimentClosing: closing,
-    ExperimentEnded: ended,
-    RunSubmitted: submitted,
-    RunCompleted: run_left,
-    RunFailed: run_left,
-    RunCancelled: run_left,
+    ExperimentStarted: fold_experiment_started,
+    ExperimentCancelled: fold_experiment_cancelled,
+    ExperimentClosing: fold_experiment_closing,
+    ExperimentEnded: fold_experiment_ended,
+    RunSubmitted: fold_run_submitted,
+    RunCompleted: fold_run_ended,
+    RunFailed: fold_run_ended,
+    RunCancelled: fold_run_ended,
 }
