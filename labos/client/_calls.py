@@ -32,8 +32,8 @@ def check_given_up() -> None:
 
 
 def in_path(name: str, parts: int = 1) -> str:
-    """A name as it stands in a path, as one part of it. Only a name of several ``parts`` may have slashes: that
-    of a module is ``sealer`` or ``rpl/sealer``. Raises BadInput for what would lead elsewhere."""
+    """A name as it stands in a path, as one part of it. Only a name of several ``parts`` may have slashes:
+    that of a module is ``sealer`` or ``rpl/sealer``. Raises BadInput for what would lead elsewhere."""
     found = name.split("/")
     if len(found) > parts or any(part in ("", ".", "..") for part in found) or _NO_NAME.search(name):
         raise BadInput(f"{name[:80]!r} names nothing in the lab.", remedy="Say which one is meant.")
