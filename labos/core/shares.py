@@ -27,7 +27,8 @@ WEEK_DAYS = 7
 
 class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What somebody may have at most (0: no limit): runs under way and runs that wait at the same time; lab
-    hours and consumables by kind a week. ``priority`` is the highest that may be given (null: any)."""
+    hours and consumables by kind a week, where runs under way count by their plans. ``priority`` is the
+    highest that may be given (null: any)."""
 
     running: int = 0
     queued: int = 0

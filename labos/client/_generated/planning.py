@@ -14,7 +14,7 @@ class GeneratedPlanning(Calls):
     def actions(self, module: str) -> dict[str, Any]:
         """What a module can do. Its actions, with the arguments that a step of a workflow gives them. Returns
         ``module``, ``driver``, ``description``, ``actions``."""
-        return self._get(f"/modules/{in_path(module)}/actions")
+        return self._get(f"/modules/{in_path(module, 2)}/actions")
 
     def _check_run(
         self,
