@@ -111,6 +111,8 @@ ALL_OF = frozenset({"change_workcell", "request_workcell_access", "end_workcell_
 
 BY_ITSELF: Mapping[str, Role | Literal["nobody"]] = {
     "sign_in": "nobody",
+    "begin_sign_in": "nobody",
+    "finish_sign_in": "nobody",
     "sign_out": "viewer",
     "make_token": "viewer",
     "revoke_token": "viewer",
@@ -168,6 +170,8 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "register_sheet": ("labos samples load",),
     "trace_wires": ("labos node trace",),
     "sign_in": ("labos login",),
+    "begin_sign_in": ("labos login",),
+    "finish_sign_in": ("labos login",),
     "sign_out": ("labos logout",),
     "make_token": ("labos token create",),
     "revoke_token": ("labos token revoke",),

@@ -31,6 +31,7 @@ class SignIn(msgspec.Struct, forbid_unknown_fields=True):
     password: Annotated[Secret, says("the password")]
     token: Annotated[bool, says("a token for a program instead of a session for a browser")] = False
     label: Annotated[Line, says("what the token is for")] = "signed in"
+    scope: Annotated[Need, says("the most that the token is good for")] = "admin"
     days: Annotated[Days, says("how long the token is good")] = 30.0
 
 
@@ -153,7 +154,7 @@ async def sign_in(call: Call, told: SignIn) -> Response:
     client = call.request.client
     await accounts.expect_password(told.user, told.password, client.host if client is not None else "")
     if told.token:
-        secret, token = await accounts.make_token(told.user, told.label, "admin", told.days)
+        secret, token = await accounts.make_token(told.user, told.label, told.scope, told.days)
         return _answer(SignedIn(told.user, token.expires_at, secret))
     secret, session = await accounts.begin_session(
         told.user, "password", before=call.request.cookies.get(gate.cookie, "")

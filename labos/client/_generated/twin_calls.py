@@ -81,6 +81,10 @@ class AsyncCalls:
         """Say which barcode labware bears."""
         await self.threads.call(self.sync.barcode, labware, barcode, by, replace=replace)
 
+    async def begin_sign_in(self, port: int, *, device: bool = False) -> dict[str, Any]:
+        """Sign in with an identity provider: the address of its page."""
+        return await self.threads.call(self.sync.begin_sign_in, port, device=device)
+
     async def book(
         self,
         target: str,
@@ -213,6 +217,31 @@ class AsyncCalls:
     async def erase_person(self, user: str) -> None:
         """Forget who a user is."""
         await self.threads.call(self.sync.erase_person, user)
+
+    async def finish_sign_in(
+        self,
+        state: str,
+        key: str,
+        *,
+        code: str = "",
+        iss: str = "",
+        error: str = "",
+        label: str = "signed in",
+        scope: str = "admin",
+        days: float = 30.0,
+    ) -> dict[str, Any]:
+        """Sign in with an identity provider: a token."""
+        return await self.threads.call(
+            self.sync.finish_sign_in,
+            state,
+            key,
+            code=code,
+            iss=iss,
+            error=error,
+            label=label,
+            scope=scope,
+            days=days,
+        )
 
     async def forecast(self) -> dict[str, Any]:
         """When runs start and end, and when a person is needed."""
@@ -395,10 +424,10 @@ class AsyncCalls:
         return await self.threads.call(self.sync.shares)
 
     async def sign_in(
-        self, user: str, password: str, *, label: str = "signed in", days: float = 30.0
+        self, user: str, password: str, *, label: str = "signed in", scope: str = "admin", days: float = 30.0
     ) -> dict[str, Any]:
         """Sign in with a password."""
-        return await self.threads.call(self.sync.sign_in, user, password, label=label, days=days)
+        return await self.threads.call(self.sync.sign_in, user, password, label=label, scope=scope, days=days)
 
     async def sign_out(self) -> None:
         """Sign out."""

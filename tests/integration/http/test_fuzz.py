@@ -68,6 +68,8 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "/users/{user}/password": {"password": "four words of hers", "present": "others"},
     "/users/{user}/person": {"name": "Ada", "mail": "ada@example.org"},
     "/users/{user}/erase": {},
+    "/login/provider": {"port": 49152, "device": False},
+    "/login/provider/finish": {"state": "s", "key": "k", "code": "c", "iss": "i"},
     "/users/{user}/identity": {"issuer": "https://login.example.org", "subject": "1"},
     "/runs": {
         "workflow": {"text": FLOW, "name": "f.yaml", "files": {"a.txt": "YQ=="}},
