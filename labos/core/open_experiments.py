@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Any
 
 import msgspec
 
-from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
+from labos.core.canonical import canonical, digest
+from labos.core.experiments import (
+    ExperimentCancelled,
+    ExperimentClosing,
+    ExperimentEnded,
+    ExperimentNoted,
+    ExperimentStarted,
+)
 from labos.core.ids import ExperimentId, RunId, StationName
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunSubmitted
 
@@ -21,7 +29,8 @@ class ExperimentStatus(StrEnum):
 
 
 class Experiment(msgspec.Struct):
-    """``held``: it was not approved; nothing of it is carried out."""
+    """``held``: it was not approved; nothing of it is carried out. ``notes``: what was noted under each key,
+    as a digest."""
 
     id: ExperimentId
     name: str
@@ -33,6 +42,7 @@ class Experiment(msgspec.Struct):
     runs: dict[RunId, bool] = {}
     parking: tuple[StationName, ...] = ()
     held: bool = False
+    notes: dict[str, str] = {}
 
 
 class Experiments(msgspec.Struct):
@@ -78,6 +88,17 @@ def fold_experiment_ended(experiments: Experiments, event: ExperimentEnded, at: 
     experiments.ending.pop(event.experiment, None)
 
 
+def fold_experiment_noted(experiments: Experiments, event: ExperimentNoted, at: int) -> None:
+    experiment = experiments.open.get(event.experiment)
+    if experiment is not None and event.key:
+        experiment.notes[event.key] = note_digest(event.kind, event.name, event.facts)
+
+
+def note_digest(kind: str, name: str, facts: dict[str, Any]) -> str:
+    """What was noted, short enough to be kept for each note of an experiment that has not ended."""
+    return digest(canonical([kind, name, facts]))[:24]
+
+
 def fold_run_submitted(experiments: Experiments, event: RunSubmitted, at: int) -> None:
     experiment = experiments.open.get(event.experiment)
     if experiment is not None:
@@ -97,6 +118,7 @@ HANDLERS = {
     ExperimentCancelled: fold_experiment_cancelled,
     ExperimentClosing: fold_experiment_closing,
     ExperimentEnded: fold_experiment_ended,
+    ExperimentNoted: fold_experiment_noted,
     RunSubmitted: fold_run_submitted,
     RunCompleted: fold_run_ended,
     RunFailed: fold_run_ended,

@@ -23,7 +23,7 @@ from labos.core.decide.campaigns import (
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import DeclareStations, ReportRound, SubmitWithLabware
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
-from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
+from labos.core.decide.experiments import EndExperiment, NoteExperiment, ResumeExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
@@ -62,6 +62,7 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "resume_run": (ResumeRun,),
     "sign_run": (SignRun,),
     "start_experiment": (StartExperiment,),
+    "resume_experiment": (ResumeExperiment,),
     "end_experiment": (EndExperiment,),
     "note_experiment": (NoteExperiment,),
     "submit_campaign_file": (SubmitCampaign,),

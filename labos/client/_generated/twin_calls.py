@@ -298,10 +298,17 @@ class AsyncCalls:
         return await self.threads.call(self.sync.make_token, label, scope=scope, days=days, user=user)
 
     async def note(
-        self, experiment: str, kind: str, name: str, facts: Mapping[str, Any] | None = None, user: str = ""
+        self,
+        experiment: str,
+        kind: str,
+        name: str,
+        facts: Mapping[str, Any] | None = None,
+        user: str = "",
+        *,
+        key: str = "",
     ) -> None:
         """Log something of the application's own."""
-        await self.threads.call(self.sync.note, experiment, kind, name, facts, user)
+        await self.threads.call(self.sync.note, experiment, kind, name, facts, user, key=key)
 
     async def observe(self, station: str, what: str, by: str) -> dict[str, Any]:
         """Say what stands at a station."""
@@ -381,6 +388,10 @@ class AsyncCalls:
     async def resume_campaign(self, campaign: str, by: str) -> None:
         """Go on with a campaign that is paused."""
         await self.threads.call(self.sync.resume_campaign, campaign, by)
+
+    async def resume_experiment(self, experiment: str, name: str, user: str = "") -> None:
+        """Go on with an experiment."""
+        await self.threads.call(self.sync.resume_experiment, experiment, name, user)
 
     async def revoke_role(self, subject: str, by: str, *, scope: str = "*") -> None:
         """Take a role away."""

@@ -95,6 +95,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "workcell": "fuzz",
         "priority": 0,
     },
+    "/experiments/{experiment}/resume": {"name": "color picker"},
     "/experiments/{experiment}/end": {"why": "over"},
     "/experiments/{experiment}/notes": {"kind": "decision", "name": "n", "facts": {"a": [1]}},
     "/experiments/{experiment}/files": {"content": "aGVsbG8="},
