@@ -309,9 +309,15 @@ def withdraw(home: Path) -> None:
 def lab_url() -> str:
     """The address of a lab on another computer, as LABOS_URL says; empty if it says none. Raises
     BadInput."""
-    url = os.environ.get(URL, "").strip().rstrip("/")
+    return checked_url(os.environ.get(URL, ""), URL)
+
+
+def checked_url(url: str, what: str) -> str:
+    """An address of a lab without its last slash; empty if nothing is said. Raises BadInput, which calls it
+    ``what``."""
+    url = url.strip().rstrip("/")
     if url and not url.startswith(("http://", "https://")):
-        raise BadInput(f"{URL} is {url[:100]!r}, which is no address.", remedy="Write http://host:port.")
+        raise BadInput(f"{what} is {url[:100]!r}, which is no address.", remedy="Write http://host:port.")
     return url
 
 

@@ -60,15 +60,22 @@ def _unpack(blobs: BlobStore | None, blob: str) -> tuple[b.Sample, ...]:
 
 
 def on_counted(rows: Rows, event: s.LevelSet, head: Envelope, at: float) -> None:
-    _change(rows, event, head, at, s.level_set, ("counted", event.level, event.lot, ""))
+    _change(rows, event, head, at, s.fold_level_set, ("counted", event.level, event.lot, ""))
 
 
 def on_replenished(rows: Rows, event: s.ResourceReplenished, head: Envelope, at: float) -> None:
-    _change(rows, event, head, at, s.replenished, ("replenished", event.amount, event.lot, event.expires))
+    _change(
+        rows,
+        event,
+        head,
+        at,
+        s.fold_resource_replenished,
+        ("replenished", event.amount, event.lot, event.expires),
+    )
 
 
 def on_consumed(rows: Rows, event: s.ResourceConsumed, head: Envelope, at: float) -> None:
-    _change(rows, event, head, at, s.consumed, ("consumed", event.amount, event.lot, ""))
+    _change(rows, event, head, at, s.fold_resource_consumed, ("consumed", event.amount, event.lot, ""))
 
 
 def _change(

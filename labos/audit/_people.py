@@ -97,6 +97,7 @@ def on_ended(rows: Rows, event: x.ExperimentEnded, head: Envelope, at: float) ->
     row = rows.change(EXPERIMENTS, event.experiment)
     if row is not None:
         row["status"], row["ended_at_s"], row["ended_position"] = "ended", at, head.position
+        row["why"] = row["why"] or event.why
 
 
 HANDLERS: dict[Any, Any] = {

@@ -53,7 +53,6 @@ from labos.node.limits import read
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
 from labos.pki import Identity
-from labos.ports import Handle
 from labos.private import make_folder
 from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
@@ -149,7 +148,6 @@ class LabRuntime:
         """Whether the lab is closed for a standby to go on with."""
         self._unheard: dict[ModuleName, str] = {}
         self._worlds: dict[str, World] = {}
-        self._declared: list[Handle] = []
         self._detach = False
         self._following: set[asyncio.Task[None]] = set()
 

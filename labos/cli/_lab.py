@@ -107,17 +107,17 @@ def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], url: str
         yield client
 
 
-def need_lab(home: str | None) -> LabClient:
-    """The lab that LABOS_URL names, else the one that runs in the home folder. Raises NotFound if none
-    runs."""
+def need_lab(home: str | None, token: str = "") -> LabClient:
+    """The lab that LABOS_URL names, else the one that runs in the home folder; it is shown this ``token``, if
+    not that which somebody has kept. Raises NotFound if none runs."""
     if url := lab_of(home):
-        return LabClient(url)
+        return LabClient(url, token=token)
     settings = Settings.of(home)
     if find_kernel(settings.home) is None:
         raise NotFound(
             f"No lab runs in {settings.home}.", remedy="Start one with `labos up`, or name its --home."
         )
-    return LabClient(home=settings.home)
+    return LabClient(home=settings.home, token=token)
 
 
 def need_lab_of(where: Where) -> LabClient:

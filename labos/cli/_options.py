@@ -110,6 +110,40 @@ def lab_options(command: F) -> F:
     return command
 
 
+def web_options(about: str) -> Callable[[F], F]:
+    """Options of commands that serve HTTP: TLS, a proxy, and names of what they serve (``about``)."""
+
+    def add(command: F) -> F:
+        for option in reversed(
+            (
+                click.option(
+                    "--tls-cert",
+                    type=click.Path(dir_okay=False),
+                    help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
+                ),
+                click.option("--tls-key", type=click.Path(dir_okay=False), help="Its key, a PEM file."),
+                click.option(
+                    "--behind-proxy",
+                    is_flag=True,
+                    help=f"Another program speaks TLS for {about}, and says for whom (X-Forwarded-For): "
+                    "nobody else may reach its port.",
+                ),
+                click.option(
+                    "--name",
+                    "names",
+                    multiple=True,
+                    metavar="HOST",
+                    help=f"A name under which browsers reach {about}, such as lab.example.org; may be given "
+                    "several times.",
+                ),
+            )
+        ):
+            command = option(command)
+        return command
+
+    return add
+
+
 def who(user: str | None) -> str:
     """The user's name: as given, else the login."""
     if user:

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._options import cert_option, database_option, home_option, pki_option, without_password
+from labos.cli._options import (
+    cert_option,
+    database_option,
+    home_option,
+    pki_option,
+    web_options,
+    without_password,
+)
 
 if TYPE_CHECKING:
     from labos.bootstrap import ApiSettings
@@ -35,25 +42,7 @@ if TYPE_CHECKING:
 )
 @click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
 @click.option("--host", default="127.0.0.1", show_default=True, help="The address on which it listens.")
-@click.option(
-    "--tls-cert",
-    type=click.Path(dir_okay=False),
-    help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
-)
-@click.option("--tls-key", type=click.Path(dir_okay=False), help="Its key, a PEM file.")
-@click.option(
-    "--behind-proxy",
-    is_flag=True,
-    help="Another program speaks TLS for this process, and says for whom (X-Forwarded-For): nobody else may "
-    "reach its port.",
-)
-@click.option(
-    "--name",
-    "names",
-    multiple=True,
-    metavar="HOST",
-    help="A name under which browsers reach it, such as lab.example.org; may be given several times.",
-)
+@web_options("this process")
 @click.option(
     "--bus", multiple=True, metavar="ENDPOINT", help="The lab's bus (that of the kernel that runs in --home)."
 )

@@ -42,6 +42,6 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
 def _row(story: ExperimentHistory) -> tuple[str, ...]:
     kinds = ("alive", "completed", "failed", "cancelled")
     runs = ", ".join(f"{story.count(kind)} {kind}" for kind in kinds if story.count(kind)) or "none"
-    status = f"{story.status} ({story.why})" if story.why else story.status
+    status = story.status if story.why in ("", "ended") else f"{story.status} ({story.why})"
     span = show_span((story.ended_at - story.started_at) / 1e9) if story.ended_at else ""
     return story.id, story.name, story.user, status, runs, show_time(story.started_at), span

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import home_option, json_option, who
 from labos.cli._out import show_json, tell
+
+if TYPE_CHECKING:
+    from labos.client import LabClient
 
 HOW = {
     "token": "by a token",
@@ -17,60 +24,123 @@ HOW = {
 
 
 @click.command("login")
-@user_option
+@click.argument("url", default="", metavar="[URL]")
+@click.option("--user", metavar="NAME", default="", help="Sign in with the password of this user.")
+@click.option("--device", is_flag=True, help="No browser here: type a code into one elsewhere.")
+@click.option("--code", is_flag=True, help="As --device, for a provider without it: paste an address.")
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65_535),
+    default=0,
+    help="The port to which the browser comes back, for a provider that looks at it; else any free one.",
+)
+@click.option(
+    "--scope",
+    type=click.Choice(["viewer", "submitter", "operator", "admin"]),
+    default="admin",
+    show_default=True,
+    help="The most that the token is good for; what you may not do, it may not do either.",
+)
 @click.option(
     "--days", type=click.FloatRange(0.01, 366), default=30.0, show_default=True, help="How long it is good."
 )
 @home_option
 @json_option
-def login(user: str | None, days: float, home: str | None, as_json: bool) -> None:
-    """Sign in to the lab, with a password; from then on commands are yours.
+def login(
+    url: str,
+    user: str,
+    device: bool,
+    code: bool,
+    port: int,
+    scope: str,
+    days: float,
+    home: str | None,
+    as_json: bool,
+) -> None:
+    """Sign in to the lab at URL (LABOS_URL, or the one in the folder); from then on commands are yours.
+
+    A lab with an identity provider sends you to its page: a browser opens, and comes back to this command,
+    which listens on this computer alone. Other labs ask for a password; --user does so everywhere. Without a
+    terminal, the first line of standard input is the password.
 
     The lab gives a token, which is kept in ~/.config/labos/tokens.json, readable by you only. LABOS_TOKEN
-    and LABOS_TOKEN_FILE go before it. Without a terminal, the first line of standard input is the password.
+    and LABOS_TOKEN_FILE go before it. `labos token list` shows it, `labos logout` revokes it.
 
     \b
+    labos login https://lab7.example.org
+    labos login https://lab7.example.org --device      on a computer without a browser
     labos login --user ada
-    LABOS_URL=https://lab7.example.org labos login --user ada
     """
     import socket
 
-    from labos.cli._lab import need_lab
-    from labos.cli._secret import ask_password
+    from labos.cli._provider import Way, sign_in
     from labos.client._token import keep_token
+    from labos.errors import NotFound
+    from labos.services.times import iso_time
 
-    name = who(user)
-    with need_lab(home) as client:
+    if device and code:
+        raise click.UsageError("Say either --device or --code.")
+    if user and (device or code):
+        raise click.UsageError("--device and --code go without --user.")
+    label = f"labos login on {socket.gethostname()}"
+    with _lab(url, home) as client:
         place = client.token_place
-        password = ask_password(f"Password of {name}")
-        found = client.sign_in(name, password, label=f"labos login on {socket.gethostname()}", days=days)
+        try:
+            if user:
+                raise NotFound("A password is asked for.")
+            way: Way = "device" if device else "code" if code else "browser"
+            found = sign_in(client, way, port, label=label, scope=scope, days=days)
+        except NotFound:
+            if device or code:
+                raise
+            found = _by_password(client, who(user or os.environ.get("LABOS_USER")), label, scope, days)
         keep_token(place, found["token"])
-    facts = {"user": found["user"], "place": place, "days": days}
-    tell(f"You are {found['user']} at {place}, for {days:g} days.", facts, as_json=as_json)
+    until = iso_time(found["until"])[:16]
+    facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
+    tell(f"You are {found['user']} at {place}, until {until}.", facts, as_json=as_json)
+
+
+def _by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
+    from labos.cli._secret import ask_password
+
+    password = ask_password(f"Password of {name}")
+    return client.sign_in(name, password, label=label, scope=scope, days=days)
 
 
 @click.command("logout")
+@click.argument("url", default="", metavar="[URL]")
 @home_option
 @json_option
-def logout(home: str | None, as_json: bool) -> None:
-    """Sign out: the token is good no more, and is forgotten."""
-    from labos.cli._lab import need_lab
+def logout(url: str, home: str | None, as_json: bool) -> None:
+    """Sign out of the lab at URL (LABOS_URL, or the one in the folder): the token is good no more, and is
+    forgotten."""
     from labos.client._token import keep_token, kept_token
     from labos.errors import NotSignedIn
 
-    with need_lab(home) as client:
+    with _lab(url, home) as client:
         place = client.token_place
-        if not kept_token(place):
+        if not (kept := kept_token(place)):
             tell(
                 f"You have not signed in to {place}.", {"place": place, "signed_out": False}, as_json=as_json
             )
             return
-        try:
-            client.sign_out()
-        except NotSignedIn:
-            pass  # it was good no more
-        keep_token(place, "")
+    with suppress(NotSignedIn), _lab(url, home, kept) as client:  # whatever LABOS_TOKEN says
+        client.sign_out()  # else it was good no more
+    keep_token(place, "")
     tell(f"You are signed out of {place}.", {"place": place, "signed_out": True}, as_json=as_json)
+
+
+def _lab(url: str, home: str | None, token: str = "") -> LabClient:
+    """The lab at an address, or the one that other commands would ask. Raises BadInput for what is none."""
+    from labos.cli._lab import need_lab
+    from labos.client import LabClient
+    from labos.settings import checked_url
+
+    if not url:
+        return need_lab(home, token)
+    if home:
+        raise click.UsageError("Name the lab by its URL or by --home.")
+    return LabClient(checked_url(url, "What you say"), token=token)
 
 
 @click.command("whoami")

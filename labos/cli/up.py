@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import SPEED_HELP, address_option, database_option, home_option, pki_option
+from labos.cli._options import (
+    SPEED_HELP,
+    address_option,
+    database_option,
+    home_option,
+    pki_option,
+    web_options,
+)
 
 if TYPE_CHECKING:
     from labos.bootstrap import LabThread
@@ -41,25 +48,7 @@ NO_USERS = (
     help="Allow a bus that asks for no certificates on a --host that other computers reach: whoever reaches "
     "it can speak for a node.",
 )
-@click.option(
-    "--tls-cert",
-    type=click.Path(dir_okay=False),
-    help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
-)
-@click.option("--tls-key", type=click.Path(dir_okay=False), help="Its key, a PEM file.")
-@click.option(
-    "--behind-proxy",
-    is_flag=True,
-    help="Another program speaks TLS for the lab, and says for whom (X-Forwarded-For): nobody else may reach "
-    "its port.",
-)
-@click.option(
-    "--name",
-    "names",
-    multiple=True,
-    metavar="HOST",
-    help="A name under which browsers reach the lab, such as lab.example.org; may be given several times.",
-)
+@web_options("the lab")
 @click.option(
     "--first-user", default="", metavar="ID", help="Add this user as the admin, if the lab has no users."
 )

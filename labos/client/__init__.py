@@ -18,6 +18,8 @@ from labos.client._experiment import Experiment, RunFailed
 from labos.client._files import step_text, workflow_text
 from labos.client._lab import LabClient
 from labos.client._log import LabFiles, LabLog
+from labos.client._logged import Loop
+from labos.client._replay import ReplayMismatch
 from labos.client._results import RunResult, StepResult
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ __all__ = [
     "LabFiles",
     "LabLog",
     "LabUnreachable",
+    "Loop",
+    "ReplayMismatch",
     "RunFailed",
     "RunResult",
     "StepResult",

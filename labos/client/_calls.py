@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence, Set
@@ -30,12 +31,16 @@ def check_given_up() -> None:
         raise GivenUp
 
 
-def in_path(name: str) -> str:
-    """A name as it stands in a path: what is before and behind a slash in it is one part. Raises
-    BadInput."""
-    if name in ("", ".", ".."):
-        raise BadInput(f"{name!r} names nothing in the lab.", remedy="Say which one is meant.")
+def in_path(name: str, parts: int = 1) -> str:
+    """A name as it stands in a path, as one part of it. Only a name of several ``parts`` may have slashes:
+    that of a module is ``sealer`` or ``rpl/sealer``. Raises BadInput for what would lead elsewhere."""
+    found = name.split("/")
+    if len(found) > parts or any(part in ("", ".", "..") for part in found) or _NO_NAME.search(name):
+        raise BadInput(f"{name[:80]!r} names nothing in the lab.", remedy="Say which one is meant.")
     return quote(name, safe="")
+
+
+_NO_NAME = re.compile(r"[\x00-\x1f\x7f\\\ud800-\udfff]")
 
 
 def plain(value: Any) -> Any:

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from random import Random  # noqa: TID251 - its seed stands in the log
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
-from labos.client._answers import LabUnreachable
-from labos.client._calls import plain
+from labos.client._files import workflow_text
 from labos.client._lab import LabClient
+from labos.client._logged import LoggedEvents
 from labos.client._progress import Progress
+from labos.client._record import Record
+from labos.client._replay import Key, ReplayMismatch
 from labos.client._results import RunResult
 from labos.client._services import Computations
-from labos.errors import CommitInDoubt, LabosError
+from labos.errors import BadInput, LabosError
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
+
+    from numpy.random import Generator
 
     from labos.services.compute import Attempts
 
@@ -28,10 +30,16 @@ HEARTBEAT_S = 5.0
 LONGEST_WHY = 500
 
 
-class Experiment:
+class Experiment(LoggedEvents):
     """An application's run of runs. Leaving the block ends it; its closing workflow clears away
     what it left parked (at the stations ``parking`` only, if any are named). ``RunFailed`` is raised
-    for a run that does not complete, unless ``run(..., check=False)``."""
+    for a run that does not complete, unless ``run(..., check=False)``.
+
+    A program that was killed goes on where it was if it is started again with ``resume``, the id of its
+    experiment: what it asks for a second time is answered from the log. Its calls are known by their order;
+    a ``key`` names one wherever it stands. With ``keep_open`` an error of the program leaves the experiment
+    open, so that the program can be mended and goes on.
+    """
 
     def __init__(
         self,
@@ -44,30 +52,50 @@ class Experiment:
         workcell: str = "",
         priority: int = 0,
         parking: Sequence[str] = (),
+        resume: str = "",
+        keep_open: bool = False,
     ) -> None:
         self.lab, self.name, self.user, self.workcell = lab, name, user, workcell
         self._closing, self._payload, self._priority = closing, closing_payload, priority
-        self._parking = parking
-        self._notes: Counter[bytes] = Counter()
-        self._noting = threading.Lock()
-        self._computations = Computations(self)
+        self._parking, self._resume, self._keep_open = parking, resume, keep_open
         self._over = threading.Event()
         self._beating: threading.Thread | None = None
+        self._random: Random | None = None
         self.id = ""
+        self._record = Record(self)
+        self._computations = Computations(self._record)
 
     def __enter__(self) -> Experiment:
-        self.id = self.lab.start_experiment(
-            self.name,
-            self.user,
-            closing=self._closing,
-            payload=self._payload,
-            workcell=self.workcell,
-            priority=self._priority,
-            parking=self._parking,
-        )
-        self._beating = threading.Thread(target=self._beat, name=f"heartbeat-{self.id}", daemon=True)
-        self._beating.start()
+        if self._resume:
+            self._go_on()
+        else:
+            self.id = self.lab.start_experiment(
+                self.name,
+                self.user,
+                closing=self._closing,
+                payload=self._payload,
+                workcell=self.workcell,
+                priority=self._priority,
+                parking=self._parking,
+            )
+            self._record.begin(self.id)
+        past = self._record.past
+        self._random = Random(past.seed)
+        if past.status == "open":
+            self._beating = threading.Thread(target=self._beat, name=f"heartbeat-{self.id}", daemon=True)
+            self._beating.start()
         return self
+
+    def _go_on(self) -> None:
+        """What has ended is only read again. Raises NotFound, Refused."""
+        past = self._record.begin(self._resume)
+        if past.status in ("open", "cancelled") or past.name != self.name:
+            self.lab.resume_experiment(self._resume, self.name, self.user)
+        self.id = self._resume
+        self.lab.warnings = [
+            f"{run} of {self.id} bears no key of its program, which would submit it again."
+            for run in past.strays
+        ]
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -75,7 +103,8 @@ class Experiment:
         try:
             interrupted = kind is not None and not issubclass(kind, Exception)
             self._computations.close(drop=kind is not None, wait=not interrupted)
-            if kind is None or issubclass(kind, Exception):
+            stays_open = interrupted or isinstance(error, ReplayMismatch) or (self._keep_open and kind)
+            if not stays_open:
                 why = "ended" if error is None else _on_one_line(f"failed: {type(error).__name__}: {error}")
                 self.lab.end_experiment(self.id, why, self.user)
         except LabosError:
@@ -85,6 +114,23 @@ class Experiment:
             # Somebody who was interrupted is missed by the lab, and a person is asked.
             self._over.set()
 
+    @property
+    def random(self) -> Random:
+        """Chance that is the same again when the program is: it is seeded from the log."""
+        if self._random is None:
+            raise BadInput("The experiment has not begun.", remedy="Use it within its block.")
+        return self._random
+
+    @property
+    def numpy_random(self) -> Generator:
+        """The same for numpy, seeded by the next numbers of ``random``: keep what is returned."""
+        try:
+            from numpy.random import default_rng
+        except ImportError:
+            raise BadInput("numpy is not installed.", remedy='pip install "labos-sdl[analysis]"') from None
+        made: Generator = default_rng(self.random.getrandbits(128))
+        return made
+
     def run(
         self,
         workflow: str | Path,
@@ -92,20 +138,52 @@ class Experiment:
         *,
         check: bool = True,
         progress: Progress = False,
+        key: str = "",
     ) -> RunResult:
-        """Run a workflow to its end. Raises RunFailed if it does not complete."""
-        options = {"user": self.user, "workcell": self.workcell, "experiment": self.id}
-        result = self.lab.run(workflow, payload, progress=progress, **options)
+        """Run a workflow to its end. Raises RunFailed if it does not complete, ReplayMismatch if a program
+        that was started again asked for another one."""
+        taken, record = self._take("run", workflow, key), self._record
+        request, told = record.request_of(taken), workflow_text(workflow, payload)
+        with record.asking(taken):
+            run = record.known_run(taken, request, told, payload)
+            if run:
+                result = self.lab.wait(run, progress=progress)
+            else:
+                options = {**self._options(), "request": request, "progress": progress}
+                with record.same(taken, request, told, payload):
+                    result = self.lab.run(told, payload, **options)
         if check and not result.succeeded:
             raise RunFailed(result)
         return result
 
+    def submit(
+        self, workflow: str | Path, payload: Mapping[str, Any] | None = None, *, key: str = "", **options: Any
+    ) -> str:
+        """Queue a run of a workflow; returns its id. Options are those of ``LabClient.submit``. Raises
+        ReplayMismatch."""
+        taken = self._take("submit", workflow, key)
+        with self._record.asking(taken):
+            return self._submit(taken, self._record.request_of(taken), workflow, payload, options)
+
     def submit_all(
-        self, workflow: str | Path, payloads: Iterable[Mapping[str, Any]], **options: Any
+        self,
+        workflow: str | Path,
+        payloads: Iterable[Mapping[str, Any]],
+        *,
+        key: str = "",
+        **options: Any,
     ) -> list[str]:
-        """Queue one run of a workflow for each payload, in order; returns their ids."""
-        options = {"user": self.user, "workcell": self.workcell, "experiment": self.id, **options}
-        return self.lab.submit_all(workflow, payloads, **options)
+        """Queue one run of a workflow for each payload, in order; returns their ids. Options are those of
+        ``LabClient.submit``. Raises ReplayMismatch."""
+        taken = self._take("submit_all", workflow, key)
+        request = options.pop("request", "") or self._record.request_of(taken)
+        found, warnings = [], list[str]()
+        with self._record.asking(taken):
+            for number, payload in enumerate(payloads):
+                found.append(self._submit(taken, f"{request}-{number}", workflow, payload, options))
+                warnings += self.lab.warnings
+        self.lab.warnings = list(dict.fromkeys(warnings))
+        return found
 
     def as_completed(self, runs: Iterable[str], *, check: bool = True) -> Iterator[RunResult]:
         """Runs in the order in which they end. Raises RunFailed at one that does not complete."""
@@ -116,28 +194,46 @@ class Experiment:
 
     def note(self, kind: str, name: str, **facts: Any) -> None:
         """Log something of the application's own: loop_started, loop_ended, condition_checked,
-        decision, local_compute, compute, flow or publication. A lab that broke off while it was told, or
-        whose database did, is asked whether it has heard, and told again if it has not."""
-        with self._noting:  # computations are noted from threads of their own
-            self._note(kind, name, facts)
+        decision, local_compute, compute, flow, publication or transfer. It is logged once, also if the lab
+        breaks off while it is told, or the program is killed. Raises ReplayMismatch for another decision or
+        condition than before."""
+        self._record.note(kind, name, facts)
 
-    def compute(self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any) -> Any:
+    def decide(self, name: str, function: Callable[[], Any], *, key: str = "") -> Any:
+        """What a function returns, as JSON gives it back (a tuple is a list), logged as a decision. When the
+        program was started again, the function is not called: what it decided then is returned. For all that
+        may differ the next time: a clock, a file, a person's answer. Raises BadInput for what is no JSON."""
+        if not callable(function):
+            raise BadInput(f"{name!r} is decided by no function.", remedy="Give one: lambda: solver.ask().")
+        return self._record.decide(self._take("decide", name, key), name, function)
+
+    def compute(
+        self, function: Callable[..., Any], *args: Any, where: str = "pool", key: str = "", **named: Any
+    ) -> Any:
         """What a function returns that is computed in another process, with an event that names it, the
         digests of its code and arguments, where it ran, how long, and what it returned. ``where`` is local (a
-        thread), pool (processes of this computer), parsl or dask. Raises ComputeFailed."""
-        return self.submit_compute(function, *args, where=where, **named).result()
+        thread), pool (processes of this computer), parsl or dask. What was computed before the program was
+        started again is not computed twice. Raises ComputeFailed, ReplayMismatch."""
+        return self.submit_compute(function, *args, where=where, key=key, **named).result()
 
     def submit_compute(
-        self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any
+        self, function: Callable[..., Any], *args: Any, where: str = "pool", key: str = "", **named: Any
     ) -> Future[Any]:
         """The same, as a future."""
-        return self._computations.submit(function, args, named, where)
+        taken = self._take("submit_compute", function, key)
+        return self._computations.submit(function, args, named, where, taken)
 
     def compute_all(
-        self, function: Callable[[Any], Any], arguments: Iterable[Any], *, where: str = "pool"
+        self,
+        function: Callable[[Any], Any],
+        arguments: Iterable[Any],
+        *,
+        where: str = "pool",
+        key: str = "",
     ) -> list[Any]:
-        """What a function returns for each argument, in their order. Raises ComputeFailed."""
-        return [each.result() for each in self._computations.submit_all(function, arguments, where)]
+        """What a function returns for each argument, in their order. Raises ComputeFailed, ReplayMismatch."""
+        taken = self._take("compute_all", function, key)
+        return [each.result() for each in self._computations.submit_all(function, arguments, where, taken)]
 
     def configure_compute(self, *, attempts: Attempts | None = None, **places: Any) -> None:
         """How often a computation is tried, and what the places need: ``pool=4`` processes,
@@ -146,26 +242,29 @@ class Experiment:
 
     def keep_file(self, content: bytes) -> str:
         """Keep a file in the lab; returns its SHA-256, by which ``lab.file`` gives it back."""
-        return self.lab.keep_file(self.id, content, self.user)
+        return self._record.keep_file(content)
 
-    def _note(self, kind: str, name: str, facts: Mapping[str, Any]) -> None:
-        what = _comparable(kind, name, facts)
-        while True:
-            try:
-                self.lab.note(self.id, kind, name, facts, self.user)
-                break
-            except (LabUnreachable, CommitInDoubt):
-                if self._count_notes(what) > self._notes[what]:
-                    break
-        self._notes[what] += 1
+    def _take(self, method: str, what: Any, key: str) -> Key:
+        return self._record.take(method, what, key)
 
-    def _count_notes(self, what: bytes) -> int:
-        """How often the log has this note of this experiment. Raises LabUnreachable."""
-        found = self.lab.events(type="experiment.noted", stream=self.id)
-        payloads = [event["payload"] for event in found]
-        return sum(
-            _comparable(note["kind"], note["name"], note.get("facts", {})) == what for note in payloads
-        )
+    def _options(self) -> dict[str, Any]:
+        return {"user": self.user, "workcell": self.workcell, "experiment": self.id}
+
+    def _submit(
+        self,
+        key: Key,
+        request: str,
+        workflow: str | Path,
+        payload: Mapping[str, Any] | None,
+        options: Mapping[str, Any],
+    ) -> str:
+        told, record = workflow_text(workflow, payload), self._record
+        known = record.known_run(key, request, told, payload)
+        if known:
+            self.lab.warnings = []
+            return known
+        with record.same(key, request, told, payload):
+            return self.lab.submit(told, payload, request=request, **{**self._options(), **options})
 
     def _beat(self) -> None:
         while not self._over.wait(HEARTBEAT_S):
@@ -178,11 +277,6 @@ class Experiment:
 def _on_one_line(why: str) -> str:
     """As much of an error's text as the lab takes for a reason."""
     return "".join(char if char.isprintable() else " " for char in why)[:LONGEST_WHY]
-
-
-def _comparable(kind: str, name: str, facts: Mapping[str, Any]) -> bytes:
-    """A note as it can be compared with one that was read back."""
-    return msgspec.json.encode((kind, name, facts), enc_hook=plain, order="sorted")
 
 
 class RunFailed(LabosError):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from labos.client._answers import LabUnreachable as LabUnreachable
 from labos.client._answers import answer_of
 from labos.client._bench import BenchCalls
-from labos.client._calls import LONG_POLL_S
+from labos.client._calls import LONG_POLL_S, in_path
 from labos.client._campaigns import CampaignCalls
 from labos.client._files import workflow_text
 from labos.client._runs import RunCalls
@@ -66,7 +66,7 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
             )
         part = bool(first) or last is not None
         headers = {"range": f"bytes={first}-{'' if last is None else last}"} if part else {}
-        response = self._request("GET", f"/files/{name}", repeat=True, headers=headers)
+        response = self._request("GET", f"/files/{in_path(name)}", repeat=True, headers=headers)
         if response.status_code == 416:
             raise BadInput(f"The file {name} has no bytes {first} to {'its end' if last is None else last}.")
         if response.status_code >= 400:

@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+import pickle
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from labos.client._record import LARGEST_IN_EVENT, Record, function_name
+from labos.client._replay import ReplayMismatch, plain_digest
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from labos.services.compute import Attempts, Computed, ComputeFailed, Computing
 
-LARGEST_IN_EVENT = 16 * 1024
-"""Bytes of a result that stand in its event; more of them are a file of the lab."""
-
 LONGEST_ERROR = 1000
 
-
-class ExperimentLog(Protocol):
-    """What computations need of an experiment."""
-
-    def note(self, kind: str, name: str, **facts: Any) -> None: ...
-
-    def keep_file(self, content: bytes) -> str: ...
+LONGEST_SHOWN = 200
 
 
 class Computations:
     """Of one experiment. Nothing is opened or imported before the first of them."""
 
-    def __init__(self, experiment: ExperimentLog) -> None:
-        self._experiment = experiment
+    def __init__(self, record: Record) -> None:
+        self._record = record
         self._places: dict[str, Any] = {}
         self._attempts: Attempts | None = None
         self._computing: Computing | None = None
@@ -42,10 +39,19 @@ class Computations:
         self._places, self._attempts = dict(places), attempts
 
     def submit(
-        self, function: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, Any], where: str
+        self,
+        function: Callable[..., Any],
+        args: tuple[Any, ...],
+        named: Mapping[str, Any],
+        where: str,
+        key: str,
     ) -> Future[Any]:
         from labos.services.compute import Computing
 
+        what = plain_digest({"args": args, "named": named})
+        known = self._record.known(key)
+        if known is not None:
+            return self._replay(known, function, args, named, what)
         if self._computing is None:
             self._computing = Computing(self._places, self._attempts)
         kind = "local_compute" if where in ("local", "pool") else "compute"
@@ -54,19 +60,57 @@ class Computations:
             args,
             named,
             where=where,
-            then=lambda computed: self._tell(kind, computed),
-            failed=lambda error: self._tell_failure(kind, error),
+            then=lambda computed: self._tell(key, kind, computed, what),
+            failed=lambda error: self._tell_failure(key, kind, error, what),
         )
 
-    def submit_all(self, function: Callable[..., Any], of: Iterable[Any], where: str) -> list[Future[Any]]:
-        return [self.submit(function, (each,), {}, where) for each in of]
+    def submit_all(
+        self, function: Callable[..., Any], of: Iterable[Any], where: str, key: str
+    ) -> list[Future[Any]]:
+        return [
+            self.submit(function, (each,), {}, where, f"{key}-{number}") for number, each in enumerate(of)
+        ]
+
+    def _replay(
+        self,
+        known: Mapping[str, Any],
+        function: Callable[..., Any],
+        args: tuple[Any, ...],
+        named: Mapping[str, Any],
+        what: str,
+    ) -> Future[Any]:
+        """What was computed before, or how it failed. Raises ReplayMismatch for other arguments."""
+        from concurrent.futures import Future
+
+        facts = known["facts"]
+        told = facts.get("arguments_as_json", facts["arguments"])
+        if (what and told != what) or known["name"] != function_name(function):
+            raise ReplayMismatch(
+                self._record.experiment,
+                known["key"],
+                f"{known['name']} of arguments {told[:12]}",
+                f"{function_name(function)} of arguments {what[:12]}, {_shown_arguments(args, named)}",
+            )
+        done: Future[Any] = Future()
+        if "error" in facts:
+            done.set_exception(_failure(known["name"], facts))
+        else:
+            done.set_result(self._value(facts))
+        return done
+
+    def _value(self, facts: Mapping[str, Any]) -> Any:
+        if "result" in facts:
+            return facts["result"]
+        content = self._record.file(facts["result_file"])
+        # The lab keeps what this experiment has sent, and gives nothing else under its digest.
+        return msgspec.json.decode(content) if facts["result_form"] == "json" else pickle.loads(content)
 
     def close(self, *, drop: bool, wait: bool) -> None:
         if self._computing is not None:
             self._computing.close(drop=drop, wait=wait)
             self._computing = None
 
-    def _tell(self, kind: str, computed: Computed) -> Any:
+    def _tell(self, key: str, kind: str, computed: Computed, what: str) -> Any:
         """The event is in the log before the application has the result."""
         from labos.services.compute._work import encoded
 
@@ -75,6 +119,7 @@ class Computations:
         facts: dict[str, Any] = {
             "code": computed.code,
             "arguments": computed.arguments,
+            **_as_json(what, computed.arguments),
             "where": computed.where,
             "host": measured.host,
             "process": measured.pid,
@@ -87,17 +132,40 @@ class Computations:
         if form == "json" and len(content) <= LARGEST_IN_EVENT:
             facts["result"] = measured.value
         else:
-            facts["result_file"] = self._experiment.keep_file(content)
-        self._experiment.note(kind, computed.function, **facts)
-        return measured.value
+            facts["result_file"] = self._record.keep_file(content)
+        kept = self._record.keep(key, kind, computed.function, facts)["facts"]
+        if kept["result_sha256"] == facts["result_sha256"]:
+            return measured.value
+        return self._value(kept)  # the program that was killed had told it in the meantime
 
-    def _tell_failure(self, kind: str, failed: ComputeFailed) -> None:
-        self._experiment.note(
-            kind,
-            failed.function,
-            code=failed.code,
-            arguments=failed.arguments,
-            where=failed.where,
-            attempts=failed.attempts,
-            error=f"{type(failed.error).__name__}: {failed.error}"[:LONGEST_ERROR],
-        )
+    def _tell_failure(self, key: str, kind: str, failed: ComputeFailed, what: str) -> None:
+        facts = {
+            "code": failed.code,
+            "arguments": failed.arguments,
+            **_as_json(what, failed.arguments),
+            "where": failed.where,
+            "attempts": failed.attempts,
+            "error": f"{type(failed.error).__name__}: {failed.error}"[:LONGEST_ERROR],
+        }
+        self._record.keep(key, kind, failed.function, facts)
+
+
+def _as_json(what: str, arguments: str) -> dict[str, str]:
+    """The digest by which arguments are compared that were sent in another form than JSON, which differs from
+    process to process."""
+    return {"arguments_as_json": what} if what not in ("", arguments) else {}
+
+
+def _failure(name: str, facts: Mapping[str, Any]) -> ComputeFailed:
+    """The error that a computation ended with before the program was started again."""
+    from labos.services.compute import ComputeFailed
+
+    kind, _, text = str(facts["error"]).partition(": ")
+    error = type(kind, (Exception,), {})(text)
+    code, arguments = str(facts["code"]), str(facts["arguments"])
+    return ComputeFailed(name, facts["where"], facts["attempts"], error, code=code, arguments=arguments)
+
+
+def _shown_arguments(args: tuple[Any, ...], named: Mapping[str, Any]) -> str:
+    shown = [*map(repr, args), *(f"{name}={value!r}" for name, value in named.items())]
+    return f"({', '.join(shown)})"[:LONGEST_SHOWN]

@@ -16,6 +16,7 @@ from labos.client._calls import GIVEN_UP
 
 P = ParamSpec("P")
 T = TypeVar("T")
+U = TypeVar("U")
 
 MOST_CALLS, MOST_WAITS = 16, 256
 """So many calls at once that are answered soon, and so many that may wait for a long time; others queue."""
@@ -69,6 +70,14 @@ class Threads:
                 raise
         else:
             await self.wait(manager.__exit__, None, None, None)
+
+    @asynccontextmanager
+    async def block_of(
+        self, manager: AbstractContextManager[T], twin: Callable[[T, Threads], U]
+    ) -> AsyncIterator[U]:
+        """The same, with the twin of what the block yields."""
+        async with self.block(manager) as found:
+            yield twin(found, self)
 
     async def _in_thread(self, work: Callable[[], T]) -> T:
         loop = asyncio.get_running_loop()

@@ -227,7 +227,7 @@ SETTLED_KEPT = 256
 ENDED_KEPT = 32
 
 
-def requested(actions: Actions, event: ActionRequested, at: int, position: int) -> None:
+def fold_action_requested(actions: Actions, event: ActionRequested, at: int, position: int) -> None:
     actions.open[event.action] = Action(
         id=event.action,
         run=event.run,
@@ -247,21 +247,23 @@ def requested(actions: Actions, event: ActionRequested, at: int, position: int) 
     actions.in_cell.setdefault(workcell_of(event.module), {})[event.action] = True
 
 
-def accepted(actions: Actions, event: ActionAccepted, at: int) -> None:
+def fold_action_accepted(actions: Actions, event: ActionAccepted, at: int) -> None:
     actions.open[event.action].status = ActionStatus.ACCEPTED
 
 
-def reported(actions: Actions, event: ActionReported, at: int) -> None:
+def fold_action_reported(actions: Actions, event: ActionReported, at: int) -> None:
     action = actions.open[event.action]
     action.status, action.looks = ActionStatus.REPORTED, event.looks
     action.result, action.ended_ns = event.result, event.ended_ns
 
 
-def unknown(actions: Actions, event: ActionUnknown, at: int) -> None:
+def fold_action_unknown(actions: Actions, event: ActionUnknown, at: int) -> None:
     actions.open[event.action].status = ActionStatus.UNKNOWN
 
 
-def ended(actions: Actions, event: ActionRejected | ActionSucceeded | ActionFailed, at: int) -> None:
+def fold_action_ended(
+    actions: Actions, event: ActionRejected | ActionSucceeded | ActionFailed, at: int
+) -> None:
     _end(actions, event)
 
 
@@ -276,29 +278,29 @@ def _end(actions: Actions, event: ActionEvent) -> None:
         del ended[0]
 
 
-def reconciled(actions: Actions, event: ActionReconciled, at: int) -> None:
+def fold_action_reconciled(actions: Actions, event: ActionReconciled, at: int) -> None:
     _end(actions, event)
     actions.settled[event.action] = Settled(event.module, event.effects)
     while len(actions.settled) > SETTLED_KEPT:
         del actions.settled[next(iter(actions.settled))]
 
 
-def evidence(actions: Actions, event: ActionEvidence, at: int) -> None:
+def fold_action_evidence(actions: Actions, event: ActionEvidence, at: int) -> None:
     actions.settled.pop(event.action, None)
 
 
-def discovered(actions: Actions, event: ActionDiscovered, at: int) -> None:
+def fold_action_discovered(actions: Actions, event: ActionDiscovered, at: int) -> None:
     actions.discovered[event.action] = event.module
 
 
 HANDLERS = {
-    ActionAccepted: accepted,
-    ActionReported: reported,
-    ActionRejected: ended,
-    ActionSucceeded: ended,
-    ActionFailed: ended,
-    ActionUnknown: unknown,
-    ActionReconciled: reconciled,
-    ActionEvidence: evidence,
-    ActionDiscovered: discovered,
+    ActionAccepted: fold_action_accepted,
+    ActionReported: fold_action_reported,
+    ActionRejected: fold_action_ended,
+    ActionSucceeded: fold_action_ended,
+    ActionFailed: fold_action_ended,
+    ActionUnknown: fold_action_unknown,
+    ActionReconciled: fold_action_reconciled,
+    ActionEvidence: fold_action_evidence,
+    ActionDiscovered: fold_action_discovered,
 }

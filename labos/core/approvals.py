@@ -171,16 +171,16 @@ def alike_of(parts: dict[str, str]) -> str:
     return "\n".join(f"{name}={parts[name]}" for name in sorted(parts) if name not in VALUES)
 
 
-def policy_applied(approvals: Approvals, event: PolicyApplied, at: int) -> None:
+def fold_policy_applied(approvals: Approvals, event: PolicyApplied, at: int) -> None:
     approvals.policy, approvals.applied = event.policy, event.digest
 
 
-def requested(approvals: Approvals, event: ApprovalRequested, at: int) -> None:
+def fold_approval_requested(approvals: Approvals, event: ApprovalRequested, at: int) -> None:
     approvals.open.pop(event.subject, None)
     approvals.open[event.subject] = Proposal(**msgspec.structs.asdict(event), requested_at=at)
 
 
-def given(approvals: Approvals, event: ApprovalGiven, at: int) -> None:
+def fold_approval_given(approvals: Approvals, event: ApprovalGiven, at: int) -> None:
     proposal = approvals.open.pop(event.subject)
     key = f"{proposal.kind}:{proposal.name}"
     approvals.past.pop(key, None)
@@ -195,21 +195,21 @@ def given(approvals: Approvals, event: ApprovalGiven, at: int) -> None:
         approvals.alike.setdefault(experiment, {})[alike_of(proposal.parts)] = True
 
 
-def refused(approvals: Approvals, event: ApprovalRefused, at: int) -> None:
+def fold_approval_refused(approvals: Approvals, event: ApprovalRefused, at: int) -> None:
     del approvals.open[event.subject]
 
 
-def run_left(approvals: Approvals, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(approvals: Approvals, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
     approvals.open.pop(event.run, None)
 
 
-def campaign_left(
+def fold_campaign_ended(
     approvals: Approvals, event: CampaignCancelled | CampaignStopped | CampaignCompleted, at: int
 ) -> None:
     approvals.open.pop(event.campaign, None)
 
 
-def experiment_left(
+def fold_experiment_ended(
     approvals: Approvals, event: ExperimentCancelled | ExperimentClosing | ExperimentEnded, at: int
 ) -> None:
     approvals.open.pop(event.experiment, None)
@@ -218,38 +218,38 @@ def experiment_left(
 
 
 HANDLERS = {
-    PolicyApplied: policy_applied,
-    ApprovalRequested: requested,
-    ApprovalGiven: given,
-    ApprovalRefused: refused,
-    RunCompleted: run_left,
-    RunFailed: run_left,
-    RunCancelled: run_left,
-    CampaignCancelled: campaign_left,
-    CampaignStopped: campaign_left,
-    CampaignCompleted: campaign_left,
-    ExperimentCancelled: experiment_left,
-    ExperimentClosing: experiment_left,
-    ExperimentEnded: experiment_left,
+    PolicyApplied: fold_policy_applied,
+    ApprovalRequested: fold_approval_requested,
+    ApprovalGiven: fold_approval_given,
+    ApprovalRefused: fold_approval_refused,
+    RunCompleted: fold_run_ended,
+    RunFailed: fold_run_ended,
+    RunCancelled: fold_run_ended,
+    CampaignCancelled: fold_campaign_ended,
+    CampaignStopped: fold_campaign_ended,
+    CampaignCompleted: fold_campaign_ended,
+    ExperimentCancelled: fold_experiment_ended,
+    ExperimentClosing: fold_experiment_ended,
+    ExperimentEnded: fold_experiment_ended,
 }
 
 # -- what waits ----------------------------------------------------------------------------------
 
 
-def approved(runs: Runs, event: RunApproved, at: int) -> None:
+def fold_run_approved(runs: Runs, event: RunApproved, at: int) -> None:
     run = runs.queued[event.run]
     with let_wait_anew(runs, run):
         run.unapproved = False
 
 
-def run_held(runs: Runs, event: ApprovalRequested, at: int) -> None:
+def fold_approval_requested_into_runs(runs: Runs, event: ApprovalRequested, at: int) -> None:
     if event.kind == "run":
         run = runs.queued[RunId(event.subject)]
         with let_wait_anew(runs, run):
             run.held = True
 
 
-def run_let_go(runs: Runs, event: ApprovalGiven, at: int) -> None:
+def fold_approval_given_into_runs(runs: Runs, event: ApprovalGiven, at: int) -> None:
     if event.kind != "run":
         return
     run = runs.queued[RunId(event.subject)]
@@ -258,16 +258,20 @@ def run_let_go(runs: Runs, event: ApprovalGiven, at: int) -> None:
         run.priority = run.priority if event.priority is None else event.priority
 
 
-RUN_HANDLERS = {RunApproved: approved, ApprovalRequested: run_held, ApprovalGiven: run_let_go}
+RUN_HANDLERS = {
+    RunApproved: fold_run_approved,
+    ApprovalRequested: fold_approval_requested_into_runs,
+    ApprovalGiven: fold_approval_given_into_runs,
+}
 
 
-def campaign_held(campaigns: Campaigns, event: ApprovalRequested, at: int) -> None:
+def fold_approval_requested_into_campaigns(campaigns: Campaigns, event: ApprovalRequested, at: int) -> None:
     if event.kind == "campaign":
         campaigns.open[CampaignId(event.subject)].status = CampaignStatus.PROPOSED
         campaigns.open[CampaignId(event.subject)].danger_seen = bool(event.demand.dangers)
 
 
-def campaign_let_go(campaigns: Campaigns, event: ApprovalGiven, at: int) -> None:
+def fold_approval_given_into_campaigns(campaigns: Campaigns, event: ApprovalGiven, at: int) -> None:
     if event.kind == "campaign":
         campaign = campaigns.open[CampaignId(event.subject)]
         campaign.status = CampaignStatus.OPEN
@@ -275,19 +279,27 @@ def campaign_let_go(campaigns: Campaigns, event: ApprovalGiven, at: int) -> None
         note_due(campaigns, campaign)
 
 
-CAMPAIGN_HANDLERS = {ApprovalRequested: campaign_held, ApprovalGiven: campaign_let_go}
+CAMPAIGN_HANDLERS = {
+    ApprovalRequested: fold_approval_requested_into_campaigns,
+    ApprovalGiven: fold_approval_given_into_campaigns,
+}
 
 
-def experiment_held(experiments: Experiments, event: ApprovalRequested, at: int) -> None:
+def fold_approval_requested_into_experiments(
+    experiments: Experiments, event: ApprovalRequested, at: int
+) -> None:
     if event.kind == "experiment":
         experiments.open[ExperimentId(event.subject)].held = True
 
 
-def experiment_let_go(experiments: Experiments, event: ApprovalGiven, at: int) -> None:
+def fold_approval_given_into_experiments(experiments: Experiments, event: ApprovalGiven, at: int) -> None:
     if event.kind == "experiment":
         experiment = experiments.open[ExperimentId(event.subject)]
         experiment.held = False
         experiment.priority = experiment.priority if event.priority is None else event.priority
 
 
-EXPERIMENT_HANDLERS = {ApprovalRequested: experiment_held, ApprovalGiven: experiment_let_go}
+EXPERIMENT_HANDLERS = {
+    ApprovalRequested: fold_approval_requested_into_experiments,
+    ApprovalGiven: fold_approval_given_into_experiments,
+}

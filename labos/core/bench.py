@@ -185,7 +185,7 @@ def variable_of(labware: Labware, name: str) -> Any:
     return bool(labware.lid) if name == "lidded" else labware.variables.get(name)
 
 
-def workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
+def fold_workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
     """The empty stations of modules that are taken away go with them."""
     present = {spec.name for spec in event.modules}
     for module in [m for m in bench.by_module if workcell_of(m) == event.name and m not in present]:
@@ -194,7 +194,7 @@ def workcell_applied(bench: Bench, event: WorkcellApplied, at: int) -> None:
                 _take_away(bench, name)
 
 
-def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
+def fold_stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
     for name in event.removed:
         station = _take_away(bench, name)
         if station is not None and name in bench.by_module.get(station.spec.module, []):
@@ -218,7 +218,7 @@ def stations_applied(bench: Bench, event: StationsApplied, at: int) -> None:
             bench.stations[spec.hotel].known = False
 
 
-def declared(bench: Bench, event: StationDeclared, at: int) -> None:
+def fold_station_declared(bench: Bench, event: StationDeclared, at: int) -> None:
     station = bench.stations[event.station]
     _know(bench, event.station)
     if station.spec.kind == "waste":
@@ -228,13 +228,13 @@ def declared(bench: Bench, event: StationDeclared, at: int) -> None:
         station.lots = [""] * len(event.contents)
 
 
-def loaded(bench: Bench, event: StationLoaded, at: int) -> None:
+def fold_station_loaded(bench: Bench, event: StationLoaded, at: int) -> None:
     station = bench.stations[event.station]
     station.stock += [event.type] * event.count
     station.lots += [event.lot] * event.count
 
 
-def unloaded(bench: Bench, event: StationUnloaded, at: int) -> None:
+def fold_station_unloaded(bench: Bench, event: StationUnloaded, at: int) -> None:
     station = bench.stations[event.station]
     if station.spec.kind == "waste":
         station.level -= event.count
@@ -243,12 +243,12 @@ def unloaded(bench: Bench, event: StationUnloaded, at: int) -> None:
     del station.lots[len(station.stock) :]
 
 
-def emptied(bench: Bench, event: WasteEmptied, at: int) -> None:
+def fold_waste_emptied(bench: Bench, event: WasteEmptied, at: int) -> None:
     station = bench.stations[event.station]
     station.level, station.known = 0, True
 
 
-def placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
+def fold_labware_placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
     if event.stack:
         bench.stations[event.stack].stock.pop()
         bench.stations[event.stack].lots.pop()
@@ -266,18 +266,18 @@ def placed(bench: Bench, event: LabwarePlaced, at: int) -> None:
     bench.by_owner.setdefault(event.owner, {})[event.labware] = True
 
 
-def moved(bench: Bench, event: LabwareMoved, at: int) -> None:
+def fold_labware_moved(bench: Bench, event: LabwareMoved, at: int) -> None:
     _settle(bench, bench.labware[event.labware], event.target, event.on)
 
 
-def observed(bench: Bench, event: LabwareObserved, at: int) -> None:
+def fold_labware_observed(bench: Bench, event: LabwareObserved, at: int) -> None:
     labware = bench.labware[event.labware]
     under = bench.labware.get(labware.on)
     beneath = under.id if under is not None and under.station == event.station else LabwareId("")
     _settle(bench, labware, event.station, beneath)
 
 
-def removed(bench: Bench, event: LabwareRemoved, at: int) -> None:
+def fold_labware_removed(bench: Bench, event: LabwareRemoved, at: int) -> None:
     """A plate leaves with the lid on it; one that may be elsewhere stays in doubt."""
     labware = bench.labware[event.labware]
     lid = bench.labware.get(labware.lid)
@@ -294,7 +294,7 @@ def removed(bench: Bench, event: LabwareRemoved, at: int) -> None:
         station.level += 1
 
 
-def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
+def fold_labware_uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
     labware = bench.labware[event.labware]
     _lift(bench, labware)
     if event.on:
@@ -304,17 +304,17 @@ def uncertain(bench: Bench, event: LabwareUncertain, at: int) -> None:
     _haunt(bench, event.places)
 
 
-def seen(bench: Bench, event: StationObserved, at: int) -> None:
+def fold_station_observed(bench: Bench, event: StationObserved, at: int) -> None:
     """What is seen empty is known, if nobody ever spoke of it."""
     if event.count == 0:
         _know(bench, event.station)
 
 
-def changed(bench: Bench, event: LabwareChanged, at: int) -> None:
+def fold_labware_changed(bench: Bench, event: LabwareChanged, at: int) -> None:
     bench.labware[event.labware].variables[event.variable] = event.value
 
 
-def barcode_read(bench: Bench, event: BarcodeRead, at: int) -> None:
+def fold_barcode_read(bench: Bench, event: BarcodeRead, at: int) -> None:
     before = bench.barcodes.get(event.barcode)
     if before is not None:
         bench.labware[before].barcode = ""
@@ -324,7 +324,7 @@ def barcode_read(bench: Bench, event: BarcodeRead, at: int) -> None:
     bench.barcodes[event.barcode] = event.labware
 
 
-def samples_registered(bench: Bench, event: SamplesRegistered, at: int) -> None:
+def fold_samples_registered(bench: Bench, event: SamplesRegistered, at: int) -> None:
     labware = bench.labware[event.labware]
     labware.samples = event.sheet
     labware.volumes_ul = {
@@ -332,19 +332,19 @@ def samples_registered(bench: Bench, event: SamplesRegistered, at: int) -> None:
     }
 
 
-def filled_wells(bench: Bench, event: LiquidTransferred, at: int) -> None:
+def fold_liquid_transferred(bench: Bench, event: LiquidTransferred, at: int) -> None:
     labware = bench.labware.get(event.labware)
     if labware is not None:
         add_doses(labware.volumes_ul, event.wells, event.volumes_ul)
 
 
-def drew_from_wells(bench: Bench, event: LiquidDrawn, at: int) -> None:
+def fold_liquid_drawn(bench: Bench, event: LiquidDrawn, at: int) -> None:
     labware = bench.labware.get(event.labware)
     if labware is not None and event.certain:
         draw_doses(labware.volumes_ul, event.wells, event.volumes_ul)
 
 
-def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
+def fold_labware_handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
     """The lid on a plate belongs to whom the plate belongs to."""
     labware = bench.labware[event.labware]
     for item in (labware, bench.labware[labware.lid]) if labware.lid else (labware,):
@@ -357,7 +357,7 @@ def handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
         bench.by_owner.setdefault(event.owner, {})[item.id] = True
 
 
-def search_begun(bench: Bench, event: InterventionRequested, at: int) -> None:
+def fold_intervention_requested(bench: Bench, event: InterventionRequested, at: int) -> None:
     """An item that was half taken off its stack has no name yet, but it is somewhere; so is what
     was seen where nothing should stand."""
     hand, places = hand_of(event.module), []
@@ -372,11 +372,11 @@ def search_begun(bench: Bench, event: InterventionRequested, at: int) -> None:
         _haunt(bench, tuple(places))
 
 
-def search_ended(bench: Bench, event: InterventionResolved, at: int) -> None:
+def fold_intervention_resolved(bench: Bench, event: InterventionResolved, at: int) -> None:
     _clear(bench, bench.searched.pop(event.intervention, ()))
 
 
-def requested(bench: Bench, event: ActionRequested, at: int) -> None:
+def fold_action_requested(bench: Bench, event: ActionRequested, at: int) -> None:
     if event.action in bench.reserved:
         return  # another attempt at the same action
     bench.reserved[event.action] = event.effects
@@ -388,7 +388,7 @@ def requested(bench: Bench, event: ActionRequested, at: int) -> None:
         bench.labware[name].moving = event.action
 
 
-def discovered(bench: Bench, event: ActionDiscovered, at: int) -> None:
+def fold_action_discovered(bench: Bench, event: ActionDiscovered, at: int) -> None:
     """Labware that got its name behind the end of a log that lost its tail keeps it for itself; a number
     that no log can have come to is not one of those."""
     for effect in event.effects or ():
@@ -397,7 +397,7 @@ def discovered(bench: Bench, event: ActionDiscovered, at: int) -> None:
             bench.named = number
 
 
-def ended(
+def fold_action_ended(
     bench: Bench, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
     """What the action had reserved is free; its effects follow as events of their own."""
@@ -510,30 +510,30 @@ def _disown(bench: Bench, labware: Labware) -> None:
 
 
 HANDLERS = {
-    WorkcellApplied: workcell_applied,
-    InterventionRequested: search_begun,
-    InterventionResolved: search_ended,
-    StationsApplied: stations_applied,
-    StationDeclared: declared,
-    WasteEmptied: emptied,
-    StationLoaded: loaded,
-    StationUnloaded: unloaded,
-    LabwarePlaced: placed,
-    LabwareMoved: moved,
-    LabwareRemoved: removed,
-    LabwareUncertain: uncertain,
-    LabwareObserved: observed,
-    StationObserved: seen,
-    LabwareChanged: changed,
-    LabwareHandedOver: handed_over,
-    BarcodeRead: barcode_read,
-    SamplesRegistered: samples_registered,
-    LiquidTransferred: filled_wells,
-    LiquidDrawn: drew_from_wells,
-    ActionRequested: requested,
-    ActionDiscovered: discovered,
-    ActionRejected: ended,
-    ActionSucceeded: ended,
-    ActionFailed: ended,
-    ActionReconciled: ended,
+    WorkcellApplied: fold_workcell_applied,
+    InterventionRequested: fold_intervention_requested,
+    InterventionResolved: fold_intervention_resolved,
+    StationsApplied: fold_stations_applied,
+    StationDeclared: fold_station_declared,
+    WasteEmptied: fold_waste_emptied,
+    StationLoaded: fold_station_loaded,
+    StationUnloaded: fold_station_unloaded,
+    LabwarePlaced: fold_labware_placed,
+    LabwareMoved: fold_labware_moved,
+    LabwareRemoved: fold_labware_removed,
+    LabwareUncertain: fold_labware_uncertain,
+    LabwareObserved: fold_labware_observed,
+    StationObserved: fold_station_observed,
+    LabwareChanged: fold_labware_changed,
+    LabwareHandedOver: fold_labware_handed_over,
+    BarcodeRead: fold_barcode_read,
+    SamplesRegistered: fold_samples_registered,
+    LiquidTransferred: fold_liquid_transferred,
+    LiquidDrawn: fold_liquid_drawn,
+    ActionRequested: fold_action_requested,
+    ActionDiscovered: fold_action_discovered,
+    ActionRejected: fold_action_ended,
+    ActionSucceeded: fold_action_ended,
+    ActionFailed: fold_action_ended,
+    ActionReconciled: fold_action_ended,
 }

@@ -225,14 +225,14 @@ class Bookings(msgspec.Struct):
         return [booking for booking in self.open.values() if booking.cell == cell]
 
 
-def made(bookings: Bookings, event: BookingMade, at: int) -> None:
+def fold_booking_made(bookings: Bookings, event: BookingMade, at: int) -> None:
     if event.booking in bookings.open:
         raise ValueError(f"{event.booking} is open already")
     bookings.named += 1
     _write(bookings, event, at)
 
 
-def changed(bookings: Bookings, event: BookingChanged, at: int) -> None:
+def fold_booking_changed(bookings: Bookings, event: BookingChanged, at: int) -> None:
     before = bookings.open[event.booking]
     _drop(bookings, event.booking)
     _write(bookings, event, at)
@@ -242,11 +242,11 @@ def changed(bookings: Bookings, event: BookingChanged, at: int) -> None:
     after.handled = before.handled
 
 
-def cancelled(bookings: Bookings, event: BookingCancelled, at: int) -> None:
+def fold_booking_cancelled(bookings: Bookings, event: BookingCancelled, at: int) -> None:
     _drop(bookings, event.booking)
 
 
-def skipped(bookings: Bookings, event: BookingSkipped, at: int) -> None:
+def fold_booking_skipped(bookings: Bookings, event: BookingSkipped, at: int) -> None:
     booking = bookings.open[event.booking]
     booking.skipped = (*booking.skipped, event.begins)
     if booking.began == event.begins:
@@ -254,17 +254,17 @@ def skipped(bookings: Bookings, event: BookingSkipped, at: int) -> None:
         bookings.now.pop(event.booking, None)
 
 
-def neared(bookings: Bookings, event: BookingNeared, at: int) -> None:
+def fold_booking_neared(bookings: Bookings, event: BookingNeared, at: int) -> None:
     bookings.open[event.booking].neared = event.begins
 
 
-def began(bookings: Bookings, event: BookingBegan, at: int) -> None:
+def fold_booking_began(bookings: Bookings, event: BookingBegan, at: int) -> None:
     booking = bookings.open[event.booking]
     booking.began, booking.until = event.begins, event.ends
     bookings.now[event.booking] = True
 
 
-def ended(bookings: Bookings, event: BookingEnded, at: int) -> None:
+def fold_booking_ended(bookings: Bookings, event: BookingEnded, at: int) -> None:
     if event.over:
         _drop(bookings, event.booking)
         return
@@ -304,7 +304,7 @@ def _drop(bookings: Bookings, name: str) -> None:
     bookings.now.pop(name, None)
 
 
-def _counted(handler: Callable[[Bookings, Any, int], None]) -> Callable[[Bookings, Any, int], None]:
+def _count(handler: Callable[[Bookings, Any, int], None]) -> Callable[[Bookings, Any, int], None]:
     def count(bookings: Bookings, event: Any, at: int) -> None:
         bookings.events += 1
         handler(bookings, event, at)
@@ -313,11 +313,11 @@ def _counted(handler: Callable[[Bookings, Any, int], None]) -> Callable[[Booking
 
 
 HANDLERS = {
-    BookingMade: _counted(made),
-    BookingChanged: _counted(changed),
-    BookingCancelled: _counted(cancelled),
-    BookingSkipped: _counted(skipped),
-    BookingNeared: _counted(neared),
-    BookingBegan: _counted(began),
-    BookingEnded: _counted(ended),
+    BookingMade: _count(fold_booking_made),
+    BookingChanged: _count(fold_booking_changed),
+    BookingCancelled: _count(fold_booking_cancelled),
+    BookingSkipped: _count(fold_booking_skipped),
+    BookingNeared: _count(fold_booking_neared),
+    BookingBegan: _count(fold_booking_began),
+    BookingEnded: _count(fold_booking_ended),
 }

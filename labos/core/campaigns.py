@@ -238,7 +238,7 @@ def is_over(campaign: Campaign) -> bool:
     return not campaign.runs and (campaign.is_ended or not campaign.left)
 
 
-def submitted(campaigns: Campaigns, event: CampaignSubmitted, at: int) -> None:
+def fold_campaign_submitted(campaigns: Campaigns, event: CampaignSubmitted, at: int) -> None:
     campaigns.named += 1
     if event.request:
         campaigns.requests[event.request] = event.campaign
@@ -258,34 +258,34 @@ def submitted(campaigns: Campaigns, event: CampaignSubmitted, at: int) -> None:
     )
 
 
-def paused(campaigns: Campaigns, event: CampaignPaused, at: int) -> None:
+def fold_campaign_paused(campaigns: Campaigns, event: CampaignPaused, at: int) -> None:
     campaign = campaigns.open[event.campaign]
     campaign.status, campaign.why = CampaignStatus.PAUSED, event.why
 
 
-def resumed(campaigns: Campaigns, event: CampaignResumed, at: int) -> None:
+def fold_campaign_resumed(campaigns: Campaigns, event: CampaignResumed, at: int) -> None:
     campaign = campaigns.open[event.campaign]
     campaign.status, campaign.why = CampaignStatus.OPEN, ""
 
 
-def amended(campaigns: Campaigns, event: CampaignAmended, at: int) -> None:
+def fold_campaign_amended(campaigns: Campaigns, event: CampaignAmended, at: int) -> None:
     campaign = campaigns.open[event.campaign]
     campaign.terms = event.terms
     note_due(campaigns, campaign)
 
 
-def row_refused(campaigns: Campaigns, event: CampaignRowRefused, at: int) -> None:
+def fold_campaign_row_refused(campaigns: Campaigns, event: CampaignRowRefused, at: int) -> None:
     campaign = campaigns.open[event.campaign]
     campaign.next_row = event.row + 1
     campaign.refused += 1
     note_due(campaigns, campaign)
 
 
-def stopped(campaigns: Campaigns, event: CampaignStopped, at: int) -> None:
+def fold_campaign_stopped(campaigns: Campaigns, event: CampaignStopped, at: int) -> None:
     _close(campaigns, event, CampaignStatus.STOPPED)
 
 
-def cancelled(campaigns: Campaigns, event: CampaignCancelled, at: int) -> None:
+def fold_campaign_cancelled(campaigns: Campaigns, event: CampaignCancelled, at: int) -> None:
     _close(campaigns, event, CampaignStatus.CANCELLED)
 
 
@@ -295,12 +295,12 @@ def _close(campaigns: Campaigns, event: CampaignStopped | CampaignCancelled, sta
     note_due(campaigns, campaign)
 
 
-def completed(campaigns: Campaigns, event: CampaignCompleted, at: int) -> None:
+def fold_campaign_completed(campaigns: Campaigns, event: CampaignCompleted, at: int) -> None:
     del campaigns.open[event.campaign]
     campaigns.due.pop(event.campaign, None)
 
 
-def run_submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
+def fold_run_submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
     campaign = campaigns.open.get(event.campaign)
     if campaign is None:
         return
@@ -315,14 +315,14 @@ def run_submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
         campaign.reads[event.run] = event.reads
 
 
-def run_started(campaigns: Campaigns, event: RunStarted, at: int) -> None:
+def fold_run_started(campaigns: Campaigns, event: RunStarted, at: int) -> None:
     campaign = campaigns.of_run(event.run)
     if campaign is not None:
         campaign.runs[event.run] = True
         campaign.first_started_at = campaign.first_started_at or at
 
 
-def run_left(campaigns: Campaigns, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(campaigns: Campaigns, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
     campaign = campaigns.of_run(event.run)
     if campaign is None:
         return
@@ -353,12 +353,12 @@ def _meets(campaign: Campaign, results: dict[str, Any]) -> bool:
         return False
 
 
-def clock_starts(campaigns: Campaigns, event: ActionRequested, at: int) -> None:
+def fold_action_requested(campaigns: Campaigns, event: ActionRequested, at: int) -> None:
     if event.run in campaigns.members:
         campaigns.clocks.setdefault(event.action, at)
 
 
-def clock_stops(
+def fold_action_ended(
     campaigns: Campaigns, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
     began = campaigns.clocks.pop(event.action, None)
@@ -376,7 +376,7 @@ def clock_stops(
                 campaign.results.setdefault(event.run, {})[key] = event.result
 
 
-def unexpected(campaigns: Campaigns, event: StepUnexpected, at: int) -> None:
+def fold_step_unexpected(campaigns: Campaigns, event: StepUnexpected, at: int) -> None:
     campaign = campaigns.of_run(event.run)
     if campaign is not None:
         for key, step in campaign.reads.get(event.run, {}).items():
@@ -384,7 +384,7 @@ def unexpected(campaigns: Campaigns, event: StepUnexpected, at: int) -> None:
                 campaign.results.get(event.run, {}).pop(key, None)
 
 
-def consumed(campaigns: Campaigns, event: ResourceConsumed, at: int) -> None:
+def fold_resource_consumed(campaigns: Campaigns, event: ResourceConsumed, at: int) -> None:
     campaign = campaigns.of_run(event.run)
     if campaign is not None:
         campaign.used[event.resource] = campaign.used.get(event.resource, 0.0) + event.amount
@@ -399,24 +399,24 @@ def note_due(campaigns: Campaigns, campaign: Campaign) -> None:
 
 
 HANDLERS = {
-    CampaignSubmitted: submitted,
-    CampaignPaused: paused,
-    CampaignResumed: resumed,
-    CampaignAmended: amended,
-    CampaignRowRefused: row_refused,
-    CampaignStopped: stopped,
-    CampaignCancelled: cancelled,
-    CampaignCompleted: completed,
-    RunSubmitted: run_submitted,
-    RunStarted: run_started,
-    RunCompleted: run_left,
-    RunFailed: run_left,
-    RunCancelled: run_left,
-    ActionRequested: clock_starts,
-    ActionRejected: clock_stops,
-    ActionSucceeded: clock_stops,
-    ActionFailed: clock_stops,
-    ActionReconciled: clock_stops,
-    StepUnexpected: unexpected,
-    ResourceConsumed: consumed,
+    CampaignSubmitted: fold_campaign_submitted,
+    CampaignPaused: fold_campaign_paused,
+    CampaignResumed: fold_campaign_resumed,
+    CampaignAmended: fold_campaign_amended,
+    CampaignRowRefused: fold_campaign_row_refused,
+    CampaignStopped: fold_campaign_stopped,
+    CampaignCancelled: fold_campaign_cancelled,
+    CampaignCompleted: fold_campaign_completed,
+    RunSubmitted: fold_run_submitted,
+    RunStarted: fold_run_started,
+    RunCompleted: fold_run_ended,
+    RunFailed: fold_run_ended,
+    RunCancelled: fold_run_ended,
+    ActionRequested: fold_action_requested,
+    ActionRejected: fold_action_ended,
+    ActionSucceeded: fold_action_ended,
+    ActionFailed: fold_action_ended,
+    ActionReconciled: fold_action_ended,
+    StepUnexpected: fold_step_unexpected,
+    ResourceConsumed: fold_resource_consumed,
 }

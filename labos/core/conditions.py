@@ -15,8 +15,15 @@ _OPPOSITE = {"!=": "==", ">=": "<", ">": "<=", "not in": "in"}
 
 
 def condition(text: str, tree: Tree) -> Condition:
-    """An expression as a plan keeps it."""
-    return Condition(text, canonical(tree).decode())
+    """An expression as a plan keeps it. Raises ExpressionError for what cannot be recorded: too many
+    brackets, values of a payload that are too large."""
+    try:
+        return Condition(text, canonical(tree).decode())
+    except ValueError as error:
+        shown = text if len(text) <= 80 else f"{text[:79]}…"
+        raise ExpressionError(
+            f"The expression {shown!r} cannot be kept: {error}", remedy="Write it with fewer brackets."
+        ) from None
 
 
 @lru_cache(maxsize=1024)

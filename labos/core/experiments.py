@@ -45,17 +45,26 @@ class ExperimentClosing(ExperimentEvent, frozen=True):
 
 @event("experiment.ended")
 class ExperimentEnded(ExperimentEvent, frozen=True):
-    """Nothing of it is left to do; ``closing`` is its closing plan, not needed any more."""
+    """Nothing of it is left to do; ``closing`` is its closing plan, not needed any more. ``why`` is the
+    reason of one that had nothing to clear away; of others ``experiment.closing`` has it."""
 
     closing: str = ""
+    why: Words = ""
+
+
+@event("experiment.resumed")
+class ExperimentResumed(ExperimentEvent, frozen=True):
+    """Its application was started again, and goes on where it was."""
 
 
 @event("experiment.noted")
 class ExperimentNoted(ExperimentEvent, frozen=True):
     """What an application logs of itself. ``kind``: loop_started, loop_ended,
     condition_checked, decision, local_compute, compute, flow, publication (the paper's logged
-    events)."""
+    events), or transfer. ``key`` names the call of the application that logged it, by which one that is
+    started again finds it; an experiment has no two of one key."""
 
     kind: str
     name: str
     facts: dict[str, Any] = {}
+    key: str = ""

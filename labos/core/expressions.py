@@ -22,6 +22,9 @@ LONGEST = 1000
 DEEPEST = 24
 """Brackets and operators inside each other."""
 
+LARGEST = 2**63 - 1
+"""The largest whole number that may be written: everybody who reads a log can hold it."""
+
 Name = tuple[str | int, ...]
 """``result.od[0]`` as ``("result", "od", 0)``."""
 
@@ -201,11 +204,10 @@ class _Reader:
         )
 
     def _number(self, token: str) -> int | float:
-        if token.isdigit():
-            return int(token)
-        number = float(token)
-        if not math.isfinite(number):
-            raise self.wrong(f"{token} is too large")
+        number = int(token) if token.isdigit() else float(token)
+        if number > LARGEST if isinstance(number, int) else not math.isfinite(number):
+            shown = token if len(token) <= 30 else f"{token[:29]}…"
+            raise self.wrong(f"{shown} is too large; whole numbers have 64 bits, others are below 1.8e308")
         return number
 
     def _parts(self, end: str, depth: int) -> tuple[Tree, ...]:
@@ -232,8 +234,8 @@ class _Reader:
     def _fields(self) -> Iterator[str | int]:
         while sign := self.takes(".", "["):
             kind, token = self.kind, self.token
-            if kind == "number" and not token.isdigit():
-                raise self.wrong("a place in a list is a whole number")
+            if kind == "number" and (not token.isdigit() or int(token) > LARGEST):
+                raise self.wrong("a place in a list is a whole number, of 64 bits at most")
             if sign == "." and kind != "word" and token not in _WORDS:
                 raise self.wrong("a name should follow the point")
             if sign == "[" and kind not in ("number", "text"):
@@ -254,17 +256,6 @@ def evaluate(tree: Tree, tables: Mapping[str, Any]) -> Any:
         return _value(tree, tables)
     except (OverflowError, RecursionError, ValueError):
         raise ExpressionError("The expression leads to a number that is too large.") from None
-
-
-def is_true(text: str, tables: Mapping[str, Any]) -> bool:
-    """Whether a condition holds. Raises ExpressionError, also if it is neither true nor false."""
-    found = evaluate(parse_expression(text), tables)
-    if not isinstance(found, bool):
-        raise ExpressionError(
-            f"The condition {text!r} is neither true nor false but {_shown(found)}.",
-            remedy="Compare the value.",
-        )
-    return found
 
 
 def _value(tree: Tree, tables: Mapping[str, Any]) -> Any:

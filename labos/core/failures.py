@@ -29,39 +29,39 @@ def since(module: Module, at: int) -> list[Failure]:
     return [failure for failure in module.failures if failure.at >= at]
 
 
-def kernel_started(modules: Modules, event: KernelStarted, at: int) -> None:
+def fold_kernel_started(modules: Modules, event: KernelStarted, at: int) -> None:
     for module in modules.by_name.values():
         module.joined = False
 
 
-def joined(modules: Modules, event: NodeJoined, at: int) -> None:
+def fold_node_joined(modules: Modules, event: NodeJoined, at: int) -> None:
     modules.by_name[event.module].joined = True
 
 
-def left(modules: Modules, event: NodeLeft, at: int) -> None:
+def fold_node_left(modules: Modules, event: NodeLeft, at: int) -> None:
     module = modules.by_name[event.module]
     if module.joined and not event.stopped:
         _failed(module, Failure(at, f"its node was lost: {event.why}", tuple(module.in_flight)))
     module.joined = False
 
 
-def action_ended(modules: Modules, event: ActionFailed | ActionUnknown, at: int) -> None:
+def fold_action_failed(modules: Modules, event: ActionFailed | ActionUnknown, at: int) -> None:
     what = event.error if isinstance(event, ActionFailed) else event.why
     _failed(modules.by_name[event.module], Failure(at, what, (event.action,), event.run, event.step))
 
 
-def retried(modules: Modules, event: StepRetried, at: int) -> None:
+def fold_step_retried(modules: Modules, event: StepRetried, at: int) -> None:
     for module in modules.by_name.values():
         last = module.failures[-1] if module.failures else None
         if last is not None and (last.run, last.step) == (event.run, event.step):
             module.failures.pop()
 
 
-def put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
+def fold_module_put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
     modules.by_name[event.module].failures.clear()
 
 
-def asked(modules: Modules, event: InterventionRequested, at: int) -> None:
+def fold_intervention_requested(modules: Modules, event: InterventionRequested, at: int) -> None:
     module = modules.by_name.get(ModuleName(event.module))
     if module is not None and isinstance(event.topic, PlannedWork):
         module.person = True
@@ -80,12 +80,12 @@ def _failed(module: Module, failure: Failure) -> None:
 
 
 HANDLERS = {
-    KernelStarted: kernel_started,
-    NodeJoined: joined,
-    NodeLeft: left,
-    ActionFailed: action_ended,
-    ActionUnknown: action_ended,
-    StepRetried: retried,
-    ModulePutBack: put_back,
-    InterventionRequested: asked,
+    KernelStarted: fold_kernel_started,
+    NodeJoined: fold_node_joined,
+    NodeLeft: fold_node_left,
+    ActionFailed: fold_action_failed,
+    ActionUnknown: fold_action_failed,
+    StepRetried: fold_step_retried,
+    ModulePutBack: fold_module_put_back,
+    InterventionRequested: fold_intervention_requested,
 }

@@ -93,9 +93,9 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
         handler(getattr(state, name), event, recorded_at)
     # These two are remembered by where they stand in the log.
     if kind is ActionRequested:
-        actions.requested(state.actions, event, recorded_at, position)  # type: ignore[arg-type]
+        actions.fold_action_requested(state.actions, event, recorded_at, position)  # type: ignore[arg-type]
     elif kind is RunSubmitted:
-        runs.submitted(state.runs, event, recorded_at, position)  # type: ignore[arg-type]
+        runs.fold_run_submitted(state.runs, event, recorded_at, position)  # type: ignore[arg-type]
     stream, versions = event.stream(), state.versions
     versions[stream] = versions.get(stream, 0) + 1
     ends = _STREAM_ENDS.get(kind)
@@ -114,7 +114,7 @@ def evolve_slices(
         if name in slices:
             handler(getattr(state, name), event, recorded_at)
     if isinstance(event, ActionRequested) and "actions" in slices:
-        actions.requested(state.actions, event, recorded_at, position)
+        actions.fold_action_requested(state.actions, event, recorded_at, position)
     elif isinstance(event, RunSubmitted) and "runs" in slices:
-        runs.submitted(state.runs, event, recorded_at, position)
+        runs.fold_run_submitted(state.runs, event, recorded_at, position)
     state.position, state.recorded_at = position, recorded_at

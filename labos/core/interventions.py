@@ -122,7 +122,7 @@ class Interventions(msgspec.Struct):
         return [self.open[name] for name in self.by_run.get(run, ())]
 
 
-def requested(interventions: Interventions, event: InterventionRequested, at: int) -> None:
+def fold_intervention_requested(interventions: Interventions, event: InterventionRequested, at: int) -> None:
     if event.intervention in interventions.open:
         raise ValueError(f"{event.intervention} is open already")
     interventions.named += 1
@@ -145,7 +145,7 @@ def requested(interventions: Interventions, event: InterventionRequested, at: in
         interventions.by_run.setdefault(event.run, {})[event.intervention] = True
 
 
-def resolved(interventions: Interventions, event: InterventionResolved, at: int) -> None:
+def fold_intervention_resolved(interventions: Interventions, event: InterventionResolved, at: int) -> None:
     question = interventions.open.pop(event.intervention)
     for index, key in ((interventions.by_subject, question.subject), (interventions.by_run, question.run)):
         names = index.get(key, {})
@@ -154,12 +154,12 @@ def resolved(interventions: Interventions, event: InterventionResolved, at: int)
             index.pop(key, None)
 
 
-def became_overdue(interventions: Interventions, event: InterventionOverdue, at: int) -> None:
+def fold_intervention_overdue(interventions: Interventions, event: InterventionOverdue, at: int) -> None:
     interventions.open[event.intervention].overdue = True
 
 
 HANDLERS = {
-    InterventionRequested: requested,
-    InterventionResolved: resolved,
-    InterventionOverdue: became_overdue,
+    InterventionRequested: fold_intervention_requested,
+    InterventionResolved: fold_intervention_resolved,
+    InterventionOverdue: fold_intervention_overdue,
 }

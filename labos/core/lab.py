@@ -158,52 +158,52 @@ class Lab(msgspec.Struct):
     transfers: dict[str, tuple[TransferWay, ...]] = {}
 
 
-def created(lab: Lab, event: LabCreated, at: int) -> None:
+def fold_lab_created(lab: Lab, event: LabCreated, at: int) -> None:
     lab.id, lab.name, lab.pace = event.lab, event.name, event.pace
 
 
-def kernel_started(lab: Lab, event: KernelStarted, at: int) -> None:
+def fold_kernel_started(lab: Lab, event: KernelStarted, at: int) -> None:
     lab.epoch = event.epoch
 
 
-def workcell_applied(lab: Lab, event: WorkcellApplied, at: int) -> None:
+def fold_workcell_applied(lab: Lab, event: WorkcellApplied, at: int) -> None:
     lab.workcells[event.name] = event.digest
     lab.labware[event.name] = {spec.name: spec for spec in event.labware}
     lab.transfers[event.name] = event.transfers
 
 
-def access_requested(lab: Lab, event: AccessRequested, at: int) -> None:
+def fold_access_requested(lab: Lab, event: AccessRequested, at: int) -> None:
     lab.access[event.name] = Access(event.by, event.why, event.parking, at)
 
 
-def access_granted(lab: Lab, event: AccessGranted, at: int) -> None:
+def fold_access_granted(lab: Lab, event: AccessGranted, at: int) -> None:
     lab.access[event.name].granted = True
 
 
-def access_ended(lab: Lab, event: AccessEnded, at: int) -> None:
+def fold_access_ended(lab: Lab, event: AccessEnded, at: int) -> None:
     del lab.access[event.name]
 
 
-def paused(lab: Lab, event: StartsPaused, at: int) -> None:
+def fold_starts_paused(lab: Lab, event: StartsPaused, at: int) -> None:
     lab.paused[event.target] = Pause(event.by, event.why, at)
 
 
-def resumed(lab: Lab, event: StartsResumed, at: int) -> None:
+def fold_starts_resumed(lab: Lab, event: StartsResumed, at: int) -> None:
     del lab.paused[event.target]
 
 
-def experiment_ended(lab: Lab, event: ExperimentEnded, at: int) -> None:
+def fold_experiment_ended(lab: Lab, event: ExperimentEnded, at: int) -> None:
     lab.paused.pop(event.experiment, None)
 
 
 HANDLERS = {
-    LabCreated: created,
-    KernelStarted: kernel_started,
-    WorkcellApplied: workcell_applied,
-    AccessRequested: access_requested,
-    AccessGranted: access_granted,
-    AccessEnded: access_ended,
-    StartsPaused: paused,
-    StartsResumed: resumed,
-    ExperimentEnded: experiment_ended,
+    LabCreated: fold_lab_created,
+    KernelStarted: fold_kernel_started,
+    WorkcellApplied: fold_workcell_applied,
+    AccessRequested: fold_access_requested,
+    AccessGranted: fold_access_granted,
+    AccessEnded: fold_access_ended,
+    StartsPaused: fold_starts_paused,
+    StartsResumed: fold_starts_resumed,
+    ExperimentEnded: fold_experiment_ended,
 }

@@ -304,7 +304,7 @@ class Modules(msgspec.Struct):
         return [(name, self.by_name[name]) for name in self.in_cell.get(cell, ())]
 
 
-def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
+def fold_workcell_applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
     present = {spec.name for spec in event.modules}
     known_here = modules.in_cell.get(event.name, [])
     for name in [name for name in known_here if name not in present]:
@@ -320,7 +320,7 @@ def applied(modules: Modules, event: WorkcellApplied, at: int) -> None:
     modules.in_cell[event.name] = [name for name in here if name in present]
 
 
-def joined(modules: Modules, event: NodeJoined, at: int) -> None:
+def fold_node_joined(modules: Modules, event: NodeJoined, at: int) -> None:
     module = modules.by_name[event.module]
     module.status, module.error, module.gone_at = ModuleStatus(event.status), "", 0
     module.cut_off = False
@@ -330,14 +330,14 @@ def joined(modules: Modules, event: NodeJoined, at: int) -> None:
     _come_back(module)
 
 
-def left(modules: Modules, event: NodeLeft, at: int) -> None:
+def fold_node_left(modules: Modules, event: NodeLeft, at: int) -> None:
     module = modules.by_name[event.module]
     module.status, module.error, module.gone_at = ModuleStatus.GONE, event.why, at
     module.error_at, module.asked = 0, False
     module.cut_off = module.busy
 
 
-def state_changed(modules: Modules, event: NodeStateChanged, at: int) -> None:
+def fold_node_state_changed(modules: Modules, event: NodeStateChanged, at: int) -> None:
     module = modules.by_name[event.module]
     if event.status != ModuleStatus.ERROR:
         module.error_at, module.asked = 0, False
@@ -352,37 +352,37 @@ def _come_back(module: Module) -> None:
         module.reached = ()
 
 
-def variable_set(modules: Modules, event: VariableSet, at: int) -> None:
+def fold_variable_set(modules: Modules, event: VariableSet, at: int) -> None:
     modules.by_name[event.module].variables[event.variable] = Variable(event.value, event.by)
 
 
-def claimed(modules: Modules, event: SetpointClaimed, at: int) -> None:
+def fold_setpoint_claimed(modules: Modules, event: SetpointClaimed, at: int) -> None:
     setpoints = modules.by_name[event.module].setpoints
     held = setpoints.setdefault(event.setpoint, Setpoint(event.value))
     held.value = event.value
     held.holders[event.by] = True
 
 
-def released(modules: Modules, event: SetpointReleased, at: int) -> None:
+def fold_setpoint_released(modules: Modules, event: SetpointReleased, at: int) -> None:
     held = modules.by_name[event.module].setpoints.get(event.setpoint)
     if held is not None:
         held.holders.pop(event.by, None)
 
 
-def taken_out(modules: Modules, event: ModuleTakenOut, at: int) -> None:
+def fold_module_taken_out(modules: Modules, event: ModuleTakenOut, at: int) -> None:
     modules.by_name[event.module].out_of_service = event.why
     modules.back_at.pop(event.module, None)
     if event.until:
         modules.back_at[event.module] = event.until
 
 
-def put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
+def fold_module_put_back(modules: Modules, event: ModulePutBack, at: int) -> None:
     module = modules.by_name[event.module]
     module.out_of_service = ""
     modules.back_at.pop(event.module, None)
 
 
-def emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> None:
+def fold_emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> None:
     module = modules.by_name[event.module]
     module.stopped_at = event.stopped_at
     module.doubted = True
@@ -390,7 +390,7 @@ def emergency_stopped(modules: Modules, event: EmergencyStopped, at: int) -> Non
         module.status, module.error = ModuleStatus.ERROR, describe_stop(event.by)
 
 
-def requested(modules: Modules, event: ActionRequested, at: int) -> None:
+def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> None:
     module = modules.by_name[event.module]
     flight = module.in_flight[event.action] = Flight(event.exclusive)
     if event.exclusive:
@@ -404,18 +404,18 @@ def requested(modules: Modules, event: ActionRequested, at: int) -> None:
         flight.proving = unproven(module, event.effects, event.args)
 
 
-def reported(modules: Modules, event: ActionReported, at: int) -> None:
+def fold_action_reported(modules: Modules, event: ActionReported, at: int) -> None:
     modules.by_name[event.module].watched = event.action
 
 
-def unknown(modules: Modules, event: ActionUnknown, at: int) -> None:
+def fold_action_unknown(modules: Modules, event: ActionUnknown, at: int) -> None:
     modules.by_name[event.module].doubted = True
 
 
 _CAME_BACK = (ActionSucceeded, ActionRejected)
 
 
-def ended(
+def fold_action_ended(
     modules: Modules, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
     module = modules.by_name[event.module]
@@ -432,7 +432,7 @@ def ended(
             taught.proven = True
 
 
-def location_taught(modules: Modules, event: LocationTaught, at: int) -> None:
+def fold_location_taught(modules: Modules, event: LocationTaught, at: int) -> None:
     module = modules.by_name[event.module]
     taught = Taught(event.pose, event.version)
     lessons = module.taught.setdefault(event.station, TaughtStation())
@@ -462,22 +462,22 @@ def unproven(
 
 
 HANDLERS = {
-    WorkcellApplied: applied,
-    NodeJoined: joined,
-    NodeLeft: left,
-    NodeStateChanged: state_changed,
-    VariableSet: variable_set,
-    SetpointClaimed: claimed,
-    SetpointReleased: released,
-    ModuleTakenOut: taken_out,
-    ModulePutBack: put_back,
-    EmergencyStopped: emergency_stopped,
-    LocationTaught: location_taught,
-    ActionRequested: requested,
-    ActionReported: reported,
-    ActionUnknown: unknown,
-    ActionRejected: ended,
-    ActionSucceeded: ended,
-    ActionFailed: ended,
-    ActionReconciled: ended,
+    WorkcellApplied: fold_workcell_applied,
+    NodeJoined: fold_node_joined,
+    NodeLeft: fold_node_left,
+    NodeStateChanged: fold_node_state_changed,
+    VariableSet: fold_variable_set,
+    SetpointClaimed: fold_setpoint_claimed,
+    SetpointReleased: fold_setpoint_released,
+    ModuleTakenOut: fold_module_taken_out,
+    ModulePutBack: fold_module_put_back,
+    EmergencyStopped: fold_emergency_stopped,
+    LocationTaught: fold_location_taught,
+    ActionRequested: fold_action_requested,
+    ActionReported: fold_action_reported,
+    ActionUnknown: fold_action_unknown,
+    ActionRejected: fold_action_ended,
+    ActionSucceeded: fold_action_ended,
+    ActionFailed: fold_action_ended,
+    ActionReconciled: fold_action_ended,
 }

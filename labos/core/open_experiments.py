@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Any
 
 import msgspec
 
-from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
+from labos.core.canonical import canonical, digest
+from labos.core.experiments import (
+    ExperimentCancelled,
+    ExperimentClosing,
+    ExperimentEnded,
+    ExperimentNoted,
+    ExperimentStarted,
+)
 from labos.core.ids import ExperimentId, RunId, StationName
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunSubmitted
 
@@ -21,7 +29,8 @@ class ExperimentStatus(StrEnum):
 
 
 class Experiment(msgspec.Struct):
-    """``held``: it was not approved; nothing of it is carried out."""
+    """``held``: it was not approved; nothing of it is carried out. ``notes``: what was noted under each key,
+    as a digest."""
 
     id: ExperimentId
     name: str
@@ -33,6 +42,7 @@ class Experiment(msgspec.Struct):
     runs: dict[RunId, bool] = {}
     parking: tuple[StationName, ...] = ()
     held: bool = False
+    notes: dict[str, str] = {}
 
 
 class Experiments(msgspec.Struct):
@@ -46,7 +56,7 @@ class Experiments(msgspec.Struct):
     members: dict[RunId, ExperimentId] = {}
 
 
-def started(experiments: Experiments, event: ExperimentStarted, at: int) -> None:
+def fold_experiment_started(experiments: Experiments, event: ExperimentStarted, at: int) -> None:
     experiments.named += 1
     if event.request:
         experiments.requests[event.request] = event.experiment
@@ -63,29 +73,40 @@ def started(experiments: Experiments, event: ExperimentStarted, at: int) -> None
     )
 
 
-def cancelled(experiments: Experiments, event: ExperimentCancelled, at: int) -> None:
+def fold_experiment_cancelled(experiments: Experiments, event: ExperimentCancelled, at: int) -> None:
     experiments.open[event.experiment].status = ExperimentStatus.CANCELLED
     experiments.ending[event.experiment] = True
 
 
-def closing(experiments: Experiments, event: ExperimentClosing, at: int) -> None:
+def fold_experiment_closing(experiments: Experiments, event: ExperimentClosing, at: int) -> None:
     experiments.open[event.experiment].status = ExperimentStatus.CLOSING
     experiments.ending[event.experiment] = True
 
 
-def ended(experiments: Experiments, event: ExperimentEnded, at: int) -> None:
+def fold_experiment_ended(experiments: Experiments, event: ExperimentEnded, at: int) -> None:
     del experiments.open[event.experiment]
     experiments.ending.pop(event.experiment, None)
 
 
-def submitted(experiments: Experiments, event: RunSubmitted, at: int) -> None:
+def fold_experiment_noted(experiments: Experiments, event: ExperimentNoted, at: int) -> None:
+    experiment = experiments.open.get(event.experiment)
+    if experiment is not None and event.key:
+        experiment.notes[event.key] = note_digest(event.kind, event.name, event.facts)
+
+
+def note_digest(kind: str, name: str, facts: dict[str, Any]) -> str:
+    """What was noted, short enough to be kept for each note of an experiment that has not ended."""
+    return digest(canonical([kind, name, facts]))[:24]
+
+
+def fold_run_submitted(experiments: Experiments, event: RunSubmitted, at: int) -> None:
     experiment = experiments.open.get(event.experiment)
     if experiment is not None:
         experiment.runs[event.run] = True
         experiments.members[event.run] = event.experiment
 
 
-def run_left(experiments: Experiments, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(experiments: Experiments, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
     member = experiments.members.pop(event.run, None)
     experiment = experiments.open.get(member) if member is not None else None
     if experiment is not None:
@@ -93,12 +114,13 @@ def run_left(experiments: Experiments, event: RunCompleted | RunFailed | RunCanc
 
 
 HANDLERS = {
-    ExperimentStarted: started,
-    ExperimentCancelled: cancelled,
-    ExperimentClosing: closing,
-    ExperimentEnded: ended,
-    RunSubmitted: submitted,
-    RunCompleted: run_left,
-    RunFailed: run_left,
-    RunCancelled: run_left,
+    ExperimentStarted: fold_experiment_started,
+    ExperimentCancelled: fold_experiment_cancelled,
+    ExperimentClosing: fold_experiment_closing,
+    ExperimentEnded: fold_experiment_ended,
+    ExperimentNoted: fold_experiment_noted,
+    RunSubmitted: fold_run_submitted,
+    RunCompleted: fold_run_ended,
+    RunFailed: fold_run_ended,
+    RunCancelled: fold_run_ended,
 }

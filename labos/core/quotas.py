@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from typing import NamedTuple
+
 from labos.core import reasons
-from labos.core.model import MAIN
+from labos.core.ids import RunId
+from labos.core.model import MAIN, PlanStep
 from labos.core.resources import uses_up
-from labos.core.runs import RunState
+from labos.core.runs import RunState, RunStatus, StepStatus
 from labos.core.shares import DAY_NS
 from labos.core.state import LabState
 from labos.core.waits import Wait
@@ -34,14 +38,18 @@ def highest_priority(state: LabState, user: str, *, operates: bool) -> tuple[str
 
 def within_quota(state: LabState, run: RunState, now: int) -> Wait | None:
     """A run that waits is let in only if its user's quotas, and those of the group, leave room for it; nobody
-    waits with it meanwhile. What clears a bench away is never kept out."""
+    waits with it meanwhile. What is under way counts by what is planned for it. What clears a bench away is
+    never kept out."""
     if run.has_started or run.closing or not (state.shares.members or state.shares.groups):
         return None
     tomorrow = (now // DAY_NS + 1) * DAY_NS
     for whose, quota, had in state.shares.limits(run.user):
         if quota.running and had.running >= quota.running:
             return Wait(reasons.Quota(whose, f"{quota.running} runs at a time"), (QUOTA_KEY,))
-        hours = had.week.lab_ns(now) * state.lab.pace / 3.6e12
+        if not (quota.lab_hours or quota.consumables):
+            continue
+        planned = _under_way(state, _users_of(state, whose, run.user), now)
+        hours = had.week.lab_ns(now) * state.lab.pace / 3.6e12 + planned.hours
         if quota.lab_hours and hours >= quota.lab_hours:
             what = f"{quota.lab_hours:g} lab hours a week"
             return Wait(reasons.Quota(whose, what), (QUOTA_KEY,), tomorrow)
@@ -51,6 +59,48 @@ def within_quota(state: LabState, run: RunState, now: int) -> Wait | None:
                 for index, _, resource, amount in uses_up(state.runs.plan_of(run).steps)
                 if resource == kind and state.runs.plan_of(run).steps[index].part == MAIN
             )
-            if needed and had.week.of(kind, now) + needed > most:
+            if needed and had.week.of(kind, now) + planned.amounts.get(kind, 0.0) + needed > most:
                 return Wait(reasons.Quota(whose, f"{most:g} {kind} a week"), (QUOTA_KEY,), tomorrow)
     return None
+
+
+class _Planned(NamedTuple):
+    """What runs that were let in are still to have: lab hours, and consumables by kind."""
+
+    hours: float
+    amounts: dict[str, float]
+
+
+def _users_of(state: LabState, whose: str, user: str) -> Collection[str]:
+    """Who has a quota together."""
+    group = state.shares.groups.get(state.shares.group_of.get(user, ""))
+    return (user,) if whose == user or group is None else group.members
+
+
+def _under_way(state: LabState, users: Collection[str], now: int) -> _Planned:
+    """A step under way counts as long as it takes if that is longer than was planned."""
+    seconds, amounts = 0.0, dict[str, float]()
+    lasted: dict[tuple[RunId, int], float] = {}
+    for action in state.actions.open.values():
+        lasted[action.run, action.step] = (now - action.requested_at) * state.lab.pace / 1e9
+    for name in state.shares.started:
+        run = state.runs.active.get(name)
+        if run is None or run.user not in users:
+            continue
+        steps = state.runs.plan_of(run).steps
+        left = {index for index, step in enumerate(steps) if _is_to_come(run, index, step)}
+        seconds += sum(max(steps[index].duration_s, lasted.get((name, index), 0.0)) for index in left)
+        for index, _, kind, amount in uses_up(steps):
+            if index in left:
+                amounts[kind] = amounts.get(kind, 0.0) + amount
+    return _Planned(seconds / 3600, amounts)
+
+
+def _is_to_come(run: RunState, index: int, step: PlanStep) -> bool:
+    """Whether a step is under way, or its turn comes if all goes well."""
+    status = run.steps[index].status
+    if status in (StepStatus.IN_FLIGHT, StepStatus.UNKNOWN):
+        return True
+    if status != StepStatus.PENDING or run.status == RunStatus.CANCELLING:
+        return False
+    return step.part == MAIN or run.status == RunStatus.LEAVING

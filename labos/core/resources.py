@@ -118,12 +118,12 @@ def charges(
     return parts
 
 
-def level_set(resources: Resources, event: LevelSet, at: int) -> None:
+def fold_level_set(resources: Resources, event: LevelSet, at: int) -> None:
     lots = [Lot(event.lot, event.level)] if event.level else []
     resources.levels[f"{event.module}:{event.resource}"] = Level(event.level, event.capacity, lots)
 
 
-def replenished(resources: Resources, event: ResourceReplenished, at: int) -> None:
+def fold_resource_replenished(resources: Resources, event: ResourceReplenished, at: int) -> None:
     level = resources.levels[f"{event.module}:{event.resource}"]
     if event.instead:
         level.level = 0.0
@@ -132,7 +132,7 @@ def replenished(resources: Resources, event: ResourceReplenished, at: int) -> No
     level.lots.append(Lot(event.lot, event.amount, event.expires))
 
 
-def consumed(resources: Resources, event: ResourceConsumed, at: int) -> None:
+def fold_resource_consumed(resources: Resources, event: ResourceConsumed, at: int) -> None:
     level = resources.of(event.module, event.resource)
     if level is None:
         return
@@ -147,4 +147,8 @@ def consumed(resources: Resources, event: ResourceConsumed, at: int) -> None:
             level.lots.remove(lot)
 
 
-HANDLERS = {LevelSet: level_set, ResourceReplenished: replenished, ResourceConsumed: consumed}
+HANDLERS = {
+    LevelSet: fold_level_set,
+    ResourceReplenished: fold_resource_replenished,
+    ResourceConsumed: fold_resource_consumed,
+}

@@ -318,15 +318,15 @@ def find_anchor(run: RunState, window: Window) -> int | None:
     return next((a.ended_at for a in run.anchors if (a.of, a.step) == meant), None)
 
 
-def plan_known(runs: Runs, event: PlanRecorded, at: int) -> None:
+def fold_plan_recorded(runs: Runs, event: PlanRecorded, at: int) -> None:
     plan_recorded(runs.plans, event)
 
 
-def plan_steps_known(runs: Runs, event: PlanStepsRecorded, at: int) -> None:
+def fold_plan_steps_recorded(runs: Runs, event: PlanStepsRecorded, at: int) -> None:
     plan_steps_recorded(runs.plans, event)
 
 
-def submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
+def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
     plan = runs.plans[event.plan]
     plan.uses += 1
     run = RunState(
@@ -362,7 +362,7 @@ def _leave_queue(runs: Runs, run: RunState) -> None:
         del runs.queue[key]
 
 
-def started(runs: Runs, event: RunStarted, at: int) -> None:
+def fold_run_started(runs: Runs, event: RunStarted, at: int) -> None:
     run = runs.queued[event.run]
     _leave_queue(runs, run)
     del runs.queued[event.run]
@@ -414,11 +414,11 @@ def rescuers(plan: Plan, step: int) -> list[int]:
     return [index for index, other in enumerate(plan.steps) if other.part == step and index != reset]
 
 
-def paused(runs: Runs, event: RunPaused, at: int) -> None:
+def fold_run_paused(runs: Runs, event: RunPaused, at: int) -> None:
     _set_paused(runs, event.run, True)
 
 
-def resumed(runs: Runs, event: RunResumed, at: int) -> None:
+def fold_run_resumed(runs: Runs, event: RunResumed, at: int) -> None:
     _set_paused(runs, event.run, False)
 
 
@@ -439,14 +439,14 @@ def let_wait_anew(runs: Runs, run: RunState) -> Iterator[None]:
     runs.queue.setdefault(queue_key(runs.plans[run.plan].shape, run), {})[run.id] = True
 
 
-def cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
+def fold_run_cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
     run = runs.active[event.run]
     run.status, run.why = RunStatus.CANCELLING, run.why or event.why
     run.stay = run.stay or event.stay
     runs.ending[event.run] = True
 
 
-def leaving(runs: Runs, event: RunLeaving, at: int) -> None:
+def fold_run_leaving(runs: Runs, event: RunLeaving, at: int) -> None:
     run = runs.active[event.run]
     run.status, run.paused = RunStatus.LEAVING, False
     runs.ending[event.run] = True
@@ -457,7 +457,7 @@ def leaving(runs: Runs, event: RunLeaving, at: int) -> None:
         run.steps[index].status = PENDING
 
 
-def left(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
     run = runs.active.pop(event.run, None)
     runs.windowed.pop(event.run, None)
     if run is None:
@@ -496,19 +496,19 @@ def _ended_at(plan: Sequence[PlanStep], steps: Sequence[StepState]) -> dict[str,
     return {p.key: s.ended_at for p, s in zip(plan, steps, strict=True) if s.ended_at is not None}
 
 
-def asked(runs: Runs, event: InterventionRequested, at: int) -> None:
+def fold_intervention_requested(runs: Runs, event: InterventionRequested, at: int) -> None:
     if isinstance(event.topic, ClosingWaits):
         runs.queued[RunId(event.run)].asked = True
 
 
-def experiment_started(runs: Runs, event: ExperimentStarted, at: int) -> None:
+def fold_experiment_started(runs: Runs, event: ExperimentStarted, at: int) -> None:
     if event.closing:
         plan = runs.plans[event.closing]
         plan.uses += 1
         runs.closings_in.setdefault(plan.plan.workcell, {})[event.experiment] = True
 
 
-def experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
+def fold_experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
     runs.past.pop(event.experiment, None)
     if event.closing:
         cell = runs.plans[event.closing].plan.workcell
@@ -517,17 +517,17 @@ def experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
 
 
 HANDLERS = {
-    PlanRecorded: plan_known,
-    PlanStepsRecorded: plan_steps_known,
-    RunStarted: started,
-    RunPaused: paused,
-    RunResumed: resumed,
-    RunCancelling: cancelling,
-    RunLeaving: leaving,
-    RunCompleted: left,
-    RunFailed: left,
-    RunCancelled: left,
-    InterventionRequested: asked,
-    ExperimentStarted: experiment_started,
-    ExperimentEnded: experiment_ended,
+    PlanRecorded: fold_plan_recorded,
+    PlanStepsRecorded: fold_plan_steps_recorded,
+    RunStarted: fold_run_started,
+    RunPaused: fold_run_paused,
+    RunResumed: fold_run_resumed,
+    RunCancelling: fold_run_cancelling,
+    RunLeaving: fold_run_leaving,
+    RunCompleted: fold_run_ended,
+    RunFailed: fold_run_ended,
+    RunCancelled: fold_run_ended,
+    InterventionRequested: fold_intervention_requested,
+    ExperimentStarted: fold_experiment_started,
+    ExperimentEnded: fold_experiment_ended,
 }

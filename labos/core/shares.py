@@ -27,7 +27,8 @@ WEEK_DAYS = 7
 
 class Quota(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What somebody may have at most (0: no limit): runs under way and runs that wait at the same time; lab
-    hours and consumables by kind a week. ``priority`` is the highest that may be given (null: any)."""
+    hours and consumables by kind a week, where runs under way count by their plans. ``priority`` is the
+    highest that may be given (null: any)."""
 
     running: int = 0
     queued: int = 0
@@ -157,7 +158,7 @@ _ANYBODY = Member()
 _NO_QUOTA = Quota()
 
 
-def applied(shares: Shares, event: SharesApplied, at: int) -> None:
+def fold_shares_applied(shares: Shares, event: SharesApplied, at: int) -> None:
     shares.digest = event.digest
     kept = {name: shares.groups[name] for name in shares.kept}
     shares.groups = kept | {group.name: group for group in event.groups}
@@ -172,12 +173,12 @@ def applied(shares: Shares, event: SharesApplied, at: int) -> None:
     _count_groups(shares, at)
 
 
-def group_added(shares: Shares, event: GroupAdded, at: int) -> None:
+def fold_group_added(shares: Shares, event: GroupAdded, at: int) -> None:
     shares.groups[event.group] = Group(event.group)
     shares.kept[event.group] = True
 
 
-def group_removed(shares: Shares, event: GroupRemoved, at: int) -> None:
+def fold_group_removed(shares: Shares, event: GroupRemoved, at: int) -> None:
     shares.kept.pop(event.group, None)
     for user in shares.groups.pop(event.group).members:
         del shares.group_of[user]
@@ -185,14 +186,14 @@ def group_removed(shares: Shares, event: GroupRemoved, at: int) -> None:
     _count_groups(shares, at)
 
 
-def member_added(shares: Shares, event: MemberAdded, at: int) -> None:
+def fold_member_added(shares: Shares, event: MemberAdded, at: int) -> None:
     member = shares.members.setdefault(event.user, Member())
     _with_members(shares, event.group, shares.groups[event.group].members | {event.user: member})
     shares.group_of[event.user] = event.group
     _count_groups(shares, at)
 
 
-def member_removed(shares: Shares, event: MemberRemoved, at: int) -> None:
+def fold_member_removed(shares: Shares, event: MemberRemoved, at: int) -> None:
     left = {name: member for name, member in shares.groups[event.group].members.items() if name != event.user}
     _with_members(shares, event.group, left)
     del shares.group_of[event.user]
@@ -237,20 +238,20 @@ def _used(table: dict[str, Usage], name: str, at: int) -> Usage:
     return table.get(name) or table.setdefault(name, Usage(at=at))
 
 
-def submitted(shares: Shares, event: RunSubmitted, at: int) -> None:
+def fold_run_submitted(shares: Shares, event: RunSubmitted, at: int) -> None:
     shares.users[event.run] = event.user
     for had in _had(shares, event.user):
         had.queued += 1
 
 
-def run_started(shares: Shares, event: RunStarted, at: int) -> None:
+def fold_run_started(shares: Shares, event: RunStarted, at: int) -> None:
     shares.started[event.run] = True
     for had in _had(shares, shares.users[event.run]):
         had.queued -= 1
         had.running += 1
 
 
-def run_left(shares: Shares, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
+def fold_run_ended(shares: Shares, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
     user = shares.users.pop(event.run, None)
     if user is None:
         return
@@ -262,11 +263,11 @@ def run_left(shares: Shares, event: RunCompleted | RunFailed | RunCancelled, at:
             had.queued -= 1
 
 
-def clock_starts(shares: Shares, event: ActionRequested, at: int) -> None:
+def fold_action_requested(shares: Shares, event: ActionRequested, at: int) -> None:
     shares.clocks.setdefault(event.action, at)
 
 
-def clock_stops(
+def fold_action_ended(
     shares: Shares, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
     began = shares.clocks.pop(event.action, at)
@@ -283,7 +284,7 @@ def clock_stops(
         had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + at - began
 
 
-def consumed(shares: Shares, event: ResourceConsumed, at: int) -> None:
+def fold_resource_consumed(shares: Shares, event: ResourceConsumed, at: int) -> None:
     user = shares.users.get(RunId(event.run))
     for had in _had(shares, user) if user is not None else ():
         had.week.forget_before(at // DAY_NS)
@@ -296,20 +297,20 @@ def _add_consumed(week: Week, day: int, kind: str, amount: float) -> None:
 
 
 HANDLERS = {
-    SharesApplied: applied,
-    GroupAdded: group_added,
-    GroupRemoved: group_removed,
-    MemberAdded: member_added,
-    MemberRemoved: member_removed,
-    RunSubmitted: submitted,
-    RunStarted: run_started,
-    RunCompleted: run_left,
-    RunFailed: run_left,
-    RunCancelled: run_left,
-    ActionRequested: clock_starts,
-    ActionRejected: clock_stops,
-    ActionSucceeded: clock_stops,
-    ActionFailed: clock_stops,
-    ActionReconciled: clock_stops,
-    ResourceConsumed: consumed,
+    SharesApplied: fold_shares_applied,
+    GroupAdded: fold_group_added,
+    GroupRemoved: fold_group_removed,
+    MemberAdded: fold_member_added,
+    MemberRemoved: fold_member_removed,
+    RunSubmitted: fold_run_submitted,
+    RunStarted: fold_run_started,
+    RunCompleted: fold_run_ended,
+    RunFailed: fold_run_ended,
+    RunCancelled: fold_run_ended,
+    ActionRequested: fold_action_requested,
+    ActionRejected: fold_action_ended,
+    ActionSucceeded: fold_action_ended,
+    ActionFailed: fold_action_ended,
+    ActionReconciled: fold_action_ended,
+    ResourceConsumed: fold_resource_consumed,
 }

@@ -82,7 +82,7 @@ class Shorter(msgspec.Struct):
         return station in self.touched or workcell_of(station) in self.cells
 
 
-def found(shorter: Shorter, event: LogFoundShorter, at: int) -> None:
+def fold_log_found_shorter(shorter: Shorter, event: LogFoundShorter, at: int) -> None:
     if not shorter.since:
         shorter.since, shorter.ended = at, event.ended
     shorter.known = max(shorter.known, event.known)
@@ -91,7 +91,7 @@ def found(shorter: Shorter, event: LogFoundShorter, at: int) -> None:
         _doubt_cell(shorter, event.workcell)
 
 
-def discovered(shorter: Shorter, event: ActionDiscovered, at: int) -> None:
+def fold_action_discovered(shorter: Shorter, event: ActionDiscovered, at: int) -> None:
     """Logs of earlier versions discovered actions without a round."""
     if not shorter.since:
         return
@@ -113,19 +113,19 @@ def _doubt_cell(shorter: Shorter, cell: str) -> None:
         del shorter.said[station]
 
 
-def checked(shorter: Shorter, event: StationsChecked, at: int) -> None:
+def fold_stations_checked(shorter: Shorter, event: StationsChecked, at: int) -> None:
     shorter.said.update(dict.fromkeys(event.stations, True))
 
 
-def compared(shorter: Shorter, event: BenchCompared, at: int) -> None:
+def fold_bench_compared(shorter: Shorter, event: BenchCompared, at: int) -> None:
     fresh = Shorter(answered=shorter.answered | shorter.evidence)
     for field in fresh.__struct_fields__:
         setattr(shorter, field, getattr(fresh, field))
 
 
 HANDLERS = {
-    LogFoundShorter: found,
-    ActionDiscovered: discovered,
-    StationsChecked: checked,
-    BenchCompared: compared,
+    LogFoundShorter: fold_log_found_shorter,
+    ActionDiscovered: fold_action_discovered,
+    StationsChecked: fold_stations_checked,
+    BenchCompared: fold_bench_compared,
 }

@@ -77,7 +77,7 @@ class StepRecovering(RunEvent, frozen=True):
     why: str
 
 
-def breached(runs: Runs, event: WindowBreached, at: int) -> None:
+def fold_window_breached(runs: Runs, event: WindowBreached, at: int) -> None:
     run = runs.get(event.run)
     if run is not None:
         if not run.steps:  # it waits to be let in
@@ -85,24 +85,24 @@ def breached(runs: Runs, event: WindowBreached, at: int) -> None:
         run.steps[event.step].breached = True
 
 
-def requested(runs: Runs, event: ActionRequested, at: int) -> None:
+def fold_action_requested(runs: Runs, event: ActionRequested, at: int) -> None:
     if event.run in runs.active:
         runs.active[event.run].steps[event.step].status = IN_FLIGHT
 
 
-def under_way(runs: Runs, event: ActionAccepted | ActionReported, at: int) -> None:
+def fold_action_under_way(runs: Runs, event: ActionAccepted | ActionReported, at: int) -> None:
     _mark(runs, event.run, event.step, IN_FLIGHT)
 
 
-def rejected(runs: Runs, event: ActionRejected, at: int) -> None:
+def fold_action_rejected(runs: Runs, event: ActionRejected, at: int) -> None:
     _mark(runs, event.run, event.step, FAILED if event.final else PENDING)
 
 
-def failed(runs: Runs, event: ActionFailed, at: int) -> None:
+def fold_action_failed(runs: Runs, event: ActionFailed, at: int) -> None:
     _mark(runs, event.run, event.step, FAILED)
 
 
-def retried(runs: Runs, event: StepRetried, at: int) -> None:
+def fold_step_retried(runs: Runs, event: StepRetried, at: int) -> None:
     run = _mark(runs, event.run, event.step, PENDING)
     if run is not None:
         run.steps[event.step].retries, run.steps[event.step].retried_at = event.number, at
@@ -111,7 +111,7 @@ def retried(runs: Runs, event: StepRetried, at: int) -> None:
             run.steps[retry.reset].status = PENDING
 
 
-def skipped(runs: Runs, event: StepSkipped, at: int) -> None:
+def fold_step_skipped(runs: Runs, event: StepSkipped, at: int) -> None:
     run = _mark(runs, event.run, event.step, SKIPPED)
     if run is not None:
         run.steps[event.step].ended_at = at
@@ -120,13 +120,13 @@ def skipped(runs: Runs, event: StepSkipped, at: int) -> None:
                 run.steps[index].status = SKIPPED
 
 
-def unexpected(runs: Runs, event: StepUnexpected, at: int) -> None:
+def fold_step_unexpected(runs: Runs, event: StepUnexpected, at: int) -> None:
     run = _mark(runs, event.run, event.step, FAILED)
     if run is not None:
         run.steps[event.step].result = None
 
 
-def recovering(runs: Runs, event: StepRecovering, at: int) -> None:
+def fold_step_recovering(runs: Runs, event: StepRecovering, at: int) -> None:
     run = _mark(runs, event.run, event.step, FAILED)
     if run is not None:
         run.steps[event.step].trouble = event.why
@@ -134,11 +134,11 @@ def recovering(runs: Runs, event: StepRecovering, at: int) -> None:
             run.steps[index].status = PENDING
 
 
-def unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
+def fold_action_unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
     _mark(runs, event.run, event.step, UNKNOWN)
 
 
-def succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
+def fold_action_succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
     run = _mark(runs, event.run, event.step, DONE)
     if run is not None:
         # A clock that is ahead of the log's says nothing.
@@ -147,7 +147,7 @@ def succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
             run.steps[event.step].result = event.result
 
 
-def reconciled(runs: Runs, event: ActionReconciled, at: int) -> None:
+def fold_action_reconciled(runs: Runs, event: ActionReconciled, at: int) -> None:
     outcome = {"all": DONE, "none": PENDING}.get(event.effects, FAILED)
     run = _mark(runs, event.run, event.step, outcome)
     if run is not None and outcome == DONE:
@@ -164,17 +164,17 @@ def _mark(runs: Runs, name: RunId, step: int, status: StepStatus) -> RunState | 
 
 
 HANDLERS = {
-    WindowBreached: breached,
-    StepRetried: retried,
-    StepSkipped: skipped,
-    StepRecovering: recovering,
-    StepUnexpected: unexpected,
-    ActionRequested: requested,
-    ActionAccepted: under_way,
-    ActionReported: under_way,
-    ActionRejected: rejected,
-    ActionFailed: failed,
-    ActionUnknown: unknown,
-    ActionSucceeded: succeeded,
-    ActionReconciled: reconciled,
+    WindowBreached: fold_window_breached,
+    StepRetried: fold_step_retried,
+    StepSkipped: fold_step_skipped,
+    StepRecovering: fold_step_recovering,
+    StepUnexpected: fold_step_unexpected,
+    ActionRequested: fold_action_requested,
+    ActionAccepted: fold_action_under_way,
+    ActionReported: fold_action_under_way,
+    ActionRejected: fold_action_rejected,
+    ActionFailed: fold_action_failed,
+    ActionUnknown: fold_action_unknown,
+    ActionSucceeded: fold_action_succeeded,
+    ActionReconciled: fold_action_reconciled,
 }

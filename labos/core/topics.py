@@ -31,6 +31,10 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """What a question is about. ``run`` and ``module`` are those it concerns, empty if none."""
 
     KIND: ClassVar[str]
+    SUBJECT: ClassVar[str]
+    """The field with the id that the question is about."""
+    CHOICES: ClassVar[tuple[Choice, ...]]
+    """What may be answered, where it is the same for every question of the type."""
     MOST_PIECES: ClassVar[int] = 1_000
     """So many pieces of labware one question is about at the most: an event has 64 KB."""
     run: str = ""
@@ -39,12 +43,13 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     @property
     def subject(self) -> str:
         """The id that the question is about."""
-        raise NotImplementedError
+        subject: str = getattr(self, self.SUBJECT)
+        return subject
 
     @property
     def choices(self) -> tuple[Choice, ...]:
         """What may be answered."""
-        raise NotImplementedError
+        return self.CHOICES
 
     @property
     def pieces(self) -> tuple[LabwareId, ...]:
@@ -73,13 +78,10 @@ class UnknownAction(Topic, frozen=True, tag="unknown_action"):
     """Nobody knows how an action ended. If it moves labware, it goes from ``source`` to ``target``."""
 
     KIND: ClassVar[str] = "unknown_action"
+    SUBJECT: ClassVar[str] = "action"
     action: ActionId
     source: StationName = StationName("")
     target: StationName = StationName("")
-
-    @property
-    def subject(self) -> str:
-        return self.action
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -100,12 +102,9 @@ class LostLabware(Topic, frozen=True, tag="lost_labware"):
     """A motion failed half-way: somebody has to say where the labware is."""
 
     KIND: ClassVar[str] = "lost_labware"
+    SUBJECT: ClassVar[str] = "action"
     action: ActionId
     motions: tuple[AnyEffect, ...]
-
-    @property
-    def subject(self) -> str:
-        return self.action
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -125,19 +124,16 @@ class LeftLabware(Topic, frozen=True, tag="left_labware"):
     after it had ended."""
 
     KIND: ClassVar[str] = "failed_run"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (
+        Choice("removed", "The labware was carried away; its stations are free."),
+        Choice("leave", "It stays where it is, as its user's labware."),
+    )
     labware: tuple[LabwareId, ...]
     lost_by: str = ""
 
     @property
     def subject(self) -> str:
         return self.lost_by or self.run
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (
-            Choice("removed", "The labware was carried away; its stations are free."),
-            Choice("leave", "It stays where it is, as its user's labware."),
-        )
 
     @property
     def pieces(self) -> tuple[LabwareId, ...]:
@@ -148,30 +144,18 @@ class DiscoveredAction(Topic, frozen=True, tag="discovered_action"):
     """A node's journal knows an action that the log does not. Not asked any more: see ``LogShorter``."""
 
     KIND: ClassVar[str] = "discovered_action"
+    SUBJECT: ClassVar[str] = "action"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (Choice("checked", "The bench was compared with the record."),)
     action: ActionId
-
-    @property
-    def subject(self) -> str:
-        return self.action
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (Choice("checked", "The bench was compared with the record."),)
 
 
 class LateResult(Topic, frozen=True, tag="late_result"):
     """A node says something else of an action than what it was settled as."""
 
     KIND: ClassVar[str] = "contradiction"
+    SUBJECT: ClassVar[str] = "action"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (Choice("checked", "The bench was compared with the record."),)
     action: ActionId
-
-    @property
-    def subject(self) -> str:
-        return self.action
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (Choice("checked", "The bench was compared with the record."),)
 
 
 class NotSeen(Topic, frozen=True, tag="not_seen"):
@@ -179,14 +163,11 @@ class NotSeen(Topic, frozen=True, tag="not_seen"):
     ``other_type`` (empty: nothing)."""
 
     KIND: ClassVar[str] = "contradiction"
+    SUBJECT: ClassVar[str] = "station"
     MOST_PIECES: ClassVar[int] = 200  # each is also told as a motion, with its station
     station: StationName
     labware: tuple[LabwareId, ...]
     other_type: str = ""
-
-    @property
-    def subject(self) -> str:
-        return self.station
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -210,14 +191,11 @@ class SeenElsewhere(Topic, frozen=True, tag="seen_elsewhere"):
     its place is not known), or ``others`` should stand there."""
 
     KIND: ClassVar[str] = "contradiction"
+    SUBJECT: ClassVar[str] = "station"
     station: StationName
     labware: LabwareId
     recorded: StationName = StationName("")
     others: tuple[LabwareId, ...] = ()
-
-    @property
-    def subject(self) -> str:
-        return self.station
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -244,12 +222,9 @@ class Unexpected(Topic, frozen=True, tag="unexpected"):
     get a name."""
 
     KIND: ClassVar[str] = "contradiction"
+    SUBJECT: ClassVar[str] = "station"
     station: StationName
     type: str = ""
-
-    @property
-    def subject(self) -> str:
-        return self.station
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -267,36 +242,27 @@ class LostExperiment(Topic, frozen=True, tag="lost_experiment"):
     """The application of an experiment is silent."""
 
     KIND: ClassVar[str] = "lost_experiment"
+    SUBJECT: ClassVar[str] = "experiment"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (
+        Choice("close", "Its closing workflow clears away its labware."),
+        Choice("wait", "It is left as it is: the application will come back."),
+    )
     experiment: ExperimentId
-
-    @property
-    def subject(self) -> str:
-        return self.experiment
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (
-            Choice("close", "Its closing workflow clears away its labware."),
-            Choice("wait", "It is left as it is: the application will come back."),
-        )
 
 
 class LateStep(Topic, frozen=True, tag="late_step"):
     """A step did not start in time: its run stands still."""
 
     KIND: ClassVar[str] = "late_step"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (
+        Choice("go_on", "The step starts late, as soon as it can; the run goes on."),
+        Choice("fail", "The run ends as failed; its labware stays where it is."),
+    )
     step: int
 
     @property
     def subject(self) -> str:
         return f"{self.run}#{self.step}"
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (
-            Choice("go_on", "The step starts late, as soon as it can; the run goes on."),
-            Choice("fail", "The run ends as failed; its labware stays where it is."),
-        )
 
 
 class FailedStep(Topic, frozen=True, tag="failed_step"):
@@ -328,16 +294,13 @@ class Barcode(Topic, frozen=True, tag="barcode"):
     stands ``elsewhere`` (both empty: nothing known does that could stand there)."""
 
     KIND: ClassVar[str] = "barcode"
+    SUBJECT: ClassVar[str] = "action"
     action: ActionId
     labware: LabwareId
     station: StationName
     barcode: str
     other: LabwareId = LabwareId("")
     elsewhere: StationName = StationName("")
-
-    @property
-    def subject(self) -> str:
-        return self.action
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -368,28 +331,19 @@ class PlannedWork(Topic, frozen=True, tag="planned_work"):
     """What a workflow asks a person to do; all other kinds ask for help."""
 
     KIND: ClassVar[str] = "planned_work"
+    SUBJECT: ClassVar[str] = "action"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (
+        Choice("done", "It is done: the run goes on."),
+        Choice("not_done", "It cannot be done, and nothing was moved: the run ends."),
+    )
     action: ActionId
-
-    @property
-    def subject(self) -> str:
-        return self.action
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (
-            Choice("done", "It is done: the run goes on."),
-            Choice("not_done", "It cannot be done, and nothing was moved: the run ends."),
-        )
 
 
 class DoubtfulNode(Topic, frozen=True, tag="doubtful_node"):
     """Words on the bus that the lab did not believe."""
 
     KIND: ClassVar[str] = "doubtful_node"
-
-    @property
-    def subject(self) -> str:
-        return self.module
+    SUBJECT: ClassVar[str] = "module"
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -401,10 +355,7 @@ class OutrankedNode(Topic, frozen=True, tag="outranked_node"):
     """A node that obeys a later kernel than this one."""
 
     KIND: ClassVar[str] = "outranked_node"
-
-    @property
-    def subject(self) -> str:
-        return self.module
+    SUBJECT: ClassVar[str] = "module"
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -416,45 +367,35 @@ class ShorterLog(Topic, frozen=True, tag="log_shorter"):
     """The log has lost its end."""
 
     KIND: ClassVar[str] = "log_shorter"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (
+        Choice(
+            "checked",
+            "All stations were said on the round. Runs that were under way end, their labware stays "
+            "where it was said to stand and belongs to their users; runs that wait are paused.",
+        ),
+    )
 
     @property
     def subject(self) -> str:
         return "log"
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (
-            Choice(
-                "checked",
-                "All stations were said on the round. Runs that were under way end, their labware stays "
-                "where it was said to stand and belongs to their users; runs that wait are paused.",
-            ),
-        )
 
 
 class DeviceWaits(Topic, frozen=True, tag="device_waits"):
     """A device waits for somebody in the midst of an action."""
 
     KIND: ClassVar[str] = "device_waits"
-
-    @property
-    def subject(self) -> str:
-        return self.module
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (Choice("noted", "Somebody sees to it; this is not asked again while it lasts."),)
+    SUBJECT: ClassVar[str] = "module"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (
+        Choice("noted", "Somebody sees to it; this is not asked again while it lasts."),
+    )
 
 
 class ClosingWaits(Topic, frozen=True, tag="closing_waits"):
     """The closing workflow of an experiment does not begin."""
 
     KIND: ClassVar[str] = "closing_waits"
+    SUBJECT: ClassVar[str] = "run"
     user: str
-
-    @property
-    def subject(self) -> str:
-        return self.run
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -468,17 +409,11 @@ class SecondPerson(Topic, frozen=True, tag="second_person"):
     """A run does what is dangerous, and waits until somebody else than its user has looked at it."""
 
     KIND: ClassVar[str] = "second_person"
-
-    @property
-    def subject(self) -> str:
-        return self.run
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (
-            Choice("approve", "It may start. Only somebody else than its user can say so."),
-            Choice("refuse", "It is cancelled."),
-        )
+    SUBJECT: ClassVar[str] = "run"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (
+        Choice("approve", "It may start. Only somebody else than its user can say so."),
+        Choice("refuse", "It is cancelled."),
+    )
 
 
 class Approval(Topic, frozen=True, tag="approval"):
@@ -486,13 +421,10 @@ class Approval(Topic, frozen=True, tag="approval"):
     ``digest``. ``what`` is its kind."""
 
     KIND: ClassVar[str] = "approval"
+    SUBJECT: ClassVar[str] = "about"
     about: str
     digest: str
     what: str
-
-    @property
-    def subject(self) -> str:
-        return self.about
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -507,6 +439,9 @@ class BookedPlace(Topic, frozen=True, tag="booked_place"):
     """Where somebody has booked, labware of others stands, or an ``action`` of others is under way."""
 
     KIND: ClassVar[str] = "booked_place"
+    CHOICES: ClassVar[tuple[Choice, ...]] = (
+        Choice("noted", "Somebody sees to it. When the booking begins this is asked once more."),
+    )
     booking: str
     labware: tuple[LabwareId, ...] = ()
     action: ActionId = ActionId("")
@@ -514,10 +449,6 @@ class BookedPlace(Topic, frozen=True, tag="booked_place"):
     @property
     def subject(self) -> str:
         return f"booking:{self.booking}"
-
-    @property
-    def choices(self) -> tuple[Choice, ...]:
-        return (Choice("noted", "Somebody sees to it. When the booking begins this is asked once more."),)
 
 
 AnyTopic = (

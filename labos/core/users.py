@@ -180,23 +180,23 @@ class Users(msgspec.Struct):
 _NOTHING: dict[str, Role] = {}
 
 
-def added(users: Users, event: UserAdded, at: int) -> None:
+def fold_user_added(users: Users, event: UserAdded, at: int) -> None:
     users.known[event.user] = User(event.kind, at)
 
 
-def disabled(users: Users, event: UserDisabled, at: int) -> None:
+def fold_user_disabled(users: Users, event: UserDisabled, at: int) -> None:
     users.known[event.user].disabled = True
 
 
-def enabled(users: Users, event: UserEnabled, at: int) -> None:
+def fold_user_enabled(users: Users, event: UserEnabled, at: int) -> None:
     users.known[event.user].disabled = False
 
 
-def granted(users: Users, event: RoleGranted, at: int) -> None:
+def fold_role_granted(users: Users, event: RoleGranted, at: int) -> None:
     users.roles.setdefault(event.subject, {})[event.scope] = event.role
 
 
-def revoked(users: Users, event: RoleRevoked, at: int) -> None:
+def fold_role_revoked(users: Users, event: RoleRevoked, at: int) -> None:
     scopes = users.roles[event.subject]
     del scopes[event.scope]
     if not scopes:
@@ -204,9 +204,9 @@ def revoked(users: Users, event: RoleRevoked, at: int) -> None:
 
 
 HANDLERS = {
-    UserAdded: added,
-    UserDisabled: disabled,
-    UserEnabled: enabled,
-    RoleGranted: granted,
-    RoleRevoked: revoked,
+    UserAdded: fold_user_added,
+    UserDisabled: fold_user_disabled,
+    UserEnabled: fold_user_enabled,
+    RoleGranted: fold_role_granted,
+    RoleRevoked: fold_role_revoked,
 }

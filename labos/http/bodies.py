@@ -86,6 +86,11 @@ class ExperimentNote(msgspec.Struct, forbid_unknown_fields=True):
     ]
     name: Annotated[Name, says("its name")]
     facts: Annotated[dict[str, Any], says("a table of anything")] = {}
+    key: Annotated[Name, says("which call of the application it is; the same one twice is noted once")] = ""
+
+
+class ExperimentResumption(msgspec.Struct, forbid_unknown_fields=True):
+    name: Annotated[Name, says("the experiment's name, as it was started")]
 
 
 class NewFile(msgspec.Struct, forbid_unknown_fields=True):

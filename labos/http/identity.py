@@ -15,6 +15,7 @@ from labos.errors import Forbidden, LabosError, NotSignedIn, StoreUnavailable
 from labos.services.accounts import HOME, Accounts, Credential, Need, allows, digest_of
 
 if TYPE_CHECKING:
+    from labos.services.accounts.command_line import CommandLineSignIn
     from labos.services.accounts.oidc import Provider
 
 COOKIE = "labos-session"
@@ -76,6 +77,11 @@ class Gate:
         provider: Provider | None = None,
     ) -> None:
         self.accounts, self.secure, self.provider = accounts, secure, provider
+        self.command_line: CommandLineSignIn | None = None
+        if provider is not None:
+            from labos.services.accounts.command_line import CommandLineSignIn
+
+            self.command_line = CommandLineSignIn(provider)
         self._read_users = users
         self._last_users: Users | None = None
         self._home = digest_of(home_key) if home_key else b""

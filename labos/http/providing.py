@@ -50,12 +50,18 @@ def provider_routes(api: Api, provider: Provider) -> list[Route]:
                 "This lab has no users: nobody needs to sign in.",
                 remedy="Add the first, on the lab's computer: labos user add NAME",
             )
-        address, browser = await provider.begin()
-        answer = RedirectResponse(address, 303, headers=HEADERS)
+        begun = await provider.begin()
+        answer = RedirectResponse(begun.address, 303, headers=HEADERS)
         secure = api.gate.secure
         # Lax: it has to come along when the provider's page sends the browser back.
         answer.set_cookie(
-            _cookie(secure), browser, max_age=600, path="/", secure=secure, httponly=True, samesite="lax"
+            _cookie(secure),
+            begun.browser,
+            max_age=600,
+            path="/",
+            secure=secure,
+            httponly=True,
+            samesite="lax",
         )
         return answer
 
@@ -64,7 +70,7 @@ def provider_routes(api: Api, provider: Provider) -> list[Route]:
         shown = request.cookies.get(_cookie(api.gate.secure), "")
         try:
             claims = await provider.finish(request.query_params, shown)
-            user = await _user_of(api, provider, claims)
+            user = await user_meant(api, provider, claims)
         except NotSignedIn:
             api.gate.accounts.tell_try("wrong")
             raise
@@ -83,7 +89,7 @@ def _cookie(secure: bool) -> str:
     return f"__Host-{COOKIE}" if secure else COOKIE
 
 
-async def _user_of(api: Api, provider: Provider, claims: Claims) -> str:
+async def user_meant(api: Api, provider: Provider, claims: Claims) -> str:
     """The user whom a provider means; a new one, where that is allowed. Raises NotSignedIn."""
     accounts, told, state = api.gate.accounts, provider.told, api.kernel.state
     user = await accounts.user_of(told.issuer, claims.subject)

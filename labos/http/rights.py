@@ -23,7 +23,7 @@ from labos.core.decide.campaigns import (
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import DeclareStations, ReportRound, SubmitWithLabware
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
-from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
+from labos.core.decide.experiments import EndExperiment, NoteExperiment, ResumeExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
@@ -63,6 +63,7 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "resume_run": (ResumeRun,),
     "sign_run": (SignRun,),
     "start_experiment": (StartExperiment,),
+    "resume_experiment": (ResumeExperiment,),
     "end_experiment": (EndExperiment,),
     "note_experiment": (NoteExperiment,),
     "submit_campaign_file": (SubmitCampaign,),
@@ -113,6 +114,8 @@ ALL_OF = frozenset({"change_workcell", "request_workcell_access", "end_workcell_
 
 BY_ITSELF: Mapping[str, Role | Literal["nobody"]] = {
     "sign_in": "nobody",
+    "begin_sign_in": "nobody",
+    "finish_sign_in": "nobody",
     "sign_out": "viewer",
     "make_token": "viewer",
     "revoke_token": "viewer",
@@ -171,6 +174,8 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "register_sheet": ("labos samples load",),
     "trace_wires": ("labos node trace",),
     "sign_in": ("labos login",),
+    "begin_sign_in": ("labos login",),
+    "finish_sign_in": ("labos login",),
     "sign_out": ("labos logout",),
     "make_token": ("labos token create",),
     "revoke_token": ("labos token revoke",),

@@ -14,10 +14,10 @@ from typing import Any
 import h11
 import msgspec
 import uvicorn
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from labos.errors import BadInput
 from labos.http.app import create_app
+from labos.http.framing import StrictProtocol
 from labos.http.identity import Gate
 from labos.http.problems import MEDIA_TYPE, problem
 from labos.http.routes.log import CONNECTION
@@ -47,7 +47,7 @@ class _Server(uvicorn.Server):
         yield
 
 
-class _Protocol(H11Protocol):
+class _Protocol(StrictProtocol):
     """One connection; one that does not say what it wants is closed."""
 
     most_connections = MOST_CONNECTIONS
@@ -99,7 +99,10 @@ class _Protocol(H11Protocol):
             self._await_head()
 
     def send_400_response(self, msg: str) -> None:
-        """What is no HTTP is refused as everything else is."""
+        """What is no HTTP is refused as everything else is; once an answer has begun, it just ends."""
+        if self.conn.our_state not in (h11.IDLE, h11.SEND_RESPONSE):
+            self.transport.close()
+            return
         reason = problem(
             "bad_input", "The request is not HTTP, or its head is too long.", "Send less at once."
         )

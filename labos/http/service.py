@@ -19,7 +19,13 @@ from labos.core.canonical import digest
 from labos.core.decide import Command
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import SubmitWithLabware
-from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
+from labos.core.decide.experiments import (
+    EndExperiment,
+    LoseExperiment,
+    NoteExperiment,
+    ResumeExperiment,
+    StartExperiment,
+)
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import PutBack, RecordStops, TakeOut
@@ -473,9 +479,16 @@ class LabService:
         if wrong is not None:
             raise error_of(wrong)
 
-    async def note(self, experiment: str, kind: str, name: str, facts: dict[str, Any], actor: str) -> None:
+    async def note(
+        self, experiment: str, kind: str, name: str, facts: dict[str, Any], actor: str, key: str = ""
+    ) -> None:
         self.hear(experiment, actor)
-        await self.kernel.execute(NoteExperiment(ExperimentId(experiment), kind, name, facts), actor)
+        await self.kernel.execute(NoteExperiment(ExperimentId(experiment), kind, name, facts, key), actor)
+
+    async def resume_experiment(self, experiment: str, name: str, actor: str) -> None:
+        """An application was started again."""
+        await self.kernel.execute(ResumeExperiment(ExperimentId(experiment), name), actor)
+        self.hear(experiment, actor)
 
     async def end_experiment(self, experiment: str, why: str, actor: str) -> None:
         """The application is over; ending it twice is ending it once."""

@@ -31,6 +31,7 @@ class SignIn(msgspec.Struct, forbid_unknown_fields=True):
     password: Annotated[Secret, says("the password")]
     token: Annotated[bool, says("a token for a program instead of a session for a browser")] = False
     label: Annotated[Line, says("what the token is for")] = "signed in"
+    scope: Annotated[Need, says("the most that the token is good for")] = "admin"
     days: Annotated[Days, says("how long the token is good")] = 30.0
 
 
@@ -116,7 +117,7 @@ def is_admin(call: Call) -> bool:
 
 
 def expect_self_or_admin(call: Call, user: str) -> None:
-    """Raises Forbidden, also for a program that would get at how a person signs in; NotFound."""
+    """Raises Forbidden, also for a program that would get at how somebody else signs in; NotFound."""
     who, known = call.who.user, call.kernel.state.users.known
     if who != user and not is_admin(call):
         raise Forbidden(
@@ -124,12 +125,18 @@ def expect_self_or_admin(call: Call, user: str) -> None:
         )
     if user not in known:
         raise NotFound(f"This lab has no user {user!r}.", remedy="List them: labos user list")
-    if call.who.is_known and known[who].kind == "service" and known[user].kind != "service":
+    if who != user and _is_program(call):
         raise Forbidden(
-            f"{who} is a service account, and {user} is a person: a program that could sign in as a person "
-            "could approve what it has asked for.",
+            f"{who} is a service account, and gets at how nobody else signs in: a program that could sign in "
+            "as a person could approve what it has asked for, and as another program could act in its name.",
             remedy="Ask an admin who is a person.",
         )
+
+
+def _is_program(call: Call) -> bool:
+    """Whether a service account asks."""
+    known = call.kernel.state.users.known.get(call.who.user) if call.who.is_known else None
+    return known is not None and known.kind == "service"
 
 
 def expect_users(call: Call) -> None:
@@ -147,7 +154,7 @@ async def sign_in(call: Call, told: SignIn) -> Response:
     client = call.request.client
     await accounts.expect_password(told.user, told.password, client.host if client is not None else "")
     if told.token:
-        secret, token = await accounts.make_token(told.user, told.label, "admin", told.days)
+        secret, token = await accounts.make_token(told.user, told.label, told.scope, told.days)
         return _answer(SignedIn(told.user, token.expires_at, secret))
     secret, session = await accounts.begin_session(
         told.user, "password", before=call.request.cookies.get(gate.cookie, "")
@@ -237,8 +244,9 @@ async def list_tokens(call: Call, user: str) -> list[Token]:
 
 
 async def revoke_token(call: Call, id_: str) -> Token:
-    """Raises NotFound."""
-    return await call.api.gate.accounts.revoke_token(id_, "" if is_admin(call) else call.who.user)
+    """Raises NotFound, also for a token of somebody else; admins who are persons revoke any."""
+    any_ = is_admin(call) and not _is_program(call)
+    return await call.api.gate.accounts.revoke_token(id_, "" if any_ else call.who.user)
 
 
 async def change_password(call: Call, user: str, told: NewPassword) -> None:

@@ -21,6 +21,7 @@ import msgspec
 from labos.core.envelope import Record
 from labos.http.lines import line_of
 from labos.ports import LogQuery
+from labos.services.filters import is_of_type
 
 if TYPE_CHECKING:
     # The process for followers starts without them.
@@ -75,7 +76,7 @@ class Filter(msgspec.Struct, frozen=True):
 
     def takes(self, line: Line) -> bool:
         return (
-            (not self.types or any(_is_of(line.type, name) for name in self.types))
+            (not self.types or any(is_of_type(line.type, name) for name in self.types))
             and (not self.streams or line.stream in self.streams)
             and (not self.correlation or line.correlation == self.correlation)
             and (not self.actor or line.actor == self.actor)
@@ -341,9 +342,3 @@ def _good_bye(after: int) -> bytes:
     why = "You take up events more slowly than they come. Go on with the header Last-Event-ID."
     told = msgspec.json.encode({"error": why, "after": after})
     return b"id: %d\nevent: dropped\ndata: %b\n\n" % (after, told)
-
-
-def _is_of(kind: str, name: str) -> bool:
-    """Whether a type is of that name, or of the family of that name."""
-    family = name.rstrip(".*")
-    return kind == family or kind.startswith(f"{family}.")

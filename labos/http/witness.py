@@ -14,6 +14,7 @@ from starlette.routing import Route
 
 from labos.clock import SystemClock
 from labos.errors import SystemFailed
+from labos.http.framing import StrictProtocol
 from labos.services.trust.notes import MOST_BYTES
 from labos.services.trust.witness import Witness
 
@@ -51,6 +52,7 @@ async def serve_witness(witness: Witness, host: str, port: int, ready: Callable[
         ready(f"http://{at}:{listening.getsockname()[1]}")
         config = uvicorn.Config(
             witness_app(witness),
+            http=StrictProtocol,
             log_level="warning",
             access_log=False,
             lifespan="off",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -173,9 +173,3 @@ def at_level(spread: Sequence[int], level: float) -> int:
         if level <= high:
             return int(first + (last - first) * (level - low) / (high - low))
     return spread[-1]
-
-
-def learn_all(durations: Durations, events: Iterable[tuple[Event, int]]) -> None:
-    """Take in events with when they were recorded."""
-    for event, at in events:
-        durations.learn(event, at)

@@ -142,6 +142,8 @@ def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
     keys = _find_touched_keys(state, event, everything_in(cell) if cell else EVERYTHING)
     if isinstance(event, ActionEvent) and keys:
         keys = (*keys, due_key(event.action))
+    if isinstance(event, _LESS_IS_TO_COME) and state.shares.digest:
+        keys = (*keys, QUOTA_KEY)
     if not cell or not keys:
         return keys
     # What an action did to labware follows as events of their own.
@@ -173,6 +175,18 @@ def cell_of_run(state: LabState, run: str) -> str:
     """The workcell of a run that has not ended; empty if there is none."""
     known = state.runs.get(run)
     return state.runs.plan_of(known).workcell if known is not None else ""
+
+
+_LESS_IS_TO_COME = (
+    ActionSucceeded,
+    ActionFailed,
+    ActionRejected,
+    ActionReconciled,
+    StepSkipped,
+    RunCancelling,
+    RunLeaving,
+)
+"""After these a run that is under way may have less of its user's quota than before."""
 
 
 def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[str, ...]:

@@ -345,7 +345,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
     x.ExperimentCancelled: lambda e, _: f"{e.why}: it takes no more runs",
     x.ExperimentClosing: lambda e, _: f"closing: {e.why}",
-    x.ExperimentEnded: lambda e, _: "ended",
+    x.ExperimentEnded: lambda e, _: "ended" + _if(e.why not in ("", "ended"), f": {e.why}"),
+    x.ExperimentResumed: lambda e, _: "its application was started again, and goes on",
     x.ExperimentNoted: lambda e, _: (
         f"{e.kind.replace('_', ' ')} {e.name!r}" + _if(e.facts, f": {short(e.facts)}")
     ),

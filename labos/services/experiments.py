@@ -55,6 +55,7 @@ def experiment_histories(log: Log) -> dict[str, ExperimentHistory]:
             case ExperimentEnded():
                 story = told[event.experiment]
                 story.status, story.ended_at = "ended", head.recorded_at
+                story.why = story.why or event.why
             case StartsPaused() if event.target in told:
                 story = told[event.target]
                 if story.status == "open":

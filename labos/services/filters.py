@@ -151,7 +151,7 @@ class Sieve:
     def _may_concern(self, record: Record) -> bool:
         """A quick look at the stored bytes: false only for what surely does not match."""
         head, wanted = record.head, self.wanted
-        if wanted.types and not any(_is_of(head.type, kind) for kind in wanted.types):
+        if wanted.types and not any(is_of_type(head.type, kind) for kind in wanted.types):
             return False
         if wanted.since_ns is not None and head.recorded_at < wanted.since_ns:
             return False
@@ -204,7 +204,8 @@ class Sieve:
         return matching_events
 
 
-def _is_of(type_: str, wanted: str) -> bool:
+def is_of_type(type_: str, wanted: str) -> bool:
+    """Whether a type of events is of that name, or of the family of that name."""
     family = wanted.rstrip(".*")
     return type_ == family or type_.startswith(f"{family}.")
 

@@ -25,10 +25,10 @@ class Conditions:
         found = [self._read(index, one, "when") for one in written]
         known = [one for one in found if one is not None]
         if len(known) < 2:
-            return condition(*known[0]) if known else None
+            return self._kept(index, *known[0], "when") if known else None
         signs = ("and",) * (len(known) - 1)
         text = " and ".join(f"({text})" for text, _ in known)
-        return condition(text, ("row", signs, tuple(tree for _, tree in known)))
+        return self._kept(index, text, ("row", signs, tuple(tree for _, tree in known)), "when")
 
     def expect(self, index: int) -> Condition | None:
         """What has to hold of a step's result."""
@@ -37,7 +37,15 @@ class Conditions:
             return None
         path: Path_ = ("steps", index, "expect")
         found = self._read(index, Written(leaf.entry.expect, path, leaf.scope, leaf.box), "expect")
-        return condition(*found) if found is not None else None
+        return self._kept(index, *found, "expect") if found is not None else None
+
+    def _kept(self, index: int, text: str, tree: Tree, key: str) -> Condition | None:
+        try:
+            return condition(text, tree)
+        except ExpressionError as error:
+            what = f"Step {self.steps.keys[index]!r}: {error.message}"
+            self.steps.error(what, ("steps", index, key), error.remedy)
+            return None
 
     def _read(self, index: int, written: Written, key: str) -> tuple[str, Tree] | None:
         path: Path_ = ("steps", index, key)

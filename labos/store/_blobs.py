@@ -82,10 +82,6 @@ class FolderBlobs:
         except OSError as error:
             raise self._unavailable(error) from error
 
-    def changed_at(self, name: str) -> float:
-        """When a blob was last kept (UNIX time). Raises FileNotFoundError."""
-        return self._file(name).stat().st_mtime
-
     def remove_unused(self, name: str, before: float) -> bool:
         """Remove a blob that nothing names, unless it was kept again since ``before`` (UNIX time); whether
         that was done. Raises StoreUnavailable."""

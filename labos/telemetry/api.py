@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import msgspec
-from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector, generate_latest
 
+from labos.telemetry.process_metrics import describe_process
 from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup, MetricRegistry
 from labos.telemetry.signing import Signing
 
@@ -35,18 +33,10 @@ class ApiMetrics:
         self.signing = Signing()
         self.registry = MetricRegistry([*self.of_process.families, *self.signing.families])
 
-    @cached_property
-    def process(self) -> CollectorRegistry:
-        """What the system says of this process."""
-        registry = CollectorRegistry()
-        ProcessCollector(registry=registry)
-        PlatformCollector(registry=registry)
-        return registry
-
     def text(self, now: ApiReadings) -> str:
         """Everything, in Prometheus' text format."""
         self.of_process.update(now)
-        return self.registry.text() + generate_latest(self.process).decode()
+        return self.registry.text() + describe_process()
 
 
 class _ApiGroup(MetricGroup):

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
-
-from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector, generate_latest
 
 from labos.core.state import LabState
 from labos.telemetry.bounded import BoundedNames
 from labos.telemetry.event_metrics import EventMetrics
-from labos.telemetry.process_metrics import ProcessMetrics
+from labos.telemetry.process_metrics import ProcessMetrics, describe_process
 from labos.telemetry.series import GaugeMetric, MetricRegistry
 from labos.telemetry.signing import Signing
 from labos.telemetry.state_metrics import StateMetrics
@@ -38,16 +35,8 @@ class KernelMetrics:
         families = [family for group in groups for family in group.families]
         self.registry = MetricRegistry([*families, self.series, self.took_s])
 
-    @cached_property
-    def process(self) -> CollectorRegistry:
-        """What the system says of this process."""
-        registry = CollectorRegistry()
-        ProcessCollector(registry=registry)
-        PlatformCollector(registry=registry)
-        return registry
-
     def text(self) -> str:
         """Everything, in Prometheus' text format."""
-        told = self.registry.text() + generate_latest(self.process).decode()
+        told = self.registry.text() + describe_process()
         self.series.set(self.registry.counts)
         return told

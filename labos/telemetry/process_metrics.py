@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 
 import msgspec
+from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector, generate_latest
 
 from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup
 from labos.version import VERSION
+
+
+@cache
+def _collectors() -> CollectorRegistry:
+    registry = CollectorRegistry()
+    ProcessCollector(registry=registry)
+    PlatformCollector(registry=registry)
+    return registry
+
+
+def describe_process() -> str:
+    """What the system says of this process, in Prometheus' text format."""
+    return generate_latest(_collectors()).decode()
 
 
 class Readings(msgspec.Struct, frozen=True):

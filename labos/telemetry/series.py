@@ -65,16 +65,27 @@ class LabMetric:
         return key
 
 
-class CounterMetric(LabMetric):
+class _NumberMetric(LabMetric):
+    """A metric with one number for each set of labels."""
+
+    def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
+        super().__init__(name, help, labels, most=most)
+        self._values: dict[Labels, float] = {}
+        self._lines: dict[Labels, str] = {}
+
+    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
+        for key, value in self._values.items():
+            yield self.name, dict(zip(self.labels, key, strict=True)), value
+
+
+class CounterMetric(_NumberMetric):
     """Only goes up, but for a new start of the process."""
 
     kind: Kind = "counter"
 
     def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
         super().__init__(name, help, labels, most=most)
-        self._values: dict[Labels, float] = {}
         self._changed: dict[Labels, bool] = {}
-        self._lines: dict[Labels, str] = {}
         if not labels:
             self.begin()
 
@@ -97,20 +108,11 @@ class CounterMetric(LabMetric):
         self._changed.clear()
         return self._lines.values()
 
-    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
-        for key, value in self._values.items():
-            yield self.name, dict(zip(self.labels, key, strict=True)), value
 
-
-class GaugeMetric(LabMetric):
+class GaugeMetric(_NumberMetric):
     """What is so at the moment. ``replace`` says all of it: series that it does not name are gone."""
 
     kind: Kind = "gauge"
-
-    def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
-        super().__init__(name, help, labels, most=most)
-        self._values: dict[Labels, float] = {}
-        self._lines: dict[Labels, str] = {}
 
     def set(self, value: float, key: Labels = ()) -> None:
         if self._values.get(key) != value:
@@ -139,10 +141,6 @@ class GaugeMetric(LabMetric):
 
     def lines(self) -> Iterable[str]:
         return self._lines.values()
-
-    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
-        for key, value in self._values.items():
-            yield self.name, dict(zip(self.labels, key, strict=True)), value
 
 
 class ComputedCounter(GaugeMetric):

@@ -6,7 +6,7 @@ import tracemalloc
 
 import msgspec
 
-from labos.core.campaigns import Campaign, Campaigns, CampaignSubmitted, submitted
+from labos.core.campaigns import Campaign, Campaigns, CampaignSubmitted, fold_campaign_submitted
 from labos.core.ids import CampaignId
 from labos.http.campaign_rows import Table
 from tests.benchmarks.figures import Figure, Report
@@ -22,7 +22,7 @@ def _state(rows: int) -> Campaign:
     campaigns = Campaigns()
     name = CampaignId("C1")
     event = CampaignSubmitted(name, "screen", "ada", "pcr", "rpl", rows, "d", "d")
-    submitted(campaigns, event, 0)
+    fold_campaign_submitted(campaigns, event, 0)
     return campaigns.open[name]
 
 

@@ -178,6 +178,8 @@ def method_of(operation: Operation) -> str:
 def _calling(operation: Operation, fields: Sequence[Field]) -> tuple[str, list[str]]:
     method = operation.client
     path = re.sub(r"\{(\w+)\}", r"{in_path(\1)}", operation.path)
+    # The name of a module may have a slash: `rpl/sealer`.
+    path = path.replace("in_path(module)", "in_path(module, 2)")
     asked = [f'f"{path}"' if "{" in path else f'"{path}"']
     said = {field.sent: field.value for field in fields if field.place in ("query", "body")}
     said |= {name: repr(value) for name, value in method.fixed.items()}

@@ -12,6 +12,7 @@ from typing import Any
 
 from labos.client import Experiment, LabClient
 from labos.client._generated import GeneratedCalls
+from labos.client._logged import Loop
 from tests.docs.markdown import ROOT
 
 FOLDER = ROOT / "labos" / "client" / "_generated"
@@ -22,6 +23,9 @@ WAITING = {"run", "wait", "status", "reset"}
 PAGES = {"events": "_pages_of_events"}
 """Methods whose items come in pages, and what gives those."""
 
+YIELDED = {"Loop": Loop}
+"""What a block of an experiment yields, which has calls of its own."""
+
 BEFORE = {"close": "self.threads.give_up()"}
 
 SOURCES = {
@@ -31,9 +35,12 @@ SOURCES = {
     "Callable": "collections.abc",
     "Future": "concurrent.futures",
     "Iterable": "collections.abc",
+    "Loop": "labos.client._logged",
     "Mapping": "collections.abc",
     "Path": "pathlib",
     "Progress": "labos.client._progress",
+    "Generator": "numpy.random",
+    "Random": "random",
     "Put": "labos.client._runs",
     "Readings": "labos.services.results",
     "RunResult": "labos.client._results",
@@ -53,7 +60,7 @@ def files() -> dict[Path, str]:
     return {
         FOLDER / "twin_calls.py": _module(_calls, ["labos.client._lab.LabClient"]),
         FOLDER / "twin.py": _module(
-            lambda: f"{_lab()}\n\n\n{_experiment()}",
+            lambda: "\n\n\n".join([_lab(), _experiment(), *map(_yielded, YIELDED)]),
             ["labos.client._experiment.Experiment", "labos.client._generated.twin_calls.AsyncCalls"],
         ),
     }
@@ -142,6 +149,20 @@ def _experiment() -> str:
 {_members(Experiment, lambda member: True)}'''
 
 
+def _yielded(name: str) -> str:
+    _names[name] = SOURCES[name]
+    return f'''class Async{name}:
+    """As ``{name}``, with methods to be awaited."""
+
+    def __init__(self, sync: {name}, threads: Threads) -> None:
+        self.sync = sync
+        self.threads = threads
+
+{_attributes_of(YIELDED[name])}
+
+{_members(YIELDED[name], lambda member: True)}'''
+
+
 def _attributes_of(cls: type) -> str:
     parts = [_attribute(name, kind) for name, kind in _attributes(cls) if name != "lab"]
     return textwrap.indent("\n\n".join(parts), "    ")
@@ -190,6 +211,10 @@ def _is_public(target: ast.expr) -> bool:
 
 def _method(cls: type, name: str, function: Callable[..., Any]) -> str:
     signature, given = _signature(function)
+    if cls is Experiment and "key" in inspect.signature(function).parameters:
+        # The order of calls is that in which they are made here, not in which threads begin.
+        about = signature.split(", ")[1].partition(":")[0]
+        given = given.replace("key=key", f"key=self.sync._take({name!r}, {about}, key)")
     returns = _known(str(inspect.signature(function).return_annotation))
     words = " ".join((inspect.getdoc(function) or "").split())
     first = re.split(r"(?<=\.) (?=[A-Z`])", words)[0]  # the rest is said at the method behind it
@@ -199,8 +224,12 @@ def _method(cls: type, name: str, function: Callable[..., Any]) -> str:
     if wrapped is not None and inspect.isgeneratorfunction(wrapped):
         _names["AbstractAsyncContextManager"] = "contextlib"
         inner = returns[returns.index("[") + 1 : -1]
-        head = f"def {name}({signature}) -> AbstractAsyncContextManager[{inner}]:"
-        body = f"return self.threads.block({own}({given}))"
+        twin = f"Async{inner}" if inner in YIELDED else inner
+        head = f"def {name}({signature}) -> AbstractAsyncContextManager[{twin}]:"
+        block = f"self.threads.block({own}({given}))"
+        if inner in YIELDED:
+            block = f"self.threads.block_of({own}({given}), {twin})"
+        body = f"return {block}"
     elif returns.startswith("Iterator["):
         _names["AsyncIterator"] = "collections.abc"
         head = f"def {name}({signature}) -> Async{returns}:"

@@ -8,6 +8,9 @@ const [port, wayBack, modules] = process.argv.slice(2);
 const require = createRequire(`${modules}/`);
 const { default: Provider } = await import(pathToFileURL(require.resolve("oidc-provider")));
 
+// Where the command line of the lab waits, at any port: RFC 8252, 7.3.
+const commandLine = `http://127.0.0.1/login/${new URL(wayBack).host.replace(":", "-")}`;
+
 const provider = new Provider(`http://127.0.0.1:${port}`, {
   clients: [{
     client_id: "labos",
@@ -16,7 +19,15 @@ const provider = new Provider(`http://127.0.0.1:${port}`, {
     grant_types: ["authorization_code"],
     response_types: ["code"],
     application_type: "native",
+  }, {
+    client_id: "labos-login",
+    token_endpoint_auth_method: "none",
+    redirect_uris: [commandLine],
+    grant_types: ["authorization_code", "urn:ietf:params:oauth:grant-type:device_code"],
+    response_types: ["code"],
+    application_type: "native",
   }],
+  features: { deviceFlow: { enabled: true } },
   pkce: { required: () => true },
   claims: { openid: ["sub"], profile: ["name", "groups"] },
   findAccount: async (_, id) => ({

@@ -3,6 +3,8 @@
 With a lab running (`labos up WORKCELL --simulate`):
 
     python NAME.py --home lab --user ada
+
+If it was killed, `labos experiments` says which experiment it had, and it goes on with `--resume E1`.
 """
 
 from __future__ import annotations
@@ -18,17 +20,19 @@ WORKFLOW = Path(__file__).with_name("NAME.yaml")
 SECONDS = (2.0, 3.0, 4.0)
 
 
-def try_out(lab: LabClient, user: str) -> dict[float, float]:
+def try_out(lab: LabClient, user: str, resume: str = "") -> dict[float, float]:
     """How long a run took, in seconds, by how long the sealer pressed."""
     took: dict[float, float] = {}
-    with Experiment(lab, "NAME", user) as experiment:
-        experiment.note("loop_started", "pressing times", seconds=SECONDS)
+    with (
+        Experiment(lab, "NAME", user, resume=resume) as experiment,
+        experiment.loop("pressing times", seconds=SECONDS) as loop,
+    ):
         for seconds in SECONDS:
             result = experiment.run(WORKFLOW, {"seconds": seconds})
             took[seconds] = round((result.ended_at - result.started_at) / 1e9, 1)
             # Compute here what to try next, and say why: it goes into the lab's log.
-            experiment.note("decision", "go on", seconds=seconds, took_s=took[seconds])
-        experiment.note("loop_ended", "pressing times", runs=len(took))
+            experiment.log_decision("go on", seconds < SECONDS[-1], took_s=took[seconds])
+        loop.report(runs=len(took))
     return took
 
 
@@ -37,10 +41,11 @@ def main() -> int:
     parser.add_argument("--home", help="the lab's folder")
     parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
     parser.add_argument("--user", default="ada", help="whose experiment it is")
+    parser.add_argument("--resume", default="", help="the experiment to go on with, such as E1")
     given = parser.parse_args()
     try:
         with LabClient(given.url, home=given.home) as lab:
-            took = try_out(lab, given.user)
+            took = try_out(lab, given.user, given.resume)
     except LabosError as error:
         print(f"NAME: {error}", file=sys.stderr)
         return 1

@@ -11,14 +11,56 @@ class GeneratedAccounts(Calls):
     """One method for each operation."""
 
     def sign_in(
-        self, user: str, password: str, *, label: str = "signed in", days: float = 30.0
+        self, user: str, password: str, *, label: str = "signed in", scope: str = "admin", days: float = 30.0
     ) -> dict[str, Any]:
         """Sign in with a password. A browser gets a session of 12 hours as a cookie that no script can read;
         a program asks for a ``token``. Six wrong tries within a minute are too many. ``user``: the user's id.
-        ``password``: the password. ``label``: what the token is for. ``days``: how long the token is good.
-        Returns ``user``, ``until``, ``token``. Raises Refused."""
+        ``password``: the password. ``label``: what the token is for. ``scope``: the most that the token is
+        good for. ``days``: how long the token is good. Returns ``user``, ``until``, ``token``. Raises
+        Refused."""
         return self._post(
-            "/login", {"user": user, "password": password, "label": label, "days": days, "token": True}
+            "/login",
+            {"user": user, "password": password, "label": label, "scope": scope, "days": days, "token": True},
+        )
+
+    def begin_sign_in(self, port: int, *, device: bool = False) -> dict[str, Any]:
+        """Sign in with an identity provider: the address of its page. For a command line. The address is for
+        a browser: on the same computer it comes back to a port there; of a ``device`` it is any browser, in
+        which the code is typed in. Ten minutes are given for it. ``port``: of the asker, to which a browser
+        comes back. ``device``: there is no browser: a code for one elsewhere. Returns ``address``, ``state``,
+        ``key``, ``code``, ``wait_s``. Raises NotFound, Refused."""
+        return self._post("/login/provider", {"port": port, "device": device})
+
+    def finish_sign_in(
+        self,
+        state: str,
+        key: str,
+        *,
+        code: str = "",
+        iss: str = "",
+        error: str = "",
+        label: str = "signed in",
+        scope: str = "admin",
+        days: float = 30.0,
+    ) -> dict[str, Any]:
+        """Sign in with an identity provider: a token. What the provider's page has sent with the browser; of
+        a ``device`` nothing, again after ``wait_s`` until there is a token. ``state``: as it was told at the
+        beginning. ``key``: as it was told at the beginning. ``code``: what came with the browser. ``iss``:
+        what came with the browser. ``error``: what came with the browser. ``label``: what the token is for.
+        ``scope``: the most that the token is good for. ``days``: how long the token is good; the lab may give
+        less. Returns ``user``, ``until``, ``token``, ``wait_s``. Raises NotFound, Refused."""
+        return self._post(
+            "/login/provider/finish",
+            {
+                "state": state,
+                "key": key,
+                "code": code,
+                "iss": iss,
+                "error": error,
+                "label": label,
+                "scope": scope,
+                "days": days,
+            },
         )
 
     def sign_out(self) -> None:

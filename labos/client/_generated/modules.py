@@ -15,17 +15,17 @@ class GeneratedModules(Calls):
         """Take a module out of service. What runs there ends, nothing more starts. ``why``: the reason.
         ``until_ns``: when it is back by itself (UTC nanoseconds); 0: when somebody puts it back. Raises
         Refused."""
-        self._post(f"/modules/{in_path(module)}/out-of-service", {"why": why, "by": by, "until": until_ns})
+        self._post(f"/modules/{in_path(module, 2)}/out-of-service", {"why": why, "by": by, "until": until_ns})
 
     def put_back(self, module: str, by: str = "somebody") -> None:
         """Put a module back in service. Raises Refused."""
-        self._post(f"/modules/{in_path(module)}/in-service", {"by": by}, repeat=True)
+        self._post(f"/modules/{in_path(module, 2)}/in-service", {"by": by}, repeat=True)
 
     def trace(self, module: str, by: str = "somebody", *, on: bool = True) -> str:
         """Begin or end the transcript of a device's wires. The module's running node writes down every byte
         on its device's wires, or no more ([links](../links.md)). ``on``: left out or true: from now on, in a
         new file; false: no more. Returns the file. Raises Refused."""
-        found: str = self._post(f"/modules/{in_path(module)}/trace", {"by": by, "on": on}, repeat=True)[
+        found: str = self._post(f"/modules/{in_path(module, 2)}/trace", {"by": by, "on": on}, repeat=True)[
             "file"
         ]
         return found
@@ -48,7 +48,7 @@ class GeneratedModules(Calls):
         ``expires``: the date until which it is good, as ``2027-05-31``. ``instead``: what was left of the old
         packs was taken out; ``false`` if left out. Returns the amount. Raises Refused."""
         found: float = self._post(
-            f"/modules/{in_path(module)}/replenish",
+            f"/modules/{in_path(module, 2)}/replenish",
             {
                 "resource": resource,
                 "by": by,
@@ -64,7 +64,7 @@ class GeneratedModules(Calls):
     def locations(self, module: str) -> dict[str, dict[str, Any]]:
         """Where a manipulator finds stations. By station; version 0 is the workcell file's. Labware types
         with poses of their own stand below ``types``."""
-        found: dict[str, dict[str, Any]] = self._get(f"/modules/{in_path(module)}/locations")["locations"]
+        found: dict[str, dict[str, Any]] = self._get(f"/modules/{in_path(module, 2)}/locations")["locations"]
         return found
 
     def teach(
@@ -82,7 +82,7 @@ class GeneratedModules(Calls):
         is for labware of this type only; the station needs one of its own first. Returns the version. Raises
         Refused."""
         found: int = self._post(
-            f"/modules/{in_path(module)}/locations",
+            f"/modules/{in_path(module, 2)}/locations",
             {"station": station, "pose": pose, "by": by, "why": why, "labware_type": labware_type},
             repeat=True,
         )["version"]

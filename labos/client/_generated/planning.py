@@ -14,7 +14,7 @@ class GeneratedPlanning(Calls):
     def actions(self, module: str) -> dict[str, Any]:
         """What a module can do. Its actions, with the arguments that a step of a workflow gives them. Returns
         ``module``, ``driver``, ``description``, ``actions``."""
-        return self._get(f"/modules/{in_path(module)}/actions")
+        return self._get(f"/modules/{in_path(module, 2)}/actions")
 
     def suggested_order(self, workcell: str) -> dict[str, Any]:
         """In which order a planner suggests that the next steps of a workcell start. Of steps that have

@@ -130,20 +130,33 @@ class GeneratedRuns(Calls):
             request=self._ids.new(),
         )
 
+    def resume_experiment(self, experiment: str, name: str, user: str = "") -> None:
+        """Go on with an experiment. The application was started again and goes on with its experiment. The
+        question whether a silent one is to be closed answers itself. ``name``: the experiment's name, as it
+        was started. Raises Refused."""
+        self._post(f"/experiments/{in_path(experiment)}/resume", {"name": name}, user=user, repeat=True)
+
     def end_experiment(self, experiment: str, why: str = "ended", user: str = "") -> None:
         """End an experiment. The application is over. Twice is once. ``why``: a word about it. Raises
         Refused."""
         self._post(f"/experiments/{in_path(experiment)}/end", {"why": why}, user=user, repeat=True)
 
     def note(
-        self, experiment: str, kind: str, name: str, facts: Mapping[str, Any] | None = None, user: str = ""
+        self,
+        experiment: str,
+        kind: str,
+        name: str,
+        facts: Mapping[str, Any] | None = None,
+        user: str = "",
+        *,
+        key: str = "",
     ) -> None:
         """Log something of the application's own. ``kind``: ``loop_started``, ``loop_ended``, ``decision``,
         ``compute`` and the like, as events.md says. ``name``: its name. ``facts``: a table of anything.
-        Raises Refused."""
+        ``key``: which call of the application it is; the same one twice is noted once. Raises Refused."""
         self._post(
             f"/experiments/{in_path(experiment)}/notes",
-            {"kind": kind, "name": name, "facts": facts or {}},
+            {"kind": kind, "name": name, "facts": facts or {}, "key": key},
             user=user,
         )
 

@@ -12,12 +12,16 @@ from labos.client._threads import Threads
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
     from concurrent.futures import Future
+    from contextlib import AbstractAsyncContextManager
     from pathlib import Path
+    from random import Random
     from types import TracebackType
     from typing import Any
 
+    from numpy.random import Generator
     from PIL.Image import Image
 
+    from labos.client._logged import Loop
     from labos.client._progress import Progress
     from labos.client._results import RunResult
     from labos.client._runs import Put
@@ -305,6 +309,8 @@ class AsyncExperiment:
         workcell: str = "",
         priority: int = 0,
         parking: Sequence[str] = (),
+        resume: str = "",
+        keep_open: bool = False,
     ) -> None:
         self.lab = lab
         self.sync = Experiment(
@@ -316,6 +322,8 @@ class AsyncExperiment:
             workcell=workcell,
             priority=priority,
             parking=parking,
+            resume=resume,
+            keep_open=keep_open,
         )
         self.threads = lab.threads
 
@@ -353,31 +361,94 @@ class AsyncExperiment:
         return self.threads.iterate(self.sync.as_completed(runs, check=check))
 
     async def compute(
-        self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any
+        self, function: Callable[..., Any], *args: Any, where: str = "pool", key: str = "", **named: Any
     ) -> Any:
         """What a function returns that is computed in another process, with an event that names it, the
         digests of its code and arguments, where it ran, how long, and what it returned."""
-        return await self.threads.wait(self.sync.compute, function, *args, where=where, **named)
+        return await self.threads.wait(
+            self.sync.compute,
+            function,
+            *args,
+            where=where,
+            key=self.sync._take("compute", function, key),
+            **named,
+        )
 
     async def compute_all(
-        self, function: Callable[[Any], Any], arguments: Iterable[Any], *, where: str = "pool"
+        self, function: Callable[[Any], Any], arguments: Iterable[Any], *, where: str = "pool", key: str = ""
     ) -> list[Any]:
         """What a function returns for each argument, in their order."""
-        return await self.threads.wait(self.sync.compute_all, function, arguments, where=where)
+        return await self.threads.wait(
+            self.sync.compute_all,
+            function,
+            arguments,
+            where=where,
+            key=self.sync._take("compute_all", function, key),
+        )
 
     async def configure_compute(self, *, attempts: Attempts | None = None, **places: Any) -> None:
         """How often a computation is tried, and what the places need: ``pool=4`` processes,
         ``parsl=parsl.config.Config(…)``, ``dask=distributed.Client(…)``."""
         await self.threads.wait(self.sync.configure_compute, attempts=attempts, **places)
 
+    async def decide(self, name: str, function: Callable[[], Any], *, key: str = "") -> Any:
+        """What a function returns, as JSON gives it back (a tuple is a list), logged as a decision."""
+        return await self.threads.wait(
+            self.sync.decide, name, function, key=self.sync._take("decide", name, key)
+        )
+
     async def keep_file(self, content: bytes) -> str:
         """Keep a file in the lab; returns its SHA-256, by which ``lab.file`` gives it back."""
         return await self.threads.wait(self.sync.keep_file, content)
 
+    async def log_check(self, condition: str, result: bool, *, loop: str = "", **facts: Any) -> bool:
+        """A condition was checked, perhaps that of a loop; returns the result."""
+        return await self.threads.wait(self.sync.log_check, condition, result, loop=loop, **facts)
+
+    async def log_decision(self, name: str, value: Any, **facts: Any) -> None:
+        """Something was decided."""
+        await self.threads.wait(self.sync.log_decision, name, value, **facts)
+
+    async def log_flow(self, flow: str, *, flow_id: str = "", **facts: Any) -> None:
+        """A flow of other services was started, by Globus Flows, say."""
+        await self.threads.wait(self.sync.log_flow, flow, flow_id=flow_id, **facts)
+
+    async def log_local_compute(self, function: str, **facts: Any) -> None:
+        """Something was computed in this program."""
+        await self.threads.wait(self.sync.log_local_compute, function, **facts)
+
+    async def log_loop_end(self, loop: str, **facts: Any) -> None:
+        """A loop has ended."""
+        await self.threads.wait(self.sync.log_loop_end, loop, **facts)
+
+    async def log_loop_start(self, loop: str, **facts: Any) -> None:
+        """A loop begins."""
+        await self.threads.wait(self.sync.log_loop_start, loop, **facts)
+
+    async def log_publication(self, what: str, **facts: Any) -> None:
+        """Something was published."""
+        await self.threads.wait(self.sync.log_publication, what, **facts)
+
+    async def log_remote_compute(self, function: str, **facts: Any) -> None:
+        """Something was computed elsewhere, by Globus Compute, say."""
+        await self.threads.wait(self.sync.log_remote_compute, function, **facts)
+
+    def loop(self, name: str, **facts: Any) -> AbstractAsyncContextManager[AsyncLoop]:
+        """A loop, as a block: its start and its end are logged, also an end by an error."""
+        return self.threads.block_of(self.sync.loop(name, **facts), AsyncLoop)
+
     async def note(self, kind: str, name: str, **facts: Any) -> None:
         """Log something of the application's own: loop_started, loop_ended, condition_checked, decision,
-        local_compute, compute, flow or publication."""
+        local_compute, compute, flow, publication or transfer."""
         await self.threads.wait(self.sync.note, kind, name, **facts)
+
+    @property
+    def numpy_random(self) -> Generator:
+        return self.sync.numpy_random
+
+    @property
+    def random(self) -> Random:
+        return self.sync.random
 
     async def run(
         self,
@@ -386,18 +457,72 @@ class AsyncExperiment:
         *,
         check: bool = True,
         progress: Progress = False,
+        key: str = "",
     ) -> RunResult:
         """Run a workflow to its end."""
-        return await self.threads.wait(self.sync.run, workflow, payload, check=check, progress=progress)
+        return await self.threads.wait(
+            self.sync.run,
+            workflow,
+            payload,
+            check=check,
+            progress=progress,
+            key=self.sync._take("run", workflow, key),
+        )
+
+    async def submit(
+        self, workflow: str | Path, payload: Mapping[str, Any] | None = None, *, key: str = "", **options: Any
+    ) -> str:
+        """Queue a run of a workflow; returns its id."""
+        return await self.threads.wait(
+            self.sync.submit, workflow, payload, key=self.sync._take("submit", workflow, key), **options
+        )
 
     async def submit_all(
-        self, workflow: str | Path, payloads: Iterable[Mapping[str, Any]], **options: Any
+        self, workflow: str | Path, payloads: Iterable[Mapping[str, Any]], *, key: str = "", **options: Any
     ) -> list[str]:
         """Queue one run of a workflow for each payload, in order; returns their ids."""
-        return await self.threads.wait(self.sync.submit_all, workflow, payloads, **options)
+        return await self.threads.wait(
+            self.sync.submit_all,
+            workflow,
+            payloads,
+            key=self.sync._take("submit_all", workflow, key),
+            **options,
+        )
 
     async def submit_compute(
-        self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any
+        self, function: Callable[..., Any], *args: Any, where: str = "pool", key: str = "", **named: Any
     ) -> Future[Any]:
         """The same, as a future."""
-        return await self.threads.wait(self.sync.submit_compute, function, *args, where=where, **named)
+        return await self.threads.wait(
+            self.sync.submit_compute,
+            function,
+            *args,
+            where=where,
+            key=self.sync._take("submit_compute", function, key),
+            **named,
+        )
+
+
+class AsyncLoop:
+    """As ``Loop``, with methods to be awaited."""
+
+    def __init__(self, sync: Loop, threads: Threads) -> None:
+        self.sync = sync
+        self.threads = threads
+
+    @property
+    def name(self) -> str:
+        return self.sync.name
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        return self.sync.facts
+
+    async def check(self, condition: str, result: bool, **facts: Any) -> bool:
+        """Log that a condition of the loop was checked; returns the result: ``if loop.check(…):
+        break``."""
+        return await self.threads.call(self.sync.check, condition, result, **facts)
+
+    async def report(self, **facts: Any) -> None:
+        """What the end of the loop will tell."""
+        await self.threads.call(self.sync.report, **facts)

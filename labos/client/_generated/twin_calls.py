@@ -81,6 +81,10 @@ class AsyncCalls:
         """Say which barcode labware bears."""
         await self.threads.call(self.sync.barcode, labware, barcode, by, replace=replace)
 
+    async def begin_sign_in(self, port: int, *, device: bool = False) -> dict[str, Any]:
+        """Sign in with an identity provider: the address of its page."""
+        return await self.threads.call(self.sync.begin_sign_in, port, device=device)
+
     async def book(
         self,
         target: str,
@@ -214,6 +218,31 @@ class AsyncCalls:
         """Forget who a user is."""
         await self.threads.call(self.sync.erase_person, user)
 
+    async def finish_sign_in(
+        self,
+        state: str,
+        key: str,
+        *,
+        code: str = "",
+        iss: str = "",
+        error: str = "",
+        label: str = "signed in",
+        scope: str = "admin",
+        days: float = 30.0,
+    ) -> dict[str, Any]:
+        """Sign in with an identity provider: a token."""
+        return await self.threads.call(
+            self.sync.finish_sign_in,
+            state,
+            key,
+            code=code,
+            iss=iss,
+            error=error,
+            label=label,
+            scope=scope,
+            days=days,
+        )
+
     async def forecast(self) -> dict[str, Any]:
         """When runs start and end, and when a person is needed."""
         return await self.threads.call(self.sync.forecast)
@@ -269,10 +298,17 @@ class AsyncCalls:
         return await self.threads.call(self.sync.make_token, label, scope=scope, days=days, user=user)
 
     async def note(
-        self, experiment: str, kind: str, name: str, facts: Mapping[str, Any] | None = None, user: str = ""
+        self,
+        experiment: str,
+        kind: str,
+        name: str,
+        facts: Mapping[str, Any] | None = None,
+        user: str = "",
+        *,
+        key: str = "",
     ) -> None:
         """Log something of the application's own."""
-        await self.threads.call(self.sync.note, experiment, kind, name, facts, user)
+        await self.threads.call(self.sync.note, experiment, kind, name, facts, user, key=key)
 
     async def observe(self, station: str, what: str, by: str) -> dict[str, Any]:
         """Say what stands at a station."""
@@ -353,6 +389,10 @@ class AsyncCalls:
         """Go on with a campaign that is paused."""
         await self.threads.call(self.sync.resume_campaign, campaign, by)
 
+    async def resume_experiment(self, experiment: str, name: str, user: str = "") -> None:
+        """Go on with an experiment."""
+        await self.threads.call(self.sync.resume_experiment, experiment, name, user)
+
     async def revoke_role(self, subject: str, by: str, *, scope: str = "*") -> None:
         """Take a role away."""
         await self.threads.call(self.sync.revoke_role, subject, by, scope=scope)
@@ -395,10 +435,10 @@ class AsyncCalls:
         return await self.threads.call(self.sync.shares)
 
     async def sign_in(
-        self, user: str, password: str, *, label: str = "signed in", days: float = 30.0
+        self, user: str, password: str, *, label: str = "signed in", scope: str = "admin", days: float = 30.0
     ) -> dict[str, Any]:
         """Sign in with a password."""
-        return await self.threads.call(self.sync.sign_in, user, password, label=label, days=days)
+        return await self.threads.call(self.sync.sign_in, user, password, label=label, scope=scope, days=days)
 
     async def sign_out(self) -> None:
         """Sign out."""

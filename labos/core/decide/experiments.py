@@ -9,7 +9,13 @@ from labos.core.decide._base import Command, Decision, Rejection, Report, decide
 from labos.core.decide.endings import ending
 from labos.core.decide.runs import flaw_in, plan_digest, record_plan
 from labos.core.decide.windows import outer_windows
-from labos.core.experiments import ExperimentClosing, ExperimentEnded, ExperimentNoted, ExperimentStarted
+from labos.core.experiments import (
+    ExperimentClosing,
+    ExperimentEnded,
+    ExperimentNoted,
+    ExperimentResumed,
+    ExperimentStarted,
+)
 from labos.core.ids import (
     ExperimentId,
     RunId,
@@ -21,7 +27,7 @@ from labos.core.ids import (
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
-from labos.core.open_experiments import Experiment, ExperimentStatus
+from labos.core.open_experiments import Experiment, ExperimentStatus, note_digest
 from labos.core.registry import Event
 from labos.core.rules import CLOSING_S, closes_late_at
 from labos.core.runs import RunCancelled, RunSubmitted
@@ -42,13 +48,21 @@ class StartExperiment(Command, frozen=True):
     propose: bool = False
 
 
+class ResumeExperiment(Command, frozen=True):
+    """An application that was started again goes on with its experiment; ``name`` is what it calls it."""
+
+    experiment: ExperimentId
+    name: str
+
+
 class NoteExperiment(Command, frozen=True):
-    """An application logs something of its own."""
+    """An application logs something of its own. The same thing under the same ``key`` is logged once."""
 
     experiment: ExperimentId
     kind: str
     name: str
     facts: dict[str, Any] = {}
+    key: str = ""
 
 
 class EndExperiment(Command, frozen=True):
@@ -81,6 +95,7 @@ NOTE_KINDS = (
     "compute",
     "flow",
     "publication",
+    "transfer",
 )
 
 
@@ -120,15 +135,46 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
     return events
 
 
+@decides(ResumeExperiment)
+def resume_experiment(state: LabState, command: ResumeExperiment) -> Decision:
+    experiment = state.experiments.open.get(command.experiment)
+    if experiment is None or experiment.status != ExperimentStatus.OPEN:
+        is_so = "has ended, or there never was one" if experiment is None else f"is {experiment.status}"
+        return Rejection(
+            "no_experiment",
+            f"The experiment {command.experiment} cannot be resumed: it {is_so}.",
+            "See what became of it: labos experiments --all",
+        )
+    if experiment.name != command.name:
+        return Rejection(
+            "other_experiment",
+            f"The experiment {command.experiment} is {experiment.name!r}, not {command.name!r}.",
+            "Look for the one that is meant: labos experiments",
+        )
+    return [ExperimentResumed(command.experiment)]
+
+
 @decides(NoteExperiment)
 def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
-    if command.experiment not in state.experiments.open:
+    experiment = state.experiments.open.get(command.experiment)
+    if experiment is None:
         return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
     if command.kind not in NOTE_KINDS:
         return Rejection(
             "no_kind", f"{command.kind!r} cannot be noted.", f"Known kinds: {', '.join(NOTE_KINDS)}."
         )
-    return [ExperimentNoted(command.experiment, command.kind, command.name, command.facts)]
+    known = experiment.notes.get(command.key) if command.key else None
+    if known is None:
+        return [
+            ExperimentNoted(command.experiment, command.kind, command.name, command.facts, command.key),
+        ]
+    if known == note_digest(command.kind, command.name, command.facts):
+        return []
+    return Rejection(
+        "key_reused",
+        f"The experiment {command.experiment} has noted something else under the key {command.key!r}.",
+        "Give each note a key of its own, and the same one only to note the same again.",
+    )
 
 
 @decides(EndExperiment)
@@ -211,15 +257,15 @@ def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Even
                 planned_by=state.runs.planned_by(experiment.closing),
             ),
         ]
-    return _end(state, experiment)
+    return _end(state, experiment, why)
 
 
-def _end(state: LabState, experiment: Experiment) -> list[Event]:
+def _end(state: LabState, experiment: Experiment, why: str = "") -> list[Event]:
     """An experiment is over; what was not cleared away is its user's."""
     owned = state.bench.owned(experiment_owner(experiment.id))
     return [
         *(LabwareHandedOver(item.id, "", user_owner(experiment.user)) for item in owned),
-        ExperimentEnded(experiment.id, experiment.closing),
+        ExperimentEnded(experiment.id, experiment.closing, why),
     ]
 
 
@@ -238,9 +284,11 @@ def end_experiments(state: LabState, event: Event) -> Iterator[Event]:
 
 
 def withdraw_experiment_question(
-    state: LabState, event: ExperimentClosing | ExperimentEnded
+    state: LabState, event: ExperimentClosing | ExperimentEnded | ExperimentResumed
 ) -> Iterator[Event]:
-    """The question about an application that was silent answers itself when its experiment ends."""
+    """The question about an application that was silent answers itself when it comes back."""
+    came_back = isinstance(event, ExperimentResumed)
+    why = f"the application {'was started again' if came_back else 'came back and ended'}"
     for question in state.interventions.all_about(event.experiment):
-        why = "the application came back and ended"
-        yield InterventionResolved(question.id, "withdrawn", "labos", why)
+        if isinstance(question.topic, LostExperiment) or not came_back:
+            yield InterventionResolved(question.id, "withdrawn", "labos", why)

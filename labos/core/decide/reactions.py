@@ -49,7 +49,12 @@ from labos.core.decide.proposals import ask_for_approval, withdraw_approval_ques
 from labos.core.decide.steps import check_result, fail_spoilt, handle_failure, retry_step
 from labos.core.decide.waiting import withdraw_action_questions, withdraw_waiting
 from labos.core.decide.windows import withdraw_late_questions, withdraw_run_questions
-from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
+from labos.core.experiments import (
+    ExperimentCancelled,
+    ExperimentClosing,
+    ExperimentEnded,
+    ExperimentResumed,
+)
 from labos.core.lab import KernelStarted
 from labos.core.labware import LabwareMoved, LabwareRemoved
 from labos.core.modules import NodeLeft, NodeStateChanged
@@ -95,6 +100,7 @@ REACTIONS: dict[type[Event], tuple[Reaction, ...]] = {
     RunCompleted: (withdraw_run_questions, end_experiments, conclude_campaigns),
     RunFailed: (withdraw_run_questions, end_experiments, conclude_campaigns),
     RunCancelled: (withdraw_run_questions, end_experiments, conclude_campaigns),
+    ExperimentResumed: (withdraw_experiment_question,),
     ExperimentClosing: (withdraw_experiment_question, withdraw_approval_question),
     ExperimentEnded: (withdraw_experiment_question, withdraw_approval_question),
     CampaignAmended: (conclude_campaigns,),

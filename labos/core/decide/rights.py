@@ -218,6 +218,7 @@ RIGHTS: dict[type[Command], Right] = {
     cancelling.CancelRun: Right("submitter", _OWN, targets.of_run),
     experiments.StartExperiment: Right("submitter", "a submitter", targets.of_start, "user"),
     experiments.NoteExperiment: Right("submitter", _OWN, targets.of_experiment),
+    experiments.ResumeExperiment: Right("submitter", _OWN, targets.of_experiment),
     experiments.EndExperiment: Right("submitter", _OWN, targets.of_experiment),
     control.CancelExperiment: Right("submitter", _OWN, targets.of_experiment, "by"),
     campaigns.SubmitCampaign: Right("submitter", "a submitter", targets.of_new_campaign, "user"),

@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from starlette.responses import Response
 
-from labos.http import signing
+from labos.http import provider_sign_in, signing
 from labos.http.limits import Name
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
@@ -29,6 +29,18 @@ async def sign_in(call: Call, body: signing.SignIn) -> Response:
     """A browser gets a session of 12 hours as a cookie that no script can read; a program asks for a `token`.
     Six wrong tries within a minute are too many."""
     return await signing.sign_in(call, body)
+
+
+async def begin_sign_in(call: Call, body: provider_sign_in.BeginSignIn) -> Response:
+    """For a command line. The address is for a browser: on the same computer it comes back to a port there;
+    of a `device` it is any browser, in which the code is typed in. Ten minutes are given for it."""
+    return await provider_sign_in.begin(call, body)
+
+
+async def finish_sign_in(call: Call, body: provider_sign_in.FinishSignIn) -> Response:
+    """What the provider's page has sent with the browser; of a `device` nothing, again after `wait_s` until
+    there is a token."""
+    return await provider_sign_in.finish(call, body)
 
 
 async def sign_out(call: Call) -> Response:
@@ -116,6 +128,42 @@ OPERATIONS = (
         problems=("refused", "too_many_tries"),
         example={"user": "ada", "password": "four words of yours"},
         example_answer={"user": "ada", "until": 1767268800000000000, "token": ""},
+    ),
+    Operation(
+        method="POST",
+        path="/login/provider",
+        handler=begin_sign_in,
+        client=Method("begin_sign_in"),
+        answer=provider_sign_in.Begun,
+        summary="Sign in with an identity provider: the address of its page",
+        tag="accounts",
+        needs="nobody",
+        secret=True,
+        at_kernel=True,
+        problems=("refused", "not_found", "too_many_tries"),
+        example={"port": 49152, "device": False},
+        example_answer={
+            "address": "https://login.example.org/auth?client_id=labos",
+            "state": "q4",
+            "key": "b7",
+            "code": "",
+            "wait_s": 0.0,
+        },
+    ),
+    Operation(
+        method="POST",
+        path="/login/provider/finish",
+        handler=finish_sign_in,
+        client=Method("finish_sign_in", "state, key"),
+        answer=provider_sign_in.SignedIn,
+        summary="Sign in with an identity provider: a token",
+        tag="accounts",
+        needs="nobody",
+        secret=True,
+        at_kernel=True,
+        problems=("refused", "not_found"),
+        example={"state": "q4", "key": "b7", "code": "x9", "iss": "https://login.example.org"},
+        example_answer={"user": "ada", "until": 1767268800000000000, "token": "", "wait_s": 5.0},
     ),
     Operation(
         method="POST",

@@ -22,6 +22,7 @@ from labos.http.bodies import (
     By,
     ExperimentEnd,
     ExperimentNote,
+    ExperimentResumption,
     NewExperiment,
     NewFile,
     NewRun,
@@ -132,6 +133,15 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
     return ExperimentReference(experiment, sentence(call.kernel.state, experiment))
 
 
+async def resume_experiment(
+    call: Call, path: OfExperiment, body: ExperimentResumption
+) -> ExperimentReference:
+    """The application was started again and goes on with its experiment. The question whether a silent one is
+    to be closed answers itself."""
+    await call.service.resume_experiment(path.experiment, body.name, call.user)
+    return ExperimentReference(path.experiment)
+
+
 async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) -> ExperimentReference:
     """The application is over. Twice is once."""
     await call.service.end_experiment(path.experiment, body.why, call.user)
@@ -139,7 +149,7 @@ async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) ->
 
 
 async def note_experiment(call: Call, path: OfExperiment, body: ExperimentNote) -> ExperimentReference:
-    await call.service.note(path.experiment, body.kind, body.name, body.facts, call.user)
+    await call.service.note(path.experiment, body.kind, body.name, body.facts, call.user, body.key)
     return ExperimentReference(path.experiment)
 
 
@@ -287,6 +297,19 @@ OPERATIONS = (
         example={"name": "color picker", "user": "ada", "closing": {"text": _WORKFLOW}},
         example_answer={"experiment": "E1"},
         largest_body=LARGEST_BODY,
+    ),
+    Operation(
+        method="POST",
+        path="/experiments/{experiment}/resume",
+        handler=resume_experiment,
+        client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
+        summary="Go on with an experiment",
+        tag="experiments",
+        needs="submitter",
+        problems=("refused",),
+        headers=("LabOS-User",),
+        example={"name": "color picker"},
+        example_answer={"experiment": "E1"},
     ),
     Operation(
         method="POST",

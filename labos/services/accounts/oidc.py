@@ -50,14 +50,23 @@ _log = structlog.get_logger(__name__)
 T = TypeVar("T")
 
 
+class Client(msgspec.Struct, frozen=True):
+    """As what a lab is known to the provider, and where that sends people back to."""
+
+    id: str
+    secret: str
+    way_back: str
+
+
 class Pending(msgspec.Struct, frozen=True):
-    """Somebody who is at the provider's page now. ``browser`` is what their browser shows when it comes
-    back."""
+    """Somebody who is at the provider's page now. ``browser`` is what their browser, or their command line,
+    shows when it comes back."""
 
     browser: str
     nonce: str
     verifier: str
     since: float
+    client: Client
 
 
 class Claims(msgspec.Struct, frozen=True):
@@ -77,11 +86,22 @@ class Discovery(msgspec.Struct, frozen=True):
     token_endpoint: str
     jwks_uri: str
     userinfo_endpoint: str = ""
+    device_authorization_endpoint: str = ""
     authorization_response_iss_parameter_supported: bool = False
     id_token_signing_alg_values_supported: tuple[str, ...] = ("RS256",)
 
 
-class _Tokens(msgspec.Struct, frozen=True):
+class Begun(msgspec.Struct, frozen=True):
+    """Where somebody goes to sign in, what brings them back (``state``), and what they show then."""
+
+    address: str
+    state: str
+    browser: str
+
+
+class Tokens(msgspec.Struct, frozen=True):
+    """What a provider gives for a code."""
+
     id_token: str
     access_token: str = ""
 
@@ -97,26 +117,27 @@ class Provider:
                 "Signing in with an identity provider needs joserfc, which is not installed.",
                 remedy='Run: pip install "labos-sdl[oidc]"',
             ) from None
-        self.told, self._clock, self._secret = told, clock, told.secret
-        self.way_back = told.lab.rstrip("/") + way_back
+        self.told, self.clock = told, clock
+        self._browsers = Client(told.client_id, told.secret, told.lab.rstrip("/") + way_back)
         self._pending: dict[str, Pending] = {}
         self._known: tuple[Discovery, float] | None = None
         self._keys: KeySet | None = None
 
-    async def begin(self) -> tuple[str, str]:
-        """The address of the provider's page to which a browser goes, and what the browser shows when it
-        comes back. Raises NotSignedIn if the provider does not answer."""
-        known = await self._discover()
-        now = self._clock.monotonic()
+    async def begin(self, client: Client | None = None) -> Begun:
+        """Send somebody to the provider: a browser, or as another ``client``. Raises NotSignedIn if the
+        provider does not answer."""
+        client = client or self._browsers
+        known = await self.discover()
+        now = self.clock.monotonic()
         self._pending = {s: p for s, p in self._pending.items() if now - p.since < PENDING_S}
         while len(self._pending) >= MOST_PENDING:
             del self._pending[next(iter(self._pending))]
         state, browser, nonce, verifier = (secrets.token_urlsafe(32) for _ in range(4))
-        self._pending[state] = Pending(browser, nonce, verifier, now)
+        self._pending[state] = Pending(browser, nonce, verifier, now, client)
         asked = {
             "response_type": "code",
-            "client_id": self.told.client_id,
-            "redirect_uri": self.way_back,
+            "client_id": client.id,
+            "redirect_uri": client.way_back,
             "scope": " ".join(self.told.scopes),
             "state": state,
             "nonce": nonce,
@@ -124,80 +145,94 @@ class Provider:
             "code_challenge_method": "S256",
         }
         mark = "&" if "?" in known.authorization_endpoint else "?"
-        return f"{known.authorization_endpoint}{mark}{urlencode(asked)}", browser
+        return Begun(f"{known.authorization_endpoint}{mark}{urlencode(asked)}", state, browser)
 
-    async def finish(self, answer: Mapping[str, str], browser: str) -> Claims:
-        """Whom the provider has sent back. What came with the browser is good once. Raises NotSignedIn."""
+    async def finish(
+        self, answer: Mapping[str, str], browser: str, *, by_command_line: bool = False
+    ) -> Claims:
+        """Whom the provider has sent back. What came with the browser is good once, and on the way only on
+        which it was sent. Raises NotSignedIn."""
         pending = self._pending.pop(answer.get("state", ""), None)
-        if pending is None or self._clock.monotonic() - pending.since >= PENDING_S:
-            raise _wrong("nobody went there from here, or too long ago")
+        if pending is None or self.clock.monotonic() - pending.since >= PENDING_S:
+            raise wrong("nobody went there from here, or too long ago")
         if not hmac.compare_digest(pending.browser.encode(), browser.encode()):
-            raise _wrong("another browser went there")
-        known = await self._discover()
+            raise wrong("another browser went there")
+        if by_command_line is (pending.client == self._browsers):
+            raise wrong("somebody else went there")
+        known = await self.discover()
         said = answer.get("iss", "")
         if said != known.issuer and (said or known.authorization_response_iss_parameter_supported):
-            raise _wrong(f"the answer is of {said[:100]!r}")
+            raise wrong(f"the answer is of {said[:100]!r}")
         if "error" in answer or not answer.get("code"):
-            raise _wrong(f"the provider says {answer.get('error', 'nothing')[:100]!r}")
+            raise wrong(f"the provider says {answer.get('error', 'nothing')[:100]!r}")
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
-            tokens = await self._exchange(http, known, answer["code"], pending.verifier)
-            claims = await self._verified(http, known, tokens.id_token, pending.nonce)
-            return await self._with_user_info(http, known, tokens, claims)
+            tokens = await self._exchange(http, known, answer["code"], pending)
+            return await self.claims_of(http, known, tokens, pending.client, pending.nonce)
+
+    async def claims_of(
+        self, http: httpx.AsyncClient, known: Discovery, tokens: Tokens, client: Client, nonce: str = ""
+    ) -> Claims:
+        """Whom the tokens mean that the provider has given to ``client``. Raises NotSignedIn."""
+        claims = await self._verified(http, known, tokens.id_token, client.id, nonce)
+        return await self._with_user_info(http, known, tokens, claims)
 
     # -- the provider ------------------------------------------------------------------------------
 
-    async def _discover(self) -> Discovery:
-        now = self._clock.monotonic()
+    async def discover(self) -> Discovery:
+        now = self.clock.monotonic()
         if self._known is not None and now < self._known[1]:
             return self._known[0]
         address = self.told.issuer.rstrip("/") + "/.well-known/openid-configuration"
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
-            found = await _asked(http, "GET", address, Discovery)
+            found = await asked_of(http, "GET", address, Discovery)
         if found.issuer != self.told.issuer:
-            raise _wrong(f"{address} is of {found.issuer[:100]!r}, not of {self.told.issuer!r}")
+            raise wrong(f"{address} is of {found.issuer[:100]!r}, not of {self.told.issuer!r}")
         self._known, self._keys = (found, now + KNOWN_S), None
         return found
 
-    async def _exchange(self, http: httpx.AsyncClient, known: Discovery, code: str, verifier: str) -> _Tokens:
+    async def _exchange(
+        self, http: httpx.AsyncClient, known: Discovery, code: str, pending: Pending
+    ) -> Tokens:
+        client = pending.client
         form = {
             "grant_type": "authorization_code",
             "code": code,
-            "redirect_uri": self.way_back,
-            "client_id": self.told.client_id,
-            "code_verifier": verifier,
+            "redirect_uri": client.way_back,
+            "client_id": client.id,
+            "code_verifier": pending.verifier,
         }
-        auth = httpx.BasicAuth(self.told.client_id, self._secret) if self._secret else None
-        return await _asked(http, "POST", known.token_endpoint, _Tokens, data=form, auth=auth)
+        return await asked_of(http, "POST", known.token_endpoint, Tokens, data=form, auth=auth_of(client))
 
     async def _keys_of(self, http: httpx.AsyncClient, known: Discovery) -> KeySet:
         from joserfc.errors import JoseError
         from joserfc.jwk import KeySet
 
         if self._keys is None:
-            told: Any = await _asked(http, "GET", known.jwks_uri, dict)
+            told: Any = await asked_of(http, "GET", known.jwks_uri, dict)
             try:
                 self._keys = KeySet.import_key_set(told)
             except (JoseError, ValueError, KeyError, TypeError) as error:
-                raise _wrong(f"its keys cannot be read ({type(error).__name__})") from None
+                raise wrong(f"its keys cannot be read ({type(error).__name__})") from None
         return self._keys
 
     async def _verified(
-        self, http: httpx.AsyncClient, known: Discovery, token: str, nonce: str
+        self, http: httpx.AsyncClient, known: Discovery, token: str, client: str, nonce: str
     ) -> dict[str, Any]:
-        """The claims of an id token, checked as OpenID Connect Core 1.0, 3.1.3.7 says."""
+        """The claims of an id token, checked as OpenID Connect Core 1.0, 3.1.3.7 says; one that no browser
+        has asked for bears no ``nonce``."""
         from joserfc import jwt
         from joserfc.errors import JoseError
 
         allowed = [name for name in ALGORITHMS if name in known.id_token_signing_alg_values_supported]
         rules = jwt.JWTClaimsRegistry(
-            now=int(self._clock.now_ns() // 1_000_000_000),
+            now=int(self.clock.now_ns() // 1_000_000_000),
             leeway=LEEWAY_S,
             iss={"essential": True, "value": known.issuer},
-            aud={"essential": True, "value": self.told.client_id},
+            aud={"essential": True, "value": client},
             sub={"essential": True},
             exp={"essential": True},
             iat={"essential": True},
-            nonce={"essential": True, "value": nonce},
+            nonce={"essential": True, "value": nonce} if nonce else {},
         )
         fresh = self._keys is None
         for _ in range(1 if fresh else 2):  # it may have changed its keys since
@@ -209,22 +244,22 @@ class Provider:
             except (JoseError, ValueError) as error:
                 reason, self._keys = error, None
         else:
-            raise _wrong(f"its id token is not valid ({type(reason).__name__}: {reason})")
+            raise wrong(f"its id token is not valid ({type(reason).__name__}: {reason})")
         claims = dict(found.claims)
         others = isinstance(claims["aud"], list) and len(claims["aud"]) > 1
-        if others and claims.get("azp") != self.told.client_id:
-            raise _wrong("its id token is for somebody else")
+        if others and claims.get("azp") != client:
+            raise wrong("its id token is for somebody else")
         return claims
 
     async def _with_user_info(
-        self, http: httpx.AsyncClient, known: Discovery, tokens: _Tokens, claims: dict[str, Any]
+        self, http: httpx.AsyncClient, known: Discovery, tokens: Tokens, claims: dict[str, Any]
     ) -> Claims:
         """Name and groups, which some providers tell only who asks for them."""
         if known.userinfo_endpoint and self.told.groups_claim not in claims:
             shown = {"authorization": f"Bearer {tokens.access_token}"}
-            more = await _asked(http, "GET", known.userinfo_endpoint, dict, headers=shown)
+            more = await asked_of(http, "GET", known.userinfo_endpoint, dict, headers=shown)
             if more.get("sub") != claims["sub"]:
-                raise _wrong("it tells of somebody else")
+                raise wrong("it tells of somebody else")
             claims = {**more, **claims}
         groups = claims.get(self.told.groups_claim, [])
         return Claims(
@@ -235,25 +270,31 @@ class Provider:
         )
 
 
-async def _asked(http: httpx.AsyncClient, method: str, url: str, kind: type[T], **options: Any) -> T:
+async def asked_of(http: httpx.AsyncClient, method: str, url: str, kind: type[T], **options: Any) -> T:
     """What a provider answers. Raises NotSignedIn."""
     try:
         answer = await http.request(method, url, **options)
     except httpx.HTTPError as error:
-        raise _wrong(f"{url} does not answer ({type(error).__name__})") from None
+        raise wrong(f"{url} does not answer ({type(error).__name__})") from None
     if answer.status_code != 200:
         try:
             why = str(answer.json().get("error", ""))[:100]
         except (ValueError, AttributeError):
             why = ""
-        raise _wrong(f"{url} answers {answer.status_code} {why}".rstrip())
+        raise wrong(f"{url} answers {answer.status_code} {why}".rstrip())
     try:
         return msgspec.json.decode(answer.content, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError):
-        raise _wrong(f"{url} answers something else") from None
+        raise wrong(f"{url} answers something else") from None
 
 
-def _wrong(why: str) -> NotSignedIn:
+def auth_of(client: Client) -> httpx.BasicAuth | None:
+    """How a client that has a secret shows it."""
+    return httpx.BasicAuth(client.id, client.secret) if client.secret else None
+
+
+def wrong(why: str) -> NotSignedIn:
+    """The refusal, which is written down too."""
     _log.warning("sign_in_refused", by="identity provider", why=why)
     return NotSignedIn(f"The identity provider has not signed anybody in: {why}.", remedy=AGAIN)
 

@@ -33,17 +33,28 @@ class GrantedRole(Part):
     workcell: str = "*"
 
 
+class CommandLine(Part):
+    """As what the provider knows `labos login`: a client whose way back is ``http://127.0.0.1/login/…``, at
+    any port, and which may have the device grant. ``days`` is the most that a token is good which it gets."""
+
+    client_id: str = Field(min_length=1)
+    client_secret: Secret | None = None
+    days: float = Field(default=7.0, gt=0, le=366)
+
+
 class ProviderFile(Part):
     """``issuer`` is the provider's own name, a URL. ``lab`` is the address under which browsers reach the
-    lab. ``new_users``: whoever the provider knows may look, under an id that the lab makes; else an admin
-    says who is who (`labos user link`). ``groups`` and ``roles`` say what the values of ``groups_claim`` mean
-    here; at each sign-in exactly those that are named are given and taken."""
+    lab. ``command_line``: people may sign in from it, too. ``new_users``: whoever the provider knows may
+    look, under an id that the lab makes; else an admin says who is who (`labos user link`). ``groups`` and
+    ``roles`` say what the values of ``groups_claim`` mean here; at each sign-in exactly those that are named
+    are given and taken."""
 
     labos: Literal[1] = 1
     issuer: SecureUrl
     client_id: str = Field(min_length=1)
     client_secret: Secret | None = None
     lab: SecureUrl
+    command_line: CommandLine | None = None
     scopes: list[str] = ["openid", "profile"]
     groups_claim: str = "groups"
     groups: dict[str, str] = {}
@@ -54,10 +65,19 @@ class ProviderFile(Part):
     @property
     def secret(self) -> str:
         """The client's secret; empty for a public client. Raises BadInput."""
-        try:
-            return self.client_secret.value() if self.client_secret is not None else ""
-        except Undelivered as error:
-            raise BadInput(error.message, remedy=error.remedy) from None
+        return _value_of(self.client_secret)
+
+    @property
+    def secret_of_command_line(self) -> str:
+        """As ``secret``, for the client of `labos login`."""
+        return _value_of(self.command_line.client_secret if self.command_line is not None else None)
+
+
+def _value_of(secret: Secret | None) -> str:
+    try:
+        return secret.value() if secret is not None else ""
+    except Undelivered as error:
+        raise BadInput(error.message, remedy=error.remedy) from None
 
 
 def load_provider(source: Source | str | Path) -> ProviderFile:

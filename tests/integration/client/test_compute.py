@@ -15,7 +15,7 @@ import pytest
 
 from labos.bootstrap import LabThread, descriptions
 from labos.client import Experiment, LabClient
-from labos.client._services import LARGEST_IN_EVENT
+from labos.client._record import LARGEST_IN_EVENT
 from labos.errors import BadInput, LabosError, NotFound
 from labos.services.compute import Attempts, ComputeFailed, code_digest, value_digest
 from labos.settings import Settings

@@ -68,6 +68,8 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "/users/{user}/password": {"password": "four words of hers", "present": "others"},
     "/users/{user}/person": {"name": "Ada", "mail": "ada@example.org"},
     "/users/{user}/erase": {},
+    "/login/provider": {"port": 49152, "device": False},
+    "/login/provider/finish": {"state": "s", "key": "k", "code": "c", "iss": "i"},
     "/users/{user}/identity": {"issuer": "https://login.example.org", "subject": "1"},
     "/runs": {
         "workflow": {"text": FLOW, "name": "f.yaml", "files": {"a.txt": "YQ=="}},
@@ -93,6 +95,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "workcell": "fuzz",
         "priority": 0,
     },
+    "/experiments/{experiment}/resume": {"name": "color picker"},
     "/experiments/{experiment}/end": {"why": "over"},
     "/experiments/{experiment}/notes": {"kind": "decision", "name": "n", "facts": {"a": [1]}},
     "/experiments/{experiment}/files": {"content": "aGVsbG8="},

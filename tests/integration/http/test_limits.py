@@ -215,6 +215,48 @@ def test_deep_and_long_files_are_refused(raw: httpx.Client) -> None:
         refused(raw.post("/runs", json={"workflow": {"text": text}, "user": "ada"}))
 
 
+HUGE = "9" * 40
+NESTED = "1"
+for _ in range(20):
+    NESTED = f"1 * (0 + {NESTED} < 2 and true or false)"
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        f'until: "result.seal.x > {HUGE}"',
+        f'until: "steps.seal.result.x > {HUGE}"',
+        f'until: "steps.seal.result[{HUGE}] > 1"',
+        f'until: "steps.seal.result.x > {NESTED}"',
+        'until: "steps.seal.result.x > 1e999"',
+        f"priority: {HUGE}",
+        f"budget: {{runs: {HUGE}}}",
+        f"budget: {{lab_hours: {HUGE}.5e300}}",
+        f"budget: {{consumables: {{tips: {HUGE}}}}}",
+        "budget: {lab_hours: .nan}",
+        "budget: {lab_hours: .inf}",
+        f"rows: {{list: [{{time: {HUGE}}}]}}",
+        f"rows: {{grid: {{time: [{HUGE}]}}}}",
+        "rows: {list: [{time: .nan}]}",
+        f"deadline: {HUGE}",
+    ],
+)
+def test_numbers_of_campaigns_fit(raw: httpx.Client, more: str) -> None:
+    text = "labos: 1\ncampaign: c\nworkflow: f\n" + more
+    text += "" if "rows:" in more else "\nrows: {list: [{}]}"
+    for dry_run in (True, False):
+        body = {"text": text, "user": "ada", "workflow": FLOW, "dry_run": dry_run}
+        refused(raw.post("/campaigns", json=body))
+
+
+@pytest.mark.parametrize("field", ["when", "expect"])
+@pytest.mark.parametrize("what", [f"result.x > {HUGE}", f"result.x > {NESTED}"])
+def test_numbers_of_conditions_fit(raw: httpx.Client, field: str, what: str) -> None:
+    asked = what.replace("result", "steps.seal.result") if field == "when" else what
+    text = FLOW["text"] + f"  - {{name: s, module: sealer, action: seal, {field}: '{asked}'}}\n"
+    refused(raw.post("/runs", json={"workflow": {"text": text}, "user": "ada"}))
+
+
 def test_a_run_is_not_put_into_somebody_elses_experiment(lab: LabThread, raw: httpx.Client) -> None:
     with LabClient(lab.url) as client:
         experiment = client.start_experiment("e", "ada")

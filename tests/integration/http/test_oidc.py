@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,50 +12,27 @@ import pytest
 
 from labos.bootstrap import LabThread
 from labos.client import LabClient
-from labos.core.decide.users import AddGroup, DisableUser, EnableUser
-from labos.settings import free_port
-from tests.foreign.make import ROOT
-from tests.integration.http.signed import execute, lab_with_users
-from tests.support.foreign import node_modules_of
+from labos.core.decide.users import DisableUser, EnableUser
+from tests.integration.http.provider import (
+    Issuer,
+    lab_with_provider,
+    running_provider,
+    signed_in_at_provider,
+)
+from tests.integration.http.signed import execute
 
 pytestmark = pytest.mark.slow
 
-FILE = """
-labos: 1
-issuer: http://127.0.0.1:{port}
-client_id: labos
-lab: http://127.0.0.1:{lab_port}
-groups: {{chemists: chemistry}}
-roles:
-  operators: [{{role: operator, workcell: rpl}}]
-  heads: [{{role: admin}}, {{role: viewer, workcell: rpl}}]
-"""
+
+@pytest.fixture(scope="module")
+def issuer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Issuer]:
+    with running_provider(tmp_path_factory.mktemp("provider")) as found:
+        yield found
 
 
 @pytest.fixture(scope="module")
-def issuer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, int]]:
-    """The provider, and the port of the lab that it knows."""
-    modules, port, lab_port = node_modules_of("oidc"), free_port(), free_port()
-    way_back = f"http://127.0.0.1:{lab_port}/login/oidc/callback"
-    command = ["node", ROOT / "tests" / "foreign" / "oidc_provider.mjs", str(port), way_back, modules]
-    log = (tmp_path_factory.mktemp("provider") / "log").open("wb")
-    with log, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == b"ready\n"
-            yield f"http://127.0.0.1:{port}", lab_port
-        finally:
-            process.kill()
-
-
-@pytest.fixture(scope="module")
-def lab(issuer: tuple[str, int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
-    folder = tmp_path_factory.mktemp("oidc")
-    (folder / "lab").mkdir()
-    port = issuer[0].rpartition(":")[2]
-    (folder / "lab" / "oidc.yaml").write_text(FILE.format(port=port, lab_port=issuer[1]))
-    with lab_with_users(folder, http_port=issuer[1]) as running:
-        execute(running, AddGroup("chemistry"), "ada")
+def lab(issuer: Issuer, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
+    with lab_with_provider(tmp_path_factory.mktemp("oidc"), issuer) as running:
         yield running
 
 
@@ -70,20 +46,7 @@ def to_the_way_back(browser: httpx.Client, name: str) -> httpx.URL:
     """Go to the provider, sign in and agree there; the address to which it sends the browser back."""
     answer = browser.get("/login/oidc")
     assert answer.status_code == 303, answer.text
-    for _ in range(12):
-        if answer.is_redirect:
-            address = answer.request.url.join(answer.headers["location"])
-            if address.path == "/login/oidc/callback":
-                return address
-            answer = browser.get(address)
-            continue
-        action = re.search(r'action="([^"]+)"', answer.text)
-        prompt = re.search(r'name="prompt" value="(\w+)"', answer.text)
-        assert action, answer.text
-        assert prompt, answer.text
-        form = {"prompt": prompt[1], "login": name, "password": "any"}
-        answer = browser.post(answer.request.url.join(action[1]), data=form)
-    raise AssertionError(answer.text)
+    return signed_in_at_provider(browser, answer, name, "/login/oidc/callback")
 
 
 def sign_in(browser: httpx.Client, name: str) -> httpx.Response:
@@ -109,11 +72,11 @@ def test_whom_the_lab_does_not_know_it_does_not_let_in(browser: httpx.Client) ->
 
 
 def test_groups_and_roles_are_those_of_the_provider(
-    lab: LabThread, browser: httpx.Client, issuer: tuple[str, int]
+    lab: LabThread, browser: httpx.Client, issuer: Issuer
 ) -> None:
     with LabClient(home=lab.settings.home) as home:
-        home.link_identity("bob", issuer[0], "bob-operators-chemists")
-        home.link_identity("bob", issuer[0], "bob")
+        home.link_identity("bob", issuer.url, "bob-operators-chemists")
+        home.link_identity("bob", issuer.url, "bob")
     answer = sign_in(browser, "bob-operators-chemists")
     assert answer.status_code == 200, answer.text
     assert "bob" in answer.text

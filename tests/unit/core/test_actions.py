@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from labos.core.actions import ENDED_KEPT, SETTLED_KEPT, ActionReconciled
-from labos.core.actions import reconciled as fold_reconciled
+from labos.core.actions import fold_action_reconciled as fold_reconciled
 from labos.core.decide.actions import AcceptAction, DoubtAction, FinishAction, RefuseAction, ResendAction
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.interventions import ResolveIntervention

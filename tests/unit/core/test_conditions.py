@@ -7,7 +7,7 @@ import pytest
 
 from labos.core import conditions
 from labos.core.conditions import decision, fill_in, holds
-from labos.core.expressions import parse_expression
+from labos.core.expressions import ExpressionError, parse_expression
 from labos.core.model import Condition, OnError, Plan
 from labos.core.runs import DONE, FAILED, PENDING, SKIPPED, RunFailed
 from tests.support.bench import Driver, move, plan, small, step, take
@@ -55,6 +55,12 @@ def test_what_cannot_be_decided_fails_the_run_and_says_why() -> None:
     assert isinstance(event, RunFailed)
     assert event.kind == "experiment"
     assert event.why == "the condition of step 's1' cannot be decided: There is no 'x' in steps.s0."
+
+
+def test_a_condition_is_true_or_false_and_nothing_else() -> None:
+    assert holds(condition("1 < 2"), {})
+    with pytest.raises(ExpressionError, match="neither true nor false"):
+        holds(condition("1 + 2"), {})
 
 
 def expecting(policy: OnError | None = None) -> tuple[Driver, str]:

@@ -7,11 +7,17 @@ import pytest
 
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.control import CancelExperiment
-from labos.core.decide.experiments import EndExperiment, LoseExperiment, NoteExperiment, StartExperiment
+from labos.core.decide.experiments import (
+    EndExperiment,
+    LoseExperiment,
+    NoteExperiment,
+    ResumeExperiment,
+    StartExperiment,
+)
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import StartKernel
 from labos.core.decide.runs import SubmitRun
-from labos.core.experiments import ExperimentCancelled
+from labos.core.experiments import ExperimentCancelled, ExperimentEnded
 from labos.core.fold import evolve
 from labos.core.ids import ExperimentId, StationName
 from labos.core.runs import REQUESTS_KEPT
@@ -208,3 +214,59 @@ def test_one_that_an_earlier_version_left_open_closes_when_a_kernel_starts() -> 
     lab.do(StartKernel(2, "0"))
     assert name not in lab.state.experiments.open
     lab.check_log()
+
+
+# -- an application that is started again ---------------------------------------------------------
+
+
+def test_one_that_is_started_again_takes_the_question_with_it() -> None:
+    lab, name = parked(closing=CLOSING)
+    lab.do(LoseExperiment(name, "no heartbeat"))
+    assert [event.TYPE for event in lab.do(ResumeExperiment(name, "app"))] == [
+        "experiment.resumed",
+        "intervention.resolved",
+    ]
+    assert lab.questions() == []
+    assert lab.owner("P1") == "experiment:E1"
+    lab.check_log()
+
+
+def test_only_an_experiment_that_is_open_is_resumed_and_only_by_its_name() -> None:
+    lab, name = parked(closing=CLOSING)
+    refusal = lab.refused(ResumeExperiment(name, "other"))
+    assert (refusal.code, "is 'app', not 'other'" in refusal.message) == ("other_experiment", True)
+    lab.end(name)
+    assert "it is closing" in lab.refused(ResumeExperiment(name, "app")).message
+    lab.step("R2")
+    assert "it has ended" in lab.refused(ResumeExperiment(name, "app")).message
+
+
+def test_what_is_noted_under_one_key_is_noted_once() -> None:
+    lab = small()
+    name = lab.experiment()
+    note = NoteExperiment(name, "decision", "next", {"volumes": [1.0, 2.0]}, "decision next#1")
+    lab.do(note)
+    assert lab.do(note) == []
+    other = msgspec.structs.replace(note, facts={"volumes": [1.0, 3.0]})
+    assert lab.refused(other).code == "key_reused"
+    lab.do(msgspec.structs.replace(other, key="decision next#2"))
+    lab.do(msgspec.structs.replace(note, key=""))
+    lab.do(msgspec.structs.replace(note, key=""))
+    assert lab.types().count("experiment.noted") == 4
+    lab.check_log()
+
+
+def test_the_reason_of_one_that_has_nothing_to_clear_away_stands_in_its_end() -> None:
+    lab = small()
+    name = lab.experiment()
+    lab.do(EndExperiment(name, "failed: KeyError: 'A1'"))
+    assert lab.log[-1].event == ExperimentEnded(name, "", "failed: KeyError: 'A1'")
+    name = lab.experiment()
+    lab.do(LoseExperiment(name, "no heartbeat"))
+    lab.answer(lab.question(), "close")
+    ended = next(
+        each.event
+        for each in lab.log
+        if isinstance(each.event, ExperimentEnded) and each.event.experiment == name
+    )
+    assert ended.why == "its application was lost"

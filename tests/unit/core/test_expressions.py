@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from labos.core.conditions import condition, decision, find_reads, holds
 from labos.core.expressions import (
     DEEPEST,
     LONGEST,
     ExpressionError,
     evaluate,
-    is_true,
     names_in,
     parse_expression,
 )
@@ -81,6 +81,12 @@ def test_what_an_expression_means(text: str, value: Any) -> None:
         ("not " * 200 + "true", "nested too deeply"),
         ("1" * (LONGEST + 1), f"more than {LONGEST} characters"),
         ("1e300 * 1e300", "too large"),
+        ("1e309 > 1", "1e309 is too large"),
+        (f"result.od > {2**63}", f"{2**63} is too large; whole numbers have 64 bits"),
+        ("result.od > " + "9" * 900, "is too large"),
+        (f"result.wells[{2**63}] > 1", "a place in a list is a whole number, of 64 bits at most"),
+        (f"result.wells[{2**63 - 1}] > 1", "There is no 9223372036854775807"),
+        (f"{2**63 - 1} * " * 17 + "1 > 0", "too large"),
         ("lambda: 1", "': 1' is not understood"),
     ],
 )
@@ -95,12 +101,6 @@ def test_names_are_found_wherever_they_stand() -> None:
     assert names_in(parse_expression(text)) == [
         ("result", "a"), ("payload", "b"), ("steps", "Take picture", "result", "c"), ("result", "d", 0)
     ]  # fmt: skip
-
-
-def test_a_condition_is_true_or_false_and_nothing_else() -> None:
-    assert is_true("1 < 2", {})
-    with pytest.raises(ExpressionError, match="neither true nor false but 3"):
-        is_true("1 + 2", {})
 
 
 WORDS = st.sampled_from(
@@ -130,6 +130,42 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
     max_leaves=8,
 )
+
+
+HUGE = st.sampled_from(
+    [str(2**63 - 1), str(2**63), str(2**64), "9" * 400, "1e308", "1e-400", "0" * 50, "1" * 19 + ".5"]
+)
+ROOT = st.sampled_from(["result.od", "payload", "steps.Read.result.od[0]", "payload.a", "'text'", "null"])
+
+
+def _nest(inner: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
+    two = st.tuples(inner, st.sampled_from([*"+-*/<>", "==", "in", "not in", "and", "or"]), inner)
+    return (
+        two.map(" ".join)
+        | inner.map("({})".format)
+        | inner.map("not ({})".format)
+        | inner.map("-{}".format)
+        | inner.map("[{}]".format)
+        | st.tuples(st.sampled_from(["abs", "max", "len"]), inner).map("{0[0]}({0[1]})".format)
+    )
+
+
+@given(st.recursive(HUGE | ROOT | st.integers(0, 2**70).map(str), _nest, max_leaves=25), VALUES)
+@settings(max_examples=600, deadline=None, derandomize=True)
+def test_what_is_read_can_be_recorded_and_decided(text: str, value: Any) -> None:
+    with contextlib.suppress(ExpressionError):
+        kept = condition(text, parse_expression(text))
+        find_reads(kept)
+        decision(kept)
+        holds(kept, {"Read": {"result": value}}, value)
+
+
+def test_brackets_in_brackets_are_refused_before_they_are_recorded() -> None:
+    text = "1"
+    for _ in range(20):
+        text = f"1 * (0 + {text} < 2 and true or false)"
+    with pytest.raises(ExpressionError, match="fewer brackets"):
+        condition(text, parse_expression(text))
 
 
 @given(st.lists(WORDS, max_size=30).map(" ".join) | st.text(max_size=60), VALUES)

@@ -60,6 +60,7 @@ from labos.core.experiments import (
     ExperimentClosing,
     ExperimentEnded,
     ExperimentNoted,
+    ExperimentResumed,
     ExperimentStarted,
 )
 from labos.core.expressions import parse_expression
@@ -279,8 +280,9 @@ EXAMPLES: list[Event] = [
     ExperimentStarted("E1", "app", "ada", "p", 2, "key", ("c/a",)),  # type: ignore[arg-type]
     ExperimentCancelled("E1", "cancelled by ada"),  # type: ignore[arg-type]
     ExperimentClosing("E1", "ended"),  # type: ignore[arg-type]
-    ExperimentEnded("E1", "p"),  # type: ignore[arg-type]
-    ExperimentNoted("E1", "decision", "stop", {"score": 0.5}),  # type: ignore[arg-type]
+    ExperimentEnded("E1", "p", "ended"),  # type: ignore[arg-type]
+    ExperimentResumed("E1"),  # type: ignore[arg-type]
+    ExperimentNoted("E1", "decision", "stop", {"score": 0.5}, "decision stop#1"),  # type: ignore[arg-type]
     SharesApplied("d", (Group("chemistry", 2.0, {"ada": MEMBER}, MEMBER.quota),), {"eve": MEMBER}),
     CampaignSubmitted("C1", "screen", "ada", "flow", "cell", 3, "d", "e", TERMS, "key"),  # type: ignore[arg-type]
     CampaignPaused("C1", "tea"),  # type: ignore[arg-type]
@@ -440,7 +442,7 @@ def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:
 def test_every_type_is_folded_somewhere_or_only_remembered() -> None:
     assert set(TABLE) == set(TYPES.values())
     silent = {kind.TYPE for kind, handlers in TABLE.items() if not handlers}
-    assert silent == {"experiment.noted", "request.repeated", "run.signed"}
+    assert silent == {"experiment.resumed", "request.repeated", "run.signed"}
 
 
 def test_names_say_family_and_past() -> None:

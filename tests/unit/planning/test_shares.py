@@ -8,12 +8,14 @@ import pytest
 
 from labos.core.campaigns import Terms
 from labos.core.decide.campaigns import SubmitCampaign, SubmitRow
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shares import ApplyShares
-from labos.core.ids import CampaignId
+from labos.core.ids import CampaignId, RunId
+from labos.core.model import Plan
 from labos.core.shares import DAY_NS, Group, Member, Quota
 from labos.services.shares import ledger
-from tests.support.bench import SECOND, Driver, consumes, plan, small, step
+from tests.support.bench import SECOND, Driver, consumes, module, plan, small, step, workcell
 
 READ = plan(step("dev", key="read", duration_s=600.0), name="read")
 LOOK = plan(step("cam", key="look", duration_s=600.0), name="look")
@@ -21,6 +23,21 @@ LOOK = plan(step("cam", key="look", duration_s=600.0), name="look")
 
 def apply(lab: Driver, *groups: Group, **users: Member) -> None:
     lab.do(ApplyShares(f"d{lab.state.position}", groups, users))
+
+
+def readers() -> Driver:
+    """Ten devices that are all free."""
+    return Driver(workcell([module(f"r{n}") for n in range(10)], []))
+
+
+def long(n: int) -> Plan:
+    """Two hours on one of them."""
+    return plan(step(f"r{n}", key="read", duration_s=7200.0), name=f"long{n}")
+
+
+def open_of(lab: Driver, run: str) -> str:
+    """The action of a run that is under way."""
+    return next(action.id for action in lab.state.actions.open.values() if action.run == run)
 
 
 def order(lab: Driver) -> list[str]:
@@ -114,6 +131,65 @@ def test_consumables_of_seven_days() -> None:
     lab.step(lab.submit(tips, "a"))
     assert lab.code(lab.submit(tips, "a")) == "quota"
     assert lab.code(lab.submit(READ, "a")) == ""
+
+
+@pytest.mark.parametrize("whose", ["user", "group"])
+def test_runs_under_way_count_by_their_planned_hours(whose: str) -> None:
+    lab = readers()
+    quota = Quota(lab_hours=5.0)
+    if whose == "user":
+        apply(lab, a=Member(quota=quota))
+    else:
+        apply(lab, Group("g", 1.0, {"a": Member(), "b": Member()}, quota))
+    for n in range(10):
+        lab.submit(long(n), "ab"[n % 2] if whose == "group" else "a")
+    assert lab.pump() == ["R1#0", "R2#0", "R3#0"], "the third is let in below the limit, no other one is"
+    assert lab.code("R4") == "quota"
+    lab.wait(600.0)
+    for action in list(lab.state.actions.open):
+        lab.finish(action)  # each took ten minutes in place of two hours
+    assert len(lab.pump()) == 3
+
+
+def test_a_step_that_takes_longer_than_planned_counts_as_long_as_it_takes() -> None:
+    lab = readers()
+    apply(lab, a=Member(quota=Quota(lab_hours=5.0)))
+    lab.submit(long(0), "a")
+    lab.pump()
+    lab.wait(6 * 3600.0)
+    late = lab.submit(long(1), "a")
+    assert lab.pump() == []
+    assert lab.code(late) == "quota"
+
+
+def test_steps_that_are_done_or_left_out_do_not_count_twice() -> None:
+    lab = readers()
+    apply(lab, a=Member(quota=Quota(lab_hours=5.0)))
+    both = plan(step("r0", duration_s=7200.0), step("r0", duration_s=7200.0), name="both")
+    run = lab.submit(both, "a")
+    lab.pump()
+    lab.wait(7200.0)
+    lab.finish(open_of(lab, run))
+    other = lab.submit(long(1), "a")
+    assert f"{other}#0" in lab.pump(), "two hours had and two under way"
+    late = lab.submit(long(2), "a")
+    assert lab.pump() == []
+    lab.do(CancelRun(RunId(run)))
+    assert lab.code(late) == "quota", "the step under way goes on"
+
+
+def test_what_runs_under_way_will_use_up_counts() -> None:
+    lab = readers()
+    for n in range(4):
+        lab.level(f"r{n}", "tips", 100.0)
+    apply(lab, a=Member(quota=Quota(consumables={"tips": 10.0})))
+    for n in range(4):
+        lab.submit(plan(step(f"r{n}"), step(f"r{n}", consumes("tips", 4.0)), name=f"tips{n}"), "a")
+    assert lab.pump() == ["R1#0", "R2#0"], "eight of ten tips are spoken for, though none is used yet"
+    assert lab.code("R3") == "quota"
+    lab.do(CancelRun(RunId("R1")))
+    lab.finish(open_of(lab, "R1"))
+    assert lab.pump() == ["R3#0"], "a run that was cancelled uses none"
 
 
 def test_too_many_waiting_runs_are_refused_and_rows_wait() -> None:

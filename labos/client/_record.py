@@ -1,0 +1,182 @@
+"""What an experiment asks the lab for and tells it, each thing once, however often its program is started."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+import msgspec
+
+from labos.client._answers import LabUnreachable
+from labos.client._replay import (
+    Key,
+    Keys,
+    Past,
+    as_json,
+    as_sent,
+    check_note,
+    check_run,
+    name_of,
+    request_of,
+)
+from labos.core.canonical import canonical
+from labos.errors import CommitInDoubt, KeyReused, NotFound, Refused
+
+if TYPE_CHECKING:
+    from labos.client._lab import LabClient
+
+LARGEST_IN_EVENT = 16 * 1024
+"""Bytes of a result that stand in its event; more of them are a file of the lab."""
+
+KINDS = {
+    "submit": "run",
+    "submit_all": "runs",
+    "submit_compute": "compute",
+    "compute_all": "computes",
+    "decide": "decision",
+    "run_flow": "flow",
+}
+"""The kind of call that stands in a key, if it is not called as the method."""
+
+
+class Recorded(Protocol):
+    """What is needed of an experiment."""
+
+    lab: LabClient
+    user: str
+    id: str
+
+
+class Record:
+    """Of one experiment."""
+
+    def __init__(self, experiment: Recorded) -> None:
+        self._of = experiment
+        self._keys = Keys()
+        self.past = Past(experiment.lab, "")
+
+    @property
+    def experiment(self) -> str:
+        return self._of.id
+
+    def begin(self, experiment: str) -> Past:
+        """Read what the log has of an experiment. Raises NotFound."""
+        self.past = Past(self._of.lab, experiment).read()
+        if not self.past.status:
+            raise NotFound(
+                f"There is no experiment {experiment!r}.",
+                remedy="See which there are: labos experiments --all",
+            )
+        return self.past
+
+    def take(self, method: str, what: Any, given: str = "") -> Key:
+        """The key of a call of a method of the experiment, about a workflow, a function or a name."""
+        about = function_name(what) if callable(what) else name_of(what) if _is_run(method) else str(what)
+        return self._keys.take(KINDS.get(method, method), about, given)
+
+    @contextmanager
+    def asking(self, key: Key) -> Iterator[None]:
+        """A call that was not answered may be made again under the same key."""
+        try:
+            yield
+        except LabUnreachable:
+            self._keys.give_back(key)
+            raise
+
+    # -- runs --------------------------------------------------------------------------------
+
+    def request_of(self, key: Key) -> str:
+        """The key of the request for a run."""
+        return request_of(self.experiment, key)
+
+    def known_run(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> str:
+        """The run that the log has for a request; empty if it has none. Raises ReplayMismatch."""
+        recorded = self.past.runs.get(request)
+        if recorded is None:
+            return ""
+        check_run(self.experiment, key, recorded, told["text"], payload)
+        return str(recorded["run"])
+
+    @contextmanager
+    def same(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> Iterator[None]:
+        """If the lab knows a request as another one, ReplayMismatch says what differs."""
+        try:
+            yield
+        except KeyReused:
+            self._past_again()
+            self.known_run(key, request, told, payload)
+            raise
+
+    # -- notes -------------------------------------------------------------------------------
+
+    def note(self, kind: str, name: str, facts: Mapping[str, Any]) -> None:
+        """Log something once. Raises ReplayMismatch if the program went another way before."""
+        key = self._keys.take(kind, name)
+        with self.asking(key):
+            check_note(self.experiment, self.keep(key, kind, name, facts), facts)
+
+    def known(self, key: str) -> dict[str, Any] | None:
+        """What the log has under the key of a note, as far as it has been read."""
+        return self.past.notes.get(key)
+
+    def keep(self, key: str, kind: str, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
+        """Log a note under its key, once; returns what the log has under it."""
+        lab, user = self._of.lab, self._of.user
+        while (known := self.known(key)) is None:
+            try:
+                lab.note(self.experiment, kind, name, facts, user, key=str(key))
+            except (LabUnreachable, CommitInDoubt):
+                self._past_again()  # a lab that broke off is asked whether it has heard
+            except Refused:
+                if self._past_again().notes.get(key) is None:
+                    raise  # else it was told by the program that was killed
+            else:
+                return {"kind": kind, "name": name, "facts": as_sent(facts), "key": key}
+        return known
+
+    def decide(self, key: Key, name: str, function: Callable[[], Any]) -> Any:
+        """What a function returns, or has returned."""
+        with self.asking(key):
+            known = self.known(key)
+            if known is None:
+                known = self.keep(key, "decision", name, self.json_as_facts(as_json(function())))
+            return self.json_of(known["facts"])
+
+    # -- values ------------------------------------------------------------------------------
+
+    def json_as_facts(self, value: Any) -> dict[str, Any]:
+        """A value that is JSON as facts of a note: itself, or the file of the lab that holds it."""
+        content = canonical(value)
+        if len(content) <= LARGEST_IN_EVENT:
+            return {"value": value}
+        return {"value_file": self.keep_file(content)}
+
+    def json_of(self, facts: Mapping[str, Any]) -> Any:
+        """What ``json_as_facts`` has written."""
+        return (
+            msgspec.json.decode(self.file(facts["value_file"])) if "value_file" in facts else facts["value"]
+        )
+
+    def keep_file(self, content: bytes) -> str:
+        """Keep a file in the lab; returns its SHA-256."""
+        return self._of.lab.keep_file(self.experiment, content, self._of.user)
+
+    def file(self, sha256: str) -> bytes:
+        """Raises NotFound, LogDamaged."""
+        return self._of.lab.file(sha256)
+
+    def _past_again(self) -> Past:
+        self.past.lab = self._of.lab
+        return self.past.read()
+
+
+def function_name(function: Callable[..., Any]) -> str:
+    """What a computation is called in keys and notes."""
+    from labos.services.compute._work import name_of as name_of_function
+
+    return name_of_function(function)
+
+
+def _is_run(method: str) -> bool:
+    return method in ("run", "submit", "submit_all")

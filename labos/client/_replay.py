@@ -1,0 +1,210 @@
+"""What the log has of an experiment, by the calls of its application: how one that is started again goes on.
+
+Each call that asks the lab for something has a key: one that the program gives, else the kind of call, what
+it is about, and how often the program has called so before (``run cp_mixcolor#3``). A run bears its key as
+the key of its request, a note as a field.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+
+from labos.client._calls import plain
+from labos.core.canonical import canonical, digest
+from labos.errors import BadInput, LabosError
+
+LONGEST_KEY = 150
+"""Characters of a key; of what is longer the rest is a digest."""
+
+SHOWN = 300
+"""Characters that an error shows of what was asked for, and of what is in the log."""
+
+TYPES = ("experiment", "run.submitted")
+
+STEERING = ("decision", "condition_checked")
+"""Notes that say which way the program went: they must be the same again. Others may hold a time."""
+
+
+class ReplayMismatch(LabosError):
+    """A program that was started again asks for something else than it did before, under the same key.
+
+    ``key`` names the call; ``recorded`` is what the log has, ``now`` what the program asks for. The
+    experiment stays open."""
+
+    def __init__(self, experiment: str, key: str, recorded: Any, now: Any) -> None:
+        super().__init__(
+            f"{experiment} has another {key!r} in the log than the program asks for now. "
+            f"In the log: {_shown(recorded)}. Now: {_shown(now)}.",
+            remedy="Ask for clocks, files and chance by experiment.decide or experiment.random, so that they "
+            "are the same again; give calls that change places a key of their own.",
+        )
+        self.experiment, self.key, self.recorded, self.now = experiment, key, recorded, now
+
+
+class Key(str):
+    """The key of a call, as it has been taken."""
+
+
+class Keys:
+    """Gives calls their keys, in the order in which the program makes them."""
+
+    def __init__(self) -> None:
+        self._taken: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def take(self, kind: str, what: str, given: str = "") -> Key:
+        """The key of the next call of a kind about something, or the one that was ``given`` for it."""
+        if isinstance(given, Key):
+            return given
+        if given:
+            return Key(_short(f"{kind} {given}"))
+        name = _short(f"{kind} {what}")
+        with self._lock:
+            self._taken[name] += 1
+            return Key(f"{name}#{self._taken[name]}")
+
+    def give_back(self, key: str) -> None:
+        """The call was not answered: who makes it again means the same one."""
+        name, _, number = key.rpartition("#")
+        with self._lock:
+            if number == str(self._taken.get(name)):
+                self._taken[name] -= 1
+
+
+def request_of(experiment: str, key: str) -> str:
+    """The key of the request for a run."""
+    name = f"{experiment}/{key}"
+    return name if name.isascii() and name.isprintable() else f"{experiment}/{_digest(key)}"
+
+
+class Log(Protocol):
+    """What is needed of a lab."""
+
+    def events(self, after: int = 0, **filters: Any) -> Any: ...
+
+
+class Past:
+    """What the log has of an experiment. ``status``: open, cancelled, closing or ended."""
+
+    def __init__(self, lab: Log, experiment: str) -> None:
+        self.lab, self._experiment = lab, experiment
+        self._position = 0
+        self._reading = threading.Lock()
+        self.status = ""
+        self.name, self.user, self.seed = "", "", ""
+        self.runs: dict[str, dict[str, Any]] = {}
+        """What was submitted, by the key of the request."""
+        self.notes: dict[str, dict[str, Any]] = {}
+        """What was noted, by its key."""
+        self.strays: list[str] = []
+        """Runs that bear no key of the program's."""
+
+    def read(self) -> Past:
+        """Read on to the present end of the log. Raises LabUnreachable."""
+        with self._reading:
+            filters = {"type": list(TYPES), "correlation": self._experiment}
+            for event in self.lab.events(self._position, **filters):
+                self._fold(event["type"], event["payload"], event)
+                self._position = event["position"]
+        return self
+
+    def _fold(self, kind: str, payload: dict[str, Any], event: Mapping[str, Any]) -> None:
+        match kind:
+            case "experiment.started":
+                self.status, self.name, self.user = "open", payload["name"], payload["user"]
+                self.seed = event["id"]
+            case "experiment.cancelled" | "experiment.closing" | "experiment.ended":
+                self.status = kind.partition(".")[2]
+            case "experiment.noted" if payload.get("key"):
+                self.notes.setdefault(payload["key"], payload)
+            case "run.submitted" if not payload.get("closing"):
+                request = payload.get("request", "")
+                if request.startswith(f"{self._experiment}/"):
+                    self.runs[request] = payload
+                else:
+                    self.strays.append(payload["run"])
+
+
+def name_of(workflow: Any) -> str:
+    """What a workflow is called in keys: its file, wherever that lies."""
+    if isinstance(workflow, Mapping):
+        workflow = workflow.get("name", "") or "workflow"
+    path = Path(str(workflow))
+    return path.stem if path.suffix in (".yaml", ".yml") else path.name
+
+
+def as_json(value: Any) -> Any:
+    """A value as it comes back from the log: a tuple as a list, an array as lists. Raises BadInput for one
+    that JSON does not hold."""
+    try:
+        return msgspec.json.decode(canonical(msgspec.to_builtins(value, enc_hook=plain)))
+    except (ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError) as error:
+        raise BadInput(
+            f"A {type(value).__name__} cannot be written into the log: {error}.",
+            remedy="Give numbers that are finite, texts, lists and tables of them.",
+        ) from None
+
+
+def plain_digest(value: Any) -> str:
+    """A digest that is the same for equal values, also in another process: of their JSON, with arrays as
+    digests. Empty for what has none."""
+    try:
+        return digest(canonical(msgspec.to_builtins(value, enc_hook=_array_or_plain)))
+    except (LabosError, ValueError, TypeError, OverflowError, RecursionError, msgspec.MsgspecError):
+        return ""
+
+
+def _array_or_plain(value: Any) -> Any:
+    kind, to_bytes = getattr(value, "dtype", None), getattr(value, "tobytes", None)
+    if kind is not None and to_bytes is not None and not getattr(kind, "hasobject", False):
+        return {"array": str(kind), "shape": list(getattr(value, "shape", ())), "sha256": digest(to_bytes())}
+    return plain(value)
+
+
+def check_run(experiment: str, key: str, recorded: Mapping[str, Any], text: str, payload: Any) -> None:
+    """Raises ReplayMismatch for a run of another workflow, or with another payload."""
+    now = as_sent(payload or {})
+    if recorded["payload"] != now:
+        raise ReplayMismatch(experiment, key, recorded["payload"], now)
+    before, is_now = recorded["pins"].get("workflow", ""), digest(text.encode())
+    if before and before != is_now:
+        name = recorded["workflow"]
+        raise ReplayMismatch(
+            experiment, key, f"{name}, file {before[:12]}", f"{name}, changed, file {is_now[:12]}"
+        )
+
+
+def check_note(experiment: str, recorded: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
+    """Raises ReplayMismatch if the program goes another way than it went."""
+    if recorded["kind"] in STEERING:
+        now = as_sent(facts)
+        if recorded.get("facts", {}) != now:
+            raise ReplayMismatch(experiment, recorded["key"], recorded.get("facts", {}), now)
+
+
+def as_sent(value: Any) -> Any:
+    """A value as the lab has it when it was sent."""
+    return msgspec.json.decode(msgspec.json.encode(value, enc_hook=plain))
+
+
+def _short(name: str) -> str:
+    line = "".join(char if char.isprintable() else " " for char in name)
+    return (
+        line if line == name and len(line) <= LONGEST_KEY else f"{line[: LONGEST_KEY - 17]}~{_digest(name)}"
+    )
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else msgspec.json.encode(value).decode()
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"

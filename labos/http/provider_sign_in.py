@@ -1,0 +1,106 @@
+"""Signing in from a command line with an identity provider."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+from starlette.responses import Response
+
+from labos.errors import NotFound, NotSignedIn
+from labos.http.limits import Line, says
+from labos.http.providing import user_meant
+from labos.http.signing import Days, expect_users
+from labos.services.accounts import Need
+
+if TYPE_CHECKING:
+    from labos.http.operation import Call
+    from labos.services.accounts.command_line import CommandLineSignIn
+
+Sent = Annotated[str, msgspec.Meta(max_length=3_500)]
+"""What a provider sends with a browser."""
+
+
+class BeginSignIn(msgspec.Struct, forbid_unknown_fields=True):
+    port: Annotated[int, msgspec.Meta(ge=0, le=65_535), says("of the asker, to which a browser comes back")]
+    device: Annotated[bool, says("there is no browser: a code for one elsewhere")] = False
+
+
+class Begun(msgspec.Struct, frozen=True):
+    """``address`` is for a browser. ``state`` and ``key`` are shown to finish; the key to nobody else.
+    ``code`` is what is typed in there, if no browser comes back, and ``wait_s`` how long to wait before it is
+    asked for."""
+
+    address: str
+    state: str
+    key: str
+    code: str = ""
+    wait_s: float = 0.0
+
+
+class FinishSignIn(msgspec.Struct, forbid_unknown_fields=True):
+    state: Annotated[Line, says("as it was told at the beginning")]
+    key: Annotated[Line, says("as it was told at the beginning")]
+    code: Annotated[Sent, says("what came with the browser")] = ""
+    iss: Annotated[Sent, says("what came with the browser")] = ""
+    error: Annotated[Sent, says("what came with the browser")] = ""
+    label: Annotated[Line, says("what the token is for")] = "signed in"
+    scope: Annotated[Need, says("the most that the token is good for")] = "admin"
+    days: Annotated[Days, says("how long the token is good; the lab may give less")] = 30.0
+
+
+class SignedIn(msgspec.Struct, frozen=True):
+    """``token`` is told this once; ``until`` is when it ends (UTC nanoseconds). With ``wait_s`` nobody has
+    typed the code in yet, and the rest is empty."""
+
+    user: str = ""
+    until: int = 0
+    token: str = ""
+    wait_s: float = 0.0
+
+
+async def begin(call: Call, told: BeginSignIn) -> Response:
+    """Raises Refused, NotFound, NotSignedIn, TooManyTries."""
+    way = _way(call)
+    if told.device:
+        begun, shown = await way.begin_device()
+        found = Begun(begun.address, begun.state, begun.browser, shown.user_code, max(shown.interval, 1.0))
+    else:
+        begun = await way.begin(told.port)
+        found = Begun(begun.address, begun.state, begun.browser)
+    return _answer(found)
+
+
+async def finish(call: Call, told: FinishSignIn) -> Response:
+    """Raises Refused, NotFound, NotSignedIn, BadInput."""
+    from labos.services.accounts.command_line import Wait  # few labs have a provider
+
+    way, accounts = _way(call), call.api.gate.accounts
+    sent = {"state": told.state, "code": told.code, "iss": told.iss, "error": told.error}
+    try:
+        claims = await way.finish({name: text for name, text in sent.items() if text}, told.key)
+        if isinstance(claims, Wait):
+            return _answer(SignedIn(wait_s=claims.seconds))
+        user = await user_meant(call.api, way.provider, claims)
+    except NotSignedIn:
+        accounts.tell_try("wrong")
+        raise
+    accounts.tell_try("right")
+    secret, token = await accounts.make_token(user, told.label, told.scope, min(told.days, way.most_days))
+    return _answer(SignedIn(user, token.expires_at, secret))
+
+
+def _way(call: Call) -> CommandLineSignIn:
+    expect_users(call)
+    found = call.api.gate.command_line
+    if found is None:
+        raise NotFound(
+            "This lab has no identity provider.", remedy="Sign in with a password: labos login --user NAME"
+        )
+    return found
+
+
+def _answer(value: msgspec.Struct) -> Response:
+    # Not for any cache: it may hold a secret.
+    headers = {"cache-control": "no-store"}
+    return Response(msgspec.json.encode(value), 200, headers, "application/json")

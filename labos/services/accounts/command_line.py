@@ -1,0 +1,181 @@
+"""Signing in from a command line with an identity provider: by a browser on the same computer that comes back
+to it (RFC 8252), or by a code that is typed into a browser elsewhere (device grant, RFC 8628).
+
+The lab is the provider's client, not the command line: the PKCE verifier, a client's secret and what the
+provider says of people stay here.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import msgspec
+
+from labos.errors import NotFound, TooManyTries
+from labos.services.accounts.oidc import (
+    TIMEOUT_S,
+    Begun,
+    Claims,
+    Client,
+    Provider,
+    Tokens,
+    asked_of,
+    auth_of,
+    wrong,
+)
+
+MOST_DEVICES = 100
+"""Codes that people are typing in at once."""
+LONGEST_S = 1_800.0
+"""So long a code is waited for, whatever the provider says."""
+GRANT = "urn:ietf:params:oauth:grant-type:device_code"
+PENDING = ("authorization_pending", "slow_down")
+
+
+class Shown(msgspec.Struct, frozen=True):
+    """What a provider tells a device to show. ``interval`` and ``expires_in`` in seconds."""
+
+    device_code: str
+    user_code: str
+    verification_uri: str
+    expires_in: float
+    verification_uri_complete: str = ""
+    interval: float = 5.0
+
+
+class Device(msgspec.Struct):
+    """Somebody who types a code in. It is asked for again not before ``next`` (monotonic s)."""
+
+    browser: str
+    shown: Shown
+    until: float
+    interval: float
+    next: float
+
+
+class Wait(msgspec.Struct, frozen=True):
+    """Nobody has typed the code in yet: ask again after so many seconds."""
+
+    seconds: float
+
+
+class CommandLineSignIn:
+    """Over one provider. Raises NotFound where its file says nothing of command lines."""
+
+    def __init__(self, provider: Provider) -> None:
+        self.provider = provider
+        self._devices: dict[str, Device] = {}
+
+    @property
+    def most_days(self) -> float:
+        """The longest that a token is good which somebody gets here."""
+        told = self.provider.told.command_line
+        return told.days if told is not None else 0.0
+
+    def _client(self, port: int = 0) -> Client:
+        told = self.provider.told
+        if told.command_line is None:
+            raise NotFound(
+                "This lab lets nobody sign in from a command line with its identity provider.",
+                remedy="Sign in with a password (labos login --user NAME), or let oidc.yaml name a "
+                "`command_line` client.",
+            )
+        return Client(
+            told.command_line.client_id,
+            told.secret_of_command_line,
+            way_back_of(told.lab, port),
+        )
+
+    async def begin(self, port: int) -> Begun:
+        """Where a browser goes; it comes back to a port of the computer on which it runs. Raises NotFound,
+        NotSignedIn."""
+        return await self.provider.begin(self._client(port))
+
+    async def begin_device(self) -> tuple[Begun, Shown]:
+        """What is to be typed in, and where. Raises NotFound, NotSignedIn, TooManyTries."""
+        client, now = self._client(), self.provider.clock.monotonic()
+        known = await self.provider.discover()
+        if not known.device_authorization_endpoint:
+            raise NotFound(
+                "The identity provider has no device grant.",
+                remedy="Use a browser on this computer, or one elsewhere: labos login --code",
+            )
+        self._devices = {state: device for state, device in self._devices.items() if device.until > now}
+        if len(self._devices) >= MOST_DEVICES:
+            raise TooManyTries("Too many people are typing codes in.", wait_s=60.0)
+        form = {"client_id": client.id, "scope": " ".join(self.provider.told.scopes)}
+        async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
+            shown = await asked_of(
+                http,
+                "POST",
+                known.device_authorization_endpoint,
+                Shown,
+                data=form,
+                auth=auth_of(client),
+            )
+        state, browser = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
+        interval = max(shown.interval, 1.0)
+        until = now + min(shown.expires_in, LONGEST_S)
+        self._devices[state] = Device(browser, shown, until, interval, now + interval)
+        address = shown.verification_uri_complete or shown.verification_uri
+        return Begun(address, state, browser), shown
+
+    async def finish(self, answer: Mapping[str, str], browser: str) -> Claims | Wait:
+        """Who has signed in. Raises NotSignedIn."""
+        device = self._devices.get(answer.get("state", ""))
+        if device is None:
+            return await self.provider.finish(answer, browser, by_command_line=True)
+        if not hmac.compare_digest(device.browser.encode(), browser.encode()):
+            raise wrong("another command line has begun")
+        now = self.provider.clock.monotonic()
+        if now >= device.until:
+            del self._devices[answer["state"]]
+            raise wrong("nobody has typed the code in")
+        if now < device.next:
+            return Wait(device.next - now)
+        device.next = now + device.interval
+        return await self._ask(answer["state"], device)
+
+    async def _ask(self, state: str, device: Device) -> Claims | Wait:
+        client, known = self._client(), await self.provider.discover()
+        form = {"grant_type": GRANT, "device_code": device.shown.device_code, "client_id": client.id}
+        async with httpx.AsyncClient(timeout=TIMEOUT_S, auth=auth_of(client)) as http:
+            try:
+                found = await http.post(known.token_endpoint, data=form)
+            except httpx.HTTPError:
+                return Wait(device.interval)  # RFC 8628, 3.5: it is asked again
+        if found.status_code == 400 and (error := _error_in(found.content)) in PENDING:
+            if error == "slow_down":
+                device.interval += 5.0
+                device.next += 5.0
+            return Wait(device.interval)
+        # From here on it is good no more: two command lines cannot get a token by one code.
+        if self._devices.pop(state, None) is None:
+            raise wrong("nobody went there from here, or too long ago")
+        if found.status_code != 200:
+            raise wrong(f"the provider says {_error_in(found.content)[:100]!r}")
+        try:
+            tokens = msgspec.json.decode(found.content, type=Tokens)
+        except (msgspec.MsgspecError, UnicodeDecodeError):
+            raise wrong("it gives no id token") from None
+        async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
+            return await self.provider.claims_of(http, known, tokens, client)
+
+
+def way_back_of(lab: str, port: int) -> str:
+    """Where a browser comes back to the command line that signs in to a lab. The lab's name is a part of it:
+    a command line that was led to another lab's sign-in does not wait there (RFC 9700, 4.4)."""
+    return f"http://127.0.0.1:{port}/login/{urlsplit(lab).netloc.lower().replace(':', '-')}"
+
+
+def _error_in(content: bytes) -> str:
+    try:
+        found: Any = msgspec.json.decode(content)
+    except (msgspec.MsgspecError, UnicodeDecodeError):
+        return ""
+    return str(found.get("error", "")) if isinstance(found, dict) else ""
