@@ -14,7 +14,7 @@ MOST_STEPS = 400
 """So many steps a suggestion has at most."""
 
 
-class Suggested(msgspec.Struct, frozen=True, gc=False):
+class Suggested(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
     """A step of a run should start at ``start`` (UTC ns)."""
 
     run: RunId

@@ -333,7 +333,10 @@ class Scheduler:
     # -- letting new runs in -----------------------------------------------------------------
 
     def _first(self, state: LabState, bundle: str, now: int) -> RunState | None:
-        return self.room.first(state, bundle, partial(self._turn, state, now))
+        first = self.room.first(state, bundle, partial(self._turn, state, now))
+        if first is None or not state.suggestions.orders or self._is_overtaken(state, first):
+            return first
+        return self.adviser.whose_turn(state, first, now)
 
     def _admissions(self, state: LabState, bundle: str, first: RunState | None, now: int) -> Iterator[Start]:
         run = first

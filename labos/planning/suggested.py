@@ -19,7 +19,7 @@ from labos.core.effects import carried
 from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
 from labos.core.rules import lab_ns
-from labos.core.runs import RunState, RunStatus, find_holds
+from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.waits import Wait, module_key, station_key
@@ -34,12 +34,14 @@ LAST = 2**62
 
 
 class Advice(msgspec.Struct):
-    """A suggestion, ready to be asked: when each step should start, and by resource (the key of a module or
-    station) the steps that take it, the earliest first."""
+    """A suggestion, ready to be asked: when each step should start; by resource (the key of a module or
+    station) the steps that take it, the earliest first; and by group of runs that wait in line, whose turn it
+    should be in it."""
 
     order: OrderSuggested
     starts: dict[tuple[RunId, int], int]
     by_resource: dict[str, list[Suggested]]
+    lines: dict[str, list[Suggested]]
 
 
 class Adviser:
@@ -58,6 +60,17 @@ class Adviser:
         starts = state.runs.plans[run.plan].starts
         return min((advice.starts.get((run.id, first), LAST) for first in starts), default=LAST)
 
+    def whose_turn(self, state: LabState, run: RunState, now: int) -> RunState:
+        """Who should be let in of those who wait in line with this run, the first of them."""
+        plan = state.runs.plans[run.plan]
+        advice = self._advice(state, plan.plan.workcell, now)
+        key = queue_key(plan.shape, run)
+        for one in advice.lines.get(key, ()) if advice is not None else ():
+            other = state.runs.queued.get(one.run)
+            if other is not None and queue_key(plan.shape, other) == key and not find_holds(other):
+                return other
+        return run
+
     def against(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         """For whom a start has to wait by what was suggested; None if it may go ahead."""
         plan = state.runs.plan_of(run)
@@ -72,7 +85,7 @@ class Adviser:
             for one in advice.by_resource.get(resource, ()):
                 if one.start >= mine:
                     break
-                until = one.start + lab_ns(state, GRACE_S)
+                until = min(one.start + lab_ns(state, GRACE_S), advice.order.until)
                 if one.run == run.id or until < now:
                     continue
                 other = state.runs.get(one.run)
@@ -97,12 +110,15 @@ class Adviser:
 
 
 def _put_in_order(state: LabState, order: OrderSuggested) -> Advice:
-    advice = Advice(order, {}, {})
+    advice = Advice(order, {}, {}, {})
     for one in order.steps:
         run = state.runs.get(one.run)
         if run is None:
             continue
         advice.starts[one.run, one.step] = one.start
+        plan = state.runs.plans[run.plan]
+        if not run.has_started and one.step in plan.starts:
+            advice.lines.setdefault(queue_key(plan.shape, run), []).append(one)
         for resource in takes(state, state.runs.plan_of(run).steps[one.step]):
             advice.by_resource.setdefault(resource, []).append(one)
     return advice

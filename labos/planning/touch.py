@@ -68,6 +68,7 @@ from labos.core.shares import SharesApplied
 from labos.core.shorter import BenchCompared, LogFoundShorter
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
+from labos.core.suggestions import OrderSuggested
 from labos.core.users import GroupRemoved, MemberAdded, MemberRemoved
 from labos.core.waits import access_key, module_key, run_key, station_key, zone_key
 from labos.core.zones import zones_of
@@ -236,6 +237,8 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
             return (over_key(event.run), QUOTA_KEY) if state.shares.digest else (over_key(event.run),)
         case SharesApplied() | GroupRemoved() | MemberAdded() | MemberRemoved():
             return (EVERYTHING, QUOTA_KEY, *map(bench_key, state.lab.workcells))
+        case OrderSuggested():
+            return all_of(event.workcell)
         case InterventionRequested():
             return (begun_key(event.intervention),)
         case InterventionOverdue():

@@ -129,6 +129,7 @@ from labos.core.runs import (
 from labos.core.shares import Group, Member, Quota, SharesApplied
 from labos.core.shorter import BenchCompared, LogFoundShorter, StationsChecked
 from labos.core.signatures import RunSigned
+from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.core.topics import Choice, LostLabware
 from labos.core.users import (
@@ -231,6 +232,7 @@ EXAMPLES: list[Event] = [
     RunLeaving("R1", (3, 4)),  # type: ignore[arg-type]
     RunApproved("R1", "bo"),  # type: ignore[arg-type]
     RunSigned("R1", "bo", "reviewed", 37, "d", "password", "checked"),  # type: ignore[arg-type]
+    OrderSuggested("rpl", "planner", 9, (Suggested("R1", 2, 5),)),  # type: ignore[arg-type]
     PolicyApplied("d", Policy(trusted=("robot",), above=Budget(3, 60.0, {"tips": 8.0}), priority=2)),
     ApprovalRequested(
         *("C1", "amendment", "screen", "ada", "robot for ada", "d", (Why("program", "by a program"),)),  # type: ignore[arg-type]

@@ -1,0 +1,172 @@
+"""A planner's advice: followed where it can be, and harmless where it is bad, late or malicious."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+
+import pytest
+
+from labos.core.decide.runs import PauseRun
+from labos.core.decide.suggestions import SuggestOrder
+from labos.core.ids import RunId
+from labos.core.model import Plan
+from labos.core.suggestions import MOST_STEPS, Suggested
+from labos.planning.explain import sentence
+from labos.planning.suggested import GRACE_S
+from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
+
+SECOND = 1_000_000_000
+
+CELL = workcell(
+    [module("tower"), module("arm"), module("dev"), module("other"), module("clock")],
+    [
+        station("stack", "stack", 90),
+        station("trash", "waste", 90),
+        station("hall", "nest"),
+        station("side", "nest"),
+        station("dev.nest", "deck", claim=True),
+        station("other.nest", "deck", claim=True),
+    ],
+)
+
+
+def visit(*modules: str, name: str = "visit", work_s: float = 100.0) -> Plan:
+    """A plate goes from one module to the next, and to the waste."""
+    steps = [step("tower", take("stack", "hall"), key="get", duration_s=10.0)]
+    at = "hall"
+    for one in modules:
+        steps.append(step("arm", move(at, f"{one}.nest"), key=f"to {one}", duration_s=10.0))
+        steps.append(step(one, key=f"work on {one}", duration_s=work_s))
+        at = f"{one}.nest"
+    steps.append(step("arm", move(at, "trash"), key="away", duration_s=10.0))
+    return plan(*steps, name=name)
+
+
+TICK = plan(step("clock", key="tick", duration_s=5000.0), name="tick")
+
+
+def made(*plans: Plan) -> tuple[Driver, list[RunId]]:
+    """A lab in which something moves for long, and runs that wait; nothing was planned yet."""
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    lab.submit(TICK)
+    lab.pump()
+    return lab, [lab.submit(each) for each in plans]
+
+
+def suggest(lab: Driver, *steps: tuple[str, int, float], until_s: float = 3600.0) -> None:
+    """Steps that should start so many seconds from now."""
+    found = tuple(Suggested(RunId(run), step, lab.now + int(at * SECOND)) for run, step, at in steps)
+    lab.do(SuggestOrder("cell", "planner", lab.now + int(until_s * SECOND), found, lab.state.position))
+
+
+def why(lab: Driver, run: str, index: int = 0) -> str:
+    waits = dict(lab.scheduler.waits(lab.state, lab.run(run), lab.now))
+    return sentence(waits[index]) if index in waits else ""
+
+
+def test_the_cell_is_called_cell() -> None:
+    lab, _ = made()
+    assert list(lab.state.lab.workcells) == ["cell"]
+
+
+def test_the_suggested_order_is_followed_and_explained() -> None:
+    lab, (first, second) = made(visit("dev"), visit("other"))
+    suggest(lab, (second, 0, 0.0), (first, 0, 20.0))
+    assert lab.pump() == [f"{second}#0"]
+    assert "planner suggests" not in why(lab, first), "the tower is busy anyway"
+    lab, (first, second) = made(visit("dev"), visit("other"))
+    suggest(lab, (second, 0, 30.0), (first, 0, 40.0))
+    lab.do(PauseRun(second, "ada"))
+    assert lab.pump() == [f"{first}#0"], "who is paused keeps nobody waiting"
+
+
+def test_a_step_waits_for_another_up_to_its_time_and_a_grace() -> None:
+    lab, (first, second) = made(visit("dev"), visit("dev", name="other"))
+    suggest(lab, (second, 2, 50.0), (first, 0, 60.0), (first, 1, 70.0))
+    assert lab.pump() == [f"{first}#0"], "they have no place in common before the device"
+    lab.wait(10.0)
+    lab.finish(next(a.id for a in lab.state.actions.open.values() if a.run == first))
+    lab.pump()
+    assert f"{second}" in why(lab, first, 1)
+    assert "planner suggests" in why(lab, first, 1)
+    lab.wait(40.0 + GRACE_S - 1)
+    assert f"{first}#1" not in lab.pump()
+    lab.wait(2.0)
+    assert f"{first}#1" in lab.pump()
+
+
+def test_where_nothing_moves_nobody_waits() -> None:
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    first, second = lab.submit(visit("dev")), lab.submit(visit("dev", name="other"))
+    suggest(lab, (second, 0, 30.0), (first, 0, 40.0))
+    assert lab.pump() == [f"{second}#0"], "it is first by the order, and the other waits for it"
+    assert lab.missed() == []
+
+
+def test_a_higher_priority_is_not_held_up() -> None:
+    lab, (low,) = made(visit("dev"))
+    high = lab.submit(visit("dev"), priority=5)
+    suggest(lab, (low, 0, 30.0), (high, 0, 40.0))
+    assert lab.pump()[0] == f"{high}#0"
+
+
+def test_an_order_that_is_over_counts_no_more() -> None:
+    lab, (first, second) = made(visit("dev"), visit("dev", name="other"))
+    suggest(lab, (second, 0, 900.0), (first, 0, 1000.0), until_s=100.0)
+    assert lab.pump() == [f"{second}#0"]
+    assert why(lab, first) != ""
+    lab, (first, second) = made(visit("dev"), visit("dev", name="other"))
+    suggest(lab, (second, 0, 900.0), (first, 0, 1000.0), until_s=1.0)
+    lab.wait(2.0)
+    assert lab.pump() == [f"{first}#0"]
+
+
+def refusal(lab: Driver, steps: Sequence[Suggested], cell: str = "cell", position: int = 0) -> str:
+    command = SuggestOrder(cell, "planner", lab.now, tuple(steps), position)
+    return lab.refused(command).code
+
+
+def test_what_is_no_order_is_refused() -> None:
+    lab, (run,) = made(visit("dev"))
+    assert refusal(lab, [], cell="elsewhere") == "not_found"
+    assert refusal(lab, [Suggested(run, 99, 0)]) == "no_step"
+    assert refusal(lab, [Suggested(run, -1, 0)]) == "no_step"
+    assert refusal(lab, [Suggested(run, 0, 0)] * (MOST_STEPS + 1)) == "too_many"
+    assert refusal(lab, [], position=10**6) == "ahead"
+    assert lab.do(SuggestOrder("cell", "planner", 0, (Suggested(RunId("R999"), 0, 0),)))[0].steps == ()  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_bad_advice_stops_nobody(seed: int) -> None:
+    """Random orders, past and future, of runs that exist or not, again and again: every run comes to its end, and
+    nothing that could start is passed over."""
+    rng = random.Random(f"advice/{seed}")
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    ways = [("dev",), ("other",), ("dev", "other"), ("other", "dev")]
+    for number in range(rng.randint(2, 9)):
+        lab.submit(
+            visit(*rng.choice(ways), name=f"w{number}"),
+            user=rng.choice(["ada", "bo"]),
+            priority=rng.choice([0, 0, 0, 3]),
+        )
+
+    def pump() -> None:
+        if rng.random() < 0.4:
+            runs = [*lab.state.runs.active.values(), *lab.state.runs.queued.values()]
+            steps = []
+            for _ in range(rng.randint(0, 30)):
+                run = rng.choice(runs) if runs else None
+                count = len(lab.state.runs.plan_of(run).steps) if run else 1
+                at = lab.now + rng.randint(-200, 4000) * SECOND
+                steps.append(Suggested(run.id if run else RunId("R9"), rng.randrange(count), max(0, at)))
+            until = lab.now + rng.randint(-10, 10_000) * SECOND
+            lab.do(SuggestOrder("cell", "planner", until, tuple(steps), rng.randint(0, lab.state.position)))
+        lab.pump()
+        assert lab.missed() == []
+
+    assert lab.work(rng, pump), lab.stuck()
+    lab.check_log()
