@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from labos.errors import SystemFailed
 from labos.planner.problem import Problem
+
+if TYPE_CHECKING:
+    from ortools.sat.python import cp_model
 
 GOES_ON = 4
 """An experiment's end of a run counts so much more than the end of all that is known."""
@@ -37,9 +41,13 @@ def expect_solver() -> None:
         )
 
 
-def solve(problem: Problem, seconds: float, hint: Mapping[int, float] | None = None) -> Schedule | None:
+def solve(
+    problem: Problem, seconds: float, hint: Mapping[int, float] | None = None, *, counted: bool = False
+) -> Schedule | None:
     """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
-    starts (lab seconds) of a schedule that is known, by task. Windows are kept where that is possible."""
+    starts (lab seconds) of a schedule that is known, by task. Windows are kept where that is possible.
+    ``counted``: the seconds are those of a computer that does nothing else, counted by the work that is done;
+    then the same problem gives the same schedule."""
     from ortools.sat.python import cp_model
 
     tasks = problem.tasks
@@ -98,7 +106,8 @@ def solve(problem: Problem, seconds: float, hint: Mapping[int, float] | None = N
     model.minimize(cost)
     solver = cp_model.CpSolver()
     solver.parameters.num_workers = 2
-    solver.parameters.max_time_in_seconds = seconds * (1 - TIDY)
+    solver.parameters.interleave_search = counted
+    _limit(solver, seconds * (1 - TIDY), counted=counted)
     status = solver.solve(model)
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return None
@@ -110,11 +119,18 @@ def solve(problem: Problem, seconds: float, hint: Mapping[int, float] | None = N
     model.clear_hints()  # type: ignore[no-untyped-call]
     for start, value in zip(begin, starts, strict=True):
         model.add_hint(start, value)
-    solver.parameters.max_time_in_seconds = seconds * TIDY
+    _limit(solver, seconds * TIDY, counted=counted)
     if solver.solve(model) in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         starts = [solver.value(start) for start in begin]
     makespan = max((start + takes for start, takes in zip(starts, length, strict=True)), default=0)
     return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
+
+
+def _limit(solver: cp_model.CpSolver, seconds: float, *, counted: bool) -> None:
+    if counted:
+        solver.parameters.max_deterministic_time = seconds
+    else:
+        solver.parameters.max_time_in_seconds = seconds
 
 
 def _unit_of(durations: list[float]) -> float:

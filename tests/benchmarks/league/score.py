@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
 
+from labos.planner.planner import Planner
+from labos.planner.solve import solve
 from tests.benchmarks.figures import Figure, Report, times
 from tests.benchmarks.league.cases import Case, cases
 from tests.benchmarks.league.check import Times, faults, makespan, missed
@@ -14,6 +18,10 @@ from tests.benchmarks.league.rules import problem_of
 
 BEST = Path(__file__).with_name("best.json")
 MUST = 1.10
+
+
+PLANNER_S = 8.0
+"""So long the planner may look each time."""
 
 
 class Known(msgspec.Struct, frozen=True):
@@ -45,8 +53,13 @@ def known() -> dict[str, Known]:
     return msgspec.json.decode(BEST.read_bytes(), type=dict[str, Known]) if BEST.exists() else {}
 
 
-def played(case: Case) -> Outcome:
-    return Player(case.cell, case.stock).play(case.works)
+def played(case: Case, *, planner: bool = False) -> Outcome:
+    return Player(case.cell, case.stock, planner=_planner() if planner else None).play(case.works)
+
+
+def _planner() -> Planner:
+    """A planner that finds the same orders on every computer."""
+    return Planner(seconds=PLANNER_S, solver=partial(solve, counted=True))
 
 
 def times_of(case: Case, outcome: Outcome) -> Times:
@@ -60,9 +73,9 @@ def times_of(case: Case, outcome: Outcome) -> Times:
     return found
 
 
-def score(case: Case) -> Score:
+def score(case: Case, *, planner: bool = False) -> Score:
     """Play a case. Raises AssertionError if what came of it cannot have happened."""
-    outcome = played(case)
+    outcome = played(case, planner=planner)
     problem, done = problem_of(case.cell, case.works), times_of(case, outcome)
     wrong = faults(problem, done)
     assert not wrong, f"{case.name}: {wrong[0]}"
@@ -71,11 +84,14 @@ def score(case: Case) -> Score:
     return Score(case, makespan(done), late, known().get(case.key))
 
 
-def figure(found: Score) -> Figure:
+def figure(found: Score, planned: Score | None) -> Figure:
     best = found.best
+    ours = f"{found.makespan_s:,.0f} s, {found.missed} missed"
+    if planned is not None:
+        ours += f"; planner {planned.makespan_s:,.0f} s ({times(planned.ratio)}), {planned.missed} missed"
     return Figure(
         found.case.name,
-        f"{found.makespan_s:,.0f} s, {found.missed} missed",
+        ours,
         f"{best.makespan_s:,.0f} s, {best.missed} missed" if best is not None else "–",
         times(found.ratio) if best is not None else "–",
         times(MUST),
@@ -84,16 +100,27 @@ def figure(found: Score) -> Figure:
 
 
 def measure(*, quick: bool = False) -> Report:
-    scores = [score(case) for case in cases(quick=quick)]
-    notes = [
-        "limit: the best schedule that is known, with the same rules; ours: without a planner",
-        *(f"{s.case.name}: {s.best.how}" for s in scores if s.best is not None and not s.case.best),
+    """With the planner too, if OR-tools are installed."""
+    with_planner = find_spec("ortools") is not None and not quick
+    scores = [
+        (score(case), score(case, planner=True) if with_planner else None) for case in cases(quick=quick)
     ]
-    families = dict.fromkeys(s.case.family for s in scores)
-    for family in families:
-        ratios = [s.ratio for s in scores if s.case.family == family]
-        notes.append(f"{family}: {min(ratios):.2f} to {max(ratios):.2f} × the best known")
-    return Report([figure(found) for found in scores], notes)
+    notes = [
+        "limit: the best schedule that is known, with the same rules; ours: without a planner, and with it",
+        *(f"{s.case.name}: {s.best.how}" for s, _ in scores if s.best is not None and not s.case.best),
+    ]
+    for family in dict.fromkeys(s.case.family for s, _ in scores):
+        for what, found in (
+            ("online", [s for s, _ in scores]),
+            ("with planner", [s for _, s in scores if s is not None]),
+        ):
+            ratios = [s.ratio for s in found if s.case.family == family]
+            if ratios:
+                mean = sum(ratios) / len(ratios)
+                notes.append(
+                    f"{family}, {what}: {min(ratios):.2f} to {max(ratios):.2f} × the best known, mean {mean:.3f}"
+                )
+    return Report([figure(found, planned) for found, planned in scores], notes)
 
 
 def smoke() -> Report:

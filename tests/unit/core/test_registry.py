@@ -129,8 +129,8 @@ from labos.core.runs import (
 from labos.core.shares import Group, Member, Quota, SharesApplied
 from labos.core.shorter import BenchCompared, LogFoundShorter, StationsChecked
 from labos.core.signatures import RunSigned
-from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
+from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.topics import Choice, LostLabware
 from labos.core.users import (
     GroupAdded,
