@@ -24,10 +24,7 @@ from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, results_of
 from labos.planning.floor import UNSETTLED, Actor, Branch, Floor, change_claim
 from labos.planning.moves import Taken, may_move, move, take_back
-from labos.planning.paths import Motion, Path, carrying
-
-FORKED = -2
-"""The step number that stands in a witness for all that follows an actor's first fork."""
+from labos.planning.paths import FORKED, Motion, Path, carrying
 
 FORK = Motion(FORKED)
 
@@ -238,4 +235,4 @@ def _back(floor: Floor, actor: Actor, trail: list[tuple[Motion, Taken | None]]) 
         take_back(floor, actor, motion, taken)
 
 
-__all__ = ["FORK", "FORKED", "Ends", "finish", "futures", "motions_of", "unfinish"]
+__all__ = ["FORK", "Ends", "finish", "futures", "motions_of", "unfinish"]

@@ -10,7 +10,7 @@ from labos.core.ids import ModuleName, RunId, StationName, run_owner
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.paths import END, Motion, Stand, door_key, motions_of_steps, setpoint_key
+from labos.planning.paths import Motion, Stand, door_key, motions_of_steps, setpoint_key
 
 
 def leaving(
@@ -27,7 +27,9 @@ def leaving(
     before = _stand(state, run, claims)
     motions = motions_of_steps(plan, order_of(plan, left), claims, rests, nests, before)
     return tuple(
-        motion for motion in motions if motion.step == END or run.steps[motion.step].status == PENDING
+        motion
+        for motion in motions
+        if not isinstance(motion.step, int) or run.steps[motion.step].status == PENDING
     )
 
 

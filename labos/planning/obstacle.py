@@ -60,7 +60,7 @@ def _met(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], 
     walker = fresh(mover)
     for motion in walker.motions:
         if not may_move(floor, walker, motion):
-            key = plan.steps[motion.step].key if motion.step >= 0 else "the closing workflow"
+            key = plan.steps[motion.step].key if isinstance(motion.step, int) else "the closing workflow"
             return f"{key!r} {_why(state, floor, walker, motion, gone)}"
         move(floor, walker, motion)
     return ""

@@ -11,6 +11,7 @@ from labos.planning.floor import Actor, Floor
 from labos.planning.forecast import is_pending
 from labos.planning.layout import lay_out
 from labos.planning.moves import may_move, move
+from labos.planning.paths import END
 from labos.planning.player import Step
 from labos.planning.safety import Safety, View, as_seen
 from labos.planning.witness import Trail, copy, fresh, greedy, take_all_back
@@ -85,7 +86,9 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
     steps = [motion.step for motion in actor.motions]
     return [
         max((last for first, last in spans if first <= here and there <= last), default=0)
-        for here, there in zip(steps, [*steps[1:], len(steps) + 10**6], strict=True)
+        if isinstance(here, int) and isinstance(there, int)
+        else 0
+        for here, there in zip(steps, [*steps[1:], END], strict=True)
     ]
 
 

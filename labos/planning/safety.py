@@ -38,12 +38,12 @@ from labos.core.ids import (
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
 from labos.core.state import LabState
-from labos.planning.floor import CLOSING, Actor, Branch, Floor, is_closing
-from labos.planning.forks import FORKED, find_kept, futures, motions_of
+from labos.planning.floor import Actor, Branch, Floor, is_closing
+from labos.planning.forks import find_kept, futures, motions_of
 from labos.planning.layout import down, keep, lay_out, standing
 from labos.planning.leaving import leaving
 from labos.planning.moves import may_move, move
-from labos.planning.paths import Motion, Path, path_of
+from labos.planning.paths import FORKED, ClosingStep, Motion, Path, path_of
 from labos.planning.stuck import find_block, reaches_into
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
 
@@ -426,4 +426,4 @@ def _with_passers(known: Known, actors: Sequence[Actor]) -> Known:
 
 
 def _closing(path: Path) -> tuple[Motion, ...]:
-    return tuple(msgspec.structs.replace(motion, step=CLOSING - motion.step) for motion in path.motions)
+    return tuple(msgspec.structs.replace(motion, step=ClosingStep(motion.step)) for motion in path.motions)
