@@ -20,10 +20,11 @@ if TYPE_CHECKING:
         shape_of,
         source_of,
     )
-    from labos.bootstrap._lab import LabRuntime, open_lab
+    from labos.bootstrap._lab import open_lab
     from labos.bootstrap._node import run_node
     from labos.bootstrap._node_class import own_class
     from labos.bootstrap._notify import find_contacts, make_notifier
+    from labos.bootstrap._runtime import LabRuntime
     from labos.bootstrap._secure import Guard
     from labos.bootstrap._stop import stop_over_bus
     from labos.bootstrap._thread import LabThread
@@ -32,7 +33,7 @@ _HOME = {
     "ApiSettings": "_api",
     "Drivers": "_drivers",
     "Guard": "_secure",
-    "LabRuntime": "_lab",
+    "LabRuntime": "_runtime",
     "LabThread": "_thread",
     "description_path": "_drivers",
     "descriptions": "_drivers",

@@ -11,10 +11,10 @@ from typing import Any
 
 import msgspec
 
+from labos.bootstrap._bus import BUS_PATIENCE_S, join_bus
 from labos.bootstrap._desk import read_api_key
 from labos.bootstrap._drivers import load_drivers
 from labos.bootstrap._gate import end_streams, expect_tls, expect_users, gate_beside, listening
-from labos.bootstrap._lab import BUS_PATIENCE_S, _join_bus
 from labos.bootstrap._secure import Guard
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.canonical import digest
@@ -199,7 +199,7 @@ async def _link(api: ApiRuntime, stack: AsyncExitStack) -> None:
         own: Path | None = settings.certificate
         guard = Guard(who, settings, runs_bus=False, own=own)
     security = await asyncio.to_thread(guard.prepare) if guard is not None else None
-    bus = await _join_bus(settings.bus, BUS_PATIENCE_S, security)
+    bus = await join_bus(settings.bus, BUS_PATIENCE_S, security)
     stack.push_async_callback(bus.close)
     if guard is not None:
         await guard.watch(bus)

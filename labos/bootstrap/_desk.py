@@ -17,7 +17,7 @@ from labos.services.accounts import make_secret
 from labos.settings import Settings
 
 if TYPE_CHECKING:
-    from labos.bootstrap._lab import LabRuntime
+    from labos.bootstrap._runtime import LabRuntime
 
 PREFIX = "labos_api_"
 
