@@ -23,7 +23,7 @@ PREFIX = "labos_api_"
 
 
 @asynccontextmanager
-async def serving_api_processes(settings: Settings, lab: LabRuntime) -> AsyncIterator[None]:
+async def serve_api_processes(settings: Settings, lab: LabRuntime) -> AsyncIterator[None]:
     """Answer API processes as long as the block lasts."""
     key = b"" if settings.is_secure else make_api_key(settings)
     lab.desk = Desk(lab.http.app, lab.service, Letters(key, lab.kernel.clock))

@@ -15,14 +15,14 @@ from typing import Literal
 import structlog
 
 from labos.bootstrap._bus import BUS_PATIENCE_S, choose_port, open_lab_bus, secure_bus
-from labos.bootstrap._desk import serving_api_processes
+from labos.bootstrap._desk import serve_api_processes
 from labos.bootstrap._gate import (
     add_first_user,
+    describe_listening,
     expect_tls,
     expect_users,
     give_first_password,
-    listening,
-    opened_gate,
+    open_gate,
 )
 from labos.bootstrap._hands import SimulatedHands
 from labos.bootstrap._metrics import LabMetrics
@@ -135,16 +135,16 @@ async def open_lab(
         kernel.listeners.append(feed)
         lab.service = LabService(lab, feed, _viewers(settings))
         http_port = choose_port(settings, settings.http_port, last_ports(settings.home).http)
-        lab.gate = stack.enter_context(opened_gate(settings, kernel, lab.metrics))
+        lab.gate = stack.enter_context(open_gate(settings, kernel, lab.metrics))
         await give_first_password(settings, lab.gate.accounts)
         lab.service.marks = Marks(store)
         kernel.listeners.append(lab.service.marks)
         lab.service.marks.begin()
         stack.push_async_callback(lab.service.marks.close)
-        lab.http = HttpServer(lab.service, lab.gate, listening(settings, http_port))
+        lab.http = HttpServer(lab.service, lab.gate, describe_listening(settings, http_port))
         await lab.http.start()
         stack.push_async_callback(lab.http.close)
-        await stack.enter_async_context(serving_api_processes(settings, lab))
+        await stack.enter_async_context(serve_api_processes(settings, lab))
         feeder = Feeder(kernel, CampaignRows(lab.service))
         feeder.start()
         stack.push_async_callback(feeder.close)

@@ -55,12 +55,12 @@ def login(user: str | None, days: float, home: str | None, as_json: bool) -> Non
 def logout(home: str | None, as_json: bool) -> None:
     """Sign out: the token is good no more, and is forgotten."""
     from labos.cli._lab import need_lab
-    from labos.client._token import keep_token, kept_token
+    from labos.client._token import find_kept_token, keep_token
     from labos.errors import NotSignedIn
 
     with need_lab(home) as client:
         place = client.token_place
-        if not kept_token(place):
+        if not find_kept_token(place):
             tell(
                 f"You have not signed in to {place}.", {"place": place, "signed_out": False}, as_json=as_json
             )

@@ -13,7 +13,7 @@ from labos.core.state import LabState
 from labos.planning.paths import Motion, Stand, door_key, motions_of_steps, setpoint_key
 
 
-def leaving(
+def find_way_out(
     state: LabState,
     run: RunState,
     claims: Mapping[StationName, str],
@@ -42,7 +42,7 @@ def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) ->
         if item.lender:
             stand.lent[place] = True
     for name, module in state.modules.within(state.runs.plan_of(run).workcell):
-        doors = _left(module, run.id)
+        doors = _find_left(module, run.id)
         if doors:
             stand.doors[name] = doors
             stand.held[door_key(name)] = True
@@ -52,7 +52,7 @@ def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) ->
     return stand
 
 
-def _left(module: Module, run: RunId) -> dict[str, Any]:
+def _find_left(module: Module, run: RunId) -> dict[str, Any]:
     """How the doors and lids stand that a run has left away from rest."""
     left = module.away_from_rest().items()
     return {variable: stands.value for variable, stands in left if stands.by == run}

@@ -26,7 +26,7 @@ def first_trap(
     """The first of these starts after which some runs could not come to their ends that can now, and which
     runs these are. None if there is no such start, or if somebody's way forks: then planning asks about
     each start when its turn comes."""
-    here = _seen(state, cell, [name for name, _ in starts], safety)
+    here = _view_actors(state, cell, [name for name, _ in starts], safety)
     if any(actor.forks for actor in here):
         return None
     moving = {(actor.name, motion.step) for actor in here for motion in actor.motions}
@@ -53,7 +53,7 @@ def first_trap(
 def find_late_step(state: LabState, cell: str, starts: Sequence[Step], safety: Safety) -> Step | None:
     """A step that could not follow in time after these starts, whoever goes first: others would have to move
     while its clock runs. None if there is none, or if it cannot be known."""
-    here = _seen(state, cell, [name for name, _ in starts], safety)
+    here = _view_actors(state, cell, [name for name, _ in starts], safety)
     if any(actor.forks for actor in here):
         return None
     floor = lay_out(state, cell, here, hopeful=True)
@@ -130,7 +130,7 @@ def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> boo
     return True
 
 
-def _seen(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> list[Actor]:
+def _view_actors(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> list[Actor]:
     """Step is inside, or about to be let in, if nobody were stuck and experiments closed."""
     view = View(cell, hopeful=True, closing=True)
     actors = safety.actors(state, cell)

@@ -100,7 +100,7 @@ class Motion(msgspec.Struct, frozen=True):
         return bool(self.target or self.grabs or self.frees or self.needs or self.returns or self.sets)
 
 
-def carrying(
+def carry(
     step: int,
     *effects: Carrying,
     uses: ModuleName,
@@ -258,7 +258,7 @@ def motions_of_steps(
         for places in needs:
             before.lend(places, claims, keeps=keeps)
         hand = hand_of(step.module)
-        motions += carrying(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
+        motions += carry(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
         for what in moving:
             before.carry(what, claims)
         if frees or sets:
