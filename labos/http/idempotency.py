@@ -80,7 +80,7 @@ class IdempotentAnswers:
         known = self._requests.get(mine)
         if known is None:
             if not logs_key and self.marks is not None:
-                work = partial(_marked, self.marks, mark_of(user, path, key), work)
+                work = partial(_mark, self.marks, mark_of(user, path, key), work)
             task = asyncio.get_running_loop().create_task(_carry_out(work, logs_key))
             known = self._requests[mine] = _Request(path, asked, task)
             task.add_done_callback(lambda _: self._keep(mine, known))
@@ -117,7 +117,7 @@ def mark_of(user: str, path: str, key: str) -> str:
     return PREFIX + digest(msgspec.json.encode((user, path, key)))[:32]
 
 
-async def _marked(marks: Marks, mark: str, work: Callable[[], Awaitable[Response]]) -> Response:
+async def _mark(marks: Marks, mark: str, work: Callable[[], Awaitable[Response]]) -> Response:
     """Carry a request out under its mark, unless the log bears it. Raises AlreadyDone."""
     await _expect_new(marks, mark)
     MARK.set(mark)

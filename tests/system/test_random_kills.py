@@ -30,7 +30,7 @@ from labos.services.truth import differences
 from labos.settings import free_port
 from labos.spec import find_spec
 from labos.store import SqlEventStore, open_store
-from tests.support.carried import carried_wrong
+from tests.support.carried import find_carried_wrong
 from tests.support.cells import rpl_with
 from tests.support.instants import AT_WORK, NODES, Instant, Ordeal, draw
 from tests.support.lab_process import labos
@@ -249,7 +249,7 @@ def sound(lab: Lab, world: World) -> None:
     """The bench is as the log says, in every plate; nothing was done twice and nothing is missing."""
     state, records = lab.folded()
     assert differences(world, state, records) == []
-    assert carried_wrong(world, records) == []
+    assert find_carried_wrong(world, records) == []
     kinds = ("run.completed", "run.failed", "run.cancelled")
     ends = Counter(record.head.type for record in records if record.head.type in kinds)
     assert ends == {"run.completed": lab.work.runs + lab.resets}, lab.questions

@@ -8,7 +8,7 @@ from itertools import pairwise
 import msgspec
 
 from labos.core.bench import Labware
-from labos.core.booked import begun, contacts
+from labos.core.booked import contacts, find_begun
 from labos.core.bookings import (
     Booking,
     BookingBegan,
@@ -319,11 +319,11 @@ def _conflicts(
         if command.force and (mine.maintenance or not other.maintenance):
             over.append(other.id)
             continue
-        return _refused(other, met, force=command.force)
+        return _refuse(other, met, force=command.force)
     return tuple(sorted(over))
 
 
-def _refused(other: Booking, met: Span, *, force: bool) -> Rejection:
+def _refuse(other: Booking, met: Span, *, force: bool) -> Rejection:
     begins, ends = in_zone(met.begins, other.zone), in_zone(met.ends, other.zone)
     what = f"{local(other.target)} is booked for {other.whom} from {begins} until {ends}"
     remedy = f"Choose another time, or ask {other.by}. An admin can book over it: --force"
@@ -375,7 +375,7 @@ def tell_who_overruns(state: LabState, event: BookingBegan) -> Iterator[Event]:
     for module in modules_of(state, booking.target):
         for action in [state.actions.open[name] for name in state.modules.by_name[module].in_flight]:
             run = state.runs.active.get(action.run)
-            if run is None or begun(state, run.user, module) is not booking:
+            if run is None or find_begun(state, run.user, module) is not booking:
                 continue
             plan = state.runs.plan_of(run)
             step = plan.steps[action.step]
