@@ -31,6 +31,7 @@ from labos.pki import PROCESS_NAME, Identity
 from labos.ports import BlobStore, Bus
 from labos.runtime.followed import FollowedKernel, SendOn
 from labos.runtime.log_check import LogCheck
+from labos.runtime.marks import Marks
 from labos.runtime.registry import Registry
 from labos.settings import Settings, is_alive, last_kernel
 from labos.store import SqlEventStore, is_replica, open_blobs, open_store, shown_url
@@ -162,6 +163,10 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
         kernel.listeners.append(feed)
         service = LabService(api, feed, viewers)
         service.link = api.link
+        service.marks = Marks(store)
+        kernel.listeners.append(service.marks)
+        service.marks.begin()
+        stack.push_async_callback(service.marks.close)
         gate = stack.enter_context(gate_beside(settings, accounts, kernel, api.counts.signing))
         api.http = HttpServer(service, gate, describe_listening(settings, settings.http_port or 0))
         kernel.follow()

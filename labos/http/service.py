@@ -394,11 +394,12 @@ class LabService:
         command = StartExperiment(
             name, person_of(user), plan, priority, request or self.kernel.ids.new(), places, propose
         )
-        events = await self.kernel.execute(command, user)
-        experiment = self.kernel.state.experiments.requests[command.request]
-        if not events:
+        requests = self.kernel.state.experiments.requests
+        if command.request in requests or not await self.kernel.execute(command, user):
             await self.kernel.written()
-            await asyncio.to_thread(expect_same_experiment, self.parts.store, command, experiment)
+            known = self.kernel.state.experiments.requests[command.request]
+            await asyncio.to_thread(expect_same_experiment, self.parts.store, command, known)
+        experiment = self.kernel.state.experiments.requests[command.request]
         self.hear(experiment, user)
         return str(experiment)
 

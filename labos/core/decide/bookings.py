@@ -31,11 +31,7 @@ from labos.core.state import LabState
 from labos.core.topics import BookedPlace, in_batches, name_some
 from labos.core.users import person_of, rank
 
-MOST_HOURS = 24
-"""So many hours that are still to come a submitter may have booked."""
-
-MOST_DAYS_AHEAD = 14
-"""So far ahead a submitter may book."""
+HOUR_NS = 3_600_000_000_000
 
 LONGEST_DAYS = 366
 """So long a booking lasts at most."""
@@ -280,21 +276,24 @@ def _for_nobody(state: LabState, terms: NewTerms) -> Rejection | None:
 def _beyond_quota(
     state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
 ) -> Rejection | None:
-    """Whoever is no operator there books little, and not far ahead."""
+    """Whoever is no operator there books as much, and as far ahead, as the policy lets them."""
     who, terms, now = person_of(command.by), command.terms, command.now
     cell = workcell_of(ModuleName(target))
     if state.users.is_open or role_in(state, who, cell) >= rank("operator"):
         return None
-    if terms.begins > now + MOST_DAYS_AHEAD * DAY_NS:
-        return Rejection(
-            "too_far", f"{who} may book {MOST_DAYS_AHEAD} days ahead at most.", "Ask an operator to book it."
-        )
+    limits, remedy = state.approvals.policy.bookings, "Ask an operator to book it."
+    if terms.begins > now + limits.days_ahead * DAY_NS:
+        return Rejection("too_far", f"{who} may book {limits.days_ahead} days ahead at most.", remedy)
+    long = (terms.ends - terms.begins) / HOUR_NS
+    if limits.hours is not None and long > limits.hours:
+        what = f"This booking lasts {long:.1f} h, and one of {who} may last {limits.hours:g} h."
+        return Rejection("too_long", what, f"Book less at once. {remedy}")
     mine = [b for b in state.bookings.open.values() if person_of(b.by) == who and b.id != name and not b.rule]
-    hours = sum(b.ends - max(b.begins, now) for b in mine) + terms.ends - max(terms.begins, now)
-    if hours > MOST_HOURS * 3_600_000_000_000:
+    hours = (sum(b.ends - max(b.begins, now) for b in mine) + terms.ends - max(terms.begins, now)) / HOUR_NS
+    if hours > limits.total_hours:
         return Rejection(
             "quota",
-            f"{who} would have booked {hours / 3.6e12:.1f} h that are to come, and may have {MOST_HOURS}.",
+            f"{who} would have booked {hours:.1f} h that are to come, and may have {limits.total_hours:g}.",
             "Give one back (labos book cancel), or ask an operator to book it.",
         )
     return None
