@@ -37,7 +37,7 @@ from tests.support.lab_process import labos
 from tests.support.postgres import PostgresServer
 from tests.system import test_kills as kills
 
-APP = Path(__file__).parents[2] / "specs" / "apps" / "color_picker.py"
+APP = Path(__file__).parents[2] / "specs" / "apps" / "first_color_picker.py"
 SEEDS = os.environ.get("LABOS_KILL_SEEDS", "1 2 3 4 5").split()
 AGAIN = "LABOS_KILL_SEEDS={seed} pytest tests/system/test_random_kills.py -s -m full -k {database}"
 INSTANTS = 10
