@@ -37,7 +37,7 @@ from labos.services.log import Log, event_of, fold_to
 
 if TYPE_CHECKING:
     from labos.http.operation import Api, Operation
-    from labos.http.service import Parts
+    from labos.http.parts import Parts
 
 FURTHER = 5_000
 """So many records behind a command of a request the next one of it is looked for."""
