@@ -1,4 +1,8 @@
-"""What simulated instruments see of liquids: dyes absorb light, by Beer's law to first order."""
+"""What simulated instruments see of liquids: dyes absorb light, by the law of Beer and Lambert.
+
+Light goes through a well from above. So what a dye absorbs depends on its amount over the well's area, not
+on what it was diluted with.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ Contents = Mapping[str, float]
 """Of a well: µL by liquid."""
 
 WELL_UL = 275.0
-"""A well filled as high as this shows a dye's full strength."""
+"""So much of a dye alone shows its full strength."""
 
 ABSORBS: dict[str, Color] = {
     "color_A": (0.1, 0.9, 0.7),
@@ -21,7 +25,7 @@ ABSORBS: dict[str, Color] = {
     "green": (0.8, 0.1, 0.7),
     "blue": (0.85, 0.6, 0.05),
 }
-"""How much of red, green and blue light a full well of a dye swallows; all others are clear."""
+"""The optical density of a full well of a dye for red, green and blue light; all other liquids are clear."""
 
 BANDS_NM: Color = (620.0, 540.0, 450.0)
 WIDTH_NM = 45.0
@@ -30,17 +34,17 @@ BLANK_OD = 0.04
 
 def color_of(contents: Contents) -> Color:
     """Red, green and blue (0 to 255) of a well."""
-    left = [max(1.0 - swallowed, 0.0) for swallowed in _swallowed(contents)]
-    return 255 * left[0], 255 * left[1], 255 * left[2]
+    red, green, blue = (255 * 10**-density for density in _density(contents))
+    return red, green, blue
 
 
 def absorbance_of(contents: Contents, nm: float) -> float:
     """The optical density of a well at a wavelength (nm)."""
-    bands = zip(_swallowed(contents), BANDS_NM, strict=True)
+    bands = zip(_density(contents), BANDS_NM, strict=True)
     return BLANK_OD + sum(part * math.exp(-(((nm - middle) / WIDTH_NM) ** 2)) for part, middle in bands)
 
 
-def _swallowed(contents: Contents) -> Color:
+def _density(contents: Contents) -> Color:
     red, green, blue = (
         sum(ABSORBS[liquid][channel] * ul / WELL_UL for liquid, ul in contents.items() if liquid in ABSORBS)
         for channel in range(3)

@@ -22,13 +22,13 @@ _IN_ORDER: dict[str, Callable[[Row], tuple[Any, ...]]] = {
 }
 
 
-def encoded_rows(table: Table, rows: Iterable[Row], *, nul: bool) -> list[Sequence[Any]]:
+def encode_rows(table: Table, rows: Iterable[Row], *, nul: bool) -> list[Sequence[Any]]:
     """Rows as the database takes them; see ``encoded_values``."""
     in_order = _IN_ORDER[table.name]
-    return encoded_values(table, [in_order(row) for row in rows], nul=nul)
+    return encode_values(table, [in_order(row) for row in rows], nul=nul)
 
 
-def encoded_values(table: Table, rows: list[Key], *, nul: bool) -> list[Sequence[Any]]:
+def encode_values(table: Table, rows: list[Key], *, nul: bool) -> list[Sequence[Any]]:
     """The same of rows whose values are in the order of their columns. PostgreSQL keeps no NUL character:
     where there may be one, its picture is put in its place."""
     at = _JSON[table.name]
@@ -38,7 +38,7 @@ def encoded_values(table: Table, rows: list[Key], *, nul: bool) -> list[Sequence
     return [[_shown(value) for value in values] for values in made] if nul else made
 
 
-def decoded(table: Table, values: Any) -> Row:
+def decode_row(table: Table, values: Any) -> Row:
     """A row as the database gives it."""
     found = list(values)
     for at in _JSON[table.name]:

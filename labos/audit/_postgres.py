@@ -11,7 +11,7 @@ from psycopg import sql
 from sqlalchemy.engine import URL
 
 from labos.audit._ddl import STATE, TABLE_SCHEMA, VIEW_SCHEMA, Dialect, table_name
-from labos.audit._encode import decoded
+from labos.audit._encode import decode_row
 from labos.audit._rows import Key, Row
 from labos.audit.database import AuditDatabase, Mark
 from labos.audit.tables import VERSION, Table
@@ -52,7 +52,7 @@ class PostgresAudit(AuditDatabase):
         statement = f"SELECT {columns} FROM {table_name(table.name, 'postgresql')} WHERE {where}"
         with self._door:
             found = self._connection.execute(statement.encode(), key).fetchone()
-        return None if found is None else decoded(table, found)
+        return None if found is None else decode_row(table, found)
 
     def close(self) -> None:
         self._connection.close()

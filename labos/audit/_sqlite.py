@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from sqlalchemy.engine import URL
 
 from labos.audit._ddl import STATE, Dialect, table_name
-from labos.audit._encode import decoded
+from labos.audit._encode import decode_row
 from labos.audit._rows import Key, Row
 from labos.audit.database import AuditDatabase, Mark
 from labos.audit.tables import TABLES, VERSION, Table
@@ -73,7 +73,7 @@ class SqliteAudit(AuditDatabase):
     def load(self, table: Table, key: Key) -> Row | None:
         with self._door:
             found = self._connection.execute(_SELECT[table.name], key).fetchone()
-        return None if found is None else decoded(table, found)
+        return None if found is None else decode_row(table, found)
 
     def close(self) -> None:
         self._connection.close()

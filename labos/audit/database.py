@@ -17,7 +17,7 @@ import msgspec
 from sqlalchemy.engine import URL
 
 from labos.audit._ddl import Dialect, drop_all, make_all
-from labos.audit._encode import encoded_rows, encoded_values
+from labos.audit._encode import encode_rows, encode_values
 from labos.audit._rows import Key, Row, Rows
 from labos.audit.tables import VERSION, Table
 from labos.errors import LogTooNew
@@ -70,9 +70,9 @@ class AuditDatabase(ABC):
                 return False
             nul = rows.may_have_nul
             for table, added in rows.added():
-                self._insert(table, encoded_values(table, added, nul=nul))
+                self._insert(table, encode_values(table, added, nul=nul))
             for table, changed in rows.changed():
-                self._replace(table, encoded_rows(table, changed, nul=nul))
+                self._replace(table, encode_rows(table, changed, nul=nul))
             self._note(after)
         return True
 

@@ -13,17 +13,18 @@ if TYPE_CHECKING:
         Drivers,
         description_path,
         descriptions,
-        installed,
+        list_installed,
         load_driver,
         load_drivers,
         module_beside,
         shape_of,
         source_of,
     )
-    from labos.bootstrap._lab import LabRuntime, open_lab
+    from labos.bootstrap._lab import open_lab
     from labos.bootstrap._node import run_node
     from labos.bootstrap._node_class import own_class
     from labos.bootstrap._notify import find_contacts, make_notifier
+    from labos.bootstrap._runtime import LabRuntime
     from labos.bootstrap._secure import Guard
     from labos.bootstrap._stop import stop_over_bus
     from labos.bootstrap._thread import LabThread
@@ -32,12 +33,12 @@ _HOME = {
     "ApiSettings": "_api",
     "Drivers": "_drivers",
     "Guard": "_secure",
-    "LabRuntime": "_lab",
+    "LabRuntime": "_runtime",
     "LabThread": "_thread",
     "description_path": "_drivers",
     "descriptions": "_drivers",
     "find_contacts": "_notify",
-    "installed": "_drivers",
+    "list_installed": "_drivers",
     "load_driver": "_drivers",
     "load_drivers": "_drivers",
     "module_beside": "_drivers",
@@ -60,7 +61,7 @@ __all__ = [
     "description_path",
     "descriptions",
     "find_contacts",
-    "installed",
+    "list_installed",
     "load_driver",
     "load_drivers",
     "make_notifier",

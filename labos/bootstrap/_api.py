@@ -11,10 +11,10 @@ from typing import Any
 
 import msgspec
 
+from labos.bootstrap._bus import BUS_PATIENCE_S, join_bus
 from labos.bootstrap._desk import read_api_key
 from labos.bootstrap._drivers import load_drivers
-from labos.bootstrap._gate import end_streams, expect_tls, expect_users, gate_beside, listening
-from labos.bootstrap._lab import BUS_PATIENCE_S, _join_bus
+from labos.bootstrap._gate import describe_listening, end_streams, expect_tls, expect_users, gate_beside
 from labos.bootstrap._secure import Guard
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.canonical import digest
@@ -31,6 +31,7 @@ from labos.pki import PROCESS_NAME, Identity
 from labos.ports import BlobStore, Bus
 from labos.runtime.followed import FollowedKernel, SendOn
 from labos.runtime.log_check import LogCheck
+from labos.runtime.marks import Marks
 from labos.runtime.registry import Registry
 from labos.settings import Settings, is_alive, last_kernel
 from labos.store import SqlEventStore, is_replica, open_blobs, open_store, shown_url
@@ -135,7 +136,7 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
         raise BadInput(
             f"{told.name!r} cannot be the name of an API process.", remedy="Take a-z, 0-9 and -, as in api-2."
         )
-    settings, accounts = _found(told.lab), told.accounts or told.lab.database
+    settings, accounts = _find_bus(told.lab), told.accounts or told.lab.database
     expect_tls(settings)
     if await asyncio.to_thread(is_replica, accounts):
         raise BadInput(
@@ -162,8 +163,12 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
         kernel.listeners.append(feed)
         service = LabService(api, feed, viewers)
         service.link = api.link
+        service.marks = Marks(store)
+        kernel.listeners.append(service.marks)
+        service.marks.begin()
+        stack.push_async_callback(service.marks.close)
         gate = stack.enter_context(gate_beside(settings, accounts, kernel, api.counts.signing))
-        api.http = HttpServer(service, gate, listening(settings, settings.http_port or 0))
+        api.http = HttpServer(service, gate, describe_listening(settings, settings.http_port or 0))
         kernel.follow()
         stack.push_async_callback(kernel.close)
         api.link.address = f"{settings.host}:{api.http.port}"
@@ -176,7 +181,7 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
         yield api
 
 
-def _found(settings: Settings) -> Settings:
+def _find_bus(settings: Settings) -> Settings:
     """With the bus of the kernel that runs in the lab's folder, unless one is named. Raises NotFound."""
     last = last_kernel(settings.home)
     if settings.bus:
@@ -199,7 +204,7 @@ async def _link(api: ApiRuntime, stack: AsyncExitStack) -> None:
         own: Path | None = settings.certificate
         guard = Guard(who, settings, runs_bus=False, own=own)
     security = await asyncio.to_thread(guard.prepare) if guard is not None else None
-    bus = await _join_bus(settings.bus, BUS_PATIENCE_S, security)
+    bus = await join_bus(settings.bus, BUS_PATIENCE_S, security)
     stack.push_async_callback(bus.close)
     if guard is not None:
         await guard.watch(bus)

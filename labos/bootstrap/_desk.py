@@ -17,13 +17,13 @@ from labos.services.accounts import make_secret
 from labos.settings import Settings
 
 if TYPE_CHECKING:
-    from labos.bootstrap._lab import LabRuntime
+    from labos.bootstrap._runtime import LabRuntime
 
 PREFIX = "labos_api_"
 
 
 @asynccontextmanager
-async def serving_api_processes(settings: Settings, lab: LabRuntime) -> AsyncIterator[None]:
+async def serve_api_processes(settings: Settings, lab: LabRuntime) -> AsyncIterator[None]:
     """Answer API processes as long as the block lasts."""
     key = b"" if settings.is_secure else make_api_key(settings)
     lab.desk = Desk(lab.http.app, lab.service, Letters(key, lab.kernel.clock))

@@ -45,7 +45,7 @@ def load_drivers() -> Drivers:
     """Every installed driver. One that cannot be loaded, or whose name two packages use, is reported, and
     spoils no other."""
     found = Drivers()
-    for name, entries in installed().items():
+    for name, entries in list_installed().items():
         try:
             node = _only(name, entries)
             node.describe()
@@ -58,7 +58,7 @@ def load_drivers() -> Drivers:
     return found
 
 
-def installed() -> dict[str, list[EntryPoint]]:
+def list_installed() -> dict[str, list[EntryPoint]]:
     """What is installed under each driver's name: more than one entry if packages disagree about it."""
     found: dict[str, list[EntryPoint]] = {}
     for entry in entry_points(group=GROUP):
@@ -75,7 +75,7 @@ def load_driver(name: str) -> type[Node]:
     path, _, wanted = name.partition(".py")
     if (wanted == "" and path != name) or wanted.startswith(":"):
         return _in_file(Path(f"{path}.py"), wanted[1:])
-    found = installed()
+    found = list_installed()
     if name in found:
         return _only(name, found[name])
     raise NotFound(

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _log = structlog.get_logger(__name__)
 
 
-def listening(settings: Settings, port: int) -> Listening:
+def describe_listening(settings: Settings, port: int) -> Listening:
     """Where HTTP listens."""
     return Listening(
         settings.host,
@@ -106,7 +106,7 @@ def expect_users(settings: Settings, kernel: LabKernel) -> None:
 
 
 @contextmanager
-def opened_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iterator[Gate]:
+def open_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iterator[Gate]:
     """The gate of a running lab; its key is in the lab's folder as long as the block lasts."""
     with ExitStack() as stack:
         store = open_accounts(settings.database)
@@ -120,7 +120,7 @@ def opened_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iter
             accounts,
             lambda: kernel.state.users,
             key,
-            secure=listening(settings, 0).is_secure,
+            secure=describe_listening(settings, 0).is_secure,
             provider=_provider(settings, kernel.clock),
         )
         kernel.listeners.append(_Disabled(accounts))
@@ -137,7 +137,7 @@ def gate_beside(settings: Settings, accounts_url: str, kernel: LabKernel, signin
         gate = Gate(
             accounts,
             lambda: kernel.state.users,
-            secure=listening(settings, 0).is_secure,
+            secure=describe_listening(settings, 0).is_secure,
             provider=_provider(settings, kernel.clock),
         )
         kernel.listeners.append(_Disabled(accounts))

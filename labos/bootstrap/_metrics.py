@@ -15,7 +15,7 @@ from labos.telemetry.otlp import OtlpSender
 from labos.telemetry.process_metrics import Readings
 
 if TYPE_CHECKING:
-    from labos.bootstrap._lab import LabRuntime
+    from labos.bootstrap._runtime import LabRuntime
     from labos.http.identity import Gate
     from labos.runtime.writer import ThreadWriter
 

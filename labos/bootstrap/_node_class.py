@@ -23,8 +23,8 @@ def foreign_class(module: str, told: SetupReply) -> type[Node]:
 
     if why := why_not_reached(told.interface):
         raise BadInput(f"{module} cannot be reached: {why}", remedy=REMEDY)
-    described = _described(told) if told.about else load_driver(told.driver).describe()
-    return adapter_class(told.interface, _extended(described, told))
+    described = _describe(told) if told.about else load_driver(told.driver).describe()
+    return adapter_class(told.interface, _extend(described, told))
 
 
 def own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -> type[Node]:
@@ -43,22 +43,22 @@ def own_class(module: str, told: SetupReply, driver: type[Node] | None = None) -
     if told.about:
         from labos.node.generic import generic_node
 
-        return generic_node(_extended(_described(told), told))
+        return generic_node(_extend(_describe(told), told))
     found = (driver or load_driver(told.driver)).for_config(told.config)
     if told.extends:
-        from labos.node.generic import extended_node
+        from labos.node.generic import extend_node
 
-        return extended_node(found, _extended(found.describe(), told))
+        return extend_node(found, _extend(found.describe(), told))
     return found
 
 
-def _described(told: SetupReply) -> Description:
+def _describe(told: SetupReply) -> Description:
     from labos.spec.about import About, description_of, resettable
 
     return resettable(description_of(About.model_validate(told.about), told.driver))
 
 
-def _extended(description: Description, told: SetupReply) -> Description:
+def _extend(description: Description, told: SetupReply) -> Description:
     if not told.extends:
         return description
     from labos.spec.about import Extends, extended

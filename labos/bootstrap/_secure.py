@@ -110,7 +110,7 @@ class Guard:
 
     def _renew(self, modules: Iterable[str]) -> None:
         """Its own certificate, and those of the nodes that run here. Raises Refused, NotFound, BadInput."""
-        self.authority.ensure(self.who, addresses=reached_at(self._settings))
+        self.authority.ensure(self.who, addresses=list_addresses(self._settings))
         self.issue_for(modules)
 
     def _check_identity(self, credentials: Credentials) -> None:
@@ -183,7 +183,7 @@ class Guard:
         return (self.credentials.stamp(), {(entry.common_name, entry.identity) for entry in members})
 
 
-def reached_at(settings: Settings) -> list[str]:
+def list_addresses(settings: Settings) -> list[str]:
     """The addresses under which the bus of this computer is connected to."""
     here = {"127.0.0.1", "localhost", socket.gethostname(), *settings.addresses}
     if settings.host not in ("0.0.0.0", "::", ""):

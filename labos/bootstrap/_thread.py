@@ -10,7 +10,8 @@ from typing import Any
 
 import structlog
 
-from labos.bootstrap._lab import LabRuntime, Nodes, open_lab
+from labos.bootstrap._lab import Nodes, open_lab
+from labos.bootstrap._runtime import LabRuntime
 from labos.bootstrap._standby import open_standby
 from labos.errors import LabosError, Refused, StoreUnavailable
 from labos.runtime.follower import Follower

@@ -202,3 +202,7 @@ def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "approves", "an operator, also what is their own" if policy["own"] else "another operator"
     if policy["priority"] is not None:
         yield "highest priority", f"{policy['priority']}, of whoever is no operator and has no quota for it"
+    booked = policy["bookings"]
+    each = f"{booked['hours']:g} h each, " if booked["hours"] is not None else ""
+    amount = f"{each}{booked['total_hours']:g} h to come, {booked['days_ahead']} days ahead"
+    yield "bookings", f"{amount}, of whoever is no operator"

@@ -112,7 +112,7 @@ def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]
     from labos.private import make_folder
     from labos.spec.library import specs_folder
 
-    script = specs_folder() / "apps" / "color_picker.py"
+    script = specs_folder() / "apps" / "first_color_picker.py"
     make_folder(settings.logs)
     with (settings.logs / "color_picker.log").open("ab") as log:
         return subprocess.Popen(

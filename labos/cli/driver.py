@@ -136,9 +136,9 @@ def new_command(name: str, as_json: bool) -> None:
 
 def _refuse_if_taken(name: str) -> None:
     """Two drivers of one name: neither could be used any more. Raises BadInput."""
-    from labos.bootstrap import installed, source_of
+    from labos.bootstrap import list_installed, source_of
 
-    if entries := installed().get(name):
+    if entries := list_installed().get(name):
         raise BadInput(
             f"A driver named {name!r} is installed already, by {source_of(entries[0])}.",
             remedy="Take another name, or uninstall that package first if yours is to replace it.",

@@ -25,7 +25,7 @@ from labos.ports import BlobReader
 from labos.services.files import ResultFile, files_of
 from labos.services.history import position_at
 from labos.services.times import Moment, show_time
-from labos.services.verification import unused_blobs
+from labos.services.verification import find_unused_blobs
 from labos.settings import Settings
 from labos.store import FolderBlobs, open_blobs
 
@@ -132,7 +132,7 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
     if isinstance(blobs, FolderBlobs) and keep_days is not None:
         blobs.put_back_removed()
     with open_database(where) as store:
-        found = unused_blobs(store, blobs)
+        found = find_unused_blobs(store, blobs)
     if isinstance(blobs, FolderBlobs) and keep_days is not None:
         before = now_ns() / 1e9 - keep_days * 86_400
         removed = [name for name in found if blobs.remove_unused(name, before)]

@@ -114,12 +114,12 @@ def _by_password(client: LabClient, name: str, label: str, scope: str, days: flo
 def logout(url: str, home: str | None, as_json: bool) -> None:
     """Sign out of the lab at URL (LABOS_URL, or the one in the folder): the token is good no more, and is
     forgotten."""
-    from labos.client._token import keep_token, kept_token
+    from labos.client._token import find_kept_token, keep_token
     from labos.errors import NotSignedIn
 
     with _lab(url, home) as client:
         place = client.token_place
-        if not (kept := kept_token(place)):
+        if not (kept := find_kept_token(place)):
             tell(
                 f"You have not signed in to {place}.", {"place": place, "signed_out": False}, as_json=as_json
             )

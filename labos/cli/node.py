@@ -202,13 +202,13 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
     \b
     labos node accept-unit rpl/ot2_pcr_alpha OT2CEP20200309B04
     """
-    from labos.node.unit import forget_unit, keep_unit, known_unit
+    from labos.node.unit import forget_unit, keep_unit, read_known_unit
 
     settings = Settings.of(home)
     journal, file = settings.journal(module), settings.unit(module)
     if not journal.exists():
         raise NotFound(f"There is no journal {journal}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    was = known_unit(file)
+    was = read_known_unit(file)
     if serial:
         keep_unit(file, serial)
     else:

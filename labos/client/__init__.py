@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 from labos.client._answers import LabUnreachable
 from labos.client._experiment import Experiment, RunFailed
 from labos.client._files import step_text, workflow_text
+from labos.client._flows import Flow, FlowFailed, FlowResult, FlowStep
 from labos.client._lab import LabClient
 from labos.client._log import LabFiles, LabLog
 from labos.client._logged import Loop
 from labos.client._replay import ReplayMismatch
 from labos.client._results import RunResult, StepResult
+from labos.client._transfers import TransferFailed, Transferred
 
 if TYPE_CHECKING:
     from labos.client._generated.twin import AsyncExperiment, AsyncLabClient
@@ -29,6 +31,10 @@ __all__ = [
     "AsyncExperiment",
     "AsyncLabClient",
     "Experiment",
+    "Flow",
+    "FlowFailed",
+    "FlowResult",
+    "FlowStep",
     "LabClient",
     "LabFiles",
     "LabLog",
@@ -38,6 +44,8 @@ __all__ = [
     "RunFailed",
     "RunResult",
     "StepResult",
+    "TransferFailed",
+    "Transferred",
     "step_text",
     "workflow_text",
 ]

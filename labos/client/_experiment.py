@@ -9,7 +9,9 @@ from random import Random  # noqa: TID251 - its seed stands in the log
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from labos.client import _flows, _transfers
 from labos.client._files import workflow_text
+from labos.client._flows import Flow, FlowFailed, FlowResult
 from labos.client._lab import LabClient
 from labos.client._logged import LoggedEvents
 from labos.client._progress import Progress
@@ -17,6 +19,7 @@ from labos.client._record import Record
 from labos.client._replay import Key, ReplayMismatch
 from labos.client._results import RunResult
 from labos.client._services import Computations
+from labos.client._transfers import Place, TransferFailed, Transferred
 from labos.errors import BadInput, LabosError
 
 if TYPE_CHECKING:
@@ -234,6 +237,26 @@ class Experiment(LoggedEvents):
         """What a function returns for each argument, in their order. Raises ComputeFailed, ReplayMismatch."""
         taken = self._take("compute_all", function, key)
         return [each.result() for each in self._computations.submit_all(function, arguments, where, taken)]
+
+    def run_flow(self, flow: Flow, *, check: bool = True, key: str = "", **given: Any) -> FlowResult:
+        """Carry out the steps of a flow, one after the other, with what is ``given`` as ``input`` of its
+        state; its start, its end, each step and each further attempt are in the log. A program that was
+        started again goes on with the step at which it was. Raises FlowFailed if a step fails for good,
+        unless ``check`` is false; ReplayMismatch."""
+        taken = self._take("run_flow", flow, key)
+        result = _flows.run(self._record, self._computations, taken, flow, given)
+        if check and result.status != "succeeded":
+            raise FlowFailed(result)
+        return result
+
+    def transfer(self, source: Place, target: str | Path, *, key: str = "") -> Transferred:
+        """Copy a file to another place, with an event that has its SHA-256. A place is a path, a URL that
+        fsspec knows (extra ``transfer``), or as the source a file of the lab: ``result.files()[0]``. What
+        was transferred before the program was started again is not transferred twice. Raises TransferFailed,
+        ReplayMismatch."""
+        taken = self._take("transfer", target, key)
+        with self._record.asking(taken, TransferFailed):
+            return _transfers.transfer(self._record, taken, source, target)
 
     def configure_compute(self, *, attempts: Attempts | None = None, **places: Any) -> None:
         """How often a computation is tried, and what the places need: ``pool=4`` processes,

@@ -44,7 +44,7 @@ def workflow_text(
             f"The workflow {str(workflow)!r} is larger than {MAX_BYTES // 1024 // 1024} MB.",
             remedy="Keep data in files of their own and name them in arguments.",
         )
-    return {"text": text, "name": str(path), "files": _encoded(_files_beside(path, text, payload or {}))}
+    return {"text": text, "name": str(path), "files": _encode(_files_beside(path, text, payload or {}))}
 
 
 def campaign_text(campaign: str | Path) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def campaign_text(campaign: str | Path) -> dict[str, Any]:
     table = table_of_campaign(text)
     if table:
         with contextlib.suppress(OSError):  # the lab says that it is missing, and where it is named
-            told["files"] = _encoded([(table, beside(path, table).read_bytes())])
+            told["files"] = _encode([(table, beside(path, table).read_bytes())])
     return told
 
 
@@ -87,10 +87,10 @@ def step_text(module: str, action: str, args: Mapping[str, Any]) -> dict[str, An
         text = yaml.safe_dump({"labos": 1, "name": name, "steps": [step]}, sort_keys=False)
     except yaml.YAMLError as error:
         raise BadInput(f"The arguments of {module}.{action} cannot be written down: {error}.") from None
-    return {"text": text, "name": name, "files": _encoded(_files_in(Path.cwd(), set(texts_in(args))))}
+    return {"text": text, "name": name, "files": _encode(_files_in(Path.cwd(), set(texts_in(args))))}
 
 
-def _encoded(files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
+def _encode(files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
     return {name: base64.b64encode(content).decode() for name, content in files}
 
 

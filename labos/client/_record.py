@@ -21,7 +21,7 @@ from labos.client._replay import (
     request_of,
 )
 from labos.core.canonical import canonical
-from labos.errors import CommitInDoubt, KeyReused, NotFound, Refused
+from labos.errors import CommitInDoubt, KeyReused, LabosError, NotFound, Refused
 
 if TYPE_CHECKING:
     from labos.client._lab import LabClient
@@ -71,16 +71,20 @@ class Record:
         return self.past
 
     def take(self, method: str, what: Any, given: str = "") -> Key:
-        """The key of a call of a method of the experiment, about a workflow, a function or a name."""
-        about = function_name(what) if callable(what) else name_of(what) if _is_run(method) else str(what)
+        """The key of a call of a method of the experiment, about a workflow, a file, a function or a name."""
+        about = function_name(what) if callable(what) else str(what)
+        if method in ("run", "submit", "submit_all", "transfer"):
+            about = name_of(what)
         return self._keys.take(KINDS.get(method, method), about, given)
 
     @contextmanager
-    def asking(self, key: Key) -> Iterator[None]:
-        """A call that was not answered may be made again under the same key."""
+    def asking(self, key: Key, *failures: type[LabosError]) -> Iterator[None]:
+        """A call that was not answered, or failed in a way that leaves no trace, may be made again under the
+        same key."""
+        without_trace: tuple[type[LabosError], ...] = (LabUnreachable, *failures)
         try:
             yield
-        except LabUnreachable:
+        except without_trace:
             self._keys.give_back(key)
             raise
 
@@ -176,7 +180,3 @@ def function_name(function: Callable[..., Any]) -> str:
     from labos.services.compute._work import name_of as name_of_function
 
     return name_of_function(function)
-
-
-def _is_run(method: str) -> bool:
-    return method in ("run", "submit", "submit_all")

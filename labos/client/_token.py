@@ -28,7 +28,7 @@ def find_token(url: str, home: Path | None = None) -> str:
         return token
     if named := os.environ.get(TOKEN_FILE, ""):
         return _private_text(Path(named)).strip()
-    kept = kept_token(place_of(url, home))
+    kept = find_kept_token(place_of(url, home))
     if kept or home is None:
         return kept
     key = home / HOME_KEY
@@ -41,14 +41,14 @@ def place_of(url: str, home: Path | None) -> str:
     return str(home) if home is not None else url
 
 
-def kept_token(place: str) -> str:
+def find_kept_token(place: str) -> str:
     """What `labos login` has kept for a lab; empty if nothing."""
-    return _kept().get(place, "")
+    return _read_kept().get(place, "")
 
 
 def keep_token(place: str, token: str) -> None:
     """Keep a token for a lab; an empty one forgets it."""
-    kept = {**_kept(), place: token}
+    kept = {**_read_kept(), place: token}
     if not token:
         kept.pop(place, None)
     file = tokens_file()
@@ -59,7 +59,7 @@ def keep_token(place: str, token: str) -> None:
     os.replace(fresh, file)
 
 
-def _kept() -> dict[str, str]:
+def _read_kept() -> dict[str, str]:
     file = tokens_file()
     if not file.is_file():
         return {}
@@ -87,7 +87,7 @@ def _private_text(file: Path) -> str:
         raise BadInput(f"There is no file {file}.", remedy=f"Correct {TOKEN_FILE}.") from None
 
 
-def trusted_by(home: Path | None) -> ssl.SSLContext | None:
+def find_trusted(home: Path | None) -> ssl.SSLContext | None:
     """Which certificates are believed: those of the authority whose file LABOS_CA names; of a lab in a folder
     of this computer, the one that it shows by its own note. None for those that everybody believes."""
     if named := os.environ.get(CA, ""):

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.client._answers import LabUnreachable, answer_of, cannot_write, problem_in
 from labos.client._calls import LONG_POLL_S, Calls, check_given_up, plain
-from labos.client._token import find_token, place_of, trusted_by
+from labos.client._token import find_token, find_trusted, place_of
 from labos.clock import Uuid7Ids
 from labos.settings import Settings, find_kernel
 
@@ -54,7 +54,7 @@ class Transport(Calls):
 
         timeout = httpx.Timeout(LONG_POLL_S + 40.0, connect=5.0)
         limits = httpx.Limits(max_connections=None, max_keepalive_connections=20)
-        return httpx.Client(timeout=timeout, limits=limits, verify=trusted_by(self._home) or True)
+        return httpx.Client(timeout=timeout, limits=limits, verify=find_trusted(self._home) or True)
 
     @property
     def token_place(self) -> str:

@@ -139,7 +139,7 @@ def find_begun_booking(state: LabState, run: RunState, steps: Iterable[PlanStep]
             if key not in longest or step.duration_s > longest[key].duration_s:
                 longest[key] = step
     for (module, clears), step in longest.items():
-        found = begun(state, run.user, module, clears=clears)
+        found = find_begun(state, run.user, module, clears=clears)
         if found is not None:
             span = Span(found.began, found.until, found.id)
             return waits_for(state, module, span, step.key, found.began)
@@ -150,7 +150,7 @@ def find_begun_booking(state: LabState, run: RunState, steps: Iterable[PlanStep]
     return None
 
 
-def begun(state: LabState, user: str, module: ModuleName, *, clears: bool = False) -> Booking | None:
+def find_begun(state: LabState, user: str, module: ModuleName, *, clears: bool = False) -> Booking | None:
     """The booking of a module for others than a user that has begun and is not over."""
     if not state.bookings.now:
         return None

@@ -57,11 +57,11 @@ def parse_expression(text: str) -> Tree:
     """Read an expression. Raises ExpressionError."""
     if len(text) > LONGEST:
         raise ExpressionError(f"The expression has more than {LONGEST} characters.", remedy="Shorten it.")
-    return _parsed(text)
+    return _parse(text)
 
 
 @lru_cache(maxsize=512)
-def _parsed(text: str) -> Tree:
+def _parse(text: str) -> Tree:
     reader = _Reader(text)
     tree = reader.choice(0)
     reader.end()
@@ -321,7 +321,7 @@ def _compare(sign: str, left: Any, right: Any) -> bool:
         elif isinstance(right, Mapping):
             found = isinstance(left, str) and left in right
         else:
-            raise ExpressionError(f"Nothing can be in {_shown(right)}.", remedy="Name a list or a text.")
+            raise ExpressionError(f"Nothing can be in {_show(right)}.", remedy="Name a list or a text.")
         return found == (sign == "in")
     if isinstance(left, str) and isinstance(right, str):
         return _ORDER[sign](left, right)
@@ -370,16 +370,16 @@ def _number(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         return value
     raise ExpressionError(
-        f"{_shown(value)} is no number.", remedy="Correct the name, or quote a text on both sides."
+        f"{_show(value)} is no number.", remedy="Correct the name, or quote a text on both sides."
     )
 
 
 def _truth(value: Any) -> bool:
     if isinstance(value, bool):
         return value
-    raise ExpressionError(f"{_shown(value)} is neither true nor false.", remedy="Compare it with something.")
+    raise ExpressionError(f"{_show(value)} is neither true nor false.", remedy="Compare it with something.")
 
 
-def _shown(value: Any) -> str:
+def _show(value: Any) -> str:
     text = repr(value) if not isinstance(value, int) or abs(value) < 10**30 else "a very large number"
     return text if len(text) <= 40 else f"{text[:39]}…"

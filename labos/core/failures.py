@@ -41,13 +41,13 @@ def fold_node_joined(modules: Modules, event: NodeJoined, at: int) -> None:
 def fold_node_left(modules: Modules, event: NodeLeft, at: int) -> None:
     module = modules.by_name[event.module]
     if module.joined and not event.stopped:
-        _failed(module, Failure(at, f"its node was lost: {event.why}", tuple(module.in_flight)))
+        _note_failure(module, Failure(at, f"its node was lost: {event.why}", tuple(module.in_flight)))
     module.joined = False
 
 
 def fold_action_failed(modules: Modules, event: ActionFailed | ActionUnknown, at: int) -> None:
     what = event.error if isinstance(event, ActionFailed) else event.why
-    _failed(modules.by_name[event.module], Failure(at, what, (event.action,), event.run, event.step))
+    _note_failure(modules.by_name[event.module], Failure(at, what, (event.action,), event.run, event.step))
 
 
 def fold_step_retried(modules: Modules, event: StepRetried, at: int) -> None:
@@ -69,7 +69,7 @@ def fold_intervention_requested(modules: Modules, event: InterventionRequested, 
         module.asked = True
 
 
-def _failed(module: Module, failure: Failure) -> None:
+def _note_failure(module: Module, failure: Failure) -> None:
     """One more, unless it is what became of an action that was lost with its node."""
     told = {action for known in module.failures for action in known.actions}
     if module.person or told.intersection(failure.actions):

@@ -55,13 +55,13 @@ def way_out(plan: Plan, scene: Scene) -> tuple[int, ...]:
     found = []
     for index in order_of(plan, steps_out(plan)):
         step = plan.steps[index]
-        if _needed(step, scene):
+        if _is_needed(step, scene):
             found.append(index)
             _carry_out(step, scene)
     return tuple(found)
 
 
-def _needed(step: PlanStep, scene: Scene) -> bool:
+def _is_needed(step: PlanStep, scene: Scene) -> bool:
     for what in carried(step.effects):
         if what.stands:
             return all(scene.standing[place] > 0 for place in what.stands)

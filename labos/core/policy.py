@@ -1,4 +1,4 @@
-"""Which submissions wait for an operator's approval, and how high a priority may be."""
+"""Which submissions wait for an operator's approval, how high a priority may be, and what may be booked."""
 
 from __future__ import annotations
 
@@ -8,12 +8,21 @@ from labos.core.campaigns import Budget
 from labos.core.registry import Event, event
 
 
+class BookingLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What whoever is no operator there may book: ``hours`` of one booking (null: any), ``total_hours`` that
+    are still to come, of all bookings together, and so many ``days_ahead``."""
+
+    hours: float | None = None
+    total_hours: float = 24.0
+    days_ahead: int = 14
+
+
 class Policy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What waits for an approval: what ``programs`` (service accounts that are not ``trusted``) submit; the
     first ``newcomers`` submissions of a user; what does something ``dangerous``; what is ``above`` a budget;
     campaigns with ``deadlines``. With ``own``, an operator may approve what is the operator's own.
     ``priority`` is the highest that somebody may give who is no operator and whose quota names none (null:
-    any)."""
+    any). ``bookings`` limits what such a user books."""
 
     programs: bool = True
     trusted: tuple[str, ...] = ()
@@ -23,6 +32,7 @@ class Policy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     deadlines: bool = False
     own: bool = False
     priority: int | None = None
+    bookings: BookingLimits = BookingLimits()
 
 
 @event("policy.applied")

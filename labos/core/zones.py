@@ -57,7 +57,7 @@ def find_stopped_module(state: LabState, zone: str, besides: ModuleName) -> Modu
     """Another module that failed in a zone and is not known to have come out of it."""
     for name, module in state.modules.within(workcell_of(besides)):
         in_doubt = module.reached and module.status != ModuleStatus.IDLE
-        if name != besides and in_doubt and zone in _left_in(state, module):
+        if name != besides and in_doubt and zone in _list_left_in(state, module):
             return name
     return ModuleName("")
 
@@ -69,14 +69,14 @@ def find_barred_zones(state: LabState, cell: str) -> dict[str, ModuleName]:
     for name in state.modules.in_cell.get(cell, ()):
         module = state.modules.by_name[name]
         if module.reached and module.status in (ModuleStatus.ERROR, ModuleStatus.GONE):
-            found.update(dict.fromkeys(_left_in(state, module), name))
+            found.update(dict.fromkeys(_list_left_in(state, module), name))
     for action in state.actions.within(cell):
         if action.status == ActionStatus.UNKNOWN and action.exclusive:
             found.update(dict.fromkeys(zones_of(state, action.module, action.effects), action.module))
     return found
 
 
-def _left_in(state: LabState, module: Module) -> list[str]:
+def _list_left_in(state: LabState, module: Module) -> list[str]:
     known = state.bench.stations
     zones = [known[place].spec.zone for place in module.reached if place in known]
     return [zone for zone in [*zones, module.spec.zone] if zone]

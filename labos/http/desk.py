@@ -9,12 +9,12 @@ import structlog
 from starlette.applications import Starlette
 from starlette.types import Message
 
-from labos.errors import AlreadyDone, LabosError
+from labos.errors import LabosError
 from labos.http.idempotency import IdempotentAnswers
 from labos.http.letters import Answer, Headers, Hello, Letters, Recall, Reply, SentOn, Welcome
 from labos.http.notes import notes_of
 from labos.http.operation import ADMITTED
-from labos.http.problems import problem, problem_of
+from labos.http.problems import problem
 from labos.http.routes import PREFIX
 from labos.http.service import LabService
 from labos.http.wire import send_problem
@@ -64,9 +64,7 @@ class Desk:
     async def _recall(self, asked: Recall) -> Answer:
         idempotent: IdempotentAnswers = self._app.state.api.idempotent
         try:
-            found = await idempotent.recall(asked.path, asked.key, asked.digest, asked.user)
-        except AlreadyDone as error:
-            found = send_problem(problem_of(error))
+            found = await idempotent.recall(asked.key, asked.digest, asked.user)
         except LabosError:
             found = None  # it was refused, and is not remembered
         if found is None:

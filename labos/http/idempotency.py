@@ -1,7 +1,8 @@
 """The answers to requests with an idempotency key, kept for whoever asks again.
 
-They are kept in memory. A kernel that was started again knows by the log that a request was carried out
-(``runtime.marks``), not what it was answered. What the log knows of keys is in ``repeats``.
+They are kept in memory. A process that was started since knows by the log that a request was carried out
+(``runtime.marks``), and works out from it what it was answered (``recorded``). What the log knows of the keys
+of runs, experiments and campaigns is in ``repeats``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import msgspec
 from starlette.responses import Response
 
 from labos.core.canonical import digest
-from labos.errors import AlreadyDone, CommitInDoubt, KeyReused, LabosError
+from labos.errors import CommitInDoubt, KeyReused, LabosError
 from labos.http.problems import problem_of
 from labos.http.wire import send_problem
 from labos.runtime.marks import MARK, PREFIX, Marks
@@ -22,6 +23,9 @@ from labos.runtime.marks import MARK, PREFIX, Marks
 MOST = 10_000
 """Answers that are kept."""
 MOST_BYTES = 32 * 1024 * 1024
+
+ASKED = 16
+"""Digits of the digest of what a request says that stand behind its mark."""
 
 
 class _Answer(msgspec.Struct, frozen=True):
@@ -49,15 +53,11 @@ class IdempotentAnswers:
         self._most, self._most_bytes = most, most_bytes
         self._requests: dict[tuple[str, str], _Request] = {}
         self._bytes = 0
-        self.marks: Marks | None = None
-        """What the log knows of requests that were carried out before this kernel was started."""
 
-    async def recall(self, path: str, key: str, asked: str, user: str) -> Response | None:
+    async def recall(self, key: str, asked: str, user: str) -> Response | None:
         """What a request with this key was answered, if it was this one; None if nothing is known of it.
-        Raises AlreadyDone, and what the request raised."""
+        Raises what the request raised."""
         known = self._requests.get((user, key))
-        if known is None and self.marks is not None:
-            await _expect_new(self.marks, mark_of(user, path, key))
         if known is None or known.asked != asked:
             return None
         return (await asyncio.shield(known.answer)).response()
@@ -71,16 +71,17 @@ class IdempotentAnswers:
         *,
         user: str = "",
         logs_key: bool,
+        logged: LoggedRequest | None = None,
     ) -> Response:
         """The answer to a request of a ``user``: nobody is told what another one asked. A refusal is not
         kept: it changed nothing, and may not hold tomorrow. ``logs_key``: the log knows what was done for a
-        key; else what may have been done is not tried again. Raises KeyReused if the key belongs to another
-        request."""
+        key; else what may have been done is not tried again. ``logged`` tells what was answered before this
+        process was started. Raises KeyReused if the key belongs to another request."""
         mine = user, key
         known = self._requests.get(mine)
         if known is None:
-            if not logs_key and self.marks is not None:
-                work = partial(_marked, self.marks, mark_of(user, path, key), work)
+            if logged is not None:
+                work = partial(_carry_out_marked, logged, work)
             task = asyncio.get_running_loop().create_task(_carry_out(work, logs_key))
             known = self._requests[mine] = _Request(path, asked, task)
             task.add_done_callback(lambda _: self._keep(mine, known))
@@ -90,10 +91,7 @@ class IdempotentAnswers:
                     await asyncio.wait([known.answer])
                     return await self.once(key, path, asked, work, user=user, logs_key=logs_key)
                 await work()  # the log says best what differs
-            raise KeyReused(
-                f"The key {key!r} belongs to another request.{_find_answer(known)}",
-                remedy="Give each request a key of its own, and the same one only to say the same again.",
-            )
+            raise _reused(key, _find_answer(known))
         return (await asyncio.shield(known.answer)).response()
 
     def _keep(self, key: tuple[str, str], request: _Request) -> None:
@@ -117,21 +115,44 @@ def mark_of(user: str, path: str, key: str) -> str:
     return PREFIX + digest(msgspec.json.encode((user, path, key)))[:32]
 
 
-async def _marked(marks: Marks, mark: str, work: Callable[[], Awaitable[Response]]) -> Response:
-    """Carry a request out under its mark, unless the log bears it. Raises AlreadyDone."""
-    await _expect_new(marks, mark)
-    MARK.set(mark)
+class LoggedRequest(msgspec.Struct, frozen=True):
+    """What the log knows of a request: ``mark`` is what its first event bears, ``asked`` a digest of all that
+    it says; ``answer`` tells what was answered to the request of a mark that stands at a position."""
+
+    marks: Marks
+    mark: str
+    key: str
+    asked: str
+    answer: Callable[[str, int], Awaitable[Response]]
+
+    async def is_known(self) -> bool:
+        """Whether it was carried out. Raises StoreUnavailable, and KeyReused if its key belongs to another
+        request."""
+        if not await self.marks.find(self.mark):
+            return False
+        asked = self.marks.asked(self.mark)
+        if asked and asked != self.asked[: len(asked)]:
+            raise _reused(self.key)
+        return True
+
+    async def tell(self) -> Response:
+        """What it was answered, of one that is known. Raises AlreadyDone."""
+        return await self.answer(self.mark, await self.marks.find(self.mark))
+
+
+async def _carry_out_marked(logged: LoggedRequest, work: Callable[[], Awaitable[Response]]) -> Response:
+    """Carry a request out under its mark, unless the log bears it. Raises AlreadyDone, KeyReused."""
+    if await logged.is_known():
+        return await logged.tell()
+    MARK.set(f"{logged.mark}:{logged.asked[:ASKED]}")
     return await work()
 
 
-async def _expect_new(marks: Marks, mark: str) -> None:
-    """Raises AlreadyDone."""
-    if position := await marks.find(mark):
-        raise AlreadyDone(
-            f"This request was carried out at position {position}, before the kernel was started again; what "
-            "it was answered is not known any more.",
-            remedy=f"See what it did: labos log --after {position - 1}",
-        )
+def _reused(key: str, more: str = "") -> KeyReused:
+    return KeyReused(
+        f"The key {key!r} belongs to another request.{more}",
+        remedy="Give each request a key of its own, and the same one only to say the same again.",
+    )
 
 
 async def _carry_out(work: Callable[[], Awaitable[Response]], logs_key: bool) -> _Answer:

@@ -115,21 +115,21 @@ class Letters:
         if abs(now - sealed.at_ns) > GOOD_NS or sealed.nonce in self._seen:
             raise Unreadable("The question of an API process was asked before, or its clock is wrong.")
         self._seen[sealed.nonce] = now
-        return _decoded(_question, sealed.message), sealed.nonce
+        return _decode(_question, sealed.message), sealed.nonce
 
     def read_reply(self, payload: bytes, nonce: bytes) -> Reply:
         """Raises Unreadable for one that is not the kernel's, or answers another question."""
         sealed = self._open(b"reply", payload)
         if sealed.nonce != nonce:
             raise Unreadable("The reply answers another question.")
-        return _decoded(_reply, sealed.message)
+        return _decode(_reply, sealed.message)
 
     def _seal(self, way: bytes, nonce: bytes, said: Question | Reply) -> bytes:
         message, at_ns = _encode(said), self._clock.now_ns()
         return _encode(_Sealed(at_ns, nonce, self._mac(way, at_ns, nonce, message), message))
 
     def _open(self, way: bytes, payload: bytes) -> _Sealed:
-        sealed = _decoded(_sealed, payload)
+        sealed = _decode(_sealed, payload)
         if not hmac.compare_digest(sealed.mac, self._mac(way, sealed.at_ns, sealed.nonce, sealed.message)):
             raise Unreadable("An API process and the kernel do not have the same key.")
         return sealed
@@ -141,7 +141,7 @@ class Letters:
         return hmac.digest(self._key, whole, hashlib.sha256)
 
 
-def _decoded(decoder: msgspec.msgpack.Decoder[T], data: bytes) -> T:
+def _decode(decoder: msgspec.msgpack.Decoder[T], data: bytes) -> T:
     try:
         return decoder.decode(data)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:

@@ -112,6 +112,10 @@ class KernelLink:
     ) -> Response:
         """The answer to a request; ``work`` is its handler over the log that is followed. Raises KernelAway,
         and what the handler raises."""
+        if asked.logged is not None and await asked.logged.is_known():
+            # The kernel remembers what it has answered; the log says it, too, but takes longer.
+            known = await self._recall(asked)
+            return known if known is not None else await asked.logged.tell()
         refusal: LabosError | None = None
         found: Response | None = None
         if not operation.at_kernel:

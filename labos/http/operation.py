@@ -22,11 +22,12 @@ from labos.errors import Forbidden, NotSignedIn
 from labos.http import wire
 from labos.http.body_reader import BodyReader, drain
 from labos.http.ends import Ends
-from labos.http.idempotency import IdempotentAnswers
+from labos.http.idempotency import IdempotentAnswers, LoggedRequest, mark_of
 from labos.http.identity import Gate, Who
 from labos.http.limits import SMALL_BODY
 from labos.http.method import Method
 from labos.http.notes import Notes, notes_of
+from labos.http.recorded import Recorded
 from labos.http.repeats import digest_of_request
 from labos.http.service import LabService
 from labos.http.shared import Shared
@@ -50,7 +51,6 @@ class Api:
         gate.accounts.on_end.append(self.ends.cut)
         self.arriving = BodyReader()
         self.idempotent = IdempotentAnswers()
-        self.idempotent.marks = service.marks
         self.state = Shared(partial(self._view, waits=True), self._written)
         self.state_without_waits = Shared(partial(self._view, waits=False), self._written)
 
@@ -77,9 +77,10 @@ class Api:
 class Call:
     """A request to an operation, besides what was read from its path, query and body."""
 
-    def __init__(self, api: Api, request: Request, who: Who) -> None:
+    def __init__(self, api: Api, request: Request, who: Who, service: LabService | None = None) -> None:
         self.api, self.request, self.who = api, request, who
-        self.service, self.kernel = api.service, api.kernel
+        self.service = service if service is not None else api.service
+        self.kernel = self.service.kernel
 
     @property
     def user(self) -> str:
@@ -100,13 +101,14 @@ class Call:
 
 class Asked(msgspec.Struct, frozen=True):
     """A request that was let in and read: ``key`` is its idempotency key (empty: none that counts),
-    ``digest`` stands for all that it says."""
+    ``digest`` stands for all that it says, ``logged`` tells what the log says of it."""
 
     request: Request
     who: Who
     told: dict[str, msgspec.Struct]
     key: str
     digest: str
+    logged: LoggedRequest | None = None
 
 
 class Shape(msgspec.Struct, frozen=True, dict=True):
@@ -178,8 +180,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             told = await self._read(api, request, who)
 
             async def work() -> Response:
-                found = await self.handler(Call(api, request, who), **told)
-                return found if isinstance(found, Response) else wire.answer(found, self.status)
+                return respond(self, await self.handler(Call(api, request, who), **told))
 
             key = wire.key_of(request) if self.method == "POST" and not self.secret else ""
             if getattr(told.get("body"), "dry_run", False):
@@ -188,11 +189,16 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             path = request.url.path
             if key:
                 asked = digest_of_request(path, who.user or wire.header(request, "labos-user"), told)
+            logged = None
+            if key and not self.logs_key and api.service.marks is not None:
+                again = Recorded(api, self, request, who, told)
+                mark = mark_of(who.user, path, key)
+                logged = LoggedRequest(api.service.marks, mark, key, asked, again.answer)
             if link is not None:
-                found = await link.answer(self, Asked(request, who, told, key, asked), work)
+                found = await link.answer(self, Asked(request, who, told, key, asked, logged), work)
             elif key:
                 found = await api.idempotent.once(
-                    key, path, asked, work, user=who.user, logs_key=self.logs_key
+                    key, path, asked, work, user=who.user, logs_key=self.logs_key, logged=logged
                 )
             else:
                 found = await work()
@@ -228,3 +234,8 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
                 request, api.arriving, shape.body, self.largest_body, asker=asker
             )
         return told
+
+
+def respond(operation: Operation, found: Any) -> Response:
+    """What a handler returned, as an answer."""
+    return found if isinstance(found, Response) else wire.answer(found, operation.status)

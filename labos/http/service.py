@@ -9,11 +9,10 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
-from labos.clock import Clock
 from labos.core.bench import Labware, parts
 from labos.core.canonical import digest
 from labos.core.decide import Command
@@ -42,28 +41,23 @@ from labos.core.ids import (
     local,
     workcell_of,
 )
-from labos.core.model import Description, LabwareSpec, Plan, StationSpec, Workcell
+from labos.core.model import LabwareSpec, Plan, StationSpec, Workcell
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import RunSubmitted
 from labos.core.users import Role, person_of
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
-from labos.http.lab_kernel import LabKernel
 from labos.http.limits import FileName, Files, FileText
+from labos.http.parts import Parts
 from labos.http.placing import Placing, loads_of, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
-from labos.http.views import Supervised
 from labos.planning.booked import without_gap
-from labos.ports import BlobStore, Bus
 from labos.runtime.kernel import error_of
-from labos.runtime.log_check import LogCheck
 from labos.runtime.marks import Marks
-from labos.runtime.registry import Registry
 from labos.runtime.stop import EVERYTHING, StopReport, resolve_target, stop_modules
 from labos.services.interventions import answered
-from labos.services.log import Log
 from labos.services.runs import RunHistory, run_history
 from labos.spec import (
     Bench,
@@ -99,59 +93,6 @@ class WorkflowText(msgspec.Struct, frozen=True):
     text: FileText
     name: FileName = "workflow"
     files: Files = {}
-
-
-class Metrics(Protocol):
-    """What Prometheus asks for."""
-
-    def text(self) -> str:
-        """All metrics, in Prometheus' text format."""
-
-    def targets(self, host: str) -> list[dict[str, Any]]:
-        """Where the metrics of the lab's processes are, as Prometheus' HTTP service discovery wants it;
-        ``host`` is how the asker reaches the kernel."""
-
-
-class Parts(Protocol):
-    """What the service stands on."""
-
-    @property
-    def kernel(self) -> LabKernel: ...
-
-    @property
-    def bus(self) -> Bus: ...
-
-    @property
-    def registry(self) -> Registry: ...
-
-    @property
-    def store(self) -> Log: ...
-
-    @property
-    def blobs(self) -> BlobStore: ...
-
-    @property
-    def clock(self) -> Clock: ...
-
-    @property
-    def descriptions(self) -> Mapping[str, Description]: ...
-
-    @property
-    def broken_drivers(self) -> Mapping[str, str]: ...
-
-    @property
-    def log_check(self) -> LogCheck | None: ...
-
-    @property
-    def supervised(self) -> Supervised | None: ...
-
-    @property
-    def metrics(self) -> Metrics: ...
-
-    @property
-    def simulated(self) -> bool: ...
-
-    def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None: ...
 
 
 class LabService:
@@ -453,11 +394,12 @@ class LabService:
         command = StartExperiment(
             name, person_of(user), plan, priority, request or self.kernel.ids.new(), places, propose
         )
-        events = await self.kernel.execute(command, user)
-        experiment = self.kernel.state.experiments.requests[command.request]
-        if not events:
+        requests = self.kernel.state.experiments.requests
+        if command.request in requests or not await self.kernel.execute(command, user):
             await self.kernel.written()
-            await asyncio.to_thread(expect_same_experiment, self.parts.store, command, experiment)
+            known = self.kernel.state.experiments.requests[command.request]
+            await asyncio.to_thread(expect_same_experiment, self.parts.store, command, known)
+        experiment = self.kernel.state.experiments.requests[command.request]
         self.hear(experiment, user)
         return str(experiment)
 

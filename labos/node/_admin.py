@@ -87,7 +87,7 @@ class Admin:
             "estop": self._emergency_stop,
             "observe": self._observe,
             "shutdown": self._shut_down,
-            "settled": self._settled,
+            "settled": self._settle,
             "rewind": self._rewind,
             "trace": self._trace,
         }
@@ -145,7 +145,7 @@ class Admin:
     async def _shut_down(self, args: dict[str, Any]) -> None:
         self._end()
 
-    async def _settled(self, args: dict[str, Any]) -> None:
+    async def _settle(self, args: dict[str, Any]) -> None:
         action, done = args.get("action"), args.get("done", False)
         if not isinstance(action, str) or not is_name(action) or not isinstance(done, bool):
             raise BadInput("`settled` wants the id of an action, and whether it is done: true or false.")

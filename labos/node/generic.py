@@ -77,12 +77,12 @@ class GenericDevice:
         """Do what an action's effects say, in its time. Raises DeviceError, Crash."""
         if not spec.exclusive:
             await asyncio.sleep(self._random_duration_s(spec.duration_s) / self._setup.pace)
-            return self._work(spec, self._resolved(spec, args))
+            return self._work(spec, self._resolve(spec, args))
         if self._is_stopped:
             raise DeviceError(f"{self.name} is stopped.", effects="none", remedy="Reset it.")
         if self._at_work is not None:
             raise DeviceError(f"{self.name} is busy.", effects="none", remedy="Wait until it is idle.")
-        effects = self._resolved(spec, args)
+        effects = self._resolve(spec, args)
         self._check(effects)
         motions = carried(effects)
         share_s = spec.duration_s / max(len(motions), 1)
@@ -114,7 +114,7 @@ class GenericDevice:
 
     # -- what an action does -----------------------------------------------------------------
 
-    def _resolved(self, spec: ActionSpec, args: dict[str, Any]) -> list[AnyEffect]:
+    def _resolve(self, spec: ActionSpec, args: dict[str, Any]) -> list[AnyEffect]:
         given = {
             arg.name: args.get(arg.name, "" if arg.default is None else arg.default) for arg in spec.args
         }
@@ -274,7 +274,7 @@ def generic_node(description: Description) -> type[Node]:
     return type("GenericNode", (GenericNode,), {"described": description, "driver": description.driver})
 
 
-def extended_node(base: type[Node], description: Description) -> type[Node]:
+def extend_node(base: type[Node], description: Description) -> type[Node]:
     """A driver's simulated node that offers more than the driver knows: ``description`` is the driver's
     with what was added. What the driver does not know follows from its effects; arguments that it does
     not know are not passed on to it."""

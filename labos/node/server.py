@@ -44,7 +44,7 @@ from labos.node.protocol import (
     Start,
     StateReport,
 )
-from labos.node.unit import pinned_unit
+from labos.node.unit import find_pinned_unit
 from labos.node.worker import Worker
 from labos.version import VERSION
 
@@ -121,11 +121,11 @@ class NodeServer:
             node,
             clock,
             admission=self._admission,
-            synced=self._synced_if_possible,
+            synced=self._sync_if_possible,
             fail=self._condition.fail,
             rewind=self.journal.rewind,
             shut_down=self.stopping.set,
-            carrying=self._carrying_action,
+            carrying=self._find_carrying_action,
             trace=trace,
         )
         self._handles: list[Handle] = []
@@ -148,7 +148,7 @@ class NodeServer:
             grace_s=self._grace_s,
         )
         self._handles.append(name)
-        left = self._left_running()
+        left = self._find_left_running()
         for operation, handler in (
             ("about", self._on_about),
             ("action", self._on_action),
@@ -246,7 +246,7 @@ class NodeServer:
             acknowledged=self.journal.pruned,
             acknowledged_by=self.journal.pruned_by,
             labos=VERSION,
-            unit=pinned_unit(self.node.setup),
+            unit=find_pinned_unit(self.node.setup),
             firmware=cut(self.node.setup.firmware, NAME_LIMIT),
             metrics=self._metrics,
             now_ns=self._clock.now_ns(),
@@ -266,7 +266,7 @@ class NodeServer:
 
     async def _on_about(self, _: bytes) -> bytes:
         # What is told as open must still be there after a crash.
-        await self._synced_if_possible()
+        await self._sync_if_possible()
         return _encode(self.about())
 
     async def _on_state(self, _: bytes) -> bytes:
@@ -385,7 +385,7 @@ class NodeServer:
         running = next((a for a in self.journal.open_attempts() if a.action == self._condition.doing), None)
         return f"{running.name} ({running.action})" if running else self._condition.doing
 
-    def _carrying_action(self) -> str:
+    def _find_carrying_action(self) -> str:
         """The action that carries labware just now; empty if none does."""
         for attempt in self.journal.open_attempts():
             spec = self._description.action(attempt.name)
@@ -470,7 +470,7 @@ class NodeServer:
             await self._condition.settle()
         else:
             await self._publish_state()
-        await self._synced_if_possible()
+        await self._sync_if_possible()
 
     async def _conclude(self, attempt: Attempt, spec: ActionSpec, outcome: Outcome, stops: int) -> None:
         outcome = msgspec.structs.replace(outcome, ended_ns=self._clock.now_ns())
@@ -525,7 +525,7 @@ class NodeServer:
 
     # -- recovery ----------------------------------------------------------------------------
 
-    def _left_running(self) -> list[tuple[Attempt, ActionSpec]]:
+    def _find_left_running(self) -> list[tuple[Attempt, ActionSpec]]:
         """What was under way when the node died and its driver can ask the device about: it counts as
         running from before anybody can ask."""
         found = []
@@ -556,7 +556,7 @@ class NodeServer:
         await self._condition.rest()
         return result
 
-    async def _synced_if_possible(self) -> None:
+    async def _sync_if_possible(self) -> None:
         try:
             await self.journal.synced()
         except JournalError as error:

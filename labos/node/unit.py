@@ -28,7 +28,7 @@ def see_unit(setup: Setup, serial: Any) -> None:
     found = "" if serial is None else str(serial).strip()
     module, pinned = f"{setup.workcell}/{setup.name}", str(setup.config.get("serial") or "")
     kept = Path(setup.unit_file) if setup.unit_file else None
-    expected = pinned or (known_unit(kept) if kept is not None else "")
+    expected = pinned or (read_known_unit(kept) if kept is not None else "")
     if not expected and found and kept is not None:
         keep_unit(kept, found)
     if not expected or found == expected:
@@ -44,17 +44,17 @@ def see_unit(setup: Setup, serial: Any) -> None:
     )
 
 
-def pinned_unit(setup: Setup) -> str:
+def find_pinned_unit(setup: Setup) -> str:
     """The serial number that the module's device has to have; empty if none is pinned or can be read."""
     pinned = str(setup.config.get("serial") or "")
     if pinned or setup.world is not None or not setup.unit_file:
         return pinned
     with contextlib.suppress(NotConnected):
-        return known_unit(Path(setup.unit_file))
+        return read_known_unit(Path(setup.unit_file))
     return ""
 
 
-def known_unit(file: Path) -> str:
+def read_known_unit(file: Path) -> str:
     """The serial number that is kept there; empty if none is. Raises NotConnected."""
     try:
         told = json.loads(file.read_text(encoding="utf-8"))

@@ -8,7 +8,7 @@ from labos.core.ids import RunId
 from labos.core.model import PlanStep
 from labos.core.runs import PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.forecast import pending_before
+from labos.planning.forecast import find_pending_before
 from labos.planning.player import FAR, Step, Who, step_of
 from labos.planning.rehearsal import Advice, Outcome
 
@@ -24,7 +24,7 @@ def options(
     what = state.runs.plan_of(mover)
     if outcome.trap is not None and outcome.trap[0] != forced:
         yield from _let_pass(state, advice, *outcome.trap)
-    for step, other in _in_the_way(mover, pending_before(mover, what, late[1]), advice, outcome):
+    for step, other in _in_the_way(mover, find_pending_before(mover, what, late[1]), advice, outcome):
         begun = step_of(other)
         if begun in outcome.starts and begun is not None and begun != forced:
             yield advice.put_behind(begun, step)

@@ -24,7 +24,7 @@ from labos.core.rules import lab_ns
 from labos.core.runs import RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.forecast import is_pending, length, pending_before, spread
+from labos.planning.forecast import find_pending_before, is_pending, length, spread
 from labos.planning.touch import cell_key
 
 LEAST_S = 1.0
@@ -140,7 +140,7 @@ def _leaves_at(state: LabState, owner: Owner, place: StationName, now: int) -> i
         return None
     flying = [action for action in state.actions.within(plan.workcell) if action.run == run.id]
     begin = max([now, *(_ends_at(state, action, now) for action in flying)])
-    return begin + sum(_shortest(state, plan.steps[step]) for step in pending_before(run, plan, last))
+    return begin + sum(_shortest(state, plan.steps[step]) for step in find_pending_before(run, plan, last))
 
 
 def _ends_at(state: LabState, action: Action, now: int) -> int:

@@ -77,7 +77,7 @@ def _stands(
     first = [motion for motion in actor.motions if motion.step == step]
     way = [*first, *(motion for motion in actor.motions if motion.step != step)]
     for number, motion in enumerate(way):
-        if motion.step >= 0 and _needs(state, steps[motion.step], dead):
+        if isinstance(motion.step, int) and _needs(state, steps[motion.step], dead):
             return
         move(floor, actor, motion)
         if number + 1 == len(way) or way[number + 1].step != motion.step:

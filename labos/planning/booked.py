@@ -26,7 +26,7 @@ from labos.core.runs import PENDING, RunState, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.forecast import earliest
-from labos.planning.player import chained
+from labos.planning.player import find_chained
 
 
 class Stay(msgspec.Struct, frozen=True):
@@ -54,7 +54,7 @@ def against(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
             return wait
         if _first_fit(state, run.user, every, now) is not None:
             return _room_for(state, run, plan, every, now)
-    together = {step, *chained(run, plan, [step])}
+    together = {step, *find_chained(run, plan, [step])}
     return _room_for(state, run, plan, list(_stays(state, plan, times, together)), now)
 
 

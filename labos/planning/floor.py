@@ -7,14 +7,10 @@ from typing import Any
 import msgspec
 
 from labos.core.ids import ModuleName, Owner, StationName
-from labos.planning.paths import END, Motion
+from labos.planning.paths import ClosingStep, Motion
 
 OTHERS = "others"
 """Holder of what belongs to no actor."""
-
-CLOSING = -4
-"""The number of the first step of a closing workflow behind a run. Its other steps count down from there, and
-its end has the number above."""
 
 
 class Branch(msgspec.Struct, frozen=True):
@@ -78,7 +74,7 @@ class Floor(msgspec.Struct):
 
 def is_closing(motion: Motion) -> bool:
     """Whether a motion belongs to the closing workflow behind a run."""
-    return motion.step <= CLOSING - END
+    return isinstance(motion.step, ClosingStep)
 
 
 UNSETTLED = object()

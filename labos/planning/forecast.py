@@ -41,7 +41,7 @@ def is_pending(run: RunState, index: int) -> bool:
     return not run.has_started or run.steps[index].status == PENDING
 
 
-def pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
+def find_pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
     """The steps that have still to be started before this one can be, in an order in which they
     may be, and the step itself at the end."""
     left = {index}
@@ -84,7 +84,7 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
     for effect in step.effects:
         if isinstance(effect, Carrying):
             for place in effect.entered:
-                yield from _reached_into(state, place, takes)
+                yield from _find_reached(state, place, takes)
             if effect.via:
                 yield station_key(effect.via), takes
             if effect.filled:
@@ -101,7 +101,7 @@ def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tupl
         yield module_key(step.module), _until(state, run, index, now, closes)
 
 
-def _reached_into(state: LabState, place: StationName, takes: int) -> Iterator[tuple[str, int]]:
+def _find_reached(state: LabState, place: StationName, takes: int) -> Iterator[tuple[str, int]]:
     spec = state.bench.stations[place].spec
     if spec.module and not spec.stands_apart:
         yield module_key(spec.module), takes
@@ -140,7 +140,7 @@ def _to_the_end_of(state: LabState, run: RunState, index: int, last: int, now: i
     if last == index:
         return time
     known = {index: now + time}
-    for step in pending_before(run, plan, last):
+    for step in find_pending_before(run, plan, last):
         if step != index:
             begin = max(now + time, earliest(state, run, step, known))
             time = begin + length(state, plan.steps[step]) - now

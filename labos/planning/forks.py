@@ -24,10 +24,7 @@ from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, results_of
 from labos.planning.floor import UNSETTLED, Actor, Branch, Floor, change_claim
 from labos.planning.moves import Taken, may_move, move, take_back
-from labos.planning.paths import Motion, Path, carrying
-
-FORKED = -2
-"""The step number that stands in a witness for all that follows an actor's first fork."""
+from labos.planning.paths import FORKED, Motion, Path, carry
 
 FORK = Motion(FORKED)
 
@@ -129,7 +126,7 @@ def find_kept(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]
     values = {key: None if key in changing else value for key, value in grabs}
     kept: list[Motion] = []
     for index in _in_the_balance([way for way, _ in possible], run, steps):
-        kept += [Motion(index, place, back=True) for place in _left(motions_of(path, index))]
+        kept += [Motion(index, place, back=True) for place in _find_left(motions_of(path, index))]
         own = [motion for _, motions in possible for motion in motions if motion.step == index]
         held = {key: values.get(key) for motion in own for key in motion.frees}
         held |= {key: None for motion in own for key, _ in motion.grabs if key in changing}
@@ -138,7 +135,7 @@ def find_kept(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]
     return kept
 
 
-def _left(motions: Iterable[Motion]) -> list[StationName]:
+def _find_left(motions: Iterable[Motion]) -> list[StationName]:
     """The places that labware leaves with these motions, and would stand at again if they failed."""
     return [motion.emptied for motion in motions if motion.emptied and not motion.new]
 
@@ -147,14 +144,14 @@ def _outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list
     """How a step in flight ends on this way. On the floor it counts as done, and what ``find_kept`` says is
     kept for the case that it fails."""
     motions = motions_of(path, index)
-    found = [Motion(index, place, back=True) for place in _left(motions)]
+    found = [Motion(index, place, back=True) for place in _find_left(motions)]
     if index not in way.without | way.rescued:
         done = [motion for motion in on_way if motion.step == index]
         return found + [Motion(index, grabs=m.grabs, frees=m.frees) for m in done if m.grabs or m.frees]
     for motion in reversed(motions):
         if motion.lid:
             undone = (Relid if motion.lid == "off" else Unlid)(motion.target, motion.source)
-            found += carrying(index, undone, uses=ModuleName(""), hand=NOWHERE, guarded=())
+            found += carry(index, undone, uses=ModuleName(""), hand=NOWHERE, guarded=())
         elif motion.target:
             found.append(Motion(index, motion.target, motion.source, new=motion.new, back=True))
     return found
@@ -238,4 +235,4 @@ def _back(floor: Floor, actor: Actor, trail: list[tuple[Motion, Taken | None]]) 
         take_back(floor, actor, motion, taken)
 
 
-__all__ = ["FORK", "FORKED", "Ends", "finish", "futures", "motions_of", "unfinish"]
+__all__ = ["FORK", "Ends", "finish", "futures", "motions_of", "unfinish"]

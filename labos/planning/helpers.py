@@ -18,7 +18,7 @@ from labos.core.rules import examine
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait, party
-from labos.planning.forecast import is_pending, pending_before
+from labos.planning.forecast import find_pending_before, is_pending
 from labos.planning.layout import destination, labware_in
 from labos.planning.safety import Safety
 
@@ -139,7 +139,7 @@ class _Search:
         plan = self.state.runs.plan_of(run)
         pending = [index for index in range(len(plan.steps)) if is_pending(run, index)]
         leaving = next((index for index in pending if _carries(plan.steps[index], place)), None)
-        steps = pending if place == ANYWHERE or leaving is None else pending_before(run, plan, leaving)
+        steps = pending if place == ANYWHERE or leaving is None else find_pending_before(run, plan, leaving)
         self.clear_the_way(run, set(steps))
 
     def _not_trapped(self, run: RunState, steps: set[int]) -> None:

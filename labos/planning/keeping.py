@@ -26,7 +26,7 @@ from labos.planning.advice import options
 from labos.planning.forecast import earliest, is_pending
 from labos.planning.layout import down
 from labos.planning.passage import find_late_step, first_trap
-from labos.planning.player import FAR, Player, Step, chained
+from labos.planning.player import FAR, Player, Step, find_chained
 from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
@@ -108,7 +108,7 @@ class Windows:
     def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """What a start has to wait for so that windows can be kept; None if it may go ahead."""
         what = state.runs.plans[run.plan]
-        follow = chained(run, what.plan, [step]) if what.windowed else ()
+        follow = find_chained(run, what.plan, [step]) if what.windowed else ()
         if not what.windowed and not state.runs.windowed_in.get(what.plan.workcell):
             return None
         if what.plan.steps[step].recovers:
@@ -171,7 +171,7 @@ class Windows:
         inside = {str(other.id) for other in others} - {who[0]}
         if not found or (inside and not inside & self._met.setdefault(who, inside)):
             # Nobody is left of those whom it met: it has waited long enough for who came later.
-            chain = chained(run, state.runs.plan_of(run), [trial.step])
+            chain = find_chained(run, state.runs.plan_of(run), [trial.step])
             self._anxious[who] = frozenset(state.runs.plan_of(run).steps[i].module for i in chain)
         return at if found else self._calm_at(state, trial.plan, who)
 
@@ -262,7 +262,7 @@ class Windows:
         return found
 
     def _made(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
-        obliged = [run for run in _obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
+        obliged = [run for run in _find_obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
         before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
         plan = Plan(state, cell, now, obliged, before)
         if obliged:
@@ -351,14 +351,14 @@ def _is_waiting(state: LabState, who: Step) -> bool:
     return run is not None and is_pending(run, who[1])
 
 
-def _obliged(state: LabState, cell: str) -> Iterator[RunState]:
+def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
     """The runs of a workcell of which steps have to be started in time, and can be."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.get(name)
         if run is None or find_holds(run) or run.is_ending or run.has(UNKNOWN):
             continue
         plan = state.runs.plan_of(run)
-        chain = chained(run, plan, ())
+        chain = find_chained(run, plan, ())
         if not chain or any(down(state, plan.steps[step].module) for step in chain):
             continue
         if find_begun_booking(state, run, [plan.steps[step] for step in chain]) is None:

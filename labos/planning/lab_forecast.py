@@ -340,7 +340,7 @@ def _conflicts(request: ForecastRequest, state: LabState, plays: list[Play], new
     ]
     until = max(ends, default=request.now)
     user = run.user if run is not None else ""
-    yield from _booked(state, user, modules, request.now, until)
+    yield from _list_booked(state, user, modules, request.now, until)
     if isinstance(run, SubmitCampaign) and run.terms.deadline:
         late = [end for end in ends if end > run.terms.deadline]
         if late or not ends:
@@ -351,7 +351,7 @@ def _conflicts(request: ForecastRequest, state: LabState, plays: list[Play], new
         yield f"{stays} of its runs would wait for a person: {why}."
 
 
-def _booked(
+def _list_booked(
     state: LabState, user: str, modules: dict[ModuleName, bool], since: int, until: int
 ) -> Iterator[str]:
     for name in modules:

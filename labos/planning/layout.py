@@ -34,7 +34,7 @@ def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> boo
     return known is None or module in state.lab.paused or check_module(known, recovers=recovered) is not None
 
 
-def standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:
+def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:
     """Where the owners' labware will stand once what is in flight has ended, and whether some of
     it is lost."""
     places: dict[StationName, int] = {}
@@ -46,7 +46,7 @@ def standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName
             if place:
                 places[place] = places.get(place, 0) + 1
         if owner.startswith("run:"):
-            for target in arriving(state, RunId(owner[4:])):
+            for target in find_arriving(state, RunId(owner[4:])):
                 places[target] = places.get(target, 0) + 1
     return places, lost
 
@@ -61,7 +61,7 @@ def destination(bench: Bench, item: Labware) -> StationName:
     return StationName("") if place and bench.stations[place].spec.kind == "waste" else bench.planned(place)
 
 
-def arriving(state: LabState, run: RunId) -> list[StationName]:
+def find_arriving(state: LabState, run: RunId) -> list[StationName]:
     """Stations at which labware will appear that a run is taking off a stack right now."""
     active = state.runs.active.get(run)
     if active is None or not active.has(IN_FLIGHT, UNKNOWN):
@@ -97,7 +97,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
     bench = state.bench
     prefix = f"{cell}/"
-    floor = Floor(held=_held(state, cell), values=_values(state, cell))
+    floor = Floor(held=_find_held(state, cell), values=_values(state, cell))
     for name in bench.in_cell.get(cell, ()):
         station = bench.stations[name]
         spec = station.spec
@@ -169,7 +169,7 @@ def keep(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:
             move(floor, actor, motion)
 
 
-def _held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
+def _find_held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
     """What runs inside hold by doors, setpoints and their plans' word, once what is in flight has
     ended."""
     active = state.runs.inside(cell)

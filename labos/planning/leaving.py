@@ -10,10 +10,10 @@ from labos.core.ids import ModuleName, RunId, StationName, run_owner
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.paths import END, Motion, Stand, door_key, motions_of_steps, setpoint_key
+from labos.planning.paths import Motion, Stand, door_key, motions_of_steps, setpoint_key
 
 
-def leaving(
+def find_way_out(
     state: LabState,
     run: RunState,
     claims: Mapping[StationName, str],
@@ -27,7 +27,9 @@ def leaving(
     before = _stand(state, run, claims)
     motions = motions_of_steps(plan, order_of(plan, left), claims, rests, nests, before)
     return tuple(
-        motion for motion in motions if motion.step == END or run.steps[motion.step].status == PENDING
+        motion
+        for motion in motions
+        if not isinstance(motion.step, int) or run.steps[motion.step].status == PENDING
     )
 
 
@@ -40,7 +42,7 @@ def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) ->
         if item.lender:
             stand.lent[place] = True
     for name, module in state.modules.within(state.runs.plan_of(run).workcell):
-        doors = _left(module, run.id)
+        doors = _find_left(module, run.id)
         if doors:
             stand.doors[name] = doors
             stand.held[door_key(name)] = True
@@ -50,7 +52,7 @@ def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) ->
     return stand
 
 
-def _left(module: Module, run: RunId) -> dict[str, Any]:
+def _find_left(module: Module, run: RunId) -> dict[str, Any]:
     """How the doors and lids stand that a run has left away from rest."""
     left = module.away_from_rest().items()
     return {variable: stands.value for variable, stands in left if stands.by == run}

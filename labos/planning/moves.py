@@ -14,8 +14,8 @@ from labos.core.algebra import (
 from labos.core.binding import same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
-from labos.planning.floor import CLOSING, OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim
-from labos.planning.paths import END, Motion, door_key, find_kept_module, guards
+from labos.planning.floor import OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim
+from labos.planning.paths import ClosingStep, Motion, door_key, find_kept_module, guards
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -74,7 +74,7 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
             return False
         return not motion.needs or all(find_usable_place(floor, actor, places) for places in motion.needs)
     mover = Mover(floor, actor)
-    if motion.step <= CLOSING - END and _nothing_to_clear(mover, motion):
+    if isinstance(motion.step, ClosingStep) and _nothing_to_clear(mover, motion):
         return True
     if motion.uses and not may_use(floor, actor, motion.uses):
         return False
@@ -223,7 +223,7 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
         return {}, "", None, floor.lent.get(actor.name, ())
     if not target:
         return _hold(floor, actor, motion)
-    if motion.step <= CLOSING - END and _nothing_to_clear(Mover(floor, actor), motion):
+    if isinstance(motion.step, ClosingStep) and _nothing_to_clear(Mover(floor, actor), motion):
         return None
     counts: Counts = {}
     who, lent = "", floor.lent.get(actor.name, ())

@@ -43,13 +43,13 @@ def obstacle(safety: Safety, state: LabState, run: RunState) -> str:
     others = [actor for actor in actors if actor is not mover]
     cell = plan.workcell
     for view in (View(cell), View(cell, hopeful=True), View(cell, hopeful=True, closing=True)):
-        found = _met(state, run, mover, others, view)
+        found = _find_obstacle(state, run, mover, others, view)
         if found:
             return found
     return ""
 
 
-def _met(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], view: View) -> str:
+def _find_obstacle(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], view: View) -> str:
     """What a run meets in one view when everybody else has gone as far as they can."""
     plan = state.runs.plan_of(run)
     others = [as_seen(actor, view) for actor in others]
@@ -60,7 +60,7 @@ def _met(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], 
     walker = fresh(mover)
     for motion in walker.motions:
         if not may_move(floor, walker, motion):
-            key = plan.steps[motion.step].key if motion.step >= 0 else "the closing workflow"
+            key = plan.steps[motion.step].key if isinstance(motion.step, int) else "the closing workflow"
             return f"{key!r} {_why(state, floor, walker, motion, gone)}"
         move(floor, walker, motion)
     return ""

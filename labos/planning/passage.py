@@ -11,6 +11,7 @@ from labos.planning.floor import Actor, Floor
 from labos.planning.forecast import is_pending
 from labos.planning.layout import lay_out
 from labos.planning.moves import may_move, move
+from labos.planning.paths import END
 from labos.planning.player import Step
 from labos.planning.safety import Safety, View, as_seen
 from labos.planning.witness import Trail, copy, fresh, greedy, take_all_back
@@ -25,7 +26,7 @@ def first_trap(
     """The first of these starts after which some runs could not come to their ends that can now, and which
     runs these are. None if there is no such start, or if somebody's way forks: then planning asks about
     each start when its turn comes."""
-    here = _seen(state, cell, [name for name, _ in starts], safety)
+    here = _view_actors(state, cell, [name for name, _ in starts], safety)
     if any(actor.forks for actor in here):
         return None
     moving = {(actor.name, motion.step) for actor in here for motion in actor.motions}
@@ -52,7 +53,7 @@ def first_trap(
 def find_late_step(state: LabState, cell: str, starts: Sequence[Step], safety: Safety) -> Step | None:
     """A step that could not follow in time after these starts, whoever goes first: others would have to move
     while its clock runs. None if there is none, or if it cannot be known."""
-    here = _seen(state, cell, [name for name, _ in starts], safety)
+    here = _view_actors(state, cell, [name for name, _ in starts], safety)
     if any(actor.forks for actor in here):
         return None
     floor = lay_out(state, cell, here, hopeful=True)
@@ -85,7 +86,9 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
     steps = [motion.step for motion in actor.motions]
     return [
         max((last for first, last in spans if first <= here and there <= last), default=0)
-        for here, there in zip(steps, [*steps[1:], len(steps) + 10**6], strict=True)
+        if isinstance(here, int) and isinstance(there, int)
+        else 0
+        for here, there in zip(steps, [*steps[1:], END], strict=True)
     ]
 
 
@@ -127,7 +130,7 @@ def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> boo
     return True
 
 
-def _seen(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> list[Actor]:
+def _view_actors(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> list[Actor]:
     """Step is inside, or about to be let in, if nobody were stuck and experiments closed."""
     view = View(cell, hopeful=True, closing=True)
     actors = safety.actors(state, cell)

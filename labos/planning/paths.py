@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
@@ -29,8 +29,22 @@ from labos.core.effects import (
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep
 
-END = -1
-"""The step number of a run's end, at which it lets go of all that it holds."""
+END: Final = "end"
+"""In place of a step's index: a run's end, at which it lets go of all that it holds."""
+
+FORKED: Final = "forked"
+"""In place of a step's index in a witness: all that follows an actor's first fork."""
+
+
+class ClosingStep(NamedTuple):
+    """A step of the closing workflow behind a run, or its end."""
+
+    step: MotionStep
+
+
+MotionStep = int | Literal["end", "forked"] | ClosingStep
+"""What a motion belongs to: a step of the run's plan by its index, the run's end, a fork, or the closing
+workflow behind the run."""
 
 Values = Mapping[str, Any]
 
@@ -54,7 +68,7 @@ class Motion(msgspec.Struct, frozen=True):
     asked before any of it is done, so they stand with its first motion: where it needs labware or room
     twice, twice. ``hand`` has to be empty."""
 
-    step: int
+    step: MotionStep
     source: StationName = NOWHERE
     target: StationName = NOWHERE
     via: StationName = NOWHERE
@@ -86,7 +100,7 @@ class Motion(msgspec.Struct, frozen=True):
         return bool(self.target or self.grabs or self.frees or self.needs or self.returns or self.sets)
 
 
-def carrying(
+def carry(
     step: int,
     *effects: Carrying,
     uses: ModuleName,
@@ -144,7 +158,7 @@ class Path(msgspec.Struct, frozen=True):
 
     motions: tuple[Motion, ...]
     modules: tuple[tuple[int, ModuleName], ...]
-    changing: frozenset[int] = frozenset()
+    changing: frozenset[MotionStep] = frozenset()
     ways: tuple[tuple[Way, tuple[Motion, ...]], ...] = ()
 
 
@@ -244,7 +258,7 @@ def motions_of_steps(
         for places in needs:
             before.lend(places, claims, keeps=keeps)
         hand = hand_of(step.module)
-        motions += carrying(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
+        motions += carry(index, *moving, uses=user, hand=hand, guarded=claims, wants=wants)
         for what in moving:
             before.carry(what, claims)
         if frees or sets:

@@ -9,7 +9,7 @@ from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, find_anchor, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import party
-from labos.planning.forecast import deadline, earliest, is_pending, pending_before
+from labos.planning.forecast import deadline, earliest, find_pending_before, is_pending
 
 Step = tuple[str, int]
 """A run and one of its steps."""
@@ -31,7 +31,7 @@ FAR = 2**62
 """A time that never comes (UTC ns)."""
 
 
-def chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
+def find_chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
     """The steps that must follow in time once these have started: those whose clock they start, what
     has to be done before, and what that obliges to in turn. Those that have started are not among them."""
     found: set[int] = set()
@@ -44,7 +44,9 @@ def chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
             if index in found | begun or not is_pending(run, index) or run.is_breached(index):
                 continue
             if any(w.within_s is not None and _begins(run, w, begun | found) for w in step.windows):
-                found.update(before for before in pending_before(run, plan, index) if before not in begun)
+                found.update(
+                    before for before in find_pending_before(run, plan, index) if before not in begun
+                )
                 growing = True
     return found
 
@@ -65,7 +67,7 @@ class Player:
         self.name, self.party = str(run.id), party(run)
         self.steps = statuses_of(self.plan, run)
         self.ends = ends
-        self.left = chained(run, self.plan, first) | {i for i in first if is_pending(run, i)}
+        self.left = find_chained(run, self.plan, first) | {i for i in first if is_pending(run, i)}
         self.free = free
         self.due: dict[int, int] = {}
         self.latest: dict[int, int] = {}
@@ -94,7 +96,7 @@ class Player:
                 continue
             windows = self.plan.steps[follower].windows
             if any(not w.of and w.anchor == index and w.within_s is not None for w in windows):
-                before = pending_before(self.run, self.plan, follower)
+                before = find_pending_before(self.run, self.plan, follower)
                 self.left.update(i for i in before if self.steps[i] == PENDING)
                 self._set_due(follower)
 
@@ -104,7 +106,7 @@ class Player:
         if due is None:
             return
         self.due[index] = due
-        chain = pending_before(self.run, self.plan, index)
+        chain = find_pending_before(self.run, self.plan, index)
         latest = dict.fromkeys(chain, due)
         for follower in reversed(chain):
             step = self.plan.steps[follower]

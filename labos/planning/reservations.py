@@ -29,7 +29,7 @@ from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
-from labos.planning.forecast import deadline, earliest, is_pending, length, pending_before, spread, uses
+from labos.planning.forecast import deadline, earliest, find_pending_before, is_pending, length, spread, uses
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.keeping import CALM_S, Windows
 from labos.planning.layout import down
@@ -270,12 +270,12 @@ def _anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, 
         return {}
     return {
         action.step: end
-        for action, end in _flying(state, state.runs.plan_of(run).workcell)
+        for action, end in _list_in_flight(state, state.runs.plan_of(run).workcell)
         if action.run == run.id and action.step in anchors and run.steps[action.step].status == IN_FLIGHT
     }
 
 
-def _flying(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
+def _list_in_flight(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
     """What is being carried out in a workcell, and when it should end (UTC ns)."""
     for action in state.actions.within(cell):
         run = state.runs.active.get(action.run)
@@ -295,9 +295,9 @@ def _reservation(
     end, last = deadline(state, run, index, sooner), deadline(state, run, index, known)
     if end is None or last is None:
         return None
-    chain = pending_before(run, plan, index)
+    chain = find_pending_before(run, plan, index)
     if foreseen:
-        over = {before for step in foreseen for before in pending_before(run, plan, step)}
+        over = {before for step in foreseen for before in find_pending_before(run, plan, step)}
         chain = [step for step in chain if step not in over]
     if any(down(state, plan.steps[step].module) for step in chain):
         return None
@@ -347,8 +347,8 @@ def _in_flight(state: LabState, resource: str, now: int) -> list[Need]:
     cell = resource.partition(":")[2].partition("/")[0]
     return [
         Need(resource, action.step, now, now, end - now)
-        for action, end in _flying(state, cell)
-        if end > now and action.exclusive and resource in _taken_by(state, action)
+        for action, end in _list_in_flight(state, cell)
+        if end > now and action.exclusive and resource in _list_taken(state, action)
     ]
 
 
@@ -356,7 +356,7 @@ def _takes_away(state: LabState, resource: str) -> int:
     """How long it takes (ns) to carry labware away from a module once what goes on there has ended."""
     cell = resource.partition(":")[2].partition("/")[0]
     found = 0
-    for action, _ in _flying(state, cell):
+    for action, _ in _list_in_flight(state, cell):
         if resource == module_key(action.module):
             steps = state.runs.plan_of(state.runs.active[action.run]).steps
             after = (step for step in steps if action.step in step.after and carried(step.effects))
@@ -364,7 +364,7 @@ def _takes_away(state: LabState, resource: str) -> int:
     return found
 
 
-def _taken_by(state: LabState, action: Action) -> list[str]:
+def _list_taken(state: LabState, action: Action) -> list[str]:
     zones = zones_of(state, action.module, action.effects)
     return [module_key(action.module), *map(zone_key, zones)]
 

@@ -24,7 +24,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.booked import begun
+from labos.core.booked import find_begun
 from labos.core.ids import (
     SHARED,
     ExperimentId,
@@ -38,12 +38,12 @@ from labos.core.ids import (
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
 from labos.core.state import LabState
-from labos.planning.floor import CLOSING, Actor, Branch, Floor, is_closing
-from labos.planning.forks import FORKED, find_kept, futures, motions_of
-from labos.planning.layout import down, keep, lay_out, standing
-from labos.planning.leaving import leaving
+from labos.planning.floor import Actor, Branch, Floor, is_closing
+from labos.planning.forks import find_kept, futures, motions_of
+from labos.planning.layout import down, find_standing, keep, lay_out
+from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
-from labos.planning.paths import Motion, Path, path_of
+from labos.planning.paths import FORKED, ClosingStep, Motion, Path, path_of
 from labos.planning.stuck import find_block, reaches_into
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
 
@@ -106,7 +106,7 @@ class Safety:
         """The motions of a step, on whichever way it is done."""
         if run.status == RunStatus.LEAVING:
             rules = _rules(state, state.runs.plan_of(run).workcell)
-            return [motion for motion in leaving(state, run, *rules) if motion.step == step]
+            return [motion for motion in find_way_out(state, run, *rules) if motion.step == step]
         return motions_of(self.path(state, run.plan), step)
 
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
@@ -272,15 +272,15 @@ class Safety:
             if name in tailed or not state.bench.owned(owner):
                 continue
             path = self.path(state, experiment.closing)
-            own, lost = standing(state, (owner,))
+            own, lost = find_standing(state, (owner,))
             reached = [place for motion in path.motions for place in (motion.source, motion.target)]
             modules = [module for _, module in path.modules]
-            dead = any(down(state, m) or begun(state, experiment.user, m) for m in modules) or any(
+            dead = any(down(state, m) or find_begun(state, experiment.user, m) for m in modules) or any(
                 module.cut_off and reaches_into(state, module.spec.name, reached)
                 for _, module in state.modules.within(cell)
             )
             parks = experiment.status == ExperimentStatus.OPEN
-            actors.append(Actor(owner, (owner,), _closing(path), own, stuck=lost or dead, parks=parks))
+            actors.append(Actor(owner, (owner,), _make_closing(path), own, stuck=lost or dead, parks=parks))
         return actors
 
     def actor(self, state: LabState, run: RunState, *, tail: bool) -> Actor:
@@ -298,11 +298,11 @@ class Safety:
         kept: Sequence[Motion] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *behind)
         if run.status == RunStatus.LEAVING:
-            motions = (*leaving(state, run, *_rules(state, plan.workcell)), *behind)
+            motions = (*find_way_out(state, run, *_rules(state, plan.workcell)), *behind)
         elif path.ways:
             motions, forks = futures(path, plan, run, states, behind)
             kept = find_kept(path, plan, run, states)
-        own, lost = standing(state, owners)
+        own, lost = find_standing(state, owners)
         return Actor(
             str(run.id),
             tuple(owners),
@@ -323,7 +323,7 @@ class Safety:
         clears = bool(experiment.closing) and not run.closing
         if clears and state.runs.plans[experiment.closing].plan.workcell != state.runs.plan_of(run).workcell:
             return ()  # it closes in another workcell
-        return _closing(self.path(state, experiment.closing)) if clears else ()
+        return _make_closing(self.path(state, experiment.closing)) if clears else ()
 
     # -- searching ---------------------------------------------------------------------------
 
@@ -425,5 +425,5 @@ def _with_passers(known: Known, actors: Sequence[Actor]) -> Known:
     return Known(known.stuck, ahead + known.witness, ends)
 
 
-def _closing(path: Path) -> tuple[Motion, ...]:
-    return tuple(msgspec.structs.replace(motion, step=CLOSING - motion.step) for motion in path.motions)
+def _make_closing(path: Path) -> tuple[Motion, ...]:
+    return tuple(msgspec.structs.replace(motion, step=ClosingStep(motion.step)) for motion in path.motions)

@@ -42,12 +42,12 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
     states = statuses_of(state.runs.plan_of(run), run)
     left = [step for step, status in zip(steps, states, strict=True) if status not in SETTLED]
     return (
-        _halted(state, run, left)
-        or _lost(state, (run_owner(run.id),))
+        _check_halted(state, run, left)
+        or _check_lost(state, (run_owner(run.id),))
         or _down(state, left)
         or find_begun_booking(state, run, left)
         or _cut_off(state, run, left)
-        or _barred(state, run, left)
+        or _check_barred(state, run, left)
         or find_unwatched(state, left)
         or _dry(state, run)
         or _at_a_loss(state, run)
@@ -62,7 +62,7 @@ def find_questions(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
     return [(index, Wait(reasons.Asked(steps[index].key, name))) for index, name in indices]
 
 
-def _halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
+def _check_halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
     for step in left if state.lab.paused else ():
         wait = check_starts_allowed(state, run, step)
         if wait is not None:
@@ -70,7 +70,7 @@ def _halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | 
     return None
 
 
-def _lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
+def _check_lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
     for owner in owners:
         for item in state.bench.owned(owner):
             if item.maybe:
@@ -106,7 +106,7 @@ def reaches_into(state: LabState, module: ModuleName, reached: Iterable[StationN
     return any(spec.module == module and not spec.stands_apart for spec in specs)
 
 
-def _barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
+def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
     """A zone that a run has to pass and in which another arm stands still."""
     zones = find_barred_zones(state, state.runs.plan_of(run).workcell)
     for step in left if zones else ():

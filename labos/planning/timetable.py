@@ -40,7 +40,7 @@ def timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
     are the workcell's. Steps for emergencies have no time."""
     slots: dict[int, Slot] = {}
     free: dict[str, int] = {}
-    needs = [_occupied(step, workcell) for step in plan.steps]
+    needs = [_find_occupied(step, workcell) for step in plan.steps]
     busy: dict[ModuleName, float] = {}
     waiting = {index for index, step in enumerate(plan.steps) if step.part == MAIN}
     while waiting:
@@ -91,7 +91,7 @@ def _before(step: PlanStep) -> set[int]:
     return {*step.after, *(anchor for anchor, _, _ in _anchors(step))}
 
 
-def _occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
+def _find_occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
     """The module and the zones that a step has to itself."""
     if not step.exclusive:
         return ()

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.planning.floor import Actor, Floor
-from labos.planning.forks import FORK, FORKED, Ends, finish, unfinish
+from labos.planning.forks import FORK, Ends, finish, unfinish
 from labos.planning.moves import Taken, may_move, move, take_back
-from labos.planning.paths import Motion
+from labos.planning.paths import FORKED, Motion, MotionStep
 
-Witness = tuple[tuple[str, int], ...]
+Witness = tuple[tuple[str, MotionStep], ...]
 """(actor, step) for each motion to come, in an order in which all of them are possible; the motions of a
 step follow one another."""
 
@@ -119,7 +119,7 @@ def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
         actor.done -= 1
 
 
-def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, int]] | None:
+def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, MotionStep]] | None:
     """An interleaving of steps that brings every actor to its end, or None if ``limit`` of them were
     looked at in vain."""
     seen: set[tuple[int, ...]] = set()
@@ -155,7 +155,7 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
     return in_order(trail) if deeper(trail) else None
 
 
-def in_order(trail: Trail) -> list[tuple[str, int]]:
+def in_order(trail: Trail) -> list[tuple[str, MotionStep]]:
     return [(actor.name, motion.step) for actor, motion, _ in trail]
 
 

@@ -1,7 +1,8 @@
 """Which requests the log knows: the first event of each bears the request's mark as its causation.
 
 A client that heard no answer asks again with the same Idempotency-Key. While the kernel lives, it remembers
-the answer. A kernel that was started since has only the log to ask whether the request was carried out.
+the answer. A kernel that was started since, and an API process whose kernel is away, have the log to ask
+whether the request was carried out. Behind a mark stands what tells the request from others with its key.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Marks:
 
     def __init__(self, log: MarkedLog) -> None:
         self._log = log
-        self._known: OrderedDict[str, int] = OrderedDict()
+        self._known: OrderedDict[str, tuple[int, str]] = OrderedDict()
         self._reading: asyncio.Task[None] | None = None
 
     def begin(self) -> None:
@@ -57,7 +58,11 @@ class Marks:
             await asyncio.shield(reading)  # what cannot be read is not known: the asker hears of it
             if self._reading is reading:
                 self._reading = None
-        return self._known.get(mark, 0)
+        return self._known.get(mark, (0, ""))[0]
+
+    def asked(self, mark: str) -> str:
+        """What stands behind a mark that is known: the beginning of a digest; empty in older logs."""
+        return self._known[mark][1]
 
     async def close(self) -> None:
         if self._reading is not None:
@@ -77,7 +82,8 @@ class Marks:
         for position, mark in await asyncio.to_thread(self._log.caused_by, PREFIX, LOOKED_AT):
             self._note(mark, position)
 
-    def _note(self, mark: str, position: int) -> None:
-        self._known.setdefault(mark, position)
+    def _note(self, causation: str, position: int) -> None:
+        mark, _, asked = causation.removeprefix(PREFIX).partition(":")
+        self._known.setdefault(PREFIX + mark, (position, asked))
         while len(self._known) > MOST:
             self._known.popitem(last=False)

@@ -10,7 +10,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Literal, Protocol
 
 import msgspec
 import structlog
@@ -23,8 +23,11 @@ PYTHON = (sys.executable, "-m", "labos")
 PATIENCE_S = 30.0
 """How long the fork server may take to start, and for each child."""
 
-CODE_UNKNOWN = -1
+CODE_UNKNOWN: Final = "unknown"
 """The code of a process of which nobody was told how it ended."""
+
+ExitCode = int | Literal["unknown"]
+"""The code with which a process ended, as ``subprocess`` gives it: negative for a signal."""
 
 _log = structlog.get_logger(__name__)
 
@@ -35,7 +38,7 @@ class Child(Protocol):
     @property
     def pid(self) -> int: ...
 
-    def poll(self) -> int | None:
+    def poll(self) -> ExitCode | None:
         """The code with which it ended; None while it runs."""
 
     def let_go(self) -> None:
@@ -60,7 +63,7 @@ class PlainChild:
         self._process = process
         self.pid = process.pid
 
-    def poll(self) -> int | None:
+    def poll(self) -> ExitCode | None:
         return self._process.poll()
 
     def let_go(self) -> None:
@@ -95,11 +98,11 @@ class ForkedChild:
 
     def __init__(self, pid: int, stdin: int, is_alive: Callable[[int], bool]) -> None:
         self.pid = pid
-        self.code: int | None = None
+        self.code: ExitCode | None = None
         self.orphan = False
         self._stdin, self._is_alive = stdin, is_alive
 
-    def poll(self) -> int | None:
+    def poll(self) -> ExitCode | None:
         if self.code is None and self.orphan and not self._is_alive(self.pid):
             self.code = CODE_UNKNOWN
         return self.code

@@ -18,7 +18,7 @@ import msgspec
 import structlog
 
 from labos.clock import Clock
-from labos.runtime.spawning import Child, PlainSpawner, Spawner
+from labos.runtime.spawning import Child, ExitCode, PlainSpawner, Spawner
 
 POLL_S = 0.1
 GRACE_S = 30.0
@@ -156,7 +156,7 @@ class Supervisor:
                 node.why = "" if survivor.detached else "its predecessor finishes what it is doing"
                 while self._is_alive(survivor.pid):  # noqa: ASYNC110 (it is not our child: nothing tells)
                     await asyncio.sleep(POLL_S)
-                code = 0
+                code: ExitCode = 0
             else:
                 child = await self._spawn(command, node)
                 if child is None:
@@ -175,7 +175,7 @@ class Supervisor:
         if node.state != "quarantined":
             node.state = "stopped"
 
-    async def _judge(self, node: NodeProcess, code: int, lasted_s: float) -> None:
+    async def _judge(self, node: NodeProcess, code: ExitCode, lasted_s: float) -> None:
         """It ended unasked: start it again after a while, or give it up."""
         node.failures = node.failures + 1 if lasted_s < QUICK_S else 1
         node.why = self._last_words(node.module) or f"it ended with code {code}"

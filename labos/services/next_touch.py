@@ -34,11 +34,11 @@ def next_touches(state: LabState, now: int) -> list[Touch]:
     """What a person is needed for, the first first; ``now`` in UTC ns."""
     walked = list(ahead(state, now))
     left = inventory(state, now, iso_time(now)[:10])
-    found = [*_asked(state), *_modules(state, walked), *_supplies(left), *_work(state, walked)]
+    found = [*_find_asked(state), *_modules(state, walked), *_supplies(left), *_work(state, walked)]
     return sorted(found, key=lambda touch: (max(touch.at, now), touch.at))
 
 
-def _asked(state: LabState) -> Iterator[Touch]:
+def _find_asked(state: LabState) -> Iterator[Touch]:
     for question in state.interventions.open.values():
         planned = question.kind == PlannedWork.KIND
         answer = f"labos {'confirm' if planned else 'resolve'} {question.id}"

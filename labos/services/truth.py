@@ -58,7 +58,7 @@ def differences(world: World, state: LabState, records: Sequence[Record], workce
     for stacked in [plate for plate in plates_in(state, world) if plate not in plates.values()]:
         places.pop(lid_of(stacked), None)
     found += [f"{place}: bench {plates_}, log nothing" for place, plates_ in places.items()]
-    found += repeated_work(world, records, workcell)
+    found += find_repeated_work(world, records, workcell)
     fault = find_broken(state)
     return [*found, fault] if fault else found
 
@@ -131,7 +131,7 @@ WORK = {"seal": "seal", "peel": "peel", "cycle": "run_program", "read": "run_ass
 action, of which it is one of many."""
 
 
-def repeated_work(world: World, records: Sequence[Record], workcell: str = "") -> list[str]:
+def find_repeated_work(world: World, records: Sequence[Record], workcell: str = "") -> list[str]:
     """Devices that finished some work more often than the log says that it ended."""
     done = Counter((m.device, WORK[m.verb]) for m in world.motions() if m.verb in WORK)
     names: dict[str, tuple[str, str]] = {}

@@ -161,7 +161,7 @@ def check_blobs(log: Log, blobs: Blobs) -> Part:
     return Part("blobs", len(named) + len(others), told, tuple(faults), tuple(positions))
 
 
-def unused_blobs(log: Log, blobs: Blobs) -> list[str]:
+def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
     """The blobs that no event of the log names, in whatever field. Raises StoreUnavailable."""
     stored = set(blobs.names())  # before the log: a blob is there before the event that names it
     named, mentioned = _digests(log)
@@ -222,19 +222,19 @@ def _digests(log: Log) -> tuple[dict[str, int], set[str]]:
         if not found:
             continue
         mentioned.update(digest.decode() for digest in found)
-        for digest in needed_blobs(kind, payload):
+        for digest in find_needed_blobs(kind, payload):
             named.setdefault(digest, position)
     return named, mentioned
 
 
-def needed_blobs(kind: str, payload: bytes) -> list[str]:
+def find_needed_blobs(kind: str, payload: bytes) -> list[str]:
     """The blobs that an event of a type needs, by its stored payload."""
     with contextlib.suppress(msgspec.DecodeError):
-        return _needed(kind, msgspec.json.decode(payload))
+        return _list_needed(kind, msgspec.json.decode(payload))
     return []
 
 
-def _needed(kind: str, payload: Any) -> list[str]:
+def _list_needed(kind: str, payload: Any) -> list[str]:
     """The same: workflows and files of runs, sample sheets, files of results."""
     found: list[Any] = []
     match kind:

@@ -1,4 +1,5 @@
-"""Files that say which submissions wait for an approval, and how high a priority may be."""
+"""Files that say which submissions wait for an approval, how high a priority may be, and what may be
+booked."""
 
 from __future__ import annotations
 
@@ -8,12 +9,21 @@ import msgspec
 from pydantic import Field
 
 from labos.core.campaigns import Budget
-from labos.core.policy import Policy
+from labos.core.policy import BookingLimits, Policy
 from labos.spec.campaign import BudgetEntry
 from labos.spec.findings import Report, SpecErrors
 from labos.spec.parts import Label, Part
 from labos.spec.source import parse
 from labos.spec.validation import validate
+
+
+class BookingsEntry(Part):
+    """What whoever is no operator may book. ``total_hours`` are those still to come, of all bookings
+    together; 24, or as many as one booking may have."""
+
+    hours: float | None = Field(default=None, gt=0, le=8_784)
+    total_hours: float | None = Field(default=None, gt=0, le=1_000_000)
+    days_ahead: int = Field(default=14, ge=1, le=366)
 
 
 class PolicyFile(Part):
@@ -28,6 +38,7 @@ class PolicyFile(Part):
     deadlines: bool = False
     own: bool = False
     priority: int | None = Field(default=None, ge=-100_000, le=100_000)
+    bookings: BookingsEntry = BookingsEntry()
 
 
 class CompiledPolicy(msgspec.Struct, frozen=True):
@@ -48,6 +59,11 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
         place = source.place(("trusted",), key=True)
         what = "Programs need no approval, so none of them can be trusted more."
         report.error(what, place, field="trusted", remedy="Leave it out, or write `programs: true`.")
+    booked = file.bookings
+    if booked.hours and booked.total_hours and booked.hours > booked.total_hours:
+        place = source.place(("bookings", "hours"))
+        what = f"One booking may have {booked.hours:g} hours, and all of them {booked.total_hours:g}."
+        report.error(what, place, field="bookings.hours", remedy="Give a larger `total_hours`.")
     report.raise_if_failed()
     above = Budget(file.above.runs, file.above.lab_time, dict(file.above.consumables))
     policy = Policy(
@@ -59,5 +75,12 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
         deadlines=file.deadlines,
         own=file.own,
         priority=file.priority,
+        bookings=_limits(booked),
     )
     return CompiledPolicy(source.digest, policy)
+
+
+def _limits(said: BookingsEntry) -> BookingLimits:
+    usual = BookingLimits()
+    total = max(usual.total_hours, said.hours or 0.0) if said.total_hours is None else said.total_hours
+    return BookingLimits(said.hours, total, said.days_ahead)

@@ -384,6 +384,12 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "deadlines": "whether campaigns with a deadline wait",
         "own": "whether an operator may approve what is the operator's own",
         "priority": "the highest priority of whoever is no operator and has no quota for it",
+        "bookings": "what whoever is no operator may book",
+    },
+    "BookingsEntry": {
+        "hours": "hours of one booking; as many as all together, if left out",
+        "total_hours": "hours that are booked and still to come, of all bookings together",
+        "days_ahead": "so far ahead a booking may begin",
     },
     "VariantEntry": {
         "models": "names of models, as in workcell files, that are of this size",

@@ -173,12 +173,12 @@ def open_accounts(url: str) -> SqlAccounts:
 
         engine = small_engine(parsed)
         return SqlAccounts(parsed, engine, engine)
-    from labos.store._sqlite import reading_engine, writing_engine
+    from labos.store._sqlite import make_reading_engine, make_writing_engine
 
-    writing = writing_engine(sqlite_path(parsed))
+    writing = make_writing_engine(sqlite_path(parsed))
 
     @event.listens_for(writing, "connect")
     def overwrite(connection: Any, record: object) -> None:
         connection.execute("PRAGMA secure_delete = ON")
 
-    return SqlAccounts(parsed, reading_engine(sqlite_path(parsed)), writing)
+    return SqlAccounts(parsed, make_reading_engine(sqlite_path(parsed)), writing)

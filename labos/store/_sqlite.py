@@ -49,8 +49,8 @@ class SqliteBackend:
 
     def __init__(self, url: URL) -> None:
         self.path = sqlite_path(url)
-        self.writing = writing_engine(self.path)
-        self.reading = reading_engine(self.path)
+        self.writing = make_writing_engine(self.path)
+        self.reading = make_reading_engine(self.path)
         self._lock = FileLock(self.path.with_name(self.path.name + ".kernel.lock"))
 
     def occupy(self, owner: str) -> None:
@@ -150,7 +150,7 @@ class SqliteBackend:
                 _log.warning("log_not_in_one_file", file=str(self.path), why="another program reads it")
 
 
-def writing_engine(path: Path) -> Engine:
+def make_writing_engine(path: Path) -> Engine:
     """Connections that write to a file, each for one use; a transaction is exclusive from its begin."""
 
     def connect() -> sqlite3.Connection:
@@ -185,7 +185,7 @@ def writing_engine(path: Path) -> Engine:
     return engine
 
 
-def reading_engine(path: Path) -> Engine:
+def make_reading_engine(path: Path) -> Engine:
     """Connections that cannot write, and never make the writer wait."""
 
     def connect() -> sqlite3.Connection:

@@ -33,11 +33,14 @@ SOURCES = {
     "Image": "PIL.Image",
     "Attempts": "labos.services.compute",
     "Callable": "collections.abc",
+    "Flow": "labos.client._flows",
+    "FlowResult": "labos.client._flows",
     "Future": "concurrent.futures",
     "Iterable": "collections.abc",
     "Loop": "labos.client._logged",
     "Mapping": "collections.abc",
     "Path": "pathlib",
+    "Place": "labos.client._transfers",
     "Progress": "labos.client._progress",
     "Generator": "numpy.random",
     "Random": "random",
@@ -46,6 +49,7 @@ SOURCES = {
     "RunResult": "labos.client._results",
     "Sequence": "collections.abc",
     "TracebackType": "types",
+    "Transferred": "labos.client._transfers",
 }
 """Where the names in signatures come from, if their modules do not say so as they run."""
 

@@ -155,6 +155,7 @@ def parts() -> str:
         shares.Member,
         shares.Quota,
         policy.Policy,
+        policy.BookingLimits,
         approvals.Why,
         approvals.Demand,
         topics.Choice,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from deploy.grafana.make.log import SQLITE
 from tests.docs.markdown import DOCS
-from tests.support.dashboards import boards, busy_lab, given
+from tests.support.dashboards import answer_query, boards, busy_lab
 from tests.support.drawing import draw
 
 WORKS_S = 90.0
@@ -26,7 +26,7 @@ def main() -> None:
         for uid, board in boards().items():
             if uid.endswith(SQLITE.ending):
                 continue  # it looks as the one on PostgreSQL
-            picture = draw(board, lambda target: given(prometheus, target, WORKS_S))
+            picture = draw(board, lambda target: answer_query(prometheus, target, WORKS_S))
             (folder / f"{uid}.svg").write_text(picture, encoding="utf-8")
 
 

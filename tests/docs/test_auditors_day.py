@@ -13,7 +13,7 @@ from labos.core.ids import RunId
 from labos.core.signatures import RunSigned, digest_of_records
 from tests.docs.markdown import DOCS, blocks
 from tests.docs.test_tutorial import check_output
-from tests.support.audited import audited_lab
+from tests.support.audited import audit_lab
 
 PAGE = DOCS / "auditors-day.md"
 
@@ -21,7 +21,7 @@ PAGE = DOCS / "auditors-day.md"
 def test_the_day_goes_as_the_page_tells(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    book = audited_lab()
+    book = audit_lab()
     envelopes = [record.envelope for record in book.records if record.head.stream == "R3"]
     digest = digest_of_records(envelopes)
     signed = RunSigned(RunId("R3"), "ada", "reviewed", len(envelopes), digest, "password", "volumes checked")

@@ -19,7 +19,7 @@ from labos.core.state import LabState
 from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.node import NodeMetrics
 from tests.docs.markdown import ROOT
-from tests.support.dashboards import FOLDER, boards, expanded, questions
+from tests.support.dashboards import FOLDER, boards, expand, questions
 
 GRAFANA = ROOT / "deploy" / "grafana"
 KINDS = {"row", "stat", "timeseries", "bargauge", "state-timeline", "table"}
@@ -149,5 +149,5 @@ def test_every_variable_that_is_used_is_there() -> None:
         for panel in board["panels"]:
             for target in panel.get("targets", ()):
                 if "expr" in target:
-                    expanded(target["expr"])
+                    expand(target["expr"])
                     assert "$lab" in target["expr"], (uid, panel["title"])

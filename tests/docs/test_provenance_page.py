@@ -10,7 +10,7 @@ import pytest
 from labos.cli.app import main
 from tests.docs.markdown import DOCS, blocks
 from tests.docs.test_tutorial import check_output
-from tests.support.audited import audited_lab
+from tests.support.audited import audit_lab
 
 PAGE = DOCS / "provenance.md"
 
@@ -18,7 +18,7 @@ PAGE = DOCS / "provenance.md"
 def test_every_question_has_the_answer_that_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    audited_lab().save(tmp_path / "lab")
+    audit_lab().save(tmp_path / "lab")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LABOS_HOME", str(tmp_path / "lab"))
     monkeypatch.delenv("LABOS_DATABASE_URL", raising=False)

@@ -24,7 +24,7 @@ from labos.spec.schema import schema_of
 from labos.spec.source import plain, read
 from labos.spec.urdf import station_link
 from labos_drivers.pf400 import kinematics, protocol
-from tests.support.robots import parsed, poses, written
+from tests.support.robots import parse_robot, poses, write_robot
 
 ROOT = Path(__file__).parents[2]
 DRIVERS = ROOT / "drivers" / "labos_drivers"
@@ -149,7 +149,7 @@ def test_the_hand_stays_within_reach_and_comes_near_its_ends() -> None:
 
 
 def test_a_foreign_parser_finds_all_links_and_joints(file: DescriptionFile) -> None:
-    robot = parsed(file)
+    robot = parse_robot(file)
     assert robot.get_root() == BASE
     assert {link.name for link in robot.links} == {
         BASE, *file.parts, *(station_link(name) for name in places(file))
@@ -172,8 +172,8 @@ def test_a_foreign_parser_finds_all_links_and_joints(file: DescriptionFile) -> N
 
 
 def test_its_meshes_are_as_big_as_the_parts(file: DescriptionFile, tmp_path: Path) -> None:
-    folder = written(file, tmp_path)
-    for link in parsed(file).links:
+    folder = write_robot(file, tmp_path)
+    for link in parse_robot(file).links:
         shapes = file.parts[link.name].shapes if link.name in file.parts else []
         assert len(link.visuals) == len(link.collisions) == len(shapes)
         for shape, visual in zip(shapes, link.visuals, strict=True):
@@ -190,7 +190,7 @@ def test_its_meshes_are_as_big_as_the_parts(file: DescriptionFile, tmp_path: Pat
 @pytest.mark.parametrize("seed", range(5))
 def test_a_foreign_reader_has_every_frame_where_we_have_it(file: DescriptionFile, seed: int) -> None:
     joints = any_joints(file, seed)
-    theirs = poses(parsed(file), for_urdf(file, joints))
+    theirs = poses(parse_robot(file), for_urdf(file, joints))
     ours = parts_at(file, joints) | {station_link(n): at for n, at in places_at(file, joints).items()}
     assert theirs.keys() == ours.keys()
     for name, here in ours.items():
@@ -203,7 +203,7 @@ def test_a_foreign_reader_has_every_frame_where_we_have_it(file: DescriptionFile
 
 def test_the_pf400_is_where_its_driver_takes_it_to_be() -> None:
     file = FILES["pf400"]
-    robot = parsed(file)
+    robot = parse_robot(file)
     links = [robot.joint_map[name].origin.xyz[0] for name in ("outer_link_joint", "hand_joint")]
     links.append(robot.joint_map["station_gripper_joint"].origin.xyz[0])
     assert np.allclose(links, [0.302, 0.289, 0.162])
@@ -248,7 +248,7 @@ UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"
 @pytest.mark.parametrize("name", UR_DH)
 def test_the_ur_is_as_its_maker_s_table_has_it(name: str) -> None:
     file = FILES[name]
-    robot = parsed(file)
+    robot = parse_robot(file)
     for seed in range(100):
         told = any_joints(file, seed)
         flange = np.eye(4)
@@ -301,7 +301,7 @@ def test_taught_joints_of_a_real_workcell_lead_to_its_stations(place: str) -> No
 def test_a_simulator_has_every_frame_where_we_have_it(file: DescriptionFile, tmp_path: Path) -> None:
     """MuJoCo loads the meshes too; it is too large to be installed for this alone."""
     mujoco = pytest.importorskip("mujoco")
-    spec = mujoco.MjSpec.from_file(str(written(file, tmp_path) / "robot.urdf"))
+    spec = mujoco.MjSpec.from_file(str(write_robot(file, tmp_path) / "robot.urdf"))
     spec.compiler.fusestatic = False
     model = spec.compile()
     data = mujoco.MjData(model)

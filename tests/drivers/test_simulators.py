@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from random import Random
 
 import pytest
-from PIL import Image
+from PIL import Image, ImageChops, ImageStat
 
 from labos.core.wells import well_index
 from labos.node import Attachment, Crash, DeviceError, Node, Setup, World
+from labos_drivers._optics import color_of
 from labos_drivers.a4s_sealer import A4sSealer
 from labos_drivers.barty import Barty
 from labos_drivers.biometra import Biometra
 from labos_drivers.brooks_peeler import BrooksPeeler
 from labos_drivers.camera import Camera
-from labos_drivers.camera.sketch import EMPTY_WELL, FOIL, NEST, centre_of
+from labos_drivers.camera.photo import TROUBLES, photographed, seen_at
+from labos_drivers.camera.sketch import EMPTY_WELL, FOIL, NEST, centre_of, colors_of, lie_of, sketch
 from labos_drivers.chemspeed import Chemspeed
 from labos_drivers.hidex import Hidex
 from labos_drivers.inheco import Inheco
 from labos_drivers.liconic import Liconic
 from labos_drivers.mir import MiR
 from labos_drivers.ot2 import OT2
+from labos_drivers.ot2.simulator import OT2Simulator
 from labos_drivers.pf400 import PF400
 from labos_drivers.pipette import Pipette
 from labos_drivers.platecrane import PlateCrane
@@ -588,19 +592,60 @@ def test_a_camera_shows_what_was_really_pipetted(bench: Bench, world: World) -> 
     async def body() -> None:
         camera = await bench.start(Camera, "camera")
         place = "camera.plate_station"
-        assert shown(await camera.grab_image("n.png")).getpixel(centre_of(0, 0)) == NEST
-        world.stock(place, "plate96")
+        assert is_like(seen(shown(await camera.grab_image("n.png")), "A1"), NEST)
+        (plate,) = world.stock(place, "plate96")
         world.work("ot2", "pipette", place, volumes={"color_A": [275.0, 0.0]}, wells=["C5", "A1"])
         world.work("ot2", "pipette", place, volumes={"blue": [137.5]}, wells=["H12"])
+        assert {well: tuple(map(round, color)) for well, color in colors_of(world, plate).items()} == {
+            "C5": (203, 32, 51),
+            "H12": (96, 128, 241),
+        }
         image = shown(await camera.grab_image("n.png"))
-        found = [image.getpixel(centre_of(*well_index(well))) for well in ("C5", "H12", "A1", "B1")]
-        assert found == [(230, 25, 77), (147, 178, 249), EMPTY_WELL, EMPTY_WELL]
+        for well, color in (("C5", (203, 32, 51)), ("H12", (96, 128, 241)), ("B1", EMPTY_WELL)):
+            assert is_like(seen(image, well), color), well
         turned = shown(await camera.grab_image("n.png", rotation=90))
         assert turned.size == image.size[::-1]
         world.work("sealer", "seal", place)
-        assert shown(await camera.grab_image("n.png")).getpixel(centre_of(2, 4)) == FOIL
+        assert is_like(seen(shown(await camera.grab_image("n.png")), "C5"), FOIL)
 
     asyncio.run(body())
+
+
+def test_the_dyes_of_a_well_take_light_away_one_after_the_other() -> None:
+    """By the law of Beer and Lambert: what two let through is the product of what each does."""
+    one, other = {"color_A": 100.0}, {"color_C": 60.0, "water": 80.0}
+    apart = zip(color_of(one), color_of(other), color_of(one | other), strict=True)
+    assert all(a * b / 255 == pytest.approx(both) for a, b, both in apart)
+    assert color_of({"water": 200.0}) == (255.0, 255.0, 255.0)
+
+
+def test_an_ot2_takes_time_for_each_volume_if_it_is_told_how_long(world: World) -> None:
+    def nominal_s(volumes: dict[str, list[float]], **config: float) -> float:
+        return OT2Simulator(Setup("ot2", "rpl", world=world, config=config))._nominal_s(volumes)
+
+    volumes = {"color_A": [20.0, 0.0], "color_B": [30.0, 40.0]}
+    assert nominal_s(volumes) == nominal_s({}, dose_s=12) == 600
+    assert nominal_s(volumes, dose_s=12) == 45 + 3 * 12
+
+
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_a_picture_may_be_bad(trouble: str, world: World) -> None:
+    (plate,) = world.stock("camera.plate_station", "plate96")
+    good = photographed(sketch(world, plate), Random(1))
+    bad = photographed(sketch(world, plate, lie_of(Random(2), trouble)), Random(1), trouble)
+    apart = ImageChops.difference(good, bad)
+    assert ImageStat.Stat(apart.convert("L")).mean[0] > 4
+
+
+def seen(image: Image.Image, well: str) -> tuple[float, ...]:
+    """What is in the picture where the middle of a well should be."""
+    x, y = seen_at(centre_of(*well_index(well)), image.size)
+    return tuple(ImageStat.Stat(image.crop((round(x) - 2, round(y) - 2, round(x) + 3, round(y) + 3))).mean)
+
+
+def is_like(seen: Sequence[float], real: Sequence[float]) -> bool:
+    """But for the light, which is warm, and less than full."""
+    return all(0.7 * was - 4 <= now <= was + 4 for now, was in zip(seen, real, strict=True))
 
 
 def test_readers_measure_what_was_really_pipetted(bench: Bench, world: World) -> None:

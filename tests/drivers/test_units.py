@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from labos.cli.app import group
 from labos.errors import DeviceError, WrongDevice
 from labos.node import World
-from labos.node.unit import keep_unit, known_unit, see_unit
+from labos.node.unit import keep_unit, read_known_unit, see_unit
 from labos.settings import Settings
 from labos_drivers.axis import Axis
 from labos_drivers.axis.wire import DriveOnSlcan
@@ -64,7 +64,7 @@ def test_a_swapped_device_is_refused(
     with powered(wire, "it", world) as device:
         first = device.serial
         run(lambda: connect(device))
-        assert known_unit(unit) == first
+        assert read_known_unit(unit) == first
         run(lambda: connect(device))
         device.serial = "ANOTHER.1"
         with pytest.raises(WrongDevice) as caught:

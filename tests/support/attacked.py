@@ -286,22 +286,22 @@ class Liar:
         await bus.declare_alive(self.lab.keys.alive(self.module, "liar"))
 
     async def on_about(self, _: bytes) -> bytes:
-        return encoded(self.about)
+        return encode(self.about)
 
     async def on_state(self, _: bytes) -> bytes:
-        return encoded(self.state)
+        return encode(self.state)
 
     async def on_action(self, payload: bytes) -> bytes:
         self.heard.append(payload)
-        return encoded(self.reply)
+        return encode(self.reply)
 
     async def on_admin(self, payload: bytes) -> bytes:
         if self.settles is not None:
             await self.settles.wait()
-        return encoded(self.admin)
+        return encode(self.admin)
 
 
-def encoded(message: Any) -> bytes:
+def encode(message: Any) -> bytes:
     return message if isinstance(message, bytes) else msgspec.json.encode(message)
 
 

@@ -38,7 +38,7 @@ def finish_with(book: Logbook, run: str, results: dict[str, Any]) -> None:
         book.do(FinishAction(action, 1, True, "all", results.get(step.key)), module)
 
 
-def audited_lab() -> Logbook:
+def audit_lab() -> Logbook:
     """Ada mixes colours of known lots on P1 and reads it; Bo seals P2 in a PCR and answers a question. Then
     well B7 is pooled from A1 and A2, and Bo pauses a campaign."""
     book = Logbook()
@@ -80,5 +80,5 @@ def audited_lab() -> Logbook:
 
 def before_the_pool() -> int:
     """The position of the last event before B7 was pooled."""
-    drawn = max(r.head.position for r in audited_lab().records if r.head.type == LiquidDrawn.TYPE)
+    drawn = max(r.head.position for r in audit_lab().records if r.head.type == LiquidDrawn.TYPE)
     return drawn - 3  # two transfers come before what they drew

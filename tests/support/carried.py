@@ -13,7 +13,7 @@ from labos.core.registry import decode
 from labos.node.world import World
 
 
-def carried_wrong(world: World, records: Sequence[Record]) -> list[str]:
+def find_carried_wrong(world: World, records: Sequence[Record]) -> list[str]:
     """Hands that closed more often, or less often, than their actions account for.
 
     An action that its device reports as done closed the hand once, or twice if the plate went by a place

@@ -98,7 +98,7 @@ def questions() -> list[Question]:
     return found
 
 
-def asked_between(sql: str, since_ns: int, until_ns: int) -> str:
+def limit_to_span(sql: str, since_ns: int, until_ns: int) -> str:
     """A query of the log as Grafana sends it: its macros replaced by a time of whole milliseconds."""
     for name, moment in (("$__from", since_ns), ("$__to", until_ns)):
         sql = sql.replace(name, str(moment // 1_000_000))
@@ -106,7 +106,7 @@ def asked_between(sql: str, since_ns: int, until_ns: int) -> str:
     return sql
 
 
-def expanded(expr: str) -> str:
+def expand(expr: str) -> str:
     """A query as Grafana sends it: variables and macros replaced."""
     values = {"$lab": "lab", "$workcell": ".*", "$module": ".*", "$user": ".*"}
     macros = {"$__rate_interval": "5s", "$__range": "60s", "$__interval": "1s"}
@@ -116,9 +116,9 @@ def expanded(expr: str) -> str:
     return expr
 
 
-def given(prometheus: Prometheus, target: Target, seconds: float) -> list[dict[str, Any]]:
+def answer_query(prometheus: Prometheus, target: Target, seconds: float) -> list[dict[str, Any]]:
     """What a query gives: now, or over the last ``seconds``."""
-    query = expanded(target.expr)
+    query = expand(target.expr)
     return prometheus.ask(query) if target.instant else prometheus.ask_over(query, seconds, 1.0)
 
 

@@ -17,7 +17,7 @@ from labos.spec.urdf import meshes, urdf_of
 Array = NDArray[np.float64]
 
 
-def written(file: DescriptionFile, folder: Path | None = None) -> Path:
+def write_robot(file: DescriptionFile, folder: Path | None = None) -> Path:
     """A folder with the URDF, which is called robot.urdf, and its meshes."""
     folder = folder or Path(tempfile.mkdtemp())
     (folder / "robot.urdf").write_text(urdf_of(file), "utf-8")
@@ -26,7 +26,7 @@ def written(file: DescriptionFile, folder: Path | None = None) -> Path:
     return folder
 
 
-def parsed(file: DescriptionFile) -> Any:
+def parse_robot(file: DescriptionFile) -> Any:
     """The URDF as the foreign parser has it."""
     return URDF.from_xml_string(urdf_of(file).encode())
 
@@ -40,12 +40,12 @@ def poses(robot: Any, joints: Mapping[str, float]) -> dict[str, Array]:
         ready = [joint for joint in waiting if joint.parent in found]
         assert ready, "links that hang on nothing"
         for joint in ready:
-            found[joint.child] = found[joint.parent] @ _origin(joint) @ _moved(joint, joints)
+            found[joint.child] = found[joint.parent] @ _origin(joint) @ _move(joint, joints)
             waiting.remove(joint)
     return found
 
 
-def _moved(joint: Any, joints: Mapping[str, float]) -> Array:
+def _move(joint: Any, joints: Mapping[str, float]) -> Array:
     if joint.type == "fixed":
         return np.eye(4)
     value = joints.get(joint.name, 0.0)

@@ -23,7 +23,7 @@ from labos.core.runs import RunSubmitted
 from labos.node.world import World
 from labos.services.truth import differences
 from labos.spec import find_spec
-from tests.support.carried import carried_wrong
+from tests.support.carried import find_carried_wrong
 from tests.support.cells import rpl_with
 from tests.support.lab_process import until
 from tests.system import test_kills as kills
@@ -105,7 +105,7 @@ class Lab(kills.Lab):
         world = World(str(self.home / "world" / "rpl.db"))
         try:
             assert differences(world, state, records) == []
-            assert carried_wrong(world, records) == []
+            assert find_carried_wrong(world, records) == []
         finally:
             world.close()
         self.places = {local(item.station) for item in state.bench.labware.values()}

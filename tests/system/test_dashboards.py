@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import httpx
 
-from tests.support.dashboards import Target, boards, busy_lab, given, targets
+from tests.support.dashboards import Target, answer_query, boards, busy_lab, targets
 from tests.support.drawing import draw, read
 from tests.support.prometheus import Prometheus, promtool
 
@@ -17,7 +17,7 @@ PATIENCE_S = 30.0
 
 def has_data(prometheus: Prometheus, target: Target) -> bool:
     """Whether a query gives a number."""
-    return any(read(target, given(prometheus, target, 30.0)))
+    return any(read(target, answer_query(prometheus, target, 30.0)))
 
 
 def test_every_panel_shows_data(tmp_path: Path) -> None:
@@ -30,7 +30,7 @@ def test_every_panel_shows_data(tmp_path: Path) -> None:
             time.sleep(0.5 if left else 0.0)
         assert [(target.board, target.panel, target.expr) for target in left] == []
         for board in boards().values():
-            picture = draw(board, lambda target: given(prometheus, target, 30.0))
+            picture = draw(board, lambda target: answer_query(prometheus, target, 30.0))
             ElementTree.fromstring(picture)
             assert "no data" not in picture, board["title"]
         for utilisation in prometheus.ask("max_over_time(rate(labos_module_busy_seconds_total[5s])[1m:1s])"):

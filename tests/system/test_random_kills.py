@@ -30,14 +30,14 @@ from labos.services.truth import differences
 from labos.settings import free_port
 from labos.spec import find_spec
 from labos.store import SqlEventStore, open_store
-from tests.support.carried import carried_wrong
+from tests.support.carried import find_carried_wrong
 from tests.support.cells import rpl_with
 from tests.support.instants import AT_WORK, NODES, Instant, Ordeal, draw
 from tests.support.lab_process import labos
 from tests.support.postgres import PostgresServer
 from tests.system import test_kills as kills
 
-APP = Path(__file__).parents[2] / "specs" / "apps" / "color_picker.py"
+APP = Path(__file__).parents[2] / "specs" / "apps" / "first_color_picker.py"
 SEEDS = os.environ.get("LABOS_KILL_SEEDS", "1 2 3 4 5").split()
 AGAIN = "LABOS_KILL_SEEDS={seed} pytest tests/system/test_random_kills.py -s -m full -k {database}"
 INSTANTS = 10
@@ -249,7 +249,7 @@ def sound(lab: Lab, world: World) -> None:
     """The bench is as the log says, in every plate; nothing was done twice and nothing is missing."""
     state, records = lab.folded()
     assert differences(world, state, records) == []
-    assert carried_wrong(world, records) == []
+    assert find_carried_wrong(world, records) == []
     kinds = ("run.completed", "run.failed", "run.cancelled")
     ends = Counter(record.head.type for record in records if record.head.type in kinds)
     assert ends == {"run.completed": lab.work.runs + lab.resets}, lab.questions

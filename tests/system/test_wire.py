@@ -70,7 +70,7 @@ def test_a_plate_is_sealed_over_a_wire(tmp_path: Path) -> None:
 def test_pcr_and_color_picker_behind_their_wires(tmp_path: Path) -> None:
     """All instruments of the workcell are driven by their real drivers."""
     up = Up(tmp_path / "lab", "--simulate", "--wire", "--speed", "100")
-    app = [sys.executable, str(SPECS / "apps" / "color_picker.py"), "--home", str(up.home)]
+    app = [sys.executable, str(SPECS / "apps" / "first_color_picker.py"), "--home", str(up.home)]
     try:
         up.start("rpl")
         with up.client() as client, running(app, stdout=subprocess.PIPE, text=True) as picker:

@@ -1,80 +1,49 @@
-"""What a simulated network camera sees: nests side by side, with labels and markers, and a little noise."""
+"""What a simulated network camera sees: nests side by side, with labels and markers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from random import Random  # noqa: TID251 (seeded by whoever takes the picture)
 from typing import Any
 
 from labos.node import World
-from labos_drivers._optics import Color
-from labos_drivers.camera.sketch import (
-    EMPTY_WELL,
-    HEIGHT,
-    LEFT,
-    NEST,
-    PLASTIC,
-    PX_PER_MM,
-    RADIUS_MM,
-    RIM,
-    TOP,
-    WIDTH,
-    centre_of,
-    colors_of,
-    corner,
-    cover_of,
-)
+from labos_drivers.camera.photo import photographed
+from labos_drivers.camera.sketch import HEIGHT, WIDTH, corner, lie_of, sketch
 from labos_drivers.camera.vision import MARKERS, Picture, cv
 
-MARKER, MARKER_PX, MODULE_PX = 7, 140, 5
+MARKER, MARKER_PX, MODULE_PX = 7, 140, 7
 
 
 def picture_of(world: World, places: Sequence[str], seed: int) -> Picture:
-    """The places from left to right; ``seed`` is that of the noise, another for each picture."""
+    """The places from left to right; ``seed`` is that of its chance, another for each picture."""
     import numpy
 
-    scene = numpy.hstack([_nest(world, place) for place in places]).astype(numpy.float32)
-    noise = numpy.random.default_rng(seed).normal(0.0, 2.0, scene.shape)
-    blurred = cv().GaussianBlur(scene, (3, 3), 0)
-    return numpy.clip(blurred + noise, 0, 255).astype(numpy.uint8)
+    draw = Random(seed)
+    return numpy.hstack([_nest(world, place, draw) for place in places])
 
 
-def _nest(world: World, place: str) -> Picture:
+def _nest(world: World, place: str, draw: Random) -> Picture:
     import numpy
+    from PIL import Image
 
-    view = numpy.full((HEIGHT, WIDTH, 3), NEST[::-1], numpy.uint8)
     plates = world.at(place)
-    if plates:
-        _plate(view, world, plates[-1])
-    else:
+    plate = plates[-1] if plates else ""
+    view = numpy.asarray(sketch(world, plate, lie_of(draw))).copy()
+    if not plate:
         _marker(view)
-    return view
+    elif label := world.barcode(plate):
+        code = cv().QRCodeEncoder.create().encode(label)
+        side = MODULE_PX * code.shape[0]
+        large = cv().resize(code, (side, side), interpolation=cv().INTER_NEAREST)
+        _paste(view, large, WIDTH // 2, (corner()[1] + HEIGHT) // 2, 10)
+    seen = numpy.asarray(photographed(Image.fromarray(view), draw))
+    return numpy.ascontiguousarray(seen[:, :, ::-1])
 
 
 def _marker(view: Picture) -> None:
     aruco = cv().aruco
     dictionary = aruco.getPredefinedDictionary(getattr(aruco, MARKERS))
     _paste(view, aruco.generateImageMarker(dictionary, MARKER, MARKER_PX), WIDTH // 2, 200, 20)
-
-
-def _plate(view: Picture, world: World, plate: str) -> None:
-    cover, end = cover_of(world, plate), corner()
-    cv().rectangle(view, (LEFT, TOP), end, (cover or PLASTIC)[::-1], -1)
-    if cover is None:
-        _wells(view, colors_of(world, plate))
-    if label := world.barcode(plate):
-        code = cv().QRCodeEncoder.create().encode(label)
-        side = MODULE_PX * code.shape[0]
-        large = cv().resize(code, (side, side), interpolation=cv().INTER_NEAREST)
-        _paste(view, large, WIDTH // 2, (end[1] + HEIGHT) // 2, 10)
-
-
-def _wells(view: Picture, colors: dict[str, Color]) -> None:
-    for row in range(8):
-        for column in range(12):
-            red, green, blue = colors.get(f"{'ABCDEFGH'[row]}{column + 1}", EMPTY_WELL)
-            at, radius = centre_of(row, column), round(RADIUS_MM * PX_PER_MM)
-            cv().circle(view, at, radius, (blue, green, red), -1, cv().LINE_AA)
-            cv().circle(view, at, radius, RIM, 2, cv().LINE_AA)
 
 
 def _paste(view: Picture, image: Any, x: int, y: int, border: int) -> None:

@@ -7,12 +7,14 @@ from typing import Any
 
 from labos.node import Attachment
 from labos_drivers._simulation import Simulated
-from labos_drivers.camera.sketch import sketch
+from labos_drivers.camera.photo import TROUBLES, photographed
+from labos_drivers.camera.sketch import as_file, lie_of, sketch
 from labos_drivers.camera.vision import format_of
 
 
 class CameraSimulator(Simulated):
-    """Sees what stands in its nest, be it a plate or nothing."""
+    """Sees what stands in its nest, be it a plate or nothing. ``bad_pictures`` of its configuration says how
+    often something is wrong with a picture (0 to 1)."""
 
     async def grab_image(self, file_name: str, folder: str, rotation_deg: float) -> Attachment:
         format_of(file_name)
@@ -26,8 +28,15 @@ class CameraSimulator(Simulated):
                 file=file_name,
                 rotation_deg=rotation_deg,
             )
-            shown = sketch(self.world, self.top(nest), file_name, rotation_deg)
+            trouble = self._trouble()
+            scene = sketch(self.world, self.top(nest), lie_of(self._random, trouble))
+            shown = as_file(photographed(scene, self._random, trouble), file_name, rotation_deg)
             return Attachment(str(PurePosixPath(folder) / file_name), shown)
+
+    def _trouble(self) -> str:
+        """What is wrong with the picture that is taken now; mostly nothing."""
+        often = float(self.config.get("bad_pictures", 0.0))
+        return self._random.choice(TROUBLES) if self._random.random() < often else ""
 
     async def read_barcode(self) -> str:
         nest = self.place("plate_station")

@@ -1,25 +1,47 @@
-"""How a simulated camera shows a nest: where the plate is, and the colours of what was pipetted.
+"""What lies under a simulated camera, seen straight from above: the nest with its corner markers, the plate,
+and the colours of what was pipetted.
 
-The geometry is that of ANSI/SLAS 1-2004 and 4-2004.
+The geometry is that of ANSI/SLAS 1-2004 and 4-2004. Four ArUco markers (5x5, numbers 0 to 3) lie left and
+right of the plate, as high as its rim.
 """
 
 from __future__ import annotations
 
 import io
+from random import Random  # noqa: TID251 (seeded by whoever takes the picture)
+from typing import NamedTuple
 
 from labos.node import World
 from labos.node.world import lid_of
 from labos_drivers._optics import Color, color_of
+from labos_drivers.camera.photo import Photograph, image_library
 from labos_drivers.camera.vision import format_of
 
-WIDTH, HEIGHT = 640, 560
+WIDTH, HEIGHT = 800, 700
 """Of one nest, in pixels."""
-PX_PER_MM, LEFT, TOP = 4.2, 52, 24
+PX_PER_MM, LEFT, TOP = 5.0, 81, 30
 PLATE_MM = (127.76, 85.48)
 A1_MM, PITCH_MM, RADIUS_MM = (14.38, 11.24), 9.0, 3.43
 NEST, FOIL, LID, PLASTIC = (84, 88, 92), (200, 204, 205), (222, 226, 228), (238, 240, 240)
 """Red, green and blue."""
-EMPTY_WELL, RIM = (236, 236, 236), (120, 120, 120)
+SLACK_MM = 0.4
+"""How far a plate may stand from the middle of its nest, to any side."""
+EMPTY_WELL, RIM, PAPER = (236, 236, 236), (120, 120, 120), (245, 245, 245)
+
+CORNER_MARKERS = (
+    ("10100", "01011", "01100", "10101", "11100"),
+    ("00001", "11000", "00001", "10111", "00110"),
+    ("11010", "11110", "00011", "10110", "11101"),
+    ("10000", "00111", "00101", "01111", "10111"),
+)
+"""Of the dictionary ``DICT_5X5_50``, row by row."""
+CORNERS_PX = ((41, 70), (759, 70), (759, 420), (41, 420))
+"""Their centres, from number 0 on."""
+MODULE_PX = 7
+
+WALL, SHINE = 0.82, (1.35, 0.28, 0.24)
+"""How dark a liquid is at the wall of its well, where its surface bends up; and the lamp in its surface: how
+much brighter, how far from the centre and how wide, in radii."""
 
 
 def colors_of(world: World, plate: str) -> dict[str, Color]:
@@ -47,25 +69,95 @@ def centre_of(row: int, column: int) -> tuple[int, int]:
     return round(x), round(y)
 
 
-def sketch(world: World, plate: str, file_name: str, rotation_deg: float) -> bytes:
-    """The picture of a nest with this plate in it (none, if it is empty), as a file of this name. Raises
-    DeviceError for one that names no kind of picture."""
-    from PIL import Image, ImageDraw
+class Lie(NamedTuple):
+    """How a plate lies in its nest: how far from where it should (pixels), and how it is turned (degrees)."""
 
-    kind = {".jpg": "JPEG", ".png": "PNG"}[format_of(file_name)]
-    image = Image.new("RGB", (WIDTH, HEIGHT), NEST)
-    draw = ImageDraw.Draw(image)
+    right: float = 0.0
+    down: float = 0.0
+    turned: float = 0.0
+
+
+def lie_of(draw: Random, trouble: str = "") -> Lie:
+    """A plate has some play in its nest; one that lies askew has left it."""
+    play = SLACK_MM * PX_PER_MM
+    right, down = draw.uniform(-play, play), draw.uniform(-play, play)
+    return Lie(right, down + 3 * PX_PER_MM, 3.0) if trouble == "askew" else Lie(right, down)
+
+
+def sketch(world: World, plate: str, lie: Lie = Lie()) -> Photograph:  # noqa: B008 (it cannot be changed)
+    """The nest with this plate in it (none, if it is empty), without what a lens and a lamp do to it."""
+    images, drawing = image_library()
+    image = images.new("RGB", (WIDTH, HEIGHT), NEST)
+    draw = drawing.Draw(image)
+    for modules, (x, y) in zip(CORNER_MARKERS, CORNERS_PX, strict=True):
+        _marker(draw, modules, x, y)
     if plate:
-        cover = cover_of(world, plate)
-        draw.rectangle(((LEFT, TOP), corner()), fill=cover or PLASTIC)
-        colors, radius = {} if cover else colors_of(world, plate), round(RADIUS_MM * PX_PER_MM)
-        for row in range(0 if cover else 8):
-            for column in range(12):
-                x, y = centre_of(row, column)
-                color = colors.get(f"{'ABCDEFGH'[row]}{column + 1}", EMPTY_WELL)
-                red, green, blue = (round(part) for part in color)
-                around = (x - radius, y - radius, x + radius, y + radius)
-                draw.ellipse(around, fill=(red, green, blue), outline=RIM, width=2)
+        seen = _plate(world, plate)
+        mask = images.new("L", seen.size, 255).rotate(lie.turned, images.Resampling.BICUBIC, expand=True)
+        seen = seen.rotate(lie.turned, images.Resampling.BICUBIC, expand=True)
+        image.paste(seen, (round(LEFT + lie.right), round(TOP + lie.down)), mask)
+    return image
+
+
+def _plate(world: World, plate: str) -> Photograph:
+    images, drawing = image_library()
+    right, bottom = corner()
+    cover = cover_of(world, plate)
+    seen = images.new("RGB", (right - LEFT, bottom - TOP), cover or PLASTIC)
+    if cover is None:
+        _wells(drawing.Draw(seen), colors_of(world, plate))
+    return seen
+
+
+def as_file(image: Photograph, file_name: str, rotation_deg: float) -> bytes:
+    """A picture as a file of this name. Raises DeviceError for one that names no kind of picture."""
+    kind = {".jpg": "JPEG", ".png": "PNG"}[format_of(file_name)]
     file = io.BytesIO()
     image.rotate(rotation_deg, expand=True).save(file, kind, **({"quality": 95} if kind == "JPEG" else {}))
     return file.getvalue()
+
+
+def _marker(draw: Photograph, modules: tuple[str, ...], x: int, y: int) -> None:
+    """Black, with a white border as wide as a module."""
+    for half, fill in ((4.5, PAPER), (3.5, (12, 12, 12))):
+        draw.rectangle((x - half * MODULE_PX, y - half * MODULE_PX, *_end(x, y, half)), fill=fill)
+    for row, bits in enumerate(modules):
+        for column, bit in enumerate(bits):
+            if bit == "1":
+                left, top = x + (column - 2.5) * MODULE_PX, y + (row - 2.5) * MODULE_PX
+                draw.rectangle((left, top, left + MODULE_PX - 1, top + MODULE_PX - 1), fill=PAPER)
+
+
+def _end(x: int, y: int, half: float) -> tuple[float, float]:
+    return x + half * MODULE_PX - 1, y + half * MODULE_PX - 1
+
+
+def _wells(draw: Photograph, colors: dict[str, Color]) -> None:
+    radius = round(RADIUS_MM * PX_PER_MM)
+    for row in range(8):
+        for column in range(12):
+            x, y = centre_of(row, column)
+            x, y = x - LEFT, y - TOP
+            filled = colors.get(f"{'ABCDEFGH'[row]}{column + 1}")
+            rim = radius + 2
+            around = (x - rim, y - rim, x + rim, y + rim)
+            if filled is None:
+                draw.ellipse(around, fill=EMPTY_WELL, outline=RIM, width=3)
+            else:
+                draw.ellipse(around, fill=_shade(filled, WALL), outline=RIM, width=3)
+                _liquid(draw, filled, x, y, radius)
+
+
+def _liquid(draw: Photograph, color: Color, x: int, y: int, radius: int) -> None:
+    """The flat middle of a meniscus, with the lamp in it."""
+    flat = round(0.78 * radius)
+    draw.ellipse((x - flat, y - flat, x + flat, y + flat), fill=_shade(color, 1.0))
+    brighter, away, wide = SHINE
+    left, top, spot = x - away * radius, y - away * radius, wide * radius / 2
+    lit = _shade((color[0] + 60, color[1] + 60, color[2] + 60), brighter)
+    draw.ellipse((left - spot, top - spot, left + spot, top + spot), fill=lit)
+
+
+def _shade(color: Color, factor: float) -> tuple[int, int, int]:
+    red, green, blue = (min(round(part * factor), 255) for part in color)
+    return red, green, blue

@@ -14,12 +14,16 @@ from labos_drivers._deck import Deck, facts_of
 
 SLOTS = (*(f"deck{number}" for number in range(1, 12)), "deck1_cooler")
 
+RUN_S, HOMES_S = 600.0, 45.0
+"""How long a usual run takes, and what the gantry needs besides pipetting."""
+
 COLUMN = 8
 """Tips that the pipette picks up at once."""
 
 
 class OT2Simulator(Deck):
-    """A gantry that forgets its runs when the power goes."""
+    """A gantry that forgets its runs when the power goes. ``dose_s`` of its configuration says how long it
+    takes to bring one volume into one well; without it, each run takes as long as a usual one."""
 
     drawers = SLOTS
 
@@ -50,9 +54,14 @@ class OT2Simulator(Deck):
         for liquid, doses in volumes.items():
             if self.world.left(self.name, liquid) is not None:
                 self.world.use(self.name, liquid, sum(doses))
-        await self.pipette(600, tips=tips, **facts)
+        await self.pipette(self._nominal_s(volumes), tips=tips, **facts)
         self.runs += 1
         return {"run": f"{self.name}-{self.runs}", "status": "succeeded"}
+
+    def _nominal_s(self, volumes: Mapping[str, list[float]]) -> float:
+        dose_s = float(self.config.get("dose_s", 0.0))
+        doses = sum(1 for each in volumes.values() for ul in each if ul)
+        return HOMES_S + dose_s * doses if dose_s and doses else RUN_S
 
     async def resume_run(self) -> None:
         """A simulated gantry waits for nobody."""

@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     from numpy.random import Generator
     from PIL.Image import Image
 
+    from labos.client._flows import Flow, FlowResult
     from labos.client._logged import Loop
     from labos.client._progress import Progress
     from labos.client._results import RunResult
     from labos.client._runs import Put
+    from labos.client._transfers import Place, Transferred
     from labos.services.compute import Attempts
     from labos.services.results import Readings
 
@@ -469,6 +471,13 @@ class AsyncExperiment:
             key=self.sync._take("run", workflow, key),
         )
 
+    async def run_flow(self, flow: Flow, *, check: bool = True, key: str = "", **given: Any) -> FlowResult:
+        """Carry out the steps of a flow, one after the other, with what is ``given`` as ``input`` of its
+        state; its start, its end, each step and each further attempt are in the log."""
+        return await self.threads.wait(
+            self.sync.run_flow, flow, check=check, key=self.sync._take("run_flow", flow, key), **given
+        )
+
     async def submit(
         self, workflow: str | Path, payload: Mapping[str, Any] | None = None, *, key: str = "", **options: Any
     ) -> str:
@@ -500,6 +509,12 @@ class AsyncExperiment:
             where=where,
             key=self.sync._take("submit_compute", function, key),
             **named,
+        )
+
+    async def transfer(self, source: Place, target: str | Path, *, key: str = "") -> Transferred:
+        """Copy a file to another place, with an event that has its SHA-256."""
+        return await self.threads.wait(
+            self.sync.transfer, source, target, key=self.sync._take("transfer", source, key)
         )
 
 

@@ -27,7 +27,7 @@ from labos.core.decide.barcodes import readings
 from labos.core.decide.endings import give_up
 from labos.core.decide.inputs import fill_inputs, name_returned_files
 from labos.core.decide.outcomes import back_in_place, effect_events, find_shown_outcome, limit_result, settle
-from labos.core.decide.steps import doubting
+from labos.core.decide.steps import doubt
 from labos.core.decide.work import ask_for_work, work_on
 from labos.core.effects import (
     AnyEffect,
@@ -323,7 +323,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
     places = looks(state, action) if command.succeeded else ()
     if places:
         return [_report(action, command, places)]
-    return finishing(state, action, command)
+    return finish(state, action, command)
 
 
 def _report(action: Action, command: FinishAction, places: tuple[StationName, ...]) -> ActionReported:
@@ -332,7 +332,7 @@ def _report(action: Action, command: FinishAction, places: tuple[StationName, ..
     return ActionReported(*ids, places, command.result, ended_ns)
 
 
-def finishing(state: LabState, action: Action, command: FinishAction) -> Iterator[Event]:
+def finish(state: LabState, action: Action, command: FinishAction) -> Iterator[Event]:
     """The end of an action, and what it did to the bench."""
     ids = (action.id, action.run, action.step, action.module, command.attempt)
     kind: FailureKind = "operational" if command.collided else "software"
@@ -390,7 +390,7 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
         return []
     if state.shorter.since and not _is_recovery(state, action):
         # A later attempt may have been made behind the log's end; and nothing moves on a bench unseen.
-        return doubting(state, action, "its node never began this attempt, and the log has lost its end")
+        return doubt(state, action, "its node never began this attempt, and the log has lost its end")
     run = state.runs.active.get(action.run)
     if run is not None and run.status == RunStatus.CANCELLING:
         why = "the run was being cancelled and the attempt had not begun"
@@ -421,7 +421,7 @@ def doubt_action(state: LabState, command: DoubtAction) -> Decision:
         return []  # its device has said that it is done, or a person knows
     if action.status == ActionStatus.UNKNOWN:
         return _settle_by_sight(state, action)
-    return doubting(state, action, command.why)
+    return doubt(state, action, command.why)
 
 
 def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import msgspec
 
 from labos.core.bench import Labware
-from labos.core.booked import begun, contacts
+from labos.core.booked import contacts, find_begun
 from labos.core.bookings import (
     Booking,
     BookingBegan,
@@ -31,11 +31,7 @@ from labos.core.state import LabState
 from labos.core.topics import BookedPlace, in_batches, name_some
 from labos.core.users import person_of, rank
 
-MOST_HOURS = 24
-"""So many hours that are still to come a submitter may have booked."""
-
-MOST_DAYS_AHEAD = 14
-"""So far ahead a submitter may book."""
+HOUR_NS = 3_600_000_000_000
 
 LONGEST_DAYS = 366
 """So long a booking lasts at most."""
@@ -280,21 +276,24 @@ def _for_nobody(state: LabState, terms: NewTerms) -> Rejection | None:
 def _beyond_quota(
     state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
 ) -> Rejection | None:
-    """Whoever is no operator there books little, and not far ahead."""
+    """Whoever is no operator there books as much, and as far ahead, as the policy lets them."""
     who, terms, now = person_of(command.by), command.terms, command.now
     cell = workcell_of(ModuleName(target))
     if state.users.is_open or role_in(state, who, cell) >= rank("operator"):
         return None
-    if terms.begins > now + MOST_DAYS_AHEAD * DAY_NS:
-        return Rejection(
-            "too_far", f"{who} may book {MOST_DAYS_AHEAD} days ahead at most.", "Ask an operator to book it."
-        )
+    limits, remedy = state.approvals.policy.bookings, "Ask an operator to book it."
+    if terms.begins > now + limits.days_ahead * DAY_NS:
+        return Rejection("too_far", f"{who} may book {limits.days_ahead} days ahead at most.", remedy)
+    long = (terms.ends - terms.begins) / HOUR_NS
+    if limits.hours is not None and long > limits.hours:
+        what = f"This booking lasts {long:.1f} h, and one of {who} may last {limits.hours:g} h."
+        return Rejection("too_long", what, f"Book less at once. {remedy}")
     mine = [b for b in state.bookings.open.values() if person_of(b.by) == who and b.id != name and not b.rule]
-    hours = sum(b.ends - max(b.begins, now) for b in mine) + terms.ends - max(terms.begins, now)
-    if hours > MOST_HOURS * 3_600_000_000_000:
+    hours = (sum(b.ends - max(b.begins, now) for b in mine) + terms.ends - max(terms.begins, now)) / HOUR_NS
+    if hours > limits.total_hours:
         return Rejection(
             "quota",
-            f"{who} would have booked {hours / 3.6e12:.1f} h that are to come, and may have {MOST_HOURS}.",
+            f"{who} would have booked {hours:.1f} h that are to come, and may have {limits.total_hours:g}.",
             "Give one back (labos book cancel), or ask an operator to book it.",
         )
     return None
@@ -319,11 +318,11 @@ def _conflicts(
         if command.force and (mine.maintenance or not other.maintenance):
             over.append(other.id)
             continue
-        return _refused(other, met, force=command.force)
+        return _refuse(other, met, force=command.force)
     return tuple(sorted(over))
 
 
-def _refused(other: Booking, met: Span, *, force: bool) -> Rejection:
+def _refuse(other: Booking, met: Span, *, force: bool) -> Rejection:
     begins, ends = in_zone(met.begins, other.zone), in_zone(met.ends, other.zone)
     what = f"{local(other.target)} is booked for {other.whom} from {begins} until {ends}"
     remedy = f"Choose another time, or ask {other.by}. An admin can book over it: --force"
@@ -375,7 +374,7 @@ def tell_who_overruns(state: LabState, event: BookingBegan) -> Iterator[Event]:
     for module in modules_of(state, booking.target):
         for action in [state.actions.open[name] for name in state.modules.by_name[module].in_flight]:
             run = state.runs.active.get(action.run)
-            if run is None or begun(state, run.user, module) is not booking:
+            if run is None or find_begun(state, run.user, module) is not booking:
                 continue
             plan = state.runs.plan_of(run)
             step = plan.steps[action.step]

@@ -9,7 +9,7 @@ from typing import Any, assert_never
 from labos.core.actions import Action
 from labos.core.bench import Labware, removal
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.actions import FinishAction, finishing
+from labos.core.decide.actions import FinishAction, finish
 from labos.core.decide.approvals import answer_approval
 from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.experiments import close_experiment, end_without_closing
@@ -153,7 +153,7 @@ def _confirm(state: LabState, action: Action, command: ResolveIntervention) -> D
     why = f"{command.by} says that it cannot be done{f': {command.note}' if command.note else ''}"
     end = FinishAction(action.id, action.attempt, True, "all", command.result)
     failed = FinishAction(action.id, action.attempt, False, "none", error=why)
-    return unfit or finishing(state, action, end if done else failed)
+    return unfit or finish(state, action, end if done else failed)
 
 
 def _settle_unknown(state: LabState, action: Action, command: ResolveIntervention) -> Decision:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.shorter import Found, record_journal
-from labos.core.decide.steps import doubting
+from labos.core.decide.steps import doubt
 from labos.core.failures import since
 from labos.core.ids import ModuleName, local
 from labos.core.modules import (
@@ -188,7 +188,7 @@ def _take_out(state: LabState, command: TakeOut) -> Iterator[Event]:
     yield ModuleTakenOut(command.module, command.why or "no reason given", command.until)
     for action in list(state.actions.open.values()):
         if action.module == command.module and find_give_up_time(state, action) is not None:
-            yield from doubting(state, action, "its node is gone, and the module was taken out of service")
+            yield from doubt(state, action, "its node is gone, and the module was taken out of service")
 
 
 @decides(Quarantine)

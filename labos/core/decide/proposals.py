@@ -70,7 +70,7 @@ def approve_proposal(state: LabState, command: ApproveProposal) -> Decision:
     wrong = _not_as_seen(proposal, command.digest) or _unfit_changes(state, proposal, command)
     if wrong is not None:
         return wrong
-    events = approving(state, proposal, command)
+    events = approve(state, proposal, command)
     if isinstance(events, Rejection):
         return events
     return chain(_resolve_question(state, proposal.subject, "approve", command.by, command.why), events)
@@ -83,7 +83,7 @@ def refuse_proposal(state: LabState, command: RefuseProposal) -> Decision:
         return proposal
     return chain(
         _resolve_question(state, proposal.subject, "refuse", command.by, command.why),
-        refusing(state, proposal, command),
+        refuse(state, proposal, command),
     )
 
 
@@ -93,17 +93,17 @@ def answer_question(state: LabState, topic: Approval, choice: str, by: str, note
     if isinstance(proposal, Rejection):
         return []
     if choice != "approve":
-        return refusing(state, proposal, RefuseProposal(topic.about, by, note))
+        return refuse(state, proposal, RefuseProposal(topic.about, by, note))
     wrong = _not_as_seen(proposal, topic.digest)
-    return wrong or approving(state, proposal, ApproveProposal(topic.about, topic.digest, by, note))
+    return wrong or approve(state, proposal, ApproveProposal(topic.about, topic.digest, by, note))
 
 
-def approving(state: LabState, proposal: Proposal, command: ApproveProposal) -> Decision:
+def approve(state: LabState, proposal: Proposal, command: ApproveProposal) -> Decision:
     wrong = _may_not_approve(state, proposal, command.by) or _experiment_first(state, proposal)
-    return wrong or _approving(state, proposal, command)
+    return wrong or _let_go_on(state, proposal, command)
 
 
-def _approving(state: LabState, proposal: Proposal, command: ApproveProposal) -> Iterator[Event]:
+def _let_go_on(state: LabState, proposal: Proposal, command: ApproveProposal) -> Iterator[Event]:
     yield ApprovalGiven(
         subject=proposal.subject,
         kind=proposal.kind,
@@ -120,12 +120,12 @@ def _approving(state: LabState, proposal: Proposal, command: ApproveProposal) ->
     if run is not None and run.unapproved and person_of(command.by) != run.user:
         yield RunApproved(run.id, command.by)
     if proposal.kind == "experiment":
-        for waiting in list(_waiting_for(state, proposal.subject)):
+        for waiting in list(_find_waiting(state, proposal.subject)):
             yield from _resolve_question(state, waiting.subject, "approve", command.by, command.why)
             yield ApprovalGiven(waiting.subject, "run", waiting.digest, command.by, command.why)
 
 
-def refusing(state: LabState, proposal: Proposal, command: RefuseProposal) -> Iterator[Event]:
+def refuse(state: LabState, proposal: Proposal, command: RefuseProposal) -> Iterator[Event]:
     subject, kind = proposal.subject, proposal.kind
     said = f": {command.why}" if command.why else ""
     why = f"{command.by} did not approve it{said}"
@@ -142,7 +142,7 @@ def refusing(state: LabState, proposal: Proposal, command: RefuseProposal) -> It
     yield from [] if isinstance(follows, Rejection) else follows
 
 
-def _waiting_for(state: LabState, experiment: str) -> Iterator[Proposal]:
+def _find_waiting(state: LabState, experiment: str) -> Iterator[Proposal]:
     """The runs of an experiment that wait for nothing but its approval."""
     known = state.experiments.open[ExperimentId(experiment)]
     for run in known.runs:

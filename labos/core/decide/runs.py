@@ -11,7 +11,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.endings import give_up
 from labos.core.decide.windows import (
     anchors_of,
-    asking,
+    ask_about_breach,
     clock_of,
     lateness,
     questions_of,
@@ -290,7 +290,10 @@ def breach_window(state: LabState, command: BreachWindow) -> Decision:
     what = lateness(run, plan, command.step, window)
     if window.on_breach == "fail":
         return chain([breached], give_up(state, run, what))
-    return [breached, *(asking(state, run, command.step, what) if window.on_breach == "ask" else ())]
+    return [
+        breached,
+        *(ask_about_breach(state, run, command.step, what) if window.on_breach == "ask" else ()),
+    ]
 
 
 def answer_late(state: LabState, topic: LateStep, choice: str) -> Iterator[Event]:

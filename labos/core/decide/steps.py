@@ -51,14 +51,14 @@ def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
     due, missed = due_at(state, action), find_give_up_time(state, action)
     if due is not None and command.now > due:
         step = state.runs.plan_of(state.runs.active[action.run]).steps[action.step]
-        return doubting(state, action, f"it did not end within {step.timeout_s:g} s")
+        return doubt(state, action, f"it did not end within {step.timeout_s:g} s")
     if missed is not None and command.now > missed:
-        return doubting(state, action, f"its node has been gone for {NODE_AWAY_S:g} s")
+        return doubt(state, action, f"its node has been gone for {NODE_AWAY_S:g} s")
     stuck = find_standstill_time(state, action)
     return [ask_about_waiting_device(state, action)] if stuck is not None and command.now > stuck else []
 
 
-def doubting(
+def doubt(
     state: LabState, action: Action, why: str, maybe: Sequence[LabwareUncertain] | None = None
 ) -> list[Event]:
     """What follows when nobody can say how an action ended; ``maybe`` is where its labware may be, if more

@@ -16,9 +16,9 @@ import msgspec
 from labos.core.actions import Action, ActionFailed, ActionStatus, EffectsDone
 from labos.core.bench import Station
 from labos.core.decide._base import Decision, Report, decides
-from labos.core.decide.actions import FinishAction, finishing
+from labos.core.decide.actions import FinishAction, finish
 from labos.core.decide.outcomes import effect_events, uncertain
-from labos.core.decide.steps import doubting
+from labos.core.decide.steps import doubt
 from labos.core.effects import Carrying, carried, moved
 from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
 from labos.core.labware import LabwareUncertain, StationObserved
@@ -72,9 +72,9 @@ def verify_action(state: LabState, command: VerifyAction) -> Decision:
         return chain(events, _refute(state, action, "none", why, sights))
     if "unclear" in verdicts:
         why = f"{why}{f'; {command.unseen}' if command.unseen and sights else ''}"
-        return [*events, *doubting(state, action, why, _find_whereabouts(state, action, why, sights))]
+        return [*events, *doubt(state, action, why, _find_whereabouts(state, action, why, sights))]
     end = FinishAction(action.id, action.attempt, True, "all", action.result, ended_ns=action.ended_ns)
-    return chain(events, finishing(state, action, end))
+    return chain(events, finish(state, action, end))
 
 
 def is_disturbed(state: LabState, action: Action) -> bool:
@@ -152,7 +152,7 @@ def _refute(
     if run is not None and done != "none" and run.status != RunStatus.CANCELLING:
         policy = state.runs.plan_of(run).steps[action.step].on_error
         if policy is not None and policy.do == "ask":
-            yield from doubting(state, action, why, maybe)
+            yield from doubt(state, action, why, maybe)
             return
     ids = (action.id, action.run, action.step, action.module, action.attempt)
     narrow = {event.labware: event for event in maybe}

@@ -89,7 +89,7 @@ def lateness(run: RunState, plan: Plan, step: int, window: Window) -> str:
     return f"step {plan.steps[step].key!r} did not start within {within:g} s of the end of {anchor!r}{whose}"
 
 
-def asking(state: LabState, run: RunState, step: int, what: str) -> list[Event]:
+def ask_about_breach(state: LabState, run: RunState, step: int, what: str) -> list[Event]:
     """The run stands still until a person has said what becomes of it."""
     events: list[Event] = [] if run.paused else [RunPaused(run.id)]
     return [

@@ -33,7 +33,7 @@ from labos.services.log import Log
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import encode_rotations
 from labos.services.trust.notes import Note
-from labos.services.verification import needed_blobs
+from labos.services.verification import find_needed_blobs
 
 FORMAT = "labos-bundle/1"
 SIGNED = RunSigned.TYPE
@@ -100,7 +100,7 @@ def make_bundle(log: Log, blobs: BlobStore, run: str, beside: Attachments) -> tu
             msgspec.Raw(record.envelope), msgspec.Raw(record.payload), tuple(each.hex() for each in proof)
         )
         lines.append(msgspec.json.encode(line) + b"\n")
-        digests.update(dict.fromkeys(needed_blobs(record.head.type, record.payload)))
+        digests.update(dict.fromkeys(find_needed_blobs(record.head.type, record.payload)))
     about = About(FORMAT, records[0].head.lab, run, head.size, len(records), len(digests))
     files = {
         ABOUT: msgspec.json.format(msgspec.json.encode(about), indent=2) + b"\n",

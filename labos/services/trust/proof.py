@@ -34,7 +34,7 @@ from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import TrustedKeys, parse_rotations
 from labos.services.trust.notes import Note, PublicKey, parse_note
 from labos.services.trust.timestamp import stamped_at
-from labos.services.verification import Part, needed_blobs
+from labos.services.verification import Part, find_needed_blobs
 
 LARGEST = 4 << 30
 """Bytes that a bundle may unpack to."""
@@ -274,7 +274,7 @@ def _is_plan(event: _Event, own: Sequence[_Event]) -> bool:
 def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> Part:
     named: dict[str, int] = {}
     for event in events:
-        for each in needed_blobs(event.head.type, event.payload):
+        for each in find_needed_blobs(event.head.type, event.payload):
             named.setdefault(each, event.head.position)
     faults, positions = [], []
     for each, position in named.items():

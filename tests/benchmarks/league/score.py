@@ -117,9 +117,8 @@ def measure(*, quick: bool = False) -> Report:
             ratios = [s.ratio for s in found if s.case.family == family]
             if ratios:
                 mean = sum(ratios) / len(ratios)
-                notes.append(
-                    f"{family}, {what}: {min(ratios):.2f} to {max(ratios):.2f} × the best known, mean {mean:.3f}"
-                )
+                span = f"{min(ratios):.2f} to {max(ratios):.2f} × the best known, mean {mean:.3f}"
+                notes.append(f"{family}, {what}: {span}")
     return Report([figure(found, planned) for found, planned in scores], notes)
 
 

@@ -12,13 +12,13 @@ import pytest
 from labos.audit import database
 from labos.audit.tables import VIEWS
 from labos.cli.app import main
-from tests.support.audited import audited_lab, before_the_pool
+from tests.support.audited import audit_lab, before_the_pool
 
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     home = tmp_path / "lab"
-    audited_lab().save(home)
+    audit_lab().save(home)
     monkeypatch.setenv("LABOS_HOME", str(home))
     monkeypatch.delenv("LABOS_DATABASE_URL", raising=False)
     return home
@@ -91,7 +91,7 @@ def test_the_log_is_never_opened_for_writing(home: Path, capsys: pytest.CaptureF
 def test_tables_are_made_anew_and_their_state_is_told(
     home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    end = audited_lab().position
+    end = audit_lab().position
     assert json.loads(ask(capsys, "audit", "status", "--json"))["behind"] == end
     assert f"is at event {end}" in ask(capsys, "audit", "project")
     facts = json.loads(ask(capsys, "audit", "status", "--json"))

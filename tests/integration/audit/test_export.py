@@ -25,7 +25,7 @@ from labos.core.labware import SamplesRegistered
 from labos.store import FolderBlobs, open_store
 from tests.foreign.make import ROOT
 from tests.integration.audit.logs import GrowingLog, project
-from tests.support.audited import MEASURED, PLATE, audited_lab, finish_with
+from tests.support.audited import MEASURED, PLATE, audit_lab, finish_with
 from tests.support.foreign import python_of
 from tests.support.processes import running
 from tests.unit.services.logbook import Logbook, save
@@ -143,7 +143,7 @@ def test_each_file_is_the_one_that_is_told(kept: Path) -> None:
 
 
 def test_a_crate_tells_who_did_what_with_what(tmp_path: Path) -> None:
-    audited_lab().save(tmp_path / "lab")
+    audit_lab().save(tmp_path / "lab")
     export(tmp_path / "lab", "crate", "R2", "--to", "R2.zip")
     graph = graph_of(Path("R2.zip"))
     mix = next(each for each in graph.values() if each.get("name") == "R2 #1: Mix all colors")
@@ -264,7 +264,7 @@ def lines(capsys: pytest.CaptureFixture[str], home: Path, *words: str) -> list[d
 
 
 def test_events_are_cloudevents(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    book = audited_lab()
+    book = audit_lab()
     home = tmp_path / "lab"
     book.save(home)
     export(home, "events")
@@ -282,7 +282,7 @@ def test_events_are_cloudevents(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_an_export_goes_on_where_it_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    book = audited_lab()
+    book = audit_lab()
     home = tmp_path / "lab"
     book.save(home)
     everything = lines(capsys, home)
@@ -304,7 +304,7 @@ def test_an_export_goes_on_where_it_ended(tmp_path: Path, capsys: pytest.Capture
 
 @pytest.mark.slow
 def test_an_export_follows_the_log(tmp_path: Path) -> None:
-    book = audited_lab()
+    book = audit_lab()
     home = tmp_path / "lab"
     url = book.save(home)
     known = len(book.records)
@@ -339,7 +339,7 @@ def test_an_export_follows_the_log(tmp_path: Path) -> None:
 
 
 def test_a_file_of_events_goes_on_where_it_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    book = audited_lab()
+    book = audit_lab()
     home, file = tmp_path / "lab", tmp_path / "events.jsonl"
     book.save(home)
     everything = lines(capsys, home)
@@ -356,7 +356,7 @@ def test_a_file_of_events_goes_on_where_it_ends(tmp_path: Path, capsys: pytest.C
 
 
 def test_a_file_of_something_else_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    book = audited_lab()
+    book = audit_lab()
     home = tmp_path / "lab"
     book.save(home)
     last = lines(capsys, home)[-1]

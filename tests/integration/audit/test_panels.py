@@ -14,7 +14,7 @@ from labos.audit.database import open_audit
 from labos.audit.tables import VIEWS, view_columns
 from tests.integration.audit.logs import GrowingLog, project
 from tests.support.campaigns import campaign_lab
-from tests.support.dashboards import Question, asked_between, questions
+from tests.support.dashboards import Question, limit_to_span, questions
 from tests.unit.services.logbook import START_NS
 
 LATER_NS = START_NS + 3600 * 10**9
@@ -36,7 +36,7 @@ def from_sqlite(folder: Path, since_ns: int = START_NS, until_ns: int = LATER_NS
     told = {}
     with closing(sqlite3.connect(f"file:{folder / 'labos-audit.db'}?mode=ro", uri=True)) as connection:
         for question in of(SQLITE.plugin):
-            cursor = connection.execute(asked_between(question.sql, since_ns, until_ns))
+            cursor = connection.execute(limit_to_span(question.sql, since_ns, until_ns))
             names = [column[0] for column in cursor.description]
             name = f"{question.board.removesuffix(SQLITE.ending)}: {question.panel}"
             told[name] = [dict(zip(names, row, strict=True)) for row in cursor]
@@ -59,7 +59,7 @@ def from_postgres(url: str, since_ns: int = START_NS, until_ns: int = LATER_NS) 
         database.allow_reading("panels_reader")
         connection.execute("SET ROLE panels_reader")
         for question in of(POSTGRES.plugin):
-            sql = asked_between(question.sql, since_ns, until_ns).encode()
+            sql = limit_to_span(question.sql, since_ns, until_ns).encode()
             told[f"{question.board}: {question.panel}"] = connection.execute(sql).fetchall()
         connection.execute("RESET ROLE")
         connection.execute("DROP OWNED BY panels_reader")

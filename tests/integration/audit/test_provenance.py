@@ -24,20 +24,20 @@ from labos.core.state import LabState
 from labos.errors import NotFound
 from labos.runtime.ledger import fold
 from tests.integration.audit.logs import GrowingLog, project
-from tests.support.audited import OT2, PLATE, audited_lab, before_the_pool
+from tests.support.audited import OT2, PLATE, audit_lab, before_the_pool
 from tests.unit.services.logbook import sealed
 
 
 @pytest.fixture(scope="module")
 def end() -> int:
-    return audited_lab().position
+    return audit_lab().position
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Asker]:
     url = f"sqlite:///{tmp_path_factory.mktemp('audited') / 'labos.db'}"
     database = open_audit(url)
-    project(GrowingLog(audited_lab().records), database)
+    project(GrowingLog(audit_lab().records), database)
     database.close()
     with open_asker(url) as asker:
         yield asker
@@ -51,7 +51,7 @@ def names(asker: Asker, subject: str, end: int, direction: str, kind: str) -> se
 
 def position_of(kind: str, number: int = 0) -> int:
     """Where the event of a type stands."""
-    return [r.head.position for r in audited_lab().records if r.head.type == kind][number]
+    return [r.head.position for r in audit_lab().records if r.head.type == kind][number]
 
 
 # -- liquids -----------------------------------------------------------------------------------
@@ -231,7 +231,7 @@ def lab_at(asker: Asker, position: int) -> dict[str, Any]:
 
 
 def test_the_lab_at_every_moment_is_the_folded_one(lab: Asker, end: int) -> None:
-    state, records = LabState(), audited_lab().records
+    state, records = LabState(), audit_lab().records
     for position in range(0, end, 7):
         fold(state, records[state.position : position])
         found = lab_at(lab, position)
@@ -246,7 +246,7 @@ def test_the_lab_at_every_moment_is_the_folded_one(lab: Asker, end: int) -> None
 def test_differences_are_what_happened_in_between(lab: Asker, end: int) -> None:
     moves = [
         decode(r.head.type, r.head.schema, r.payload)
-        for r in audited_lab().records
+        for r in audit_lab().records
         if r.head.type == LabwareMoved.TYPE
     ]
     last = moves[-1]
@@ -263,7 +263,7 @@ def test_differences_are_what_happened_in_between(lab: Asker, end: int) -> None:
 @pytest.mark.postgres
 def test_postgres_gives_the_same_answers(lab: Asker, end: int, postgres_url: str) -> None:
     database = open_audit(postgres_url)
-    project(GrowingLog(audited_lab().records), database)
+    project(GrowingLog(audit_lab().records), database)
     database.close()
 
     def told(asker: Asker) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import json
 import sqlite3
@@ -126,18 +127,56 @@ def test_a_restarted_kernel_does_nothing_twice(tmp_path: Path) -> None:
     settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
     key = next(keys)
     with lab_with_users(tmp_path) as lab, client_of(lab, token_of(tmp_path, "ada", scope="admin")) as client:
-        assert load(client, key).status_code == 201
-        assert load(client, key).status_code == 201
+        first = load(client, key)
+        assert first.status_code == 201
+        assert load(client, key).content == first.content
         assert placed(lab) == 1
     with LabThread(settings, nodes="none") as lab, ApiThread(ApiSettings(settings)) as api:
         token = token_of(tmp_path, "ada", scope="admin")
         for there in (api.client(token), client_of(lab, token)):
             with there as client:
-                told = is_problem(load(client, key), 409, "already_done")
-                assert "labos log --after" in told["remedy"]
+                again = load(client, key)
+                assert (again.status_code, again.content) == (201, first.content), again.text
+                is_problem(load(client, key, count=2), 409, "key_reused")
         with api.client(token) as client:
             assert load(client, next(keys)).status_code == 201
         assert placed(lab) == 2
+
+
+def test_what_was_answered_is_answered_again_while_the_kernel_is_away(tmp_path: Path) -> None:
+    """Also what would be refused by now, as a booking that is there, or a user who has been added."""
+    asked = {
+        "/bookings": {"target": "hidex", "begins_at": 4 * 10**18, "ends_at": 4 * 10**18 + 3600 * 10**9},
+        "/users": {"user": "cy", "kind": "person", "role": "viewer"},
+        "/groups": {"group": "chemistry"},
+        "/control/pause": {"target": "sealer", "why": "lunch"},
+        "/runs": {"workflow": {"text": FLOW}},
+        "/experiments": {"name": "e"},
+    }
+
+    def ask(client: httpx.Client) -> list[httpx.Response]:
+        return [
+            client.post(path, json=body, headers={"idempotency-key": f"mine {path}"})
+            for path, body in asked.items()
+        ]
+
+    with contextlib.ExitStack() as stack:
+        with lab_with_users(tmp_path) as lab:
+            ada = token_of(tmp_path, "ada", scope="admin")
+            api = stack.enter_context(ApiThread(ApiSettings(lab.settings)))
+            with client_of(lab, ada) as kernel:
+                first = ask(kernel)
+                assert {answer.status_code for answer in first} <= {200, 201}, [a.text for a in first]
+            with api.client(ada) as client:
+                assert [answer.content for answer in ask(client)] == [answer.content for answer in first]
+        with api.client(ada) as client:
+            for answer, was in zip(ask(client), first, strict=True):
+                assert (answer.status_code, answer.content) == (was.status_code, was.content), answer.text
+            new = client.post("/groups", json={"group": "new"}, headers={"idempotency-key": "other"})
+            is_problem(new, 503, "kernel_away")
+            body = asked["/bookings"] | {"why": "another"}
+            other = client.post("/bookings", json=body, headers={"idempotency-key": "mine /bookings"})
+            is_problem(other, 409, "key_reused")
 
 
 # -- what is seen ----------------------------------------------------------------------------------

@@ -202,11 +202,20 @@ def test_another_file_that_a_workflow_uses_is_another_workflow(people: People) -
 def test_the_policy_is_a_file_that_an_admin_applies(people: People, tmp_path: Path) -> None:
     assert "Nobody has applied a policy" in people.labos("bob", "policy").output
     file = tmp_path / "policy.yaml"
-    file.write_text("labos: 1\ntrusted: [agent]\nnewcomers: 1\nabove: {lab_time: 1 h}\npriority: 0\n")
+    file.write_text(
+        "labos: 1\ntrusted: [agent]\nnewcomers: 1\nabove: {lab_time: 1 h}\npriority: 0\n"
+        "bookings: {hours: 12, days_ahead: 30}\n"
+    )
     with pytest.raises(Forbidden, match="admin"):
         people["olga"].apply_policy(file.read_text(), "policy.yaml", "")
     shown = people.labos("ada", "policy", "--apply", str(file)).output
-    for said in ("not those of agent", "the first 1 submissions of each user", "1 h", "highest priority"):
+    for said in (
+        "not those of agent",
+        "the first 1 submissions of each user",
+        "1 h",
+        "highest priority",
+        "12 h each",
+    ):
         assert said in shown
     assert people["bob"].policy()["policy"]["newcomers"] == 1
     people["agent"].cancel(people.seal("agent"))

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from labos.bootstrap import descriptions
-from labos.bootstrap._lab import LabRuntime, open_lab
+from labos.bootstrap._lab import open_lab
+from labos.bootstrap._runtime import LabRuntime
 from labos.core.decide.users import AddUser, GrantRole
 from labos.core.users import Role, on_behalf
 from labos.errors import Forbidden, Refused

@@ -270,19 +270,71 @@ def test_what_is_so_already_is_said_and_its_reason_is_noted(raw: httpx.Client) -
     raw.post("/control/resume", json={"target": "sealer", "by": "ada"})
 
 
-def test_a_booking_that_was_made_before_a_restart_is_not_refused_as_an_overlap(tmp_path: Path) -> None:
+AT = 4 * 10**18
+HOUR = 3600 * 10**9
+AFTERWARDS: tuple[tuple[str, dict[str, Any], int], ...] = (
+    ("/bookings", {"target": "hidex", "begins_at": AT, "ends_at": AT + HOUR, "by": "ada", "why": "x"}, 201),
+    ("/bookings/B1/change", {"begins_at": AT + HOUR, "by": "ada"}, 200),
+    ("/bookings/B1/cancel", {"by": "ada"}, 200),
+    ("/stations/load", LOAD, 201),
+    ("/stations/unload", {"station": "hidex.default", "by": "ada"}, 200),
+    ("/stations/place", {"station": "sealer.default", "labware": "plate96", "by": "ada"}, 201),
+    ("/stations/unload", {"station": "sealer.default", "by": "bo"}, 200),
+    ("/control/pause", {"target": "sealer", "by": "ada", "why": "lunch"}, 200),
+    ("/control/resume", {"target": "sealer", "by": "ada"}, 200),
+    ("/modules/sealer/out-of-service", {"why": "broken", "by": "ada"}, 200),
+    ("/modules/sealer/in-service", {"by": "ada"}, 200),
+    ("/experiments/E1/notes", {"kind": "decision", "name": "n", "facts": {"x": 1}}, 201),
+    ("/experiments/E1/end", {}, 200),
+    ("/shares", {"text": "labos: 1\nusers: {ada: {weight: 2}}\n", "by": "ada"}, 200),
+    ("/policy", {"text": "labos: 1\nprograms: false\n", "by": "ada"}, 200),
+)
+"""Requests that are refused, or would do something else, once what they ask for was done."""
+
+
+def ask_all(url: str) -> list[httpx.Response]:
+    with httpx.Client(base_url=url + API, timeout=60, headers={"labos-user": "ada"}) as raw:
+        return [
+            raw.post(path, json=body, headers=keyed(f"key {number}"))
+            for number, (path, body, _) in enumerate(AFTERWARDS)
+        ]
+
+
+def test_a_repetition_has_the_first_answer_after_a_restart_too(tmp_path: Path) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
     settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
-    booking = {"target": "hidex", "begins_at": 4 * 10**18, "ends_at": 4 * 10**18 + 3600 * 10**9, "by": "ada"}
+    with LabThread(settings, [cell], nodes="none") as lab, LabClient(lab.url) as client:
+        assert client.start_experiment("e", "ada") == "E1"
+        first = ask_all(lab.url)
+        wanted = [status for _, _, status in AFTERWARDS]
+        assert [found.status_code for found in first] == wanted, [found.text for found in first]
+        assert [found.content for found in ask_all(lab.url)] == [found.content for found in first]
+        position = client.health()["position"]
+    with LabThread(settings, nodes="none") as lab, LabClient(lab.url) as client:
+        again = ask_all(lab.url)
+        for (path, _, _), one, other in zip(AFTERWARDS, first, again, strict=True):
+            assert (one.status_code, one.content) == (other.status_code, other.content), path
+        asked_for = [event["type"] for event in client.events(after=position)]
+        assert not {kind for kind in asked_for if not kind.startswith(("kernel.", "node."))}, asked_for
 
-    def send(url: str) -> httpx.Response:
+
+def test_another_request_with_a_key_is_refused_after_a_restart_too(tmp_path: Path) -> None:
+    cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
+    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    path, body, _ = AFTERWARDS[0]
+
+    def send(url: str, **more: Any) -> httpx.Response:
         with httpx.Client(base_url=url + API, timeout=30) as raw:
-            return raw.post("/bookings", json=booking, headers=keyed("mine"))
+            return raw.post(path, json=body | more, headers=keyed("mine"))
 
     with LabThread(settings, [cell], nodes="none") as lab:
-        first = send(lab.url)
-        assert first.status_code == 201, first.text
+        assert send(lab.url).status_code == 201
     with LabThread(settings, nodes="none") as lab:
-        again = send(lab.url)
-    assert (again.status_code, again.json()["code"]) == (409, "already_done"), again.text
-    assert "was carried out at position" in again.json()["detail"]
+        for more in (
+            {"ends_at": AT + 2 * HOUR},
+            {"by": "bo"},
+            {"begins_at": AT + HOUR, "ends_at": AT + 2 * HOUR},
+        ):
+            answer = send(lab.url, **more)
+            assert (answer.status_code, answer.json()["code"]) == (409, "key_reused"), answer.text
+        assert send(lab.url).status_code == 201

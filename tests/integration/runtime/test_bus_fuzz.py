@@ -15,7 +15,7 @@ import msgspec
 import pytest
 from structlog.testing import capture_logs
 
-from labos.bootstrap._lab import LabRuntime
+from labos.bootstrap._runtime import LabRuntime
 from labos.core.ids import ModuleName
 from labos.errors import BusError
 from labos.node.protocol import (

@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from labos.core.bookings import LEAD_NS, Booking
-from labos.core.decide import Command
+from labos.core.decide import Command, Rejection
 from labos.core.decide.bookings import (
     BeginBooking,
     CancelBooking,
@@ -20,7 +20,9 @@ from labos.core.decide.bookings import (
 )
 from labos.core.decide.rights import Denied
 from labos.core.decide.shares import ApplyShares
+from labos.core.decide.submissions import ApplyPolicy
 from labos.core.decide.users import AddGroup, AddMember, AddUser, GrantRole
+from labos.core.policy import BookingLimits, Policy
 from labos.core.recurrence import DAY_NS, fault_of_rule, in_zone, times_between
 from labos.core.shares import Group, Member
 from tests.support.bench import SECOND, START, Driver, move, plan, small, step, take
@@ -356,6 +358,36 @@ def test_a_submitter_has_a_quota_and_an_operator_has_none() -> None:
     lab.pump()
     book(lab, terms(90, 91, "ada"), by="ada", actor="ada")
     book(lab, terms(24 * 30, 24 * 33, "ada"), by="op", actor="op")
+
+
+def test_the_policy_says_how_much_whoever_is_no_operator_may_book() -> None:
+    lab = shared()
+    limits = BookingLimits(hours=12.0, total_hours=30.0, days_ahead=30)
+    lab.do(ApplyPolicy("d", Policy(bookings=limits)), "root")
+
+    def refused(begins: int, ends: int, by: str = "ada") -> Rejection:
+        return lab.refused(MakeBooking(DEV, terms(begins, ends, by), by, lab.now), by)
+
+    long = refused(1, 14)
+    assert (long.code, "lasts 13.0 h" in long.message, "may last 12 h" in long.message) == (
+        "too_long",
+        True,
+        True,
+    )
+    far = refused(24 * 30 + 1, 24 * 30 + 2)
+    assert (far.code, far.message) == ("too_far", "ada may book 30 days ahead at most.")
+    first = book(lab, terms(24 * 30, 24 * 30 + 12, "ada"), by="ada", actor="ada")
+    longer = ChangeBooking(first, terms(24 * 30, 24 * 30 + 13, "ada"), "ada", lab.now)
+    assert lab.refused(longer, "ada").code == "too_long"
+    later = ChangeBooking(first, terms(24 * 31, 24 * 31 + 1, "ada"), "ada", lab.now)
+    assert lab.refused(later, "ada").code == "too_far"
+    book(lab, terms(1, 13, "ada"), by="ada", actor="ada")
+    assert refused(20, 27).code == "quota"
+    book(lab, terms(20, 26, "ada"), by="ada", actor="ada")
+    book(lab, terms(24 * 50, 24 * 52, "ada"), by="op", actor="op")
+    lab.do(ApplyPolicy("e", Policy(bookings=BookingLimits(days_ahead=2))), "root")
+    assert lab.state.bookings.open[first].ends, "what was booked before stays"
+    assert refused(24 * 2 + 1, 24 * 2 + 2).code == "too_far"
 
 
 def test_unknown_users_are_refused_where_users_are_known() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from labos.core.model import Description, Station
 from labos.errors import DeviceError
-from labos.node.generic import GenericNode, extended_node, generic_node
+from labos.node.generic import GenericNode, extend_node, generic_node
 from labos.node.node import Node, Setup, action
 from labos.node.world import Crash, World
 from labos.spec.about import About, Extends, description_of, extended, resettable
@@ -202,7 +202,7 @@ class Oven(Node):
 
 def offering(more: dict[str, Any], world: World) -> Node:
     description = extended(Oven.describe(), Extends.model_validate(more))
-    return extended_node(Oven, description)(Setup("oven", "cell", world=world, pace=PACE))
+    return extend_node(Oven, description)(Setup("oven", "cell", world=world, pace=PACE))
 
 
 def test_arguments_that_a_driver_does_not_know_are_kept_from_it(world: World) -> None:

@@ -1,10 +1,10 @@
-"""Color picker: finds the amounts of three dyes that make a wanted colour.
+"""A first colour picker: finds the amounts of three dyes that make a wanted colour.
 
-The application of Vescovi et al., "Towards a Modular Architecture for Science Factories": a fresh
-plate, then mix, look and learn in a loop, then the plate into the trash. Each round mixes some
-wells; an evolutionary solver learns from the picture which amounts to try next.
+A small application in one file, to be read first, and for ``labos demo``: a fresh plate, then mix, look and
+learn in a loop, then the plate into the trash. It needs nothing that LabOS does not install. The whole
+application, which finds the plate in the picture and has several solvers, is ``color_picker/``.
 
-    python specs/apps/color_picker.py --home lab --user bo
+    python specs/apps/first_color_picker.py --home lab --user bo
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import random  # noqa: TID251 - an application brings its own randomness, from a seed
 import sys
+from collections.abc import Iterable
 
 from PIL import ImageStat
 from PIL.Image import Image
@@ -25,15 +26,12 @@ Color = tuple[float, float, float]
 TARGET: Color = (120.0, 120.0, 120.0)
 """Red, green and blue, 0 to 255."""
 
-WELL_UL = 275.0
-"""What goes into a well, in µL."""
+LEAST_UL, MOST_UL = 20.0, 90.0
+"""Of each dye: the least that a pipette of 300 µL takes, and what three of which fit into a well."""
 
-LEAST_UL = 20.0
-"""The least that a pipette of 300 µL takes."""
-
-A1_PX, PITCH_PX, HALF_PX = (112, 71), 37.8, 5
-"""Where the camera sees the plate: the middle of A1 in its picture, the distance of two wells, and half the
-side of the square that is looked at. Another camera is measured once."""
+CORNERS_PX, HALF_PX = ((155, 93), (641, 90), (157, 402), (639, 402)), 4
+"""Where the camera sees A1, A12, H1 and H12 in its picture, and half the side of the square that is looked
+at. Another camera is measured once."""
 
 
 class Solver:
@@ -44,7 +42,7 @@ class Solver:
         self.population = [self._mixture() for _ in range(size)]
 
     def ask(self) -> list[Mixture]:
-        """The mixtures to try next; each adds up to a full well."""
+        """The mixtures to try next (µL of each dye)."""
         return self.population
 
     def tell(self, scores: list[float]) -> None:
@@ -55,23 +53,22 @@ class Solver:
         self.population = [*best, *children]
 
     def _mixture(self) -> Mixture:
-        return _filled(tuple(self.random.uniform(0.1, 1.0) for _ in range(3)))  # type: ignore[arg-type]
+        return _allowed(self.random.uniform(LEAST_UL, MOST_UL) for _ in range(3))
 
     def _vary(self, mixture: Mixture) -> Mixture:
-        return _filled(tuple(max(v * self.random.gauss(1.0, 0.25), 1.0) for v in mixture))  # type: ignore[arg-type]
+        return _allowed(ul * self.random.gauss(1.0, 0.2) for ul in mixture)
 
 
-def _filled(parts: Mixture) -> Mixture:
-    """A full well, with as much of each dye as the pipette can take at least."""
-    total, free = sum(parts), WELL_UL - 3 * LEAST_UL
-    a, b, c = (round(LEAST_UL + free * part / total, 1) for part in parts)
+def _allowed(amounts: Iterable[float]) -> Mixture:
+    a, b, c = (round(min(max(ul, LEAST_UL), MOST_UL), 1) for ul in amounts)
     return a, b, c
 
 
 def color_of(picture: Image, well: str) -> Color:
     """The mean colour in the middle of a well."""
-    x = A1_PX[0] + PITCH_PX * (int(well[1:]) - 1)
-    y = A1_PX[1] + PITCH_PX * "ABCDEFGH".index(well[0])
+    right, down = (int(well[1:]) - 1) / 11, "ABCDEFGH".index(well[0]) / 7
+    shares = ((1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down)
+    x, y = (sum(s * corner[n] for s, corner in zip(shares, CORNERS_PX, strict=True)) for n in (0, 1))
     middle = picture.crop((round(x) - HALF_PX, round(y) - HALF_PX, round(x) + HALF_PX, round(y) + HALF_PX))
     red, green, blue = ImageStat.Stat(middle.convert("RGB")).mean
     return round(red, 1), round(green, 1), round(blue, 1)

@@ -1,0 +1,219 @@
+"""A running lab: what it consists of, its nodes, and what it answers them."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Mapping, Sequence
+
+import msgspec
+import structlog
+
+from labos.bootstrap._drivers import load_drivers
+from labos.bootstrap._metrics import LabMetrics
+from labos.bootstrap._secure import Guard, unheard_by_name
+from labos.bus import Unheard, ZenohBus
+from labos.core.ids import ModuleName, local, workcell_of
+from labos.core.model import Description
+from labos.core.texts import LONGEST_NAME, cut
+from labos.errors import StoreError, Unreadable
+from labos.http.desk import Desk
+from labos.http.identity import Gate
+from labos.http.server import HttpServer
+from labos.http.service import LabService
+from labos.node.limits import read
+from labos.node.protocol import Keys, SetupReply, SetupRequest
+from labos.node.world import World
+from labos.private import make_folder
+from labos.runtime.announcer import Announcer
+from labos.runtime.dispatcher import Dispatcher
+from labos.runtime.kernel import Kernel
+from labos.runtime.log_check import LogCheck
+from labos.runtime.registry import Registry
+from labos.runtime.spawning import best_spawner
+from labos.runtime.supervisor import NodeCommand, Supervisor
+from labos.settings import Settings, is_alive
+from labos.spec import CompiledWorkcell
+from labos.store import SqlEventStore, open_blobs
+from labos.version import VERSION
+
+_log = structlog.get_logger(__name__)
+
+
+_setup_request = msgspec.json.Decoder(SetupRequest)
+
+
+class LabRuntime:
+    """A running lab, in the process of its kernel. Made by ``open_lab``."""
+
+    bus: ZenohBus
+    registry: Registry
+    dispatcher: Dispatcher
+    announcer: Announcer
+    service: LabService
+    metrics: LabMetrics
+    bus_endpoint: str
+    gate: Gate
+    http: HttpServer
+    desk: Desk
+    log_check: LogCheck | None = None
+    """The check of the whole log, once it has begun."""
+    guard: Guard | None = None
+    """The certificates of a secure bus."""
+
+    def __init__(self, settings: Settings, kernel: Kernel, store: SqlEventStore, *, simulated: bool) -> None:
+        self.settings, self.kernel, self.store, self.simulated = settings, kernel, store, simulated
+        self.clock = kernel.clock
+        self.blobs = open_blobs(settings.blobs)
+        self.supervised: Supervisor | None = None
+        drivers = load_drivers()
+        self.descriptions: Mapping[str, Description] = drivers.descriptions()
+        self.broken_drivers: Mapping[str, str] = drivers.broken
+        for name, why in drivers.broken.items():
+            _log.warning("driver_broken", driver=name, why=why)
+        self.nodes_from = 0
+        """The position in the log after which this kernel's nodes were started."""
+        self.cut_short: list[str] = []
+        """The actions, with their runs, that had not ended when the lab was closed."""
+        self.left_to_standby = False
+        """Whether the lab is closed for a standby to go on with."""
+        self._unheard: dict[ModuleName, str] = {}
+        self._worlds: dict[str, World] = {}
+        self._detach = False
+        self._following: set[asyncio.Task[None]] = set()
+
+    @property
+    def http_url(self) -> str:
+        return self.http.url
+
+    def world(self, workcell: str) -> World:
+        """The simulated bench of a workcell."""
+        if workcell not in self._worlds:
+            make_folder(self.settings.worlds)
+            self._worlds[workcell] = World(str(self.settings.world(workcell)))
+        return self._worlds[workcell]
+
+    async def apply(
+        self, cell: CompiledWorkcell, *, declare: bool | None = None, actor: str = "labos"
+    ) -> None:
+        """Set up a workcell. Unless it is said otherwise, its stock is declared on a simulated bench, not
+        on a real one."""
+        await self.service.apply(cell, actor, declare=self.simulated if declare is None else declare)
+
+    def start_nodes(self, *, detach: bool = False, only: Sequence[str] = ()) -> None:
+        """Start a process for each module of the applied workcells (``only``: for these)."""
+        self._detach = detach
+        if self.supervised is None:
+            self.nodes_from = self.kernel.durable
+            folders = self.settings.nodes, self.settings.logs
+            for folder in folders:
+                make_folder(folder)
+            spawner = best_spawner(self.settings.logs / "fork-server.log", is_alive)
+            self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach, spawner=spawner)
+        modules = self.kernel.state.modules.by_name
+        wanted = [name for name in modules if not only or name in only or local(name) in only]
+        self.supervised.start([NodeCommand(str(name), self._argv(name, detach)) for name in wanted])
+
+    async def leave_to_standby(self) -> bool:
+        """Whether this lab can be left to a standby: somebody has to stand by, and nodes that end with this
+        process would not outlive it. Raises StoreError."""
+        standing_by = await asyncio.to_thread(self.store.standbys)
+        mortal = self.supervised is not None and not self._detach
+        if not standing_by or mortal:
+            _log.warning("not_left_to_standby", standing_by=standing_by, nodes_end_with_it=mortal)
+            return False
+        self.left_to_standby = True
+        return True
+
+    def is_stopping(self, module: ModuleName) -> bool:
+        """Whether the node of a module was told to end."""
+        return self.supervised is not None and self.supervised.is_stopping(module)
+
+    def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None:
+        """Nodes of removed modules end, those of ``changed`` ones are started again as soon as they
+        have finished what they are doing, those of new ones are started."""
+        if self.supervised is not None:
+            task = asyncio.get_running_loop().create_task(self._follow(self.supervised, changed))
+            self._following.add(task)
+            task.add_done_callback(self._following.discard)
+
+    async def _follow(self, supervisor: Supervisor, changed: Sequence[ModuleName]) -> None:
+        known = self.kernel.state.modules.by_name
+        old = [name for name in supervisor.nodes if name not in known or name in changed]
+        await asyncio.gather(*(supervisor.stop(name) for name in old))
+        if self.guard is not None:
+            await asyncio.to_thread(self.guard.issue_for, list(known))
+        self.start_nodes(detach=self._detach)
+
+    def _argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
+        spec = self.kernel.state.modules.by_name[module].spec
+        driver = [] if "about" in spec.config else [spec.driver]  # no driver describes a foreign node
+        return (
+            *(sys.executable, "-m", "labos", "node", "start", *driver),
+            *("--name", local(module), "--workcell", workcell_of(module)),
+            *("--home", str(self.settings.home)),
+            *(word for endpoint in self._endpoints for word in ("--connect", endpoint)),
+            *(["--cert", str(self.guard.of_node(module))] if self.guard is not None else []),
+            *(["--simulate"] if self.simulated else []),
+            *(["--wire"] if self.simulated and self.settings.wire else []),
+            *(["--trace", str(self.settings.trace(module))] if self.settings.trace_wires else []),
+            *(["--metrics-port", "0"] if self.settings.node_metrics else []),
+            *([] if detach else ["--with-parent"]),
+        )
+
+    @property
+    def _endpoints(self) -> tuple[str, ...]:
+        return self.settings.bus or (self.bus_endpoint,)
+
+    def note_unheard(self, unheard: Unheard) -> None:
+        """Say of modules that their nodes are connected and not heard; and no more of those that are."""
+        found, rejected = unheard_by_name(unheard, self.kernel.lab), self.registry.rejected
+        for module, why in self._unheard.items():
+            if module not in found and rejected.get(module) == why:
+                del rejected[module]
+        rejected.update(found)
+        self._unheard = found
+
+    async def on_setup(self, payload: bytes) -> bytes:
+        """A starting node asks what its module is. It is told of this module and of no other."""
+        try:
+            request = read(payload, _setup_request)
+            reply = self._setup(ModuleName(request.module))
+        except (Unreadable, StoreError) as error:
+            reply = SetupReply(unknown=str(error))
+        return msgspec.json.encode(reply)
+
+    async def on_setup_of(self, key: str, payload: bytes) -> bytes:
+        """The same on a key of its own for each module, which only its node may ask on a secure bus."""
+        try:
+            module = read(payload, _setup_request).module
+        except Unreadable as error:
+            return msgspec.json.encode(SetupReply(unknown=str(error)))
+        if key != Keys(self.kernel.lab).setup_of(module):
+            return msgspec.json.encode(SetupReply(unknown="this key is that of another module"))
+        return await self.on_setup(payload)
+
+    def _setup(self, name: ModuleName) -> SetupReply:
+        state = self.kernel.state
+        module = state.modules.by_name.get(name)
+        if module is None:
+            return SetupReply(unknown=f"no workcell of this lab has a module {cut(name, LONGEST_NAME)}")
+        told = module.spec.config
+        return SetupReply(
+            driver=module.spec.driver,
+            config=told.get("config", {}),
+            poses={**told.get("poses", {}), **module.poses()},
+            poses_of=module.poses_of(),
+            regrip=local(module.spec.regrip),
+            pace=state.lab.pace,
+            seed=self.settings.seed,
+            simulated=self.simulated,
+            interface=told.get("interface", ""),
+            about=told.get("about", {}),
+            extends=told.get("extends", {}),
+            labos=VERSION,
+        )
+
+    def close_worlds(self) -> None:
+        for world in self._worlds.values():
+            world.close()

@@ -1,0 +1,116 @@
+"""Files that an experiment brings from one place to another, each with an event that has its digest."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from time import perf_counter
+from typing import IO, Any
+from urllib.parse import urlsplit, urlunsplit
+
+import msgspec
+
+from labos.client._record import Record
+from labos.client._replay import Key, ReplayMismatch
+from labos.errors import BadInput, LabosError
+
+PIECE = 1024 * 1024
+"""Bytes that are copied at once."""
+
+Place = str | Path | Mapping[str, Any]
+"""A file: its path, a URL that fsspec knows (``s3://…``, ``sftp://…``, ``https://…``), or a file of the lab
+as it stands in a result."""
+
+
+FOLDERS = {"file", "memory", "sftp", "ssh", "ftp", "smb"}
+"""Where folders have to be made; elsewhere they are a part of a file's name."""
+
+
+class Transferred(msgspec.Struct, frozen=True):
+    """A file that was transferred: ``bytes`` of it, and its SHA-256, the same at both places."""
+
+    source: str
+    target: str
+    sha256: str
+    bytes: int
+
+
+class TransferFailed(LabosError):
+    """A file could not be transferred. Nothing is said of it in the log."""
+
+
+def transfer(record: Record, key: Key, source: Place, target: str | Path) -> Transferred:
+    """Copy a file, read it again where it is now, and log both; or what the log has. Raises TransferFailed,
+    ReplayMismatch."""
+    said = {"source": shown(source), "target": shown(target)}
+    known = record.known(key)
+    if known is None:
+        begun = perf_counter()
+        digest, size = _copy(record, source, str(target))
+        facts = {**said, "sha256": digest, "bytes": size, "seconds": round(perf_counter() - begun, 6)}
+        known = record.keep(key, "transfer", Path(urlsplit(said["target"]).path).name or "file", facts)
+    facts = known["facts"]
+    recorded = {name: facts[name] for name in said}
+    if recorded != said:
+        raise ReplayMismatch(record.experiment, key, recorded, said)
+    return Transferred(**said, sha256=facts["sha256"], bytes=facts["bytes"])
+
+
+def shown(place: Place) -> str:
+    """A place as it stands in the log: without passwords, and without what signs a URL."""
+    if isinstance(place, Mapping):
+        return f"lab:{place.get('sha256', '')}"
+    parts = urlsplit(str(place))
+    if len(parts.scheme) < 2:  # a path; of Windows, perhaps
+        return str(Path(place).resolve())
+    host = parts.netloc.rpartition("@")[2]
+    return urlunsplit((parts.scheme, host, parts.path, "", ""))
+
+
+def _copy(record: Record, source: Place, target: str) -> tuple[str, int]:
+    try:
+        import fsspec
+    except ImportError:
+        raise BadInput("fsspec is not installed.", remedy='pip install "labos-sdl[transfer]"') from None
+    try:
+        filesystem, path = fsspec.core.url_to_fs(target)
+        kinds = filesystem.protocol
+        is_local = "file" in kinds
+        written = f"{path}.part" if is_local else path
+        if not FOLDERS.isdisjoint([kinds] if isinstance(kinds, str) else kinds):
+            filesystem.makedirs(filesystem._parent(path), exist_ok=True)
+        with filesystem.open(written, "wb") as into:
+            if isinstance(source, Mapping):
+                content = record.file(str(source.get("sha256", "")))
+                into.write(content)
+                digest, size = hashlib.sha256(content).hexdigest(), len(content)
+            else:
+                with fsspec.open(str(source), "rb") as out_of:
+                    digest, size = _pour(out_of, into)
+        with filesystem.open(written, "rb") as back:
+            arrived, _ = _pour(back, None)
+        if arrived == digest and is_local:
+            filesystem.mv(written, path)
+    except (OSError, ImportError, ValueError) as error:
+        raise TransferFailed(
+            f"{shown(source)} was not transferred to {shown(target)}: {type(error).__name__}: {error}.",
+            remedy="Nothing is in the log; transfer it again.",
+        ) from error
+    if arrived != digest:
+        raise TransferFailed(
+            f"{shown(target)} is not what {shown(source)} is: its SHA-256 is {arrived}, not {digest}.",
+            remedy="Transfer it again.",
+        )
+    return digest, size
+
+
+def _pour(out_of: IO[bytes], into: IO[bytes] | None) -> tuple[str, int]:
+    """SHA-256 and size of what was read, and written if there is where to."""
+    sha256, size = hashlib.sha256(), 0
+    while piece := out_of.read(PIECE):
+        sha256.update(piece)
+        size += len(piece)
+        if into is not None:
+            into.write(piece)
+    return sha256.hexdigest(), size

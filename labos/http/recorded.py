@@ -1,0 +1,192 @@
+"""Answers from the log: what a request was answered that was carried out before this process knew of it.
+
+The first event of a request bears its mark. So the log says where it was carried out, and the state before
+that is folded anew. There the handler is asked once more; what it gives its commands to does not decide, but
+tells what was decided then.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import structlog
+from starlette.requests import Request
+from starlette.responses import Response
+
+from labos.clock import Clock, Uuid7Ids
+from labos.core.decide import Command, Rejection, decide
+from labos.core.envelope import Record
+from labos.core.fold import evolve
+from labos.core.ids import LabId, ModuleName
+from labos.core.model import Description
+from labos.core.registry import Event
+from labos.core.state import LabState
+from labos.errors import AlreadyDone, LabosError, StoreError
+from labos.http.feed import Feed
+from labos.http.identity import Who
+from labos.planning.scheduler import Scheduler
+from labos.ports import BlobStore, Bus
+from labos.runtime.kernel import error_of
+from labos.runtime.kernel_log import Listener
+from labos.runtime.log_check import LogCheck
+from labos.runtime.registry import Registry
+from labos.services.log import Log, event_of, fold_to
+
+if TYPE_CHECKING:
+    from labos.http.operation import Api, Operation
+    from labos.http.parts import Parts
+
+FURTHER = 5_000
+"""So many records behind a command of a request the next one of it is looked for."""
+
+_log = structlog.get_logger(__name__)
+_turn = asyncio.Semaphore(1)
+
+
+class _NotInTheLog(Exception):
+    """The answer depends on what the log does not say."""
+
+
+class _Then:
+    """The time at which something was recorded; it stands still."""
+
+    def __init__(self, at_ns: int) -> None:
+        self._at_ns = at_ns
+
+    def now_ns(self) -> int:
+        return self._at_ns
+
+    def monotonic(self) -> float:
+        return 0.0
+
+
+class RecordedKernel:
+    """A kernel in the ``state`` before a request, whose events are among ``records``: those that bear its
+    ``mark``, each with what it caused. It decides nothing: a command has the events that it had."""
+
+    def __init__(self, state: LabState, records: Sequence[Record], mark: str) -> None:
+        self.state, self._records, self._mark = state, records, mark
+        self.clock: Clock = _Then(records[0].head.recorded_at)
+        self.ids = Uuid7Ids()
+        self.listeners: list[Listener] = []
+        self.failed: asyncio.Future[LabosError] = asyncio.get_running_loop().create_future()
+        self.suspended = ""
+        self.scheduler = Scheduler()
+
+    @property
+    def durable(self) -> int:
+        return self.state.position
+
+    @property
+    def lab(self) -> LabId:
+        return LabId(self.state.lab.id)
+
+    @property
+    def epoch(self) -> int:
+        return self.state.lab.epoch
+
+    async def written(self) -> None:
+        """All of it is on disk."""
+
+    async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
+        answer = self.submit(command, actor, causation)
+        if isinstance(answer, Rejection):
+            raise error_of(answer)
+        return answer
+
+    def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:
+        """What the command led to: a rejection then is one now, for the state is what it was."""
+        decision = decide(self.state, command, actor)
+        if isinstance(decision, Rejection):
+            return decision
+        if decision == []:
+            return []
+        return list(self._fold_next())
+
+    def _fold_next(self) -> Iterator[Event]:
+        """The events of the request's next command; the state goes on to the last of them."""
+        cause = ""
+        for record in self._records:
+            head = record.head
+            if head.position <= self.state.position:
+                continue
+            if cause and head.causation != cause:
+                return
+            event = event_of(record)
+            evolve(self.state, event, head.position, head.recorded_at)
+            if not cause and not head.causation.startswith(self._mark):
+                continue  # what others did in between
+            cause = cause or head.id
+            yield event
+        if not cause:
+            raise _NotInTheLog("a command has no events")
+
+
+class _RecordedParts:
+    """What a service stands on that answers from the log: no node is asked, and nothing follows."""
+
+    supervised = None
+    log_check: LogCheck | None = None
+
+    def __init__(self, parts: Parts, kernel: RecordedKernel) -> None:
+        self.kernel, self.clock = kernel, kernel.clock
+        self.store: Log = parts.store
+        self.blobs: BlobStore = parts.blobs
+        self.descriptions: Mapping[str, Description] = parts.descriptions
+        self.broken_drivers: Mapping[str, str] = parts.broken_drivers
+        self.simulated = parts.simulated
+
+    @property
+    def bus(self) -> Bus:
+        raise _NotInTheLog("nodes were asked")
+
+    @property
+    def registry(self) -> Registry:
+        raise _NotInTheLog("nodes were asked")
+
+    @property
+    def metrics(self) -> Any:
+        raise _NotInTheLog("metrics were asked for")
+
+    def follow_workcells(self, changed: Sequence[ModuleName] = ()) -> None:
+        """They were followed then."""
+
+
+class Recorded(msgspec.Struct, frozen=True):
+    """A request as it came again, which can be asked of the log."""
+
+    api: Api
+    operation: Operation
+    request: Request
+    who: Who
+    told: Mapping[str, msgspec.Struct]
+
+    async def answer(self, mark: str, position: int) -> Response:
+        """What it was answered when it was carried out, its first event at ``position``. Raises AlreadyDone
+        if the log does not say."""
+        from labos.http.operation import Call, respond
+        from labos.http.service import LabService
+
+        log = self.api.service.parts.store
+
+        def read() -> tuple[LabState, list[Record]]:
+            return fold_to(log, position - 1), list(log.read(position - 1, position + FURTHER))
+
+        try:
+            async with _turn:  # to fold a log takes a while
+                kernel = RecordedKernel(*await asyncio.to_thread(read), mark)
+            parts = _RecordedParts(self.api.service.parts, kernel)
+            call = Call(self.api, self.request, self.who, LabService(parts, Feed()))
+            return respond(self.operation, await self.operation.handler(call, **self.told))
+        except StoreError:
+            raise
+        except Exception as error:
+            _log.info("answer_not_in_log", path=self.request.url.path, position=position, error=repr(error))
+            raise AlreadyDone(
+                f"This request was carried out at position {position}; what it was answered is not known any "
+                "more.",
+                remedy=f"See what it did: labos log --after {position - 1}",
+            ) from None

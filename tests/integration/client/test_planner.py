@@ -1,0 +1,68 @@
+"""A planner process beside a running lab: it follows the log, and what it suggests counts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from labos.bootstrap import LabThread, descriptions
+from labos.cli.planner import command as planner
+from labos.client import LabClient
+from labos.settings import Settings
+from labos.spec import parse_workcell
+
+CELL = """
+labos: 1
+name: shop
+modules:
+  - name: saw
+    about: {actions: {cut: {duration: 600}}}
+  - name: drill
+    about: {actions: {bore: {duration: 600}}}
+"""
+
+
+def flow(name: str, *steps: str) -> dict[str, object]:
+    """A workflow of actions on `saw` and `drill`, one after the other."""
+    lines = [f"labos: 1\nname: {name}\nsteps:"]
+    for number, what in enumerate(steps):
+        module = "saw" if what == "cut" else "drill"
+        lines.append(f"  - {{name: step {number}, module: {module}, action: {what}}}")
+    return {"name": f"{name}.yaml", "text": "\n".join(lines) + "\n", "files": {}}
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[LabThread]:
+    settings = Settings.of(tmp_path / "lab", speed=100.0, simulate=True)
+    with LabThread(settings, [parse_workcell(CELL, descriptions())]) as running:
+        yield running
+
+
+@pytest.mark.slow
+def test_a_planner_suggests_the_shorter_order_and_the_lab_follows(lab: LabThread, tmp_path: Path) -> None:
+    pytest.importorskip("ortools")
+    with LabClient(lab.url) as client:
+        deadline = time.monotonic() + 30
+        while {module["status"] for module in client.state()["modules"]} != {"IDLE"}:
+            assert time.monotonic() < deadline
+        client.pause("*", by="ada")
+        # In the order of submission the drill waits for the saw twice: 2,400 s; the other way round 1,800 s.
+        first = client.submit(flow("cutting", "cut", "cut"), user="ada")
+        second = client.submit(flow("both", "cut", "bore"), user="ada")
+        home = str(tmp_path / "lab")
+        said = CliRunner().invoke(planner, ["--home", home, "--once", "--seconds", "5", "--user", "ada"])
+        assert said.exit_code == 0, said.output
+        assert "shop: an order for 4 steps of 2 runs." in said.output
+        order = client.suggested_order("shop")
+        assert order["steps"][0]["run"] == second
+        assert order["by"] == "ada"
+        client.resume("*", by="ada")
+        assert client.wait(first).succeeded
+        assert client.wait(second).succeeded
+        begun = [e["payload"]["run"] for e in client.events() if e["type"] == "action.requested"]
+        assert begun[0] == second
+        assert client.suggested_order("shop")["steps"] == [], "nothing of it is still to come"
