@@ -49,7 +49,7 @@ def test_a_planner_suggests_the_shorter_order_and_the_lab_follows(lab: LabThread
         deadline = time.monotonic() + 30
         while {module["status"] for module in client.state()["modules"]} != {"IDLE"}:
             assert time.monotonic() < deadline
-        client.pause("*", by="ada")
+        client.control("pause", "lab", "ada")
         # In the order of submission the drill waits for the saw twice: 2,400 s; the other way round 1,800 s.
         first = client.submit(flow("cutting", "cut", "cut"), user="ada")
         second = client.submit(flow("both", "cut", "bore"), user="ada")
@@ -60,7 +60,7 @@ def test_a_planner_suggests_the_shorter_order_and_the_lab_follows(lab: LabThread
         order = client.suggested_order("shop")
         assert order["steps"][0]["run"] == second
         assert order["by"] == "ada"
-        client.resume("*", by="ada")
+        client.control("resume", "lab", "ada")
         assert client.wait(first).succeeded
         assert client.wait(second).succeeded
         begun = [e["payload"]["run"] for e in client.events() if e["type"] == "action.requested"]
