@@ -23,7 +23,7 @@ _IN_ORDER: dict[str, Callable[[Row], tuple[Any, ...]]] = {
 
 
 def encode_rows(table: Table, rows: Iterable[Row], *, nul: bool) -> list[Sequence[Any]]:
-    """Rows as the database takes them; see ``encoded_values``."""
+    """Rows as the database takes them; see ``encode_values``."""
     in_order = _IN_ORDER[table.name]
     return encode_values(table, [in_order(row) for row in rows], nul=nul)
 
