@@ -59,6 +59,6 @@ def _modules(state: dict[str, Any]) -> Text:
     text = Text()
     colors = {"IDLE": "dim", "BUSY": "cyan", "ERROR": "bold red", "GONE": "red"}
     for module in state["modules"]:
-        name = module["name"].rpartition("/")[2]
+        name = module["module"].rpartition("/")[2]
         text.append(f"{name} ", style=colors.get(module["status"], ""))
     return text

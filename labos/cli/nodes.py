@@ -88,8 +88,8 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
 
 
 def _named(one: dict[str, Any]) -> dict[str, Any]:
-    """What the API tells of a module, with its name as all commands call it."""
-    return {"module": one["name"], **{key: value for key, value in one.items() if key != "name"}}
+    """What the API tells of a module, without the field that was replaced by `module`."""
+    return {key: value for key, value in one.items() if key != "name"}
 
 
 def _checked(one: dict[str, Any]) -> tuple[str, ...]:

@@ -194,7 +194,7 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
     used = list(dict.fromkeys(step.module for step in compiled.plan.steps))
     try:
         with LabClient(url, patience_s=ONLINE_PATIENCE_S) as client:
-            heard = {found["name"]: found for found in client.ask_nodes(used)}
+            heard = {found["module"]: found for found in client.ask_nodes(used)}
     except (LabosError, KeyError, TypeError) as error:
         raise NoAnswer(f"The lab at {url} gives no answer ({error}).", remedy="Try again.") from None
     for name in used:

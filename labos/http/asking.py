@@ -11,6 +11,7 @@ import msgspec
 from labos.core.ids import ModuleName, local
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, NoAnswer, NotFound, Refused, Unreadable
+from labos.http.views import OldName
 from labos.node.limits import read
 from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.runtime.incoming import read_about, read_state
@@ -55,10 +56,14 @@ class NodeAnswer(msgspec.Struct, frozen=True):
     ``refused``: the lab does not admit it; ``out``: it answers, and is out of service;
     ``absent``: this lab has no such module. ``checked`` is there if it was asked for, and answered."""
 
-    name: ModuleName
+    module: ModuleName
     answer: Literal["IDLE", "BUSY", "ERROR", "silent", "frozen", "refused", "out", "absent"]
     why: str = ""
     checked: NodeCheck | None = None
+    name: OldName = ""
+
+    def __post_init__(self) -> None:
+        msgspec.structs.force_setattr(self, "name", self.module)
 
 
 async def ask_nodes(service: LabService, modules: Sequence[str], *, check: bool = False) -> list[NodeAnswer]:
@@ -78,7 +83,7 @@ async def _check(service: LabService, heard: NodeAnswer) -> NodeAnswer:
     clock = service.kernel.clock
     asked_ns = clock.now_ns()
     try:
-        answer = await bus.query(keys.operation(heard.name, "about"), b"{}", ANSWER_S)
+        answer = await bus.query(keys.operation(heard.module, "about"), b"{}", ANSWER_S)
         heard_ns = clock.now_ns()
         about = read_about(answer, "its node")
     except BusError as error:
@@ -86,7 +91,7 @@ async def _check(service: LabService, heard: NodeAnswer) -> NodeAnswer:
     sees: dict[str, Any] = {}
     fault = ""
     try:
-        sees = dict(await observe_module(service.kernel, bus, heard.name, LOOK_S))
+        sees = dict(await observe_module(service.kernel, bus, heard.module, LOOK_S))
     except BusError as error:
         fault = error.message
     said = about.description

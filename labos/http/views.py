@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import msgspec
 import structlog
@@ -25,6 +25,14 @@ from labos.planning.obstacle import explain_wait
 from labos.services.interventions import whereabouts
 
 QUEUED_SHOWN = 100
+
+OldName = Annotated[
+    str,
+    msgspec.Meta(
+        description="the same as `module`, as it was called", extra_json_schema={"deprecated": True}
+    ),
+]
+"""A field that programs may still read."""
 
 _log = structlog.get_logger(__name__)
 
@@ -87,7 +95,8 @@ class ModuleView(msgspec.Struct, frozen=True):
     """A module. ``back_at``: when it is back in service by itself (UTC nanoseconds; 0: when somebody puts it
     back)."""
 
-    name: str
+    module: str
+    name: OldName
     driver: str
     model: str
     status: str
@@ -310,6 +319,7 @@ def module_view(
     if process is not None and process.state == "quarantined":
         problem = f"given up after {process.failures} failures: {process.why}"
     return ModuleView(
+        module=name,
         name=name,
         driver=module.spec.driver,
         model=module.spec.model,

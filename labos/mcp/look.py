@@ -45,7 +45,7 @@ class Look:
         """Lists the modules (instruments, arms, people) of the lab: what each is, its status and what it does
         now. `after` is the `next` of the page before."""
         found = self._lab.state(waits=False)["modules"]
-        kept = ("name", "driver", "status", "problem", "out_of_service", "simulated", "doing")
+        kept = ("module", "driver", "status", "problem", "out_of_service", "simulated", "doing")
         rows = [{name: module[name] for name in kept} for module in found]
         return page(rows[after:], lambda number: after + number)
 

@@ -115,7 +115,7 @@ def test_each_tool_that_looks_answers(agent: Agent, lab: LabThread) -> None:
     assert told["you"]["user"] == "agent"
     assert told["workcells"] == ["rpl"]
     assert told["policy"]["programs"] is True
-    names = [row["name"] for row in agent.ask("modules")["data"]]
+    names = [row["module"] for row in agent.ask("modules")["data"]]
     assert "rpl/sealer" in names
     for name in ("sealer", "rpl/sealer"):
         actions = agent.ask("module_actions", module=name)["data"]

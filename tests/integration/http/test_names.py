@@ -9,6 +9,8 @@ import pytest
 from labos.bootstrap import LabThread, descriptions
 from labos.client import LabClient
 from labos.errors import BadInput, NotFound
+from labos.http.openapi import document
+from labos.http.routes import OPERATIONS
 from labos.settings import Settings
 from labos.spec import parse_workcell
 
@@ -66,3 +68,14 @@ def test_a_name_that_two_workcells_give_is_not_guessed(client: LabClient, name: 
 def test_a_name_that_nobody_bears(client: LabClient, name: str) -> None:
     with pytest.raises(NotFound, match="has no station"):
         client.place(name, "plate96", "ada")
+
+
+def test_a_module_is_called_module_and_by_its_old_name_too(client: LabClient) -> None:
+    known = {"left/press", "right/press"}
+    for found in (client.state()["modules"], client.ask_nodes()):
+        assert {one["module"] for one in found} == known
+        assert all(one["name"] == one["module"] for one in found)
+    schemas = document(OPERATIONS)["components"]["schemas"]
+    for name in ("ModuleView", "NodeAnswer"):
+        assert schemas[name]["properties"]["name"]["deprecated"] is True
+        assert "deprecated" not in schemas[name]["properties"]["module"]
