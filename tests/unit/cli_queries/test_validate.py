@@ -119,7 +119,7 @@ def lab_that_says(home: Path, modules: Any) -> Iterator[None]:
 
 def modules(**status: str) -> list[dict[str, Any]]:
     names = ("sciclops", "pf400", "ot2_pcr_alpha", "sealer", "biometra", "peeler", "camera_module")
-    return [{"name": f"rpl/{name}", "answer": status.get(name, "IDLE"), "why": ""} for name in names]
+    return [{"module": f"rpl/{name}", "answer": status.get(name, "IDLE"), "why": ""} for name in names]
 
 
 def test_online_asks_the_running_lab(tmp_path: Path) -> None:
