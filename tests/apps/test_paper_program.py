@@ -61,6 +61,7 @@ def test_the_workflow_is_the_printed_one() -> None:
     assert (FOLDER / "workflows" / PRINTED.name).read_bytes() == PRINTED.read_bytes()
 
 
+@pytest.mark.slow
 def test_in_the_papers_words(tmp_path: Path) -> None:
     """Four lines are enough to run a workflow: the experiment is registered by itself."""
     with reading_lab(tmp_path) as lab, LabClient(lab.url) as client:

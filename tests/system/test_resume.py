@@ -26,7 +26,7 @@ ROUNDS = 2
 BATCH = 12
 """Experiments that the plates and tips of one lab are enough for."""
 
-LONGEST = 180
+LONGEST = 9 * BATCH
 """More events than an experiment of so many rounds has."""
 
 
@@ -147,4 +147,6 @@ def test_a_program_that_is_killed_after_each_commit(up: Up, first: int) -> None:
         program.check(program.live() or [])
         if not killed:
             break
+    else:
+        assert first + BATCH <= LONGEST, "an experiment has more events than are tried"
     assert up.disagreements() == []

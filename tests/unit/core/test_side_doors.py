@@ -19,7 +19,7 @@ from labos.core.decide.campaigns import (
 )
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
-from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
+from labos.core.decide.experiments import EndExperiment, NoteExperiment, ResumeExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
@@ -71,6 +71,7 @@ HERS: dict[str, Callable[[str], Command]] = {
     "her experiment is cancelled": lambda by: CancelExperiment(E, by),
     "her experiment starts nothing": lambda by: PauseStarts("E1", by),
     "her experiment goes on": lambda by: ResumeStarts("E1", by),
+    "her experiment is resumed": lambda by: ResumeExperiment(E, "app"),
     "her experiment notes something": lambda by: NoteExperiment(E, "decision", "mine"),
     "her campaign is paused": lambda by: PauseCampaign(C),
     "her campaign goes on": lambda by: ResumeCampaign(C),
