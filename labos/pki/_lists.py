@@ -3,19 +3,23 @@ older one is never taken back."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
+from threading import Lock
 
 import msgspec
 
 from labos.errors import BadInput
 from labos.pki._credentials import CA, MEMBERS, read_members
 from labos.pki._party import Members
-from labos.private import create_file, sync_folder
+from labos.private import replace_file
 
 NUMBER = "members.number"
 LARGEST = 8 * 1024 * 1024
 """Bytes of a list: 20,000 certificates."""
+
+
+_turn = Lock()
+"""One at a time: a number that was written late must not be lower than the one before."""
 
 
 class ReceivedList:
@@ -28,6 +32,10 @@ class ReceivedList:
     def read(self) -> Members:
         """Raises NotFound, and BadInput for one that is older than one that was here, was not signed by the
         authority, or cannot be read."""
+        with _turn:
+            return self._read()
+
+    def _read(self) -> Members:
         found, known = read_members(self.file), self._known()
         self._check(found, signed=known > 0)
         if found.number < known:
@@ -50,11 +58,12 @@ class ReceivedList:
             found = msgspec.json.decode(data, type=Members)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             raise BadInput(f"A list was sent that cannot be read: {error}.") from None
-        if found.number <= max(self._known(), self._present()):
-            return False
-        self._check(found, signed=True)
-        self._write(MEMBERS, data)
-        self._write(NUMBER, f"{found.number}\n".encode())
+        with _turn:
+            if found.number <= max(self._known(), self._present()):
+                return False
+            self._check(found, signed=True)
+            self._write(MEMBERS, data)
+            self._write(NUMBER, f"{found.number}\n".encode())
         return True
 
     def _check(self, found: Members, *, signed: bool) -> None:
@@ -90,14 +99,8 @@ class ReceivedList:
 
     def _write(self, name: str, data: bytes) -> None:
         """Replace a file as a whole. Raises BadInput."""
-        beside = self.folder / f".{name}.{os.getpid()}"
         try:
-            with create_file(beside) as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(beside, self.folder / name)
-            sync_folder(self.folder)
+            replace_file(self.folder / name, data)
         except OSError as error:
             raise BadInput(
                 f"{self.folder / name} cannot be written: {error}.",
