@@ -10,6 +10,7 @@ from labos.core import experiments as x
 from labos.core import interventions as i
 from labos.core import runs as r
 from labos.core.envelope import Envelope
+from labos.core.users import UserErased
 
 
 def note_actor(rows: Rows, head: Envelope, at: float) -> None:
@@ -26,9 +27,14 @@ def _person(rows: Rows, user: str, at: float) -> Row:
     person = rows.change(USERS, user)
     if person is None:
         counts = {"runs": 0, "experiments": 0, "answers": 0, "events": 0}
-        person = rows.put(USERS, {"user_id": user, "first_at_s": at, **counts})
+        person = rows.put(USERS, {"user_id": user, "first_at_s": at, "erased_at_s": None, **counts})
     person["last_at_s"] = at
     return person
+
+
+def on_erased(rows: Rows, event: UserErased, head: Envelope, at: float) -> None:
+    row = rows.change(USERS, event.user) or _person(rows, event.user, at)
+    row["erased_at_s"] = at
 
 
 def on_asked(rows: Rows, event: i.InterventionRequested, head: Envelope, at: float) -> None:
@@ -101,6 +107,7 @@ def on_ended(rows: Rows, event: x.ExperimentEnded, head: Envelope, at: float) ->
 
 
 HANDLERS: dict[Any, Any] = {
+    UserErased: on_erased,
     r.RunSubmitted: on_submitted,
     i.InterventionRequested: on_asked,
     i.InterventionResolved: on_resolved,

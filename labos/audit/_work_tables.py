@@ -215,6 +215,7 @@ USERS = Table(
         whole("experiments", "How many experiments they started."),
         whole("answers", "How many questions they answered."),
         whole("events", "How many events they caused."),
+        time("erased_at", "When the lab forgot who they are; null if it did not."),
     ),
     view="users",
 )
@@ -345,7 +346,28 @@ WAITING = Table(
     (text("subject", "The run, campaign or experiment."), whole("position", "Where it was asked for.")),
 )
 
+SIGNATURES = Table(
+    "signature",
+    "Every electronic signature under a run, an experiment or a campaign.",
+    ("position",),
+    (
+        whole("position", "Where it stands in the log."),
+        text("subject", "The run, experiment or campaign."),
+        text("kind", "run, experiment or campaign."),
+        text("signed_by", "Who signed."),
+        text("meaning", "authored, responsible, reviewed, approved or rejected."),
+        text("comment", "What they said about it."),
+        text("method", "How they proved who they are: password."),
+        AT,
+        whole("runs", "How many runs belong to it; 0 for a run."),
+        whole("records", "How many records were signed."),
+        text("digest", "SHA-256 over the leaf hashes of those records."),
+    ),
+    view="signatures",
+    indexes=(("subject",),),
+)
+
 WORK_TABLES = (
     *(EVENTS, RUNS, STEPS, ACTIONS, RESULTS, FILES),
-    *(INTERVENTIONS, USERS, EXPERIMENTS, CAMPAIGNS, NODES, PLANS, PRESENT, APPROVALS, WAITING),
+    *(INTERVENTIONS, USERS, EXPERIMENTS, CAMPAIGNS, NODES, PLANS, PRESENT, APPROVALS, WAITING, SIGNATURES),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from labos.audit import _approvals, _bench, _campaigns, _liquids, _people, _work
+from labos.audit import _approvals, _bench, _campaigns, _liquids, _people, _signatures, _work
 from labos.audit._bench_tables import TOUCHES
 from labos.audit._rows import Rows, seconds
 from labos.audit._touches import touched_by
@@ -31,7 +31,7 @@ _KNOWN: dict[type[Event], list[tuple[int, str]]] = {
 _HANDLERS: dict[type[Event], tuple[Handler, ...]] = {
     kind: tuple(
         slice_.HANDLERS[kind]
-        for slice_ in (_work, _bench, _liquids, _people, _campaigns, _approvals)
+        for slice_ in (_work, _bench, _liquids, _people, _campaigns, _approvals, _signatures)
         if kind in slice_.HANDLERS
     )
     for kind in TYPES.values()

@@ -7,13 +7,15 @@ import socket
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import msgspec
 import structlog
 
+from labos.bootstrap._members import MembersExchange
 from labos.bus import SCHEME, Onlooker, Security, Unheard, ZenohBus
 from labos.clock import SystemClock
 from labos.core.ids import ModuleName
 from labos.errors import BadInput, LabosError, NotFound
-from labos.pki import MEMBERS, Authority, Credentials, Identity, Members, read_members
+from labos.pki import MEMBERS, Authority, Credentials, Identity, Members, ReceivedList
 from labos.settings import Settings, last_kernel
 
 POLL_S = 1.0
@@ -50,6 +52,7 @@ class Guard:
         self._told: set[str] = set()
         self._task: asyncio.Task[None] | None = None
         self._onlooker: Onlooker | None = None
+        self._exchange: MembersExchange | None = None
 
     # -- before the bus is open --------------------------------------------------------------
 
@@ -75,9 +78,23 @@ class Guard:
 
     def members(self) -> Members:
         """Who may speak on the bus that it runs. Raises NotFound, BadInput."""
-        if self._own is not None and (self._own / MEMBERS).is_file():
-            return read_members(self._own / MEMBERS)
+        received = self._received
+        if received is not None and received.file.is_file():
+            return received.read()
         return self.authority.members()
+
+    @property
+    def _received(self) -> ReceivedList | None:
+        """The list of members where the authority is elsewhere."""
+        return ReceivedList(self._own) if self._own is not None else None
+
+    def _signed_list(self) -> bytes:
+        """The list that is told to others. Blocks."""
+        file = (self._own or self.authority.folder) / MEMBERS
+        if not file.is_file():
+            return b""
+        members = self.members()  # one that is not believed here is told to nobody
+        return msgspec.json.encode(members) if members.signature else b""
 
     def of_node(self, module: str) -> Path:
         """Where the certificate of a node is that runs here."""
@@ -130,6 +147,8 @@ class Guard:
         if self._runs_bus:
             self._onlooker = Onlooker(bus)
             await self._onlooker.start()
+        self._exchange = MembersExchange(bus, self._signed_list, self._received)
+        await self._exchange.start()
         self._task = asyncio.get_running_loop().create_task(self._watch(bus))
 
     async def close(self) -> None:
@@ -154,6 +173,8 @@ class Guard:
                     _log.warning("bus_reopened", why="certificates have changed")
                     await bus.reopen(security)
                     self._used = found
+                if self._exchange is not None:
+                    await self._exchange.send()
                 if self._onlooker is not None and now() - looked >= LOOK_S:
                     looked = now()
                     self._note(self._onlooker.look(self.members().admitted))

@@ -11,12 +11,13 @@ api      asks the kernel what its users ask for, under its own name
 viewer   hears the states, results and events of its lab
 stop     sees who lives in its lab, and may ask the `admin` operation, which stops modules
 bus      runs the bus; it is never let in as a party
+all      send a list of members, which counts only if the authority has signed it
 =======  ======================================================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from labos.node.protocol import ANY_KERNEL, Keys
@@ -25,7 +26,13 @@ from labos.pki import PROCESS_NAME, Entry, Identity
 ROUND_TRIP = "labos/@round-trip"
 """What nobody shows: asked for to learn that everything before it has arrived."""
 
+MEMBERS = "labos/@members"
+"""Where lists of members are sent. Whoever has a certificate of the authority may do that, also one that is
+not in the present list: a kernel that has just got its certificate brings the list in which it stands."""
+
 IN, OUT = "ingress", "egress"
+ALL = "all"
+"""The rule, and the subject, of everybody."""
 
 Rule = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 """Flows, messages, keys."""
@@ -40,24 +47,29 @@ def access_control(entries: Iterable[Entry]) -> dict[str, Any]:
         named = []
         for flows, messages, keys in _rules(entry.identity):
             named.append(f"r{len(rules)}")
-            rules.append(
-                {
-                    "id": named[-1],
-                    "permission": "allow",
-                    "flows": list(flows),
-                    "messages": list(messages),
-                    "key_exprs": list(keys),
-                }
-            )
+            rules.append(_rule(named[-1], flows, messages, keys))
         if named:
             subjects.append({"id": f"s{number}", "cert_common_names": [entry.common_name]})
             policies.append({"rules": named, "subjects": [f"s{number}"]})
+    rules.append(_rule(ALL, (IN,), ("put",), (MEMBERS,)))
+    subjects.append({"id": ALL})
+    policies.append({"rules": [ALL], "subjects": [ALL]})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
         "subjects": subjects,
         "policies": policies,
+    }
+
+
+def _rule(name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": list(flows),
+        "messages": list(messages),
+        "key_exprs": list(keys),
     }
 
 
@@ -96,7 +108,7 @@ def _of_kernel(keys: Keys) -> Iterator[Rule]:
     yield from _asks(keys.operation("*/*", "*"))
     yield from _answers(keys.all_setups, keys.files, keys.requests_of("*", "*"))
     yield (IN,), ("put",), (keys.events("*"),)
-    yield from _hears(keys.all_results, keys.all_states)
+    yield from _hears(keys.all_results, keys.all_states, MEMBERS)
     yield (IN,), ("liveliness_token",), (keys.kernel,)
     yield from _sees(keys.all_alive)
 

@@ -45,8 +45,8 @@ def verify_bundle(file: Path, trust: Trust, as_json: bool) -> None:
             for line in part.faults or (part.told,):
                 click.echo(line)
         if found.faults:
-            click.echo(f"The bundle does not prove the run {found.run}.")
+            click.echo(f"The bundle does not prove the {found.kind} {found.subject}.")
         else:
-            click.echo(f"The bundle proves the run {found.run} of the lab {found.lab}.")
+            click.echo(f"The bundle proves the {found.kind} {found.subject} of the lab {found.lab}.")
     if found.faults:
         click.get_current_context().exit(1)

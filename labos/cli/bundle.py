@@ -1,4 +1,4 @@
-"""``labos bundle``: one run as a file that proves itself."""
+"""``labos bundle``: a run, an experiment or a campaign as a file that proves itself."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from labos.settings import Settings
 from labos.store import create_file, open_blobs
 
 
-@click.command("bundle", short_help="One run as a file that proves itself, to somebody outside.")
-@click.argument("run", shell_complete=completes("run"))
+@click.command("bundle", short_help="A run, an experiment or a campaign as a file that proves itself.")
+@click.argument("subject", metavar="ID", shell_complete=completes("run", "experiment"))
 @click.option(
     "-o",
     "--output",
@@ -39,30 +39,29 @@ from labos.store import create_file, open_blobs
 )
 @json_option
 @log_options
-def command(where: Where, run: str, file: Path, checkpoint: Path | None, as_json: bool) -> None:
+def command(where: Where, subject: str, file: Path, checkpoint: Path | None, as_json: bool) -> None:
     """Write a run's events, plan and files into FILE, with the proof that they are in the log whose
-    checkpoint was signed. Whoever has the lab's public key checks it without network and without the lab:
+    checkpoint was signed; of an experiment or a campaign its own events and those of all its runs. Whoever
+    has the lab's public key checks it without network and without the lab:
 
     \b
     labos checkpoint
     labos bundle R7 -o R7.zip
     labos verify --bundle R7.zip --public-key lab.pub
     """
-    data, about = make_bundle_of(where, run, checkpoint)
+    data, about = make_bundle_of(where, subject, checkpoint)
     try:
         with create_file(file) as written:
             written.write(data)
     except OSError as error:
         raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
-    told = (
-        f"{file} holds {about.events} events and {about.blobs} files of {run}, proven by the checkpoint of "
-    )
-    tell(f"{told}size {about.size}.", about, as_json=as_json)
+    told = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
+    tell(f"{told}, proven by the checkpoint of size {about.size}.", about, as_json=as_json)
 
 
-def make_bundle_of(where: Where, run: str, checkpoint: Path | None = None) -> tuple[bytes, About]:
-    """The bundle of a run, on a checkpoint or the newest one of the lab. Raises NotFound, Refused,
-    LogDamaged."""
+def make_bundle_of(where: Where, subject: str, checkpoint: Path | None = None) -> tuple[bytes, About]:
+    """The bundle of a run, an experiment or a campaign, on a checkpoint or the newest one of the lab. Raises
+    NotFound, Refused, LogDamaged."""
     path = checkpoint or newest_in(where.home / FOLDER)
     if path is None:
         raise NotFound("This lab has no signed checkpoint yet.", remedy="Make one: labos checkpoint")
@@ -75,4 +74,4 @@ def make_bundle_of(where: Where, run: str, checkpoint: Path | None = None) -> tu
         ) from None
     beside = Attachments(parse_note(note), stamp, Keys(where.home).rotations())
     with open_database(where) as store:
-        return make_bundle(store, open_blobs(Settings.of(where.home, where.url).blobs), run, beside)
+        return make_bundle(store, open_blobs(Settings.of(where.home, where.url).blobs), subject, beside)

@@ -1,4 +1,4 @@
-"""``labos sign``: an electronic signature under a run."""
+"""``labos sign``: an electronic signature under a run, an experiment or a campaign."""
 
 from __future__ import annotations
 
@@ -13,51 +13,69 @@ from labos.cli._out import show_json, tell
 from labos.cli._query import Where, json_option, log_options, open_log
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
-from labos.services.signatures import Signature, signatures_under
+from labos.services.signatures import Signature, kind_of, signatures_under
 
 
-@click.command("sign", short_help="Sign the record of a run, or show its signatures.")
-@click.argument("run", shell_complete=completes("run"))
+@click.command("sign", short_help="Sign the record of a run, an experiment or a campaign.")
+@click.argument("subject", metavar="ID", shell_complete=completes("run", "experiment"))
 @click.option("--meaning", type=click.Choice(MEANINGS), help="What the signature means.")
 @why_option("A comment, which stands in the log.")
 @json_option
 @log_options
-def command(where: Where, run: str, meaning: str | None, why: str, as_json: bool) -> None:
-    """Sign the record of RUN, which has ended. You are asked for your password again.
+def command(where: Where, subject: str, meaning: str | None, why: str, as_json: bool) -> None:
+    """Sign the record of a run, an experiment or a campaign that has ended. You are asked for your password
+    again.
 
     The signature is an event: who, when, what it means, and the digest of all records of the run, so that it
-    cannot be moved to another run. It is part of the run's bundle. Without --meaning, the signatures of RUN
-    are shown. Without a terminal, the first line of standard input is the password.
+    cannot be moved to another run; of an experiment or a campaign that of its own records and those of all
+    its runs. It is part of the bundle. Without --meaning, the signatures are shown. Without a terminal, the
+    first line of standard input is the password.
 
     \b
     labos sign R7 --meaning reviewed --why "checked against the protocol"
+    labos sign E3 --meaning approved      an experiment with all its runs
+    labos sign C5 --meaning approved      a campaign with all its runs
     labos sign R7
     """
     from labos.cli._lab import need_lab_of
     from labos.cli._secret import ask_password
 
-    if meaning is None:
-        if why:
-            raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
-        with open_log(where) as log:
-            _show(run, signatures_under(log, run), as_json=as_json)
-        return
+    with open_log(where) as log:
+        if meaning is None:
+            if why:
+                raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
+            _show(subject, signatures_under(log, subject), as_json=as_json)
+            return
+        kind = kind_of(log, subject)
     with need_lab_of(where) as client:
         user = client.identity()["user"]
-        signature = client.sign_run(run, meaning, ask_password(f"Password of {user}"), why=why)
+        sign = {
+            "run": client.sign_run,
+            "experiment": client.sign_experiment,
+            "campaign": client.sign_campaign,
+        }[kind]
+        signature = sign(subject, meaning, ask_password(f"Password of {user}"), why=why)
     tell(_line(signature), signature, as_json=as_json)
 
 
-def _show(run: str, found: Sequence[Signature], *, as_json: bool) -> None:
+def _show(subject: str, found: Sequence[Signature], *, as_json: bool) -> None:
     if as_json:
         show_json(found)
         return
     lines = [_line(msgspec.structs.asdict(each)) for each in found]
-    click.echo("\n".join(lines) or f"{run} has no signatures.")
+    click.echo("\n".join(lines) or f"{subject} has no signatures.")
 
 
 def _line(signature: dict[str, object]) -> str:
     comment = f": {signature['why']}" if signature["why"] else ""
     broken = "" if signature["holds"] else " - THE RECORD IS ANOTHER NOW"
     when = str(signature["time"])[:19].replace("T", " ")
-    return f"{when} UTC  {signature['by']} signed {signature['run']}: {signature['meaning']}{comment}{broken}"
+    return f"{when} UTC  {signature['by']} signed {_what(signature)}: {signature['meaning']}{comment}{broken}"
+
+
+def _what(signature: dict[str, object]) -> str:
+    """``R7``; ``E3 with 4 runs``."""
+    if signature["kind"] == "run":
+        return str(signature["subject"])
+    runs = signature["runs"]
+    return f"{signature['subject']} with {runs} run{'' if runs == 1 else 's'}"

@@ -17,7 +17,7 @@ from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import key_option
 from labos.core.seals import broken_seal, sealed
 from labos.core.state import state_hash
-from labos.errors import LabosError, LogDamaged
+from labos.errors import BadInput, LabosError, LogDamaged, Refused
 from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
 from labos.services.journals import surplus
 from labos.services.signatures import check_signatures
@@ -34,6 +34,7 @@ from labos.services.verification import (
 )
 from labos.settings import Settings
 from labos.store import (
+    AccountsCopy,
     Damage,
     Progress,
     SqlEventStore,
@@ -41,6 +42,7 @@ from labos.store import (
     first_damage,
     key_of,
     open_blobs,
+    read_accounts_copy,
     verify_backup,
     verify_detached,
 )
@@ -272,10 +274,12 @@ def _tell(
 def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
     try:
         found, state = verify_backup(folder, key=key)
+        people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
         _tell_damage(error, as_json)
+    accounts = None if people is None else {"users": people.users, "copied_at": people.copied_at}
     if as_json:
-        show_json({"whole": True, "backup": found, "state": state_hash(state)})
+        show_json({"whole": True, "backup": found, "state": state_hash(state), "accounts": accounts})
         return
     end = iso_time(found.segments[-1].recorded_at)
     click.echo(
@@ -287,6 +291,19 @@ def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
     )
     click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
     click.echo(f"State {state_hash(state)}")
+    if people is None:
+        click.echo("It holds no accounts: who may sign in is not in it.")
+    else:
+        click.echo(f"The accounts of {people.users} users are whole, as of {iso_time(people.copied_at)}.")
+
+
+def _accounts_of(folder: Path, lab: str, key: bytes) -> AccountsCopy | None:
+    """The accounts of a backup; None if it has none. Raises LogDamaged for what `labos restore` would
+    refuse."""
+    try:
+        return read_accounts_copy(folder, lab, key)
+    except (BadInput, Refused) as error:
+        raise LogDamaged(error.message, position=0, remedy=error.remedy) from None
 
 
 def _tell_damage(error: LogDamaged, as_json: bool) -> NoReturn:

@@ -1,4 +1,4 @@
-"""Electronic signatures: a user signs the record of a run that has ended."""
+"""Electronic signatures: a user signs the record of a run, an experiment or a campaign that has ended."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ MEANINGS: tuple[Meaning, ...] = get_args(Meaning)
 
 STREAM = "signatures"
 """Of all signatures: the stream of a run ends with the run."""
+
+Kind = Literal["experiment", "campaign"]
 
 
 @event("run.signed")
@@ -37,10 +39,31 @@ class RunSigned(Event, frozen=True):
         return STREAM
 
 
+@event("records.signed")
+class RecordsSigned(Event, frozen=True):
+    """A user has signed the records of a whole experiment or campaign (``kind``) that had ended, and proved
+    just before who they are (``method``: `password`). What was signed are all ``records`` of its own stream
+    and of those of its ``runs`` (their number): ``digest`` is the SHA-256 over their leaf hashes (RFC 6962),
+    in the order of the log. ``meaning``: authored, responsible, reviewed, approved or rejected."""
+
+    subject: str
+    kind: Kind
+    by: str
+    meaning: str
+    runs: int
+    records: int
+    digest: str
+    method: str
+    why: Words = ""
+
+    def stream(self) -> str:
+        return STREAM
+
+
 HANDLERS: dict[Any, Any] = {}
 """No state depends on it."""
 
 
 def digest_of_records(envelopes: Iterable[bytes]) -> str:
-    """What a signature binds to: the records of a run, by their envelopes in the order of the log."""
+    """What a signature binds to: records by their envelopes in the order of the log."""
     return hashlib.sha256(b"".join(map(leaf_hash, envelopes))).hexdigest()

@@ -81,6 +81,12 @@ class UserEnabled(UserEvent, frozen=True):
     """A user who was disabled may act again."""
 
 
+@event("user.erased")
+class UserErased(UserEvent, frozen=True):
+    """The lab has forgotten who the user is: name and address, and all that the user signed in with. This
+    says the id alone, and so do all other events of the user, which remain."""
+
+
 class GroupEvent(Event, frozen=True):
     group: str
 

@@ -35,7 +35,7 @@ from labos.core.decide.rights import RIGHTS
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.shares import ApplyShares
 from labos.core.decide.shorter import ConfirmStations, SayContents
-from labos.core.decide.signatures import SignRun
+from labos.core.decide.signatures import SignRecords, SignRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.decide.submissions import ApplyPolicy
 from labos.core.decide.suggestions import SuggestOrder
@@ -46,6 +46,7 @@ from labos.core.decide.users import (
     AddUser,
     DisableUser,
     EnableUser,
+    EraseUser,
     GrantRole,
     RemoveGroup,
     RemoveMember,
@@ -62,6 +63,8 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "pause_run": (PauseRun,),
     "resume_run": (ResumeRun,),
     "sign_run": (SignRun,),
+    "sign_experiment": (SignRecords,),
+    "sign_campaign": (SignRecords,),
     "start_experiment": (StartExperiment,),
     "resume_experiment": (ResumeExperiment,),
     "end_experiment": (EndExperiment,),
@@ -99,6 +102,7 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "add_user": (AddUser, GrantRole),
     "disable_user": (DisableUser,),
     "enable_user": (EnableUser,),
+    "erase_person": (EraseUser,),
     "add_group": (AddGroup,),
     "remove_group": (RemoveGroup,),
     "add_member": (AddMember,),
@@ -121,7 +125,6 @@ BY_ITSELF: Mapping[str, Role | Literal["nobody"]] = {
     "revoke_token": "viewer",
     "change_password": "viewer",
     "change_person": "viewer",
-    "erase_person": "viewer",
     "link_identity": "admin",
     "record_heartbeat": "submitter",
     "keep_file": "submitter",
@@ -141,6 +144,8 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "stop_modules": ("labos estop",),
     "submit_run": ("labos run", "labos submit", "labos do", "labos reset", "labos home"),
     "sign_run": ("labos sign",),
+    "sign_experiment": ("labos sign",),
+    "sign_campaign": ("labos sign",),
     "submit_campaign_file": ("labos campaign submit",),
     "forecast_campaign_file": ("labos campaign plan",),
     "pause_campaign": ("labos campaign pause",),

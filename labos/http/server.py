@@ -167,7 +167,7 @@ class HttpServer:
 
     def __init__(self, service: LabService, gate: Gate, listening: Listening) -> None:
         self._service = service
-        tls = _tls_of(listening)
+        tls = tls_of(listening)
         host = listening.host
         self._socket = listen(host, listening.port)
         bound = self._socket.getsockname()
@@ -205,7 +205,7 @@ class HttpServer:
         self._socket.close()
 
 
-def _tls_of(listening: Listening) -> ssl.SSLContext | None:
+def tls_of(listening: Listening) -> ssl.SSLContext | None:
     """TLS 1.2 or newer. Raises BadInput for files that cannot be used."""
     if not listening.certificate:
         return None

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 from starlette.responses import Response
 
+from labos.core.decide.users import EraseUser
+from labos.core.users import LABOS
 from labos.errors import BadInput, Forbidden, NotFound, NotSignedIn, Refused
 from labos.http.identity import SIGN_IN, Gate, Who
 from labos.http.limits import Line, Name, Secret, says
@@ -279,6 +281,14 @@ async def change_person(call: Call, user: str, told: PersonDetails) -> Person:
     person = Person(user, name, mail)
     await accounts.set_person(person)
     return person
+
+
+async def erase_person(call: Call, user: str) -> None:
+    """Forget who a user is; then the log says so, by the id alone. Raises Forbidden, NotFound."""
+    expect_self_or_admin(call, user)
+    by = call.who.user if call.who.is_known else LABOS  # the owner of the lab's folder has no name
+    await call.api.gate.accounts.erase(user)
+    await call.kernel.execute(EraseUser(user, by), call.who.actor if call.who.is_known else LABOS)
 
 
 async def list_people(call: Call) -> People:

@@ -1,23 +1,23 @@
-"""Signing the record of a run: who signs proves again who they are."""
+"""Signing the record of a run, of an experiment or of a campaign: who signs proves again who they are."""
 
 from __future__ import annotations
 
 import asyncio
 from typing import TYPE_CHECKING
 
-from labos.core.decide.signatures import SignRun
+from labos.core.decide import Command
+from labos.core.decide.signatures import SignRecords, SignRun
 from labos.core.ids import RunId
-from labos.core.signatures import RunSigned
-from labos.errors import Forbidden, NotSignedIn
+from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http.bodies import RunSignature
 from labos.http.signing import expect_users
-from labos.services.signatures import Signature, record_of, signatures_of
+from labos.services.signatures import Kind, Signature, Signed, kind_of, record_of, signatures_of
 
 if TYPE_CHECKING:
     from labos.http.operation import Call
 
 
-async def sign(call: Call, run: str, asked: RunSignature) -> Signature:
+async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Signature:
     """The signature of whoever asks; one that is there already, of the same meaning and comment, is given
     again. Raises Forbidden, NotFound, Refused, TooManyTries."""
     expect_users(call)
@@ -28,17 +28,40 @@ async def sign(call: Call, run: str, asked: RunSignature) -> Signature:
         await _expect_password(call, user, asked.password)
         asked.password = ""  # an API process sends the request on to the kernel, over the bus, without it
     await call.kernel.written()
-    record = await asyncio.to_thread(record_of, store, run)
-    for known in await asyncio.to_thread(signatures_of, store, run):
+    record = await asyncio.to_thread(record_of, store, subject, kind)
+    for known in await asyncio.to_thread(signatures_of, store, subject):
         if (known.by, known.meaning, known.why) == (user, asked.meaning, asked.why) and known.holds:
             return known
-    events = await call.kernel.execute(
-        SignRun(RunId(run), user, asked.meaning, record.records, record.digest, "password", asked.why),
-        call.user,
-    )
-    assert any(isinstance(event, RunSigned) for event in events)
-    found = await asyncio.to_thread(signatures_of, store, run)
+    await call.kernel.execute(_command(subject, record, user, asked), call.user)
+    found = await asyncio.to_thread(signatures_of, store, subject)
     return [each for each in found if each.by == user][-1]
+
+
+async def list_signatures_under(call: Call, subject: str, kind: Kind) -> list[Signature]:
+    """Raises NotFound."""
+    store = call.service.parts.store
+    await call.kernel.written()
+    if await asyncio.to_thread(kind_of, store, subject) != kind:
+        raise NotFound(f"There is no {kind} {subject!r}.", remedy="Check its name.")
+    return await asyncio.to_thread(signatures_of, store, subject)
+
+
+def _command(subject: str, signed: Signed, by: str, asked: RunSignature) -> Command:
+    if signed.kind == "run":
+        return SignRun(
+            RunId(subject), by, asked.meaning, signed.records, signed.digest, "password", asked.why
+        )
+    return SignRecords(
+        subject,
+        signed.kind,
+        by,
+        asked.meaning,
+        signed.runs,
+        signed.records,
+        signed.digest,
+        "password",
+        asked.why,
+    )
 
 
 async def _expect_password(call: Call, user: str, password: str) -> None:

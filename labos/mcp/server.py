@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import wraps
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from labos.client import LabClient
 from labos.errors import BadInput, LabosError
@@ -55,20 +56,26 @@ def sign_in(url: str, home: str | None, *, behalf: str = "", token: str = "") ->
     return LabClient(url, behalf=behalf, **options)
 
 
-def make_server(lab: LabClient, user: str = USER) -> MCPServer[Any]:
-    """The server of a lab. ``user`` is who proposes in a lab without users."""
+def make_server(lab: LabClient | Callable[[], LabClient], user: str = USER) -> MCPServer[Any]:
+    """The server of a lab; ``lab`` may be asked anew for each call, as whose it is. ``user`` is who proposes
+    in a lab without users."""
     from mcp.server.mcpserver import MCPServer
     from mcp.types import ToolAnnotations
 
     server: MCPServer[Any] = MCPServer(
         "labos", title="LabOS", instructions=INSTRUCTIONS, version=VERSION, log_level="WARNING"
     )
-    turn = Lock()
-    groups = ((Look(lab), LOOK, True), (Plan(lab, user), PLAN, True), (Propose(lab, user), PROPOSE, False))
-    for tools, names, only_looks in groups:
+    turn = Lock() if isinstance(lab, LabClient) else None
+    ask = (lambda: lab) if isinstance(lab, LabClient) else lab
+    groups: tuple[tuple[Callable[[LabClient], Any], tuple[str, ...], bool], ...] = (
+        (Look, LOOK, True),
+        (lambda found: Plan(found, user), PLAN, True),
+        (lambda found: Propose(found, user), PROPOSE, False),
+    )
+    for group, names, only_looks in groups:
         for name in names:
             server.add_tool(
-                _speaking(getattr(tools, name), turn),
+                _speaking(group, name, ask, turn),
                 name=name,
                 annotations=ToolAnnotations(
                     read_only_hint=only_looks, destructive_hint=False, open_world_hint=False
@@ -78,15 +85,18 @@ def make_server(lab: LabClient, user: str = USER) -> MCPServer[Any]:
     return server
 
 
-def _speaking(tool: Callable[..., str], turn: Lock) -> Callable[..., str]:
-    """The tool, with what goes wrong as an answer: what it was, and what to do."""
+def _speaking(
+    group: Callable[[LabClient], Any], name: str, ask: Callable[[], LabClient], turn: Lock | None
+) -> Callable[..., str]:
+    """The tool of a group, with what goes wrong as an answer: what it was, and what to do. Calls take turns
+    where they share a client: it remembers what it was told last."""
     from mcp.server.mcpserver.exceptions import ToolError
 
-    @wraps(tool)
+    @wraps(getattr(group(cast(LabClient, None)), name))
     def call(*args: Any, **named: Any) -> str:
         try:
-            with turn:  # a client remembers what it was told last
-                return tool(*args, **named)
+            with turn or nullcontext():
+                return cast(str, getattr(group(ask()), name)(*args, **named))
         except LabosError as error:
             raise ToolError(str(error)) from None
 

@@ -1,11 +1,13 @@
 """Certificates of a lab's bus: who may speak there, and as whom.
 
 ``_party`` says who there is, ``_signing`` makes certificates, ``_authority`` keeps a folder of them, and
-``_credentials`` is what one party has of it.
+``_credentials`` is what one party has of it, ``_lists`` how lists of members are kept where the authority is
+not.
 """
 
 from labos.pki._authority import CA_KEY, Authority
 from labos.pki._credentials import KEY, MEMBERS, Credentials, read_members
+from labos.pki._lists import NUMBER, ReceivedList
 from labos.pki._party import KINDS, PROCESS_NAME, Entry, Identity, Kind, Members, folder_name
 
 __all__ = [
@@ -13,6 +15,7 @@ __all__ = [
     "KEY",
     "KINDS",
     "MEMBERS",
+    "NUMBER",
     "PROCESS_NAME",
     "Authority",
     "Credentials",
@@ -20,6 +23,7 @@ __all__ = [
     "Identity",
     "Kind",
     "Members",
+    "ReceivedList",
     "folder_name",
     "read_members",
 ]

@@ -267,6 +267,14 @@ class Authority:
         sync_folder(folder)
 
     def _keep(self, members: Members) -> None:
+        """Write the list, with the next number; signed, where the authority's key is."""
+        number = self.members().number + 1
+        members = Members(members.entries, number)
+        if self.issues:
+            from labos.pki._signing import sign
+
+            signature = sign(self._ca()[1], members.signed_bytes)
+            members = msgspec.structs.replace(members, signature=signature)
         text = msgspec.json.format(msgspec.json.encode(members), indent=1) + b"\n"
         if self.issues:
             from labos.pki._signing import make_revocation_list

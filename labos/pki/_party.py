@@ -83,9 +83,17 @@ class Entry(msgspec.Struct, frozen=True):
 
 
 class Members(msgspec.Struct, frozen=True):
-    """What ``members.json`` holds: every certificate that was issued here, or taken over from the site."""
+    """What ``members.json`` holds: every certificate that was issued here, or taken over from the site. Each
+    list has a higher ``number`` than the one before; ``signature`` is that of the authority, in base64
+    (ECDSA, SHA-256, over ``signed_bytes``), and empty where its key is not."""
 
     entries: tuple[Entry, ...] = ()
+    number: int = 0
+    signature: str = ""
+
+    @property
+    def signed_bytes(self) -> bytes:
+        return b"labos members 1\n" + msgspec.json.encode(msgspec.structs.replace(self, signature=""))
 
     @property
     def admitted(self) -> tuple[Entry, ...]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
+from base64 import b64decode, b64encode
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID as Usage
@@ -81,6 +83,24 @@ def make_revocation_list(ca: tuple[bytes, bytes], revoked: Sequence[Entry], now_
         one = x509.RevokedCertificateBuilder().serial_number(int(entry.serial, 16))
         builder = builder.add_revoked_certificate(one.revocation_date(_time(entry.revoked_at)).build())
     return builder.sign(_key(ca[1]), hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+def sign(key: bytes, data: bytes) -> str:
+    """A signature by the authority's key, in base64."""
+    return b64encode(_key(key).sign(data, ec.ECDSA(hashes.SHA256()))).decode()
+
+
+def has_signed(authority: bytes, data: bytes, signature: str) -> bool:
+    """Whether a signature is that of the authority with this certificate. Raises BadInput for what is no
+    certificate."""
+    public = read_certificate(authority, "the authority's certificate").public_key()
+    if not isinstance(public, ec.EllipticCurvePublicKey):
+        return False
+    try:
+        public.verify(b64decode(signature, validate=True), data, ec.ECDSA(hashes.SHA256()))
+    except (InvalidSignature, ValueError):
+        return False
+    return True
 
 
 def read_certificate(pem: bytes, what: str) -> x509.Certificate:

@@ -27,7 +27,7 @@ from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.policy import PolicyApplied
 from labos.core.registry import Event
 from labos.core.repeated import RequestRepeated
-from labos.core.signatures import RunSigned
+from labos.core.signatures import RecordsSigned, RunSigned
 from labos.core.wells import by_well
 from labos.services.catalogue import Catalogue
 from labos.services.times import show_time
@@ -316,6 +316,10 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users hold from now on"
     ),
     RunSigned: lambda e, _: f"{e.by} signed {e.run}: {e.meaning}{_if(e.why, f': {e.why}')}",
+    RecordsSigned: lambda e, _: (
+        f"{e.by} signed the {e.kind} {e.subject} with {e.runs} run{'' if e.runs == 1 else 's'}: "
+        f"{e.meaning}{_if(e.why, f': {e.why}')}"
+    ),
     PolicyApplied: lambda e, _: "another policy says what waits for an approval",
     ApprovalRequested: lambda e, _: (
         f"{'its change ' if e.kind == 'amendment' else ''}waits for approval: "

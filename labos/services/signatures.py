@@ -1,26 +1,49 @@
-"""Signatures under runs: what they bind to, and whether that still is so."""
+"""Signatures under runs, experiments and campaigns: what they bind to, and whether that still is so."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Literal
 
 import msgspec
 
+from labos.core.campaigns import CampaignCompleted, CampaignSubmitted
 from labos.core.envelope import Record
+from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.registry import decode
 from labos.core.runs import RUN_ENDS, RunSubmitted
-from labos.core.signatures import RunSigned, digest_of_records
+from labos.core.signatures import RecordsSigned, RunSigned, digest_of_records
 from labos.errors import NotFound, Refused
 from labos.ports import LogQuery
 from labos.services.log import Log
 from labos.services.times import iso_time
 from labos.services.verification import Part
 
+Kind = Literal["run", "experiment", "campaign"]
+BEGINS: dict[str, Kind] = {
+    RunSubmitted.TYPE: "run",
+    ExperimentStarted.TYPE: "experiment",
+    CampaignSubmitted.TYPE: "campaign",
+}
+"""The first event of what can be signed."""
+ENDS: dict[Kind, frozenset[str]] = {
+    "run": frozenset(RUN_ENDS),
+    "experiment": frozenset({ExperimentEnded.TYPE}),
+    "campaign": frozenset({CampaignCompleted.TYPE}),
+}
+AT_ONCE = 500
+"""Streams in one question to the database."""
+SIGNED = (RunSigned.TYPE, RecordsSigned.TYPE)
+
 
 class Signature(msgspec.Struct, frozen=True):
-    """One signature. ``records`` and ``digest`` are what was signed; ``holds`` is whether the record of the
-    run is the same now. ``at`` in UTC ns, ``time`` the same for people."""
+    """One signature, under a run, an experiment or a campaign (``kind``), the ``subject``. ``run`` is the
+    same for a run, else empty; ``runs`` is how many runs belong to it. ``records`` and ``digest`` are what
+    was signed; ``holds`` is whether the record is the same now. ``at`` in UTC ns, ``time`` the same for
+    people."""
 
+    subject: str
+    kind: Kind
     run: str
     by: str
     meaning: str
@@ -29,67 +52,68 @@ class Signature(msgspec.Struct, frozen=True):
     at: int
     time: str
     position: int
+    runs: int
     records: int
     digest: str
     holds: bool
 
 
-class RunRecord(msgspec.Struct, frozen=True):
-    """All records of a run's own stream: how many they are, and their digest."""
+class Signed(msgspec.Struct, frozen=True):
+    """What a signature binds to: the records of a run's own stream; of an experiment or a campaign those of
+    its own and of all its ``runs``. How many they are, and their digest."""
 
+    kind: Kind
+    runs: int
     records: int
     digest: str
 
 
-def record_of(log: Log, run: str) -> RunRecord:
-    """The record of a run that has ended. Raises NotFound, Refused."""
-    records = list(log.select(LogQuery(streams=(run,))))
-    kinds = {record.head.type for record in records}
-    if RunSubmitted.TYPE not in kinds:
-        raise NotFound(f"There is no run {run!r}.", remedy="List them: labos runs --all")
-    if kinds.isdisjoint(RUN_ENDS):
+def record_of(log: Log, subject: str, kind: Kind) -> Signed:
+    """The record of something that has ended. Raises NotFound, Refused."""
+    found = _kind_of(log, subject)
+    if found != kind:
+        raise NotFound(f"There is no {kind} {subject!r}.", remedy=_listed(kind))
+    records = list(log.select(LogQuery(streams=(subject,))))
+    if ENDS[kind].isdisjoint(record.head.type for record in records):
         raise Refused(
-            f"The run {run} has not ended: its record is not complete.",
-            remedy=f"Wait for its end: labos runs {run}",
+            f"The {kind} {subject} has not ended: its record is not complete.",
+            remedy=f"Wait for its end: labos {_shown(kind)} {subject}",
         )
-    return _digest_of(records)
+    return _signed(log, subject, kind)
 
 
-def signatures_of(log: Log, run: str = "") -> list[Signature]:
-    """The signatures under a run, or under all runs, in the order of the log."""
-    found: list[Signature] = []
-    known: dict[str, RunRecord] = {}
-    for record in log.select(LogQuery(types=(RunSigned.TYPE,))):
-        event = _event_of(record)
-        if run not in ("", event.run):
-            continue
-        if event.run not in known:
-            known[event.run] = _digest_of(log.select(LogQuery(streams=(event.run,))))
-        holds = known[event.run] == RunRecord(event.records, event.digest)
-        at = record.head.recorded_at
-        found.append(
-            Signature(
-                run=event.run,
-                by=event.by,
-                meaning=event.meaning,
-                why=event.why,
-                method=event.method,
-                at=at,
-                time=iso_time(at),
-                position=record.head.position,
-                records=event.records,
-                digest=event.digest,
-                holds=holds,
-            )
+def runs_of(log: Log, subject: str, upto: int | None = None) -> tuple[str, ...]:
+    """The runs of an experiment or of a campaign, in the order of the log, submitted up to a position."""
+    submitted = log.select(LogQuery(types=(RunSubmitted.TYPE,), correlation=subject, upto=upto))
+    return tuple(record.head.stream for record in submitted if record.head.stream != subject)
+
+
+def kind_of(log: Log, subject: str) -> Kind:
+    """What can be signed under this name. Raises NotFound."""
+    found = _kind_of(log, subject)
+    if found is None:
+        raise NotFound(
+            f"There is no run, experiment or campaign {subject!r}.", remedy="List runs: labos runs --all"
         )
     return found
 
 
-def signatures_under(log: Log, run: str) -> list[Signature]:
-    """The signatures under a run. Raises NotFound if there never was one."""
-    if next(log.select(LogQuery(streams=(run,), last=1)), None) is None:
-        raise NotFound(f"There is no run {run!r}.", remedy="List them: labos runs --all")
-    return signatures_of(log, run)
+def signatures_of(log: Log, subject: str = "") -> list[Signature]:
+    """The signatures under a run, an experiment or a campaign, or all there are, in the order of the log."""
+    found: list[Signature] = []
+    known: dict[str, Signed] = {}
+    for record in log.select(LogQuery(types=SIGNED)):
+        event = signed_in(record)
+        if subject not in ("", event[0]):
+            continue
+        found.append(_signature(log, record, event, known))
+    return found
+
+
+def signatures_under(log: Log, subject: str) -> list[Signature]:
+    """The signatures under something. Raises NotFound if there never was one."""
+    kind_of(log, subject)
+    return signatures_of(log, subject)
 
 
 def check_signatures(log: Log) -> Part:
@@ -97,7 +121,7 @@ def check_signatures(log: Log) -> Part:
     found = signatures_of(log)
     broken = [each for each in found if not each.holds]
     faults = tuple(
-        f"Position {each.position}: {each.by} signed {each.records} records of {each.run}, and they are "
+        f"Position {each.position}: {each.by} signed {each.records} records of {each.subject}, and they are "
         "others now."
         for each in broken
     )
@@ -105,12 +129,80 @@ def check_signatures(log: Log) -> Part:
     return Part("signatures", len(found), told, faults, tuple(each.position for each in broken))
 
 
-def _event_of(record: Record) -> RunSigned:
+def signed_in(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned]:
+    """What was signed, what it is, and the event."""
     event = decode(record.head.type, record.head.schema, record.payload)
-    assert isinstance(event, RunSigned)
-    return event
+    if isinstance(event, RunSigned):
+        return event.run, "run", event
+    assert isinstance(event, RecordsSigned)
+    return event.subject, event.kind, event
 
 
-def _digest_of(records: Iterable[Record]) -> RunRecord:
+def _signature(
+    log: Log,
+    record: Record,
+    said: tuple[str, Kind, RunSigned | RecordsSigned],
+    known: dict[str, Signed],
+) -> Signature:
+    subject, kind, event = said
+    if subject not in known:
+        known[subject] = _signed(log, subject, kind)
+    runs = event.runs if isinstance(event, RecordsSigned) else 0
+    at = record.head.recorded_at
+    return Signature(
+        subject=subject,
+        kind=kind,
+        run=subject if kind == "run" else "",
+        by=event.by,
+        meaning=event.meaning,
+        why=event.why,
+        method=event.method,
+        at=at,
+        time=iso_time(at),
+        position=record.head.position,
+        runs=runs,
+        records=event.records,
+        digest=event.digest,
+        holds=known[subject] == Signed(kind, runs, event.records, event.digest),
+    )
+
+
+def _signed(log: Log, subject: str, kind: Kind) -> Signed:
+    runs = () if kind == "run" else runs_of(log, subject)
+    return digest_of(kind, len(runs), _records(log, (subject, *runs)))
+
+
+def digest_of(kind: Kind, runs: int, records: Iterable[Record]) -> Signed:
+    """What is signed, of records in the order of the log."""
     envelopes = [record.envelope for record in records]
-    return RunRecord(len(envelopes), digest_of_records(envelopes))
+    return Signed(kind, runs, len(envelopes), digest_of_records(envelopes))
+
+
+def _records(log: Log, streams: tuple[str, ...]) -> list[Record]:
+    """All records of these streams, in the order of the log."""
+    found = [
+        record
+        for at in range(0, len(streams), AT_ONCE)
+        for record in log.select(LogQuery(streams=streams[at : at + AT_ONCE]))
+    ]
+    return sorted(found, key=lambda record: record.head.position)
+
+
+def _kind_of(log: Log, subject: str) -> Kind | None:
+    """What the first event of a stream begins."""
+    for record in log.select(LogQuery(streams=(subject,))):
+        if (kind := BEGINS.get(record.head.type)) is not None:
+            return kind
+    return None
+
+
+def _listed(kind: Kind) -> str:
+    return {
+        "run": "List them: labos runs --all",
+        "experiment": "List them: labos experiments --all",
+        "campaign": "List them: labos campaign list --all",
+    }[kind]
+
+
+def _shown(kind: Kind) -> str:
+    return "campaign show" if kind == "campaign" else "runs"

@@ -67,6 +67,12 @@ def read_accounts_copy(folder: Path, lab: str, key: bytes = b"") -> AccountsCopy
             f"{path} was written by a newer LabOS (format {found.format}; this one knows {FORMAT}).",
             remedy="Upgrade this installation: pip install --upgrade labos-sdl",
         )
+    try:
+        for table in TABLES:
+            for row in found.tables.get(table.name, ()):
+                _typed(table, row)
+    except (ValueError, TypeError) as error:
+        raise BadInput(f"{path} has a row that is no {table.name} ({error}).", remedy=_WITHOUT) from None
     fault = broken_seal(found, key) if found.lab == lab else f"it is of the lab {found.lab}"
     if fault:
         raise Refused(f"The accounts in {path} are not those of this backup: {fault}.", remedy=_WITHOUT)

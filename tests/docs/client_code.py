@@ -35,6 +35,7 @@ MODULES = (
     "forecasts",
     "planning",
     "runs",
+    "signatures",
     "campaigns",
     "approvals",
     "modules",

@@ -13,6 +13,7 @@ from labos.client._generated.modules import GeneratedModules
 from labos.client._generated.people import GeneratedPeople
 from labos.client._generated.planning import GeneratedPlanning
 from labos.client._generated.runs import GeneratedRuns
+from labos.client._generated.signatures import GeneratedSignatures
 
 
 class GeneratedCalls(
@@ -21,6 +22,7 @@ class GeneratedCalls(
     GeneratedForecasts,
     GeneratedPlanning,
     GeneratedRuns,
+    GeneratedSignatures,
     GeneratedCampaigns,
     GeneratedApprovals,
     GeneratedModules,

@@ -109,7 +109,7 @@ class GeneratedAccounts(Calls):
 
     def erase_person(self, user: str) -> None:
         """Forget who a user is. The name, the address, the password, all tokens and sessions are gone. Events
-        remain, and say the id."""
+        remain, and say the id; one more says that this was done."""
         self._post(f"/users/{in_path(user)}/erase", {}, repeat=True)
 
     def link_identity(self, user: str, issuer: str, subject: str) -> None:

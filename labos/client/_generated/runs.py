@@ -73,24 +73,6 @@ class GeneratedRuns(Calls):
         """Start no more steps of a run. ``why``: a word about it for the log. Raises Refused."""
         self._post(f"/runs/{in_path(run)}/pause", {"by": by, "why": why}, repeat=True)
 
-    def sign_run(self, run: str, meaning: str, password: str, *, why: str = "") -> dict[str, Any]:
-        """Sign the record of a run that has ended. The signature is an event, and binds to all records of the
-        run. Who signs shows the password again, whatever they signed in with. ``meaning``: ``authored``,
-        ``responsible``, ``reviewed``, ``approved`` or ``rejected``. ``password``: the password, once more.
-        ``why``: a comment, for the log. Returns ``run``, ``by``, ``meaning``, ``why``, ``method``, ``at``,
-        ``time``, ``position``, ``records``, ``digest``, ``holds``. Raises NotFound, Refused."""
-        return self._post(
-            f"/runs/{in_path(run)}/signatures",
-            {"meaning": meaning, "password": password, "why": why},
-            repeat=True,
-        )
-
-    def signatures(self, run: str) -> list[dict[str, Any]]:
-        """Who has signed the record of a run. In the order of the log. ``holds``: the record of the run is
-        the one that was signed. Raises NotFound."""
-        found: list[dict[str, Any]] = self._get(f"/runs/{in_path(run)}/signatures")["signatures"]
-        return found
-
     def resume(self, run: str, by: str = "somebody") -> None:
         """Go on with a run that is paused. Raises Refused."""
         self._post(f"/runs/{in_path(run)}/resume", {"by": by}, repeat=True)

@@ -136,6 +136,10 @@ class AsyncCalls:
         """A campaign that has not been completed: how far it is, and its terms."""
         return await self.threads.call(self.sync.campaign, campaign)
 
+    async def campaign_signatures(self, campaign: str) -> list[dict[str, Any]]:
+        """Who has signed the record of a campaign."""
+        return await self.threads.call(self.sync.campaign_signatures, campaign)
+
     async def campaigns(self) -> list[dict[str, Any]]:
         """Campaigns that have not been completed."""
         return await self.threads.call(self.sync.campaigns)
@@ -217,6 +221,10 @@ class AsyncCalls:
     async def erase_person(self, user: str) -> None:
         """Forget who a user is."""
         await self.threads.call(self.sync.erase_person, user)
+
+    async def experiment_signatures(self, experiment: str) -> list[dict[str, Any]]:
+        """Who has signed the record of an experiment."""
+        return await self.threads.call(self.sync.experiment_signatures, experiment)
 
     async def finish_sign_in(
         self,
@@ -433,6 +441,18 @@ class AsyncCalls:
     async def shares(self) -> list[dict[str, Any]]:
         """Who is to have which part of the lab, and who has had which."""
         return await self.threads.call(self.sync.shares)
+
+    async def sign_campaign(
+        self, campaign: str, meaning: str, password: str, *, why: str = ""
+    ) -> dict[str, Any]:
+        """Sign the record of a campaign that has ended."""
+        return await self.threads.call(self.sync.sign_campaign, campaign, meaning, password, why=why)
+
+    async def sign_experiment(
+        self, experiment: str, meaning: str, password: str, *, why: str = ""
+    ) -> dict[str, Any]:
+        """Sign the record of an experiment that has ended."""
+        return await self.threads.call(self.sync.sign_experiment, experiment, meaning, password, why=why)
 
     async def sign_in(
         self, user: str, password: str, *, label: str = "signed in", scope: str = "admin", days: float = 30.0

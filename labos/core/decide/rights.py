@@ -203,6 +203,7 @@ _INSIDE = Right(None, "LabOS itself")
 _OWN = "its owner; else an operator"
 _OPERATOR = "an operator"
 _ADMIN = "an admin of the whole lab"
+_SIGNING = Right("viewer", "a person, as themselves, with their password", targets.anywhere("viewer"), "by")
 
 RIGHTS: dict[type[Command], Right] = {
     # runs, experiments and campaigns
@@ -229,9 +230,8 @@ RIGHTS: dict[type[Command], Right] = {
     control.PauseStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
     control.ResumeStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
     control.CancelRuns: Right("operator", _OPERATOR, targets.of_target),
-    signatures.SignRun: Right(
-        "viewer", "a person, as themselves, with their password", targets.anywhere("viewer"), "by"
-    ),
+    signatures.SignRun: _SIGNING,
+    signatures.SignRecords: _SIGNING,
     proposals.ApproveProposal: Right(
         "operator", "an operator; what is one's own only if the policy says so", targets.of_proposal, "by"
     ),
@@ -288,6 +288,7 @@ RIGHTS: dict[type[Command], Right] = {
     users.AddUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.DisableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.EnableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
+    users.EraseUser: Right("viewer", "the user, or " + _ADMIN, targets.of_erasure, "by"),
     users.AddGroup: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.RemoveGroup: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.AddMember: Right("admin", _ADMIN, targets.in_lab("admin")),

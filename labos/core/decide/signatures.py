@@ -1,10 +1,10 @@
-"""Signing the record of a run."""
+"""Signing the record of a run, of an experiment or of a campaign."""
 
 from __future__ import annotations
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.ids import RunId
-from labos.core.signatures import Meaning, RunSigned
+from labos.core.signatures import Kind, Meaning, RecordsSigned, RunSigned
 from labos.core.state import LabState
 from labos.core.users import ON_BEHALF
 
@@ -22,23 +22,26 @@ class SignRun(Command, frozen=True):
     why: str = ""
 
 
+class SignRecords(Command, frozen=True):
+    """As ``SignRun``: the ``records`` of an experiment or a campaign and of all its ``runs``."""
+
+    subject: str
+    kind: Kind
+    by: str
+    meaning: Meaning
+    runs: int
+    records: int
+    digest: str
+    method: str
+    why: str = ""
+
+
 @decides(SignRun)
 def sign_run(state: LabState, command: SignRun) -> Decision:
-    if state.users.is_open:
-        return Rejection(
-            "no_users",
-            "This lab has no users, and does not know who signs.",
-            "Add the first, on the lab's computer: labos user add NAME",
-        )
-    user = state.users.known.get(command.by)
-    if ON_BEHALF in command.by or user is None or user.kind == "service":
-        return Rejection("no_person", f"{command.by} is no person, and cannot sign.", "Sign yourself.")
+    if (refused := _no_signer(state, command.by)) is not None:
+        return refused
     if state.runs.get(command.run) is not None:
-        return Rejection(
-            "not_ended",
-            f"The run {command.run} has not ended: its record is not complete.",
-            f"Wait for its end: labos runs {command.run}",
-        )
+        return _not_ended("run", command.run, "runs")
     return [
         RunSigned(
             command.run,
@@ -50,3 +53,46 @@ def sign_run(state: LabState, command: SignRun) -> Decision:
             command.why,
         )
     ]
+
+
+@decides(SignRecords)
+def sign_records(state: LabState, command: SignRecords) -> Decision:
+    if (refused := _no_signer(state, command.by)) is not None:
+        return refused
+    if command.subject in (*state.experiments.open, *state.campaigns.open):
+        where = "experiments" if command.kind == "experiment" else "campaign show"
+        return _not_ended(command.kind, command.subject, where)
+    return [
+        RecordsSigned(
+            command.subject,
+            command.kind,
+            command.by,
+            command.meaning,
+            command.runs,
+            command.records,
+            command.digest,
+            command.method,
+            command.why,
+        )
+    ]
+
+
+def _no_signer(state: LabState, by: str) -> Rejection | None:
+    if state.users.is_open:
+        return Rejection(
+            "no_users",
+            "This lab has no users, and does not know who signs.",
+            "Add the first, on the lab's computer: labos user add NAME",
+        )
+    user = state.users.known.get(by)
+    if ON_BEHALF in by or user is None or user.kind == "service":
+        return Rejection("no_person", f"{by} is no person, and cannot sign.", "Sign yourself.")
+    return None
+
+
+def _not_ended(kind: str, name: str, where: str) -> Rejection:
+    return Rejection(
+        "not_ended",
+        f"The {kind} {name} has not ended: its record is not complete.",
+        f"Wait for its end: labos {where} {name}",
+    )

@@ -19,6 +19,7 @@ from labos.core.decide import (
     proposals,
     runs,
     shorter,
+    users,
 )
 from labos.core.decide._base import Command
 from labos.core.ids import (
@@ -257,6 +258,11 @@ def of_booking(state: LabState, command: Any) -> Iterable[Target]:
         return (Target("submitter", (ANYWHERE,)),)
     owner = booking.user or person_of(booking.by)
     return (Target("submitter", (booking.cell,), owner, f"The booking {booking.id}"),)
+
+
+def of_erasure(state: LabState, command: users.EraseUser) -> Iterable[Target]:
+    own = command.by == command.user
+    return (Target("viewer", (ANYWHERE,)) if own else Target("admin", (WHOLE_LAB,)),)
 
 
 def of_grant(state: LabState, command: Any) -> Iterable[Target]:

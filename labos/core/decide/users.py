@@ -21,6 +21,7 @@ from labos.core.users import (
     UserAdded,
     UserDisabled,
     UserEnabled,
+    UserErased,
     group_subject,
     user_subject,
 )
@@ -50,6 +51,13 @@ class DisableUser(Command, frozen=True):
 
 class EnableUser(Command, frozen=True):
     user: str
+
+
+class EraseUser(Command, frozen=True):
+    """Note that the lab has forgotten who a user is. ``by`` is the user, or an admin."""
+
+    user: str
+    by: str
 
 
 class AddGroup(Command, frozen=True):
@@ -107,6 +115,13 @@ def add_user(state: LabState, command: AddUser) -> Decision:
 
 def _grant(user: str, role: Role, scope: str) -> RoleGranted:
     return RoleGranted(user_subject(user), role, scope)
+
+
+@decides(EraseUser)
+def erase_user(state: LabState, command: EraseUser) -> Decision:
+    if command.user not in state.users.known:
+        return no_user(command.user)
+    return [UserErased(command.user)]
 
 
 @decides(DisableUser)

@@ -16,6 +16,7 @@ from labos.http.routes import (
     people,
     planning,
     runs,
+    signatures,
 )
 
 PREFIX = "/api/v1"
@@ -28,6 +29,7 @@ OPERATIONS: tuple[Operation, ...] = (
     *planning.OPERATIONS,  # before runs: /runs/check is no run
     *runs.OPERATIONS,
     *campaigns.OPERATIONS,
+    *signatures.OPERATIONS,
     *approvals.OPERATIONS,
     *modules.OPERATIONS,
     *bookings.OPERATIONS,

@@ -16,7 +16,6 @@ from labos.http.answers import (
     RunReference,
     Runs,
     RunSubmission,
-    Signatures,
 )
 from labos.http.bodies import (
     By,
@@ -28,16 +27,13 @@ from labos.http.bodies import (
     NewRun,
     RunCancel,
     RunPause,
-    RunSignature,
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
-from labos.http.signing_runs import sign
 from labos.ports import LogQuery
 from labos.services.proposals import sentence
-from labos.services.signatures import Signature, signatures_of
 
 
 async def list_runs(call: Call, query: RunsQuery) -> Runs:
@@ -103,18 +99,6 @@ async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
     return RunReference(path.run)
 
 
-async def sign_run(call: Call, path: OfRun, body: RunSignature) -> Signature:
-    """The signature is an event, and binds to all records of the run. Who signs shows the password again,
-    whatever they signed in with."""
-    return await sign(call, path.run, body)
-
-
-async def list_signatures(call: Call, path: OfRun) -> Signatures:
-    """In the order of the log. `holds`: the record of the run is the one that was signed."""
-    await call.service.story(path.run)  # raises NotFound if there never was one
-    return Signatures(await asyncio.to_thread(signatures_of, call.service.parts.store, path.run))
-
-
 async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReference:
     """An application begins. It must be heard of every 30 s from now on (a note, or a heartbeat), else a
     person is asked. A run of it that would leave labware elsewhere than at its `parking` stations, in storage
@@ -175,20 +159,6 @@ _RUN = {
     "place": [{"station": "sealer.default", "labware": "plate96"}],
 }
 
-_SIGNATURE = {
-    "run": "R1",
-    "by": "ada",
-    "meaning": "reviewed",
-    "why": "checked",
-    "method": "password",
-    "at": 1767225600000000000,
-    "time": "2026-01-01T00:00:00.000000000Z",
-    "position": 214,
-    "records": 37,
-    "digest": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
-    "holds": True,
-}
-
 OPERATIONS = (
     Operation(
         method="GET",
@@ -246,30 +216,6 @@ OPERATIONS = (
         problems=("refused",),
         example={"by": "ada", "why": "lunch"},
         example_answer={"run": "R1"},
-    ),
-    Operation(
-        method="POST",
-        path="/runs/{run}/signatures",
-        handler=sign_run,
-        client=Method("sign_run", repeat=True),
-        summary="Sign the record of a run that has ended",
-        tag="runs",
-        needs="viewer",
-        secret=True,
-        problems=("refused", "not_found", "too_many_tries"),
-        example={"meaning": "reviewed", "password": "four words of yours", "why": "checked"},
-        example_answer=_SIGNATURE,
-    ),
-    Operation(
-        method="GET",
-        path="/runs/{run}/signatures",
-        handler=list_signatures,
-        client=Method("signatures", take="signatures"),
-        summary="Who has signed the record of a run",
-        tag="runs",
-        needs="viewer",
-        problems=("not_found",),
-        example_answer={"signatures": [_SIGNATURE]},
     ),
     Operation(
         method="POST",

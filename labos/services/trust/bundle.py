@@ -1,10 +1,11 @@
-"""A bundle: one run as a file, with all that proves it to whoever has the lab's public key.
+"""A bundle: a run, an experiment or a campaign as a file, with all that proves it to whoever has the lab's
+public key.
 
 A zip file. Nothing in it is believed for itself: events are in the tree whose root is signed, payloads and
 files have the digests that the events name.
 
 ===================  ========================================================================
-``bundle.json``      which run of which lab (for people; it is checked against the events)
+``bundle.json``      what of which lab (for people; it is checked against the events)
 ``checkpoint.note``  the signed root
 ``checkpoint.tsr``   its time stamp, if there is one
 ``rotation.notes``   changes of the lab's key, if there were any
@@ -17,26 +18,28 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
 
-from labos.core.envelope import Record
+from labos.core.envelope import Envelope, Record
 from labos.core.merkle import Tree, inclusion_ranges, leaf_hash, proof_of
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
-from labos.core.runs import RUN_ENDS, RunSubmitted
-from labos.core.signatures import RunSigned
+from labos.core.runs import RunSubmitted
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.ports import BlobStore
 from labos.services.log import Log
+from labos.services.signatures import BEGINS, ENDS, SIGNED, Kind, runs_of
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import encode_rotations
 from labos.services.trust.notes import Note
 from labos.services.verification import find_needed_blobs
 
 FORMAT = "labos-bundle/1"
-SIGNED = RunSigned.TYPE
+"""Of a run; the other one is of an experiment or a campaign."""
+FORMAT_OF_SEVERAL = "labos-bundle/2"
 PLANS = (PlanRecorded.TYPE, PlanStepsRecorded.TYPE)
 ABOUT, NOTE, STAMP, ROTATIONS, EVENTS = (
     "bundle.json",
@@ -49,14 +52,23 @@ BLOBS = "blobs/"
 
 
 class About(msgspec.Struct, frozen=True):
-    """What a bundle says of itself."""
+    """What a bundle says of itself. ``subject`` is what it is of, and ``kind`` what that is; ``runs`` are the
+    runs of an experiment or a campaign. One of a run names its ``run``, as the first bundles did."""
 
     format: str
     lab: str
-    run: str
     size: int
     events: int
     blobs: int
+    run: str = ""
+    kind: Kind = "run"
+    subject: str = ""
+    runs: tuple[str, ...] = ()
+
+    @property
+    def of(self) -> str:
+        """The run, experiment or campaign."""
+        return self.subject or self.run
 
 
 class ProvenEvent(msgspec.Struct, frozen=True):
@@ -68,6 +80,15 @@ class ProvenEvent(msgspec.Struct, frozen=True):
     proof: tuple[str, ...]
 
 
+class Planned(Protocol):
+    """An event with what it says."""
+
+    @property
+    def head(self) -> Envelope: ...
+    @property
+    def payload(self) -> bytes: ...
+
+
 class Attachments(msgspec.Struct, frozen=True):
     """What goes into a bundle beside the log: the checkpoint, its time stamp, changes of the key."""
 
@@ -76,19 +97,23 @@ class Attachments(msgspec.Struct, frozen=True):
     rotations: tuple[Note, ...] = ()
 
 
-def make_bundle(log: Log, blobs: BlobStore, run: str, beside: Attachments) -> tuple[bytes, About]:
-    """The bundle of a run that had ended at a checkpoint. Raises NotFound for an unknown run or a blob that
-    is not there, Refused if it had not ended, LogDamaged if the log is not the one of the checkpoint."""
+def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -> tuple[bytes, About]:
+    """The bundle of a run, an experiment or a campaign that had ended at a checkpoint. Raises NotFound for an
+    unknown one or a blob that is not there, Refused if it had not ended, LogDamaged if the log is not the one
+    of the checkpoint."""
     head = parse_tree_head(beside.note.text)
-    tree, records = _read(log, run, head)
-    if not records:
+    tree, records, runs = _read(log, subject, head)
+    kind = _kind_of(records, subject)
+    if kind is None:
         raise NotFound(
-            f"There is no run {run!r} in this log up to position {head.size}.", remedy="labos runs --all"
+            f"There is no run, experiment or campaign {subject!r} in this log up to position {head.size}.",
+            remedy="labos runs --all",
         )
-    last = [record.head.type for record in records if record.head.stream == run]
-    if not any(kind in RUN_ENDS for kind in last):
+    last = {record.head.type for record in records if record.head.stream == subject}
+    if last.isdisjoint(ENDS[kind]):
         raise Refused(
-            f"The run {run} has not ended: what is missing could not be told from what was taken away.",
+            f"The {kind} {subject} has not ended: what is missing could not be told from what was taken "
+            "away.",
             remedy="Wait for its end, then make a checkpoint.",
         )
     lines = []
@@ -101,7 +126,17 @@ def make_bundle(log: Log, blobs: BlobStore, run: str, beside: Attachments) -> tu
         )
         lines.append(msgspec.json.encode(line) + b"\n")
         digests.update(dict.fromkeys(find_needed_blobs(record.head.type, record.payload)))
-    about = About(FORMAT, records[0].head.lab, run, head.size, len(records), len(digests))
+    about = About(
+        FORMAT if kind == "run" else FORMAT_OF_SEVERAL,
+        records[0].head.lab,
+        head.size,
+        len(records),
+        len(digests),
+        run=subject if kind == "run" else "",
+        kind=kind,
+        subject=subject,
+        runs=runs,
+    )
     files = {
         ABOUT: msgspec.json.format(msgspec.json.encode(about), indent=2) + b"\n",
         NOTE: beside.note.encode(),
@@ -113,18 +148,20 @@ def make_bundle(log: Log, blobs: BlobStore, run: str, beside: Attachments) -> tu
     return _pack(files), about
 
 
-def _read(log: Log, run: str, head: TreeHead) -> tuple[Tree, list[Record]]:
-    """The tree of a checkpoint, and the records of a run: its stream, and its plan where that stands in
-    another one."""
-    found: list[Record] = []
+def _read(log: Log, subject: str, head: TreeHead) -> tuple[Tree, list[Record], tuple[str, ...]]:
+    """The tree of a checkpoint, and the records of a bundle: the stream of what it is of, those of its runs,
+    signatures under any of them, and plans that stand in other streams. And the runs."""
+    found: dict[int, Record] = {}
     plans: dict[str, list[Record]] = {}
+    runs = dict.fromkeys(runs_of(log, subject, head.size))
     hashes = []
     for record in log.read(0, head.size):
         hashes.append(leaf_hash(record.envelope))
-        if record.head.type in PLANS:
-            plans.setdefault(record.head.stream, []).append(record)
-        if record.head.stream == run or signs(record.head.type, record.payload, run):
-            found.append(record)
+        kind, stream = record.head.type, record.head.stream
+        if kind in PLANS:
+            plans.setdefault(stream, []).append(record)
+        if stream == subject or stream in runs or signs(kind, record.payload, {subject, *runs}):
+            found[record.head.position] = record
     tree = Tree(hashes)
     if tree.size != head.size or tree.root() != head.root:
         raise LogDamaged(
@@ -132,23 +169,38 @@ def _read(log: Log, run: str, head: TreeHead) -> tuple[Tree, list[Record]]:
             position=tree.size,
             remedy="Look with labos verify --checkpoint FILE.",
         )
-    return tree, sorted(
-        {record.head.position: record for record in (*found, *_plan(found, plans))}.values(),
-        key=lambda record: record.head.position,
-    )
+    for name in tuple(planned_by(found.values())):
+        found |= {record.head.position: record for record in plans.get(name, ())}
+    return tree, [found[position] for position in sorted(found)], tuple(runs)
 
 
-def signs(kind: str, payload: bytes, run: str) -> bool:
-    """Whether an event is a signature under a run."""
-    return kind == SIGNED and msgspec.json.decode(payload).get("run") == run
+def _kind_of(records: Iterable[Record], subject: str) -> Kind | None:
+    """What the first event of a stream begins."""
+    kinds = (BEGINS.get(record.head.type) for record in records if record.head.stream == subject)
+    return next((kind for kind in kinds if kind is not None), None)
 
 
-def _plan(records: Iterable[Record], plans: dict[str, list[Record]]) -> list[Record]:
+def belongs_to(submission: bytes, subject: str) -> bool:
+    """Whether the run of a submission is one of an experiment or a campaign."""
+    found = msgspec.json.decode(submission)
+    return subject in (found.get("experiment"), found.get("campaign"))
+
+
+def signs(kind: str, payload: bytes, names: Container[str]) -> bool:
+    """Whether an event is a signature under one of these."""
+    if kind not in SIGNED:
+        return False
+    found = msgspec.json.decode(payload)
+    return (found.get("run") or found.get("subject")) in names
+
+
+def planned_by(records: Iterable[Planned]) -> Iterator[str]:
+    """In which streams the plans of submitted runs stand, besides their own."""
     for record in records:
         if record.head.type == RunSubmitted.TYPE:
-            planned_by = msgspec.json.decode(record.payload).get("planned_by", "")
-            return plans.get(planned_by, [])
-    return []
+            name = msgspec.json.decode(record.payload).get("planned_by", "")
+            if name:
+                yield str(name)
 
 
 def _pack(files: dict[str, bytes]) -> bytes:

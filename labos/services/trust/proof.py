@@ -6,28 +6,32 @@ import io
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
+from labos.core.campaigns import CampaignCompleted
 from labos.core.canonical import digest
 from labos.core.envelope import Envelope
 from labos.core.merkle import is_included, leaf_hash
-from labos.core.runs import RUN_ENDS, RunSubmitted
-from labos.core.signatures import RunSigned, digest_of_records
+from labos.core.runs import RunSubmitted
+from labos.core.signatures import RecordsSigned, RunSigned, digest_of_records
 from labos.errors import BadInput
+from labos.services.signatures import BEGINS, ENDS, Kind
 from labos.services.times import iso_time
 from labos.services.trust.bundle import (
     ABOUT,
     BLOBS,
     EVENTS,
     FORMAT,
+    FORMAT_OF_SEVERAL,
     NOTE,
     PLANS,
     ROTATIONS,
     STAMP,
     About,
     ProvenEvent,
+    belongs_to,
+    planned_by,
     signs,
 )
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head
@@ -54,10 +58,12 @@ class Trust(msgspec.Struct, frozen=True):
 
 
 class Proof(msgspec.Struct, frozen=True):
-    """What was found of a bundle, part by part. ``run`` and ``lab`` are those of the events that are
-    proven."""
+    """What was found of a bundle, part by part. ``subject`` (a run, experiment or campaign: ``kind``) and
+    ``lab`` are those of the events that are proven; ``run`` is the same for a run, else empty."""
 
     run: str
+    kind: Kind
+    subject: str
     lab: str
     size: int
     signed_by: str
@@ -90,7 +96,8 @@ def prove_bundle(path: Path, trust: Trust) -> Proof:
         *_check_signatures(about, events),
         _check_blobs(files, events),
     ]
-    return Proof(about.run, events[0].head.lab if events else "", head.size, signer, tuple(parts))
+    lab = events[0].head.lab if events else ""
+    return Proof(about.run, about.kind, about.of, lab, head.size, signer, tuple(parts))
 
 
 def _unpack(path: Path) -> dict[str, bytes]:
@@ -116,7 +123,7 @@ def _said(files: dict[str, bytes], path: Path) -> About:
         about = _about.decode(files[ABOUT])
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise _no_bundle(path, f"{ABOUT}: {error}") from None
-    if about.format != FORMAT:
+    if about.format != (FORMAT if about.kind == "run" else FORMAT_OF_SEVERAL):
         raise BadInput(
             f"{path} has the format {about.format!r}, which this LabOS does not know.",
             remedy="Check it with the LabOS that made it.",
@@ -210,65 +217,98 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[Part, list[_
 
 
 def _check_story(about: About, events: Sequence[_Event]) -> Part:
-    """Whether these are all events of one run, from its submission to its end."""
-    own = [event for event in events if event.head.stream == about.run]
+    """Whether these are all events of what the bundle is of, and of its runs, each from its beginning to its
+    end."""
+    streams = {about.of: about.kind, **dict.fromkeys(about.runs, "run")}
     faults, positions = [], []
     if len({event.head.lab for event in events} | {about.lab}) > 1:
         faults.append("The events are of several labs, or of another one than the bundle says.")
     if [event.head.position for event in events] != sorted({event.head.position for event in events}):
         faults.append("The events are not in the order of the log.")
+    by_stream: dict[str, list[_Event]] = {name: [] for name in streams}
+    for event in events:
+        by_stream.get(event.head.stream, []).append(event)
+    for name, own in by_stream.items():
+        for fault, position in _gaps(name, streams[name], own):
+            faults.append(fault)
+            positions += position
+        if name != about.of and not any(_submits(event, about.of) for event in own):
+            faults.append(f"The run {name} is none of {about.of}.")
+    own = [event for event in events if event.head.stream in streams]
+    planned = set(planned_by(own))
+    for event in events:
+        is_plan = event.head.type in PLANS and event.head.stream in planned
+        if event.head.stream in streams or is_plan or signs(event.head.type, event.payload, streams):
+            continue
+        faults.append(f"Position {event.head.position}: {event.head.type} does not belong to {about.of}.")
+        positions.append(event.head.position)
+    if about.kind == "campaign":
+        faults += _missing_rows(about, by_stream[about.of])
+    return Part(about.kind, len(own), _story(about, len(own)), tuple(faults), tuple(positions))
+
+
+def _story(about: About, own: int) -> str:
+    if about.kind == "run":
+        return f"The run {about.of} is whole: {own} events of its own, from its submission to its end."
+    runs = f"{len(about.runs)} run{'' if len(about.runs) == 1 else 's'}"
+    whole = f"The {about.kind} {about.of} is whole: {own} events of its own and of its {runs}."
+    # An experiment's own events do not count its runs.
+    only = " That it had no other runs, only a signature under it says." if about.kind == "experiment" else ""
+    return whole + only
+
+
+def _gaps(name: str, kind: str, own: Sequence[_Event]) -> Iterator[tuple[str, list[int]]]:
+    """What is missing of a stream, and where that shows."""
     for number, event in enumerate(own, 1):
         if event.head.version != number:
-            faults.append(
-                f"Position {event.head.position}: this is event {event.head.version} of {about.run}, "
-                f"number {number} is missing."
-            )
-            positions.append(event.head.position)
+            at = event.head.position
+            told = f"this is event {event.head.version} of {name}, number {number} is missing"
+            yield f"Position {at}: {told}.", [at]
             break
-    kinds = [event.head.type for event in own]
-    if RunSubmitted.TYPE not in kinds:
-        faults.append(f"The submission of {about.run} is missing.")
-    if not any(kind in RUN_ENDS for kind in kinds):
-        faults.append(f"The end of {about.run} is missing.")
-    strange = [
-        event
-        for event in events
-        if event not in own
-        and not _is_plan(event, own)
-        and not signs(event.head.type, event.payload, about.run)
-    ]
-    for event in strange:
-        faults.append(f"Position {event.head.position}: {event.head.type} does not belong to {about.run}.")
-        positions.append(event.head.position)
-    told = f"The run {about.run} is whole: {len(own)} events of its own, from its submission to its end."
-    return Part("run", len(own), told, tuple(faults), tuple(positions))
+    kinds = {event.head.type for event in own}
+    if kind not in {BEGINS.get(each) for each in kinds}:
+        yield f"The {'start' if kind == 'experiment' else 'submission'} of {name} is missing.", []
+    if kinds.isdisjoint(ENDS[kind]):  # type: ignore[index]
+        yield f"The end of {name} is missing.", []
+
+
+def _submits(event: _Event, subject: str) -> bool:
+    return event.head.type == RunSubmitted.TYPE and belongs_to(event.payload, subject)
+
+
+def _missing_rows(about: About, own: Sequence[_Event]) -> Iterator[str]:
+    """A campaign says at its end how many runs it had."""
+    for event in own:
+        if event.head.type == CampaignCompleted.TYPE:
+            end = msgspec.json.decode(event.payload, type=CampaignCompleted)
+            told = end.completed + end.failed + end.cancelled
+            if told != len(about.runs):
+                yield f"{about.of} had {told} runs, and {len(about.runs)} are here."
 
 
 def _check_signatures(about: About, events: Sequence[_Event]) -> Iterator[Part]:
-    """Whether people's signatures under the run are under these records of it."""
-    own = [event.envelope for event in events if event.head.stream == about.run]
+    """Whether people's signatures under all this are under these records."""
     signed, faults, positions = [], [], []
+    names = (about.of, *about.runs)
     for event in events:
-        if not signs(event.head.type, event.payload, about.run):
+        if not signs(event.head.type, event.payload, names):
             continue
-        found = msgspec.json.decode(event.payload, type=RunSigned)
-        when = iso_time(event.head.recorded_at)
-        signed.append(f"{found.by} ({found.meaning}, {when})")
-        if (found.records, found.digest) != (len(own), digest_of_records(own)):
+        found: RunSigned | RecordsSigned
+        if event.head.type == RunSigned.TYPE:
+            found = msgspec.json.decode(event.payload, type=RunSigned)
+            streams, more = {str(found.run)}, 0
+            of = f" of {found.run}" if about.kind != "run" else ""
+        else:
+            found, of = msgspec.json.decode(event.payload, type=RecordsSigned), ""
+            streams, more = {found.subject, *about.runs}, found.runs - len(about.runs)
+        own = [each.envelope for each in events if each.head.stream in streams]
+        signed.append(f"{found.by} ({found.meaning}{of}, {iso_time(event.head.recorded_at)})")
+        if (more, found.records, found.digest) != (0, len(own), digest_of_records(own)):
             faults.append(f"Position {event.head.position}: {found.by} signed other records than these.")
             positions.append(event.head.position)
     if signed:
-        told = f"{about.run} is signed by {', '.join(signed)}."
+        told = f"{about.of} is signed by {', '.join(signed)}."
         yield Part("signed by", len(signed), told, tuple(faults), tuple(positions))
-
-
-def _is_plan(event: _Event, own: Sequence[_Event]) -> bool:
-    """Whether an event is the plan of the run, which may stand in the stream of the first run of its kind."""
-    submitted = next((each for each in own if each.head.type == RunSubmitted.TYPE), None)
-    if submitted is None or event.head.type not in PLANS:
-        return False
-    payload: dict[str, Any] = msgspec.json.decode(submitted.payload)
-    return bool(event.head.stream == payload.get("planned_by"))
 
 
 def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> Part:
@@ -295,4 +335,4 @@ def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> Part:
 
 
 def _no_bundle(path: Path, why: str) -> BadInput:
-    return BadInput(f"{path} is no bundle of a run: {why}.", remedy="Make one with labos bundle RUN -o FILE.")
+    return BadInput(f"{path} is no bundle: {why}.", remedy="Make one with labos bundle ID -o FILE.")

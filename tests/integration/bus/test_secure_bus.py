@@ -98,7 +98,7 @@ class Site:
         bus = await open_bus(connect=[self.endpoint], security=self.security(NODE))
         journal = await Journal.open(FileJournalFile(self.folder / "sealer.journal"), Uuid7Ids())
         node = Device(Setup("sealer", "cell"))
-        self.sealer = NodeServer(node, bus, LAB, journal, SystemClock(), Uuid7Ids(), heartbeat_s=60.0)
+        self.sealer = NodeServer(node, bus, LAB, journal, SystemClock(), Uuid7Ids(), heartbeat_s=600.0)
         self.sealer_bus = bus
         await self.sealer.start()
 
@@ -193,6 +193,21 @@ def test_nobody_publishes_for_another_module(site: Site, who: str) -> None:
         site.does("put", who, key, "{}")
     site.in_order()
     assert [key for key in site.heard if key in forged] == ([] if site.secure else forged)
+
+
+@pytest.mark.parametrize("who", ["peeler", "viewer", "nobody"])
+def test_everybody_may_send_a_list_of_members_and_that_allows_nothing_else(site: Site, who: str) -> None:
+    """A certificate that is not listed, or was revoked, is heard in this alone: a list says who signed it."""
+    lists: list[str] = []
+    handle = site.run(site.router.subscribe("labos/@members", lambda key, _: lists.append(key)))
+    forged = [KEYS.result(SEALER, f"forged-{who}-{number}") for number in range(20)]
+    for key in (*forged, "labos/@members/more", "labos/@members"):
+        site.does("put", who, key, "{}")
+    site.run(until(lambda: lists == ["labos/@members"]))
+    site.in_order()
+    assert [key for key in site.heard if key in forged] == ([] if site.secure else forged)
+    assert lists == ["labos/@members"]
+    handle.close()
 
 
 @pytest.mark.parametrize("who", ["peeler", "kernel", "viewer", "nobody"])

@@ -51,6 +51,7 @@ TAKE = "labos: 1\nname: t\nsteps:\n  - {name: look, module: arm, action: read_po
 SLOWEST_S = 20.0
 """No answer may take longer, on a loaded machine."""
 
+SIGNATURE = {"meaning": "reviewed", "password": "four words of mine", "why": "x"}
 EXAMPLES: dict[str, dict[str, Any]] = {
     "/login": {"user": "ada", "password": "four words of hers", "token": True, "label": "x", "days": 1.0},
     "/logout": {},
@@ -221,7 +222,13 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "/round": {"by": "ada", "stations": {"sealer.default": ["plate96"]}, "as_recorded": ["ot2.deck1"]},
     "/labware/{labware}/barcode": {"barcode": "B1", "by": "ada", "replace": True},
     "/labware/{labware}/owner": {"to": "user:bo", "by": "ada", "force": True, "note": "x"},
-    "/runs/{run}/signatures": {"meaning": "reviewed", "password": "four words of mine", "why": "x"},
+    "/runs/{run}/signatures": SIGNATURE,
+    "/experiments/{experiment}/signatures": {
+        "meaning": "reviewed",
+        "password": "four words of mine",
+        "why": "x",
+    },
+    "/campaigns/{campaign}/signatures": SIGNATURE,
     "/samples": {
         "text": "well,sample\nA1,s1\n",
         "by": "ada",

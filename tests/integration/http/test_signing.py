@@ -444,11 +444,26 @@ def test_whoever_is_erased_is_gone_and_events_remain(tmp_path: Path) -> None:
             is_problem(bob.post("/users/ada/person", json=person), 403, "forbidden")
             assert bob.post("/experiments", json={"name": "mine"}).status_code == 201
             assert ada.get("/people").json()["people"] == [{"user": "bob", **person}]
+            with client_of(lab, token_of(tmp_path, "agent")) as agent:
+                is_problem(agent.post("/users/bob/erase", json={}), 403, "forbidden")
+            assert ada.get("/events", params={"type": "user.erased"}).json()["events"] == []
             assert ada.post("/users/bob/erase", json={}).status_code == 200
             assert ada.get("/people").json()["people"] == []
             is_problem(bob.get("/state"), 401, "not_signed_in")
             events = ada.get("/events", params={"actor": "bob"}).json()["events"]
             assert events
+            told = ada.get("/events", params={"type": "user.erased"}).json()["events"]
+            assert [(each["actor"], each["payload"]) for each in told] == [("ada", {"user": "bob"})]
+            with LabClient(home=tmp_path / "lab") as home:  # whose owner has no name
+                home.erase_person("ada")
+            store = lab.runtime.kernel.state.users
+            assert store.get("ada") is not None, "they are users as before"
+        with LabClient(home=tmp_path / "lab") as home:
+            told = list(home.events(type="user.erased"))
+        assert [(each["actor"], each["payload"]["user"]) for each in told] == [
+            ("ada", "bob"),
+            ("labos", "ada"),
+        ]
     for file in (tmp_path / "lab").rglob("*"):
         if file.is_file():
             assert b"nmistakable" not in file.read_bytes(), file

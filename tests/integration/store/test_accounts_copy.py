@@ -92,3 +92,38 @@ def test_who_was_erased_is_gone_with_the_next_backup(tmp_path: Path, monkeypatch
     accounts = open_accounts(url)
     assert ([token.user for token in accounts.tokens()], accounts.people()) == (["bob"], {})
     accounts.close()
+
+
+@pytest.mark.parametrize("attack", ["seal", "lab", "text", "row"])
+def test_a_backup_is_verified_with_its_accounts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, attack: str
+) -> None:
+    """What `labos restore` would refuse, `labos verify --backup` finds before."""
+    monkeypatch.delenv("LABOS_DATABASE_URL", raising=False)
+    lab, safe, key = Lab(tmp_path / "lab"), tmp_path / "safe", tmp_path / "key"
+    lab.home.mkdir(mode=0o700)
+    lab.write(two_users().records)
+    key.write_text("k" * 64)
+    key.chmod(0o600)
+    sealing = ("--key", str(key)) if attack == "seal" else ()
+    fill(f"sqlite:///{lab.home / 'labos.db'}")
+    lab.ask("backup", str(safe), *sealing)
+    assert "The accounts of 2 users are whole" in lab.ask("verify", "--backup", str(safe), *sealing)
+    told = json.loads(lab.ask("verify", "--backup", str(safe), *sealing, "--json"))
+    assert (told["whole"], told["accounts"]["users"]) == (True, 2)
+    text = (safe / FILE).read_text()
+    changed = {
+        "seal": text.replace('"bob"', '"ada"'),
+        "lab": text.replace(json.loads(text)["lab"], "another"),
+        "text": text[:-40],
+        "row": text.replace("00ff31", "no hex"),
+    }[attack]
+    assert changed != text
+    (safe / FILE).write_text(changed)
+    said = lab.ask("verify", "--backup", str(safe), *sealing, code=1)
+    assert "The backup is damaged" in said
+    assert "accounts.json" in said
+    told = json.loads(lab.ask("verify", "--backup", str(safe), *sealing, "--json", code=1))
+    assert told["whole"] is False
+    (safe / FILE).unlink()
+    assert "It holds no accounts" in lab.ask("verify", "--backup", str(safe), *sealing)

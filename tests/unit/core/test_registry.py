@@ -128,7 +128,7 @@ from labos.core.runs import (
 )
 from labos.core.shares import Group, Member, Quota, SharesApplied
 from labos.core.shorter import BenchCompared, LogFoundShorter, StationsChecked
-from labos.core.signatures import RunSigned
+from labos.core.signatures import RecordsSigned, RunSigned
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.topics import Choice, LostLabware
@@ -142,6 +142,7 @@ from labos.core.users import (
     UserAdded,
     UserDisabled,
     UserEnabled,
+    UserErased,
 )
 from labos.errors import LogTooNew
 from tests.support.bench import small_cell
@@ -233,6 +234,7 @@ EXAMPLES: list[Event] = [
     RunApproved("R1", "bo"),  # type: ignore[arg-type]
     RunSigned("R1", "bo", "reviewed", 37, "d", "password", "checked"),  # type: ignore[arg-type]
     OrderSuggested("rpl", "planner", 9, (Suggested("R1", 2, 5),)),  # type: ignore[arg-type]
+    RecordsSigned("E3", "experiment", "bo", "reviewed", 4, 137, "d", "password", "checked"),
     PolicyApplied("d", Policy(trusted=("robot",), above=Budget(3, 60.0, {"tips": 8.0}), priority=2)),
     ApprovalRequested(
         *("C1", "amendment", "screen", "ada", "robot for ada", "d", (Why("program", "by a program"),)),  # type: ignore[arg-type]
@@ -297,6 +299,7 @@ EXAMPLES: list[Event] = [
     UserAdded("robot", "service"),
     UserDisabled("ada"),
     UserEnabled("ada"),
+    UserErased("bo"),
     GroupAdded("chemistry"),
     GroupRemoved("chemistry"),
     MemberAdded("chemistry", "ada"),
@@ -444,7 +447,9 @@ def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:
 def test_every_type_is_folded_somewhere_or_only_remembered() -> None:
     assert set(TABLE) == set(TYPES.values())
     silent = {kind.TYPE for kind, handlers in TABLE.items() if not handlers}
-    assert silent == {"experiment.resumed", "request.repeated", "run.signed"}
+    assert silent == {
+        *("experiment.resumed", "records.signed", "request.repeated", "run.signed", "user.erased"),
+    }
 
 
 def test_names_say_family_and_past() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from labos.core.decide.rights import denied
 from labos.core.decide.shares import ApplyShares
 from labos.core.decide.users import (
     AddGroup,
@@ -11,6 +12,7 @@ from labos.core.decide.users import (
     AddUser,
     DisableUser,
     EnableUser,
+    EraseUser,
     GrantRole,
     RemoveGroup,
     RemoveMember,
@@ -49,6 +51,19 @@ def test_the_first_user_is_admin_and_must_be_a_person() -> None:
 def test_ids_that_would_read_as_somebody_else_are_refused(name: str) -> None:
     assert staffed().refused(AddUser(name)).code == "bad_id"
     assert staffed().refused(AddGroup(name)).code == "bad_id"
+
+
+def test_an_erasure_is_noted_by_the_user_or_an_admin() -> None:
+    lab = staffed("ada", "bo")
+    for by, user in (("ada", "ada"), ("root-1", "bo"), ("labos", "bo")):
+        assert denied(lab.state, EraseUser(user, by), by) is None
+    for by, actor in (("ada", "ada"), ("bo", "ada")):
+        assert denied(lab.state, EraseUser("bo", by), actor) is not None
+    before = dict(lab.state.users.known)
+    lab.do(EraseUser("bo", "root-1"))
+    assert lab.state.users.known == before, "the log speaks of them"
+    assert lab.refused(EraseUser("eve", "root-1")).code == lab.refused(DisableUser("eve")).code
+    lab.check_log()
 
 
 def test_ids_that_differ_in_case_only_are_one() -> None:

@@ -1,0 +1,48 @@
+"""Electronic signatures as rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.audit._rows import Rows
+from labos.audit._work_tables import SIGNATURES
+from labos.core.envelope import Envelope
+from labos.core.signatures import RecordsSigned, RunSigned
+
+
+def on_run_signed(rows: Rows, event: RunSigned, head: Envelope, at: float) -> None:
+    _add(rows, event, event.run, "run", 0, head, at)
+
+
+def on_records_signed(rows: Rows, event: RecordsSigned, head: Envelope, at: float) -> None:
+    _add(rows, event, event.subject, event.kind, event.runs, head, at)
+
+
+def _add(
+    rows: Rows,
+    event: RunSigned | RecordsSigned,
+    subject: str,
+    kind: str,
+    runs: int,
+    head: Envelope,
+    at: float,
+) -> None:
+    rows.put(
+        SIGNATURES,
+        {
+            "position": head.position,
+            "subject": subject,
+            "kind": kind,
+            "signed_by": event.by,
+            "meaning": event.meaning,
+            "comment": event.why,
+            "method": event.method,
+            "at_s": at,
+            "runs": runs,
+            "records": event.records,
+            "digest": event.digest,
+        },
+    )
+
+
+HANDLERS: dict[Any, Any] = {RunSigned: on_run_signed, RecordsSigned: on_records_signed}

@@ -1,0 +1,138 @@
+"""Electronic signatures under runs, experiments and campaigns."""
+
+from __future__ import annotations
+
+from labos.http.answers import Signatures
+from labos.http.bodies import RunSignature
+from labos.http.method import Method
+from labos.http.operation import Call, Operation
+from labos.http.queries import OfCampaign, OfExperiment, OfRun
+from labos.http.signing_runs import list_signatures_under, sign
+from labos.services.signatures import Signature
+
+
+async def sign_run(call: Call, path: OfRun, body: RunSignature) -> Signature:
+    """The signature is an event, and binds to all records of the run. Who signs shows the password again,
+    whatever they signed in with."""
+    return await sign(call, path.run, "run", body)
+
+
+async def list_signatures(call: Call, path: OfRun) -> Signatures:
+    """In the order of the log. `holds`: the record of the run is the one that was signed."""
+    return Signatures(await list_signatures_under(call, path.run, "run"))
+
+
+async def sign_experiment(call: Call, path: OfExperiment, body: RunSignature) -> Signature:
+    """As for a run. The signature binds to all records of the experiment and of all its runs."""
+    return await sign(call, path.experiment, "experiment", body)
+
+
+async def list_experiment_signatures(call: Call, path: OfExperiment) -> Signatures:
+    """In the order of the log. `holds`: the records are those that were signed."""
+    return Signatures(await list_signatures_under(call, path.experiment, "experiment"))
+
+
+async def sign_campaign(call: Call, path: OfCampaign, body: RunSignature) -> Signature:
+    """As for a run. The signature binds to all records of the campaign and of all its runs."""
+    return await sign(call, path.campaign, "campaign", body)
+
+
+async def list_campaign_signatures(call: Call, path: OfCampaign) -> Signatures:
+    """In the order of the log. `holds`: the records are those that were signed."""
+    return Signatures(await list_signatures_under(call, path.campaign, "campaign"))
+
+
+_ASKED = {"meaning": "reviewed", "password": "four words of yours", "why": "checked"}
+_SIGNATURE = {
+    "subject": "R1",
+    "kind": "run",
+    "run": "R1",
+    "by": "ada",
+    "meaning": "reviewed",
+    "why": "checked",
+    "method": "password",
+    "at": 1767225600000000000,
+    "time": "2026-01-01T00:00:00.000000000Z",
+    "position": 214,
+    "runs": 0,
+    "records": 37,
+    "digest": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+    "holds": True,
+}
+_EXPERIMENT = {**_SIGNATURE, "subject": "E1", "kind": "experiment", "run": "", "runs": 3, "records": 97}
+_CAMPAIGN = {**_EXPERIMENT, "subject": "C1", "kind": "campaign"}
+
+OPERATIONS = (
+    Operation(
+        method="POST",
+        path="/runs/{run}/signatures",
+        handler=sign_run,
+        client=Method("sign_run", repeat=True),
+        summary="Sign the record of a run that has ended",
+        tag="runs",
+        needs="viewer",
+        secret=True,
+        problems=("refused", "not_found", "too_many_tries"),
+        example=_ASKED,
+        example_answer=_SIGNATURE,
+    ),
+    Operation(
+        method="GET",
+        path="/runs/{run}/signatures",
+        handler=list_signatures,
+        client=Method("signatures", take="signatures"),
+        summary="Who has signed the record of a run",
+        tag="runs",
+        needs="viewer",
+        problems=("not_found",),
+        example_answer={"signatures": [_SIGNATURE]},
+    ),
+    Operation(
+        method="POST",
+        path="/experiments/{experiment}/signatures",
+        handler=sign_experiment,
+        client=Method("sign_experiment", repeat=True),
+        summary="Sign the record of an experiment that has ended",
+        tag="experiments",
+        needs="viewer",
+        secret=True,
+        problems=("refused", "not_found", "too_many_tries"),
+        example=_ASKED,
+        example_answer=_EXPERIMENT,
+    ),
+    Operation(
+        method="GET",
+        path="/experiments/{experiment}/signatures",
+        handler=list_experiment_signatures,
+        client=Method("experiment_signatures", take="signatures"),
+        summary="Who has signed the record of an experiment",
+        tag="experiments",
+        needs="viewer",
+        problems=("not_found",),
+        example_answer={"signatures": [_EXPERIMENT]},
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns/{campaign}/signatures",
+        handler=sign_campaign,
+        client=Method("sign_campaign", repeat=True),
+        summary="Sign the record of a campaign that has ended",
+        tag="campaigns",
+        needs="viewer",
+        secret=True,
+        problems=("refused", "not_found", "too_many_tries"),
+        example=_ASKED,
+        example_answer=_CAMPAIGN,
+    ),
+    Operation(
+        method="GET",
+        path="/campaigns/{campaign}/signatures",
+        handler=list_campaign_signatures,
+        client=Method("campaign_signatures", take="signatures"),
+        summary="Who has signed the record of a campaign",
+        tag="campaigns",
+        needs="viewer",
+        problems=("not_found",),
+        example_answer={"signatures": [_CAMPAIGN]},
+    ),
+)

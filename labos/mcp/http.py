@@ -1,0 +1,143 @@
+"""The server over HTTP (the protocol's Streamable HTTP, without sessions): each request acts with the token
+that it shows, and with nothing else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+
+import structlog
+import uvicorn
+from mcp.server.transport_security import TransportSecurityMiddleware, TransportSecuritySettings
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from labos.client import LabClient
+from labos.errors import BadInput, Forbidden, LabosError, NotSignedIn
+from labos.http.identity import BEHALF
+from labos.http.problems import problem_of
+from labos.http.server import Listening, is_own_address, listen, tls_of
+from labos.http.wire import send_problem
+from labos.mcp.server import make_server, sign_in
+from labos.services.accounts import TOKEN
+
+PATH = "/mcp"
+AT_ONCE = 64
+"""Connections."""
+LONGEST_TOKEN = 200
+OWN = ("127.0.0.1", "localhost")
+
+_caller: ContextVar[LabClient] = ContextVar("caller")
+_log = structlog.get_logger(__name__)
+
+
+def make_app(url: str, home: str | None, listening: Listening) -> ASGIApp:
+    """The application over the lab at an address or in a folder."""
+    names = {*OWN, *listening.names, *(() if listening.host == "0.0.0.0" else (listening.host,))}
+    # Browsers are no agents: no page may ask, wherever it comes from.
+    rules = TransportSecuritySettings(
+        allowed_hosts=[*names, *(f"{name}:*" for name in names)], allowed_origins=[]
+    )
+    app = make_server(_caller.get).streamable_http_app(
+        streamable_http_path=PATH, stateless_http=True, json_response=True, transport_security=rules
+    )
+    return _Callers(app, url, home, rules)
+
+
+def serve(url: str, home: str | None, listening: Listening, tell: Callable[[str], None]) -> None:
+    """Serve until the process is interrupted; ``tell`` is told the address. Raises BadInput for an address or
+    a certificate that cannot be used."""
+    if not is_own_address(listening.host) and not listening.is_secure:
+        raise BadInput(
+            f"Other computers reach {listening.host}, and tokens would cross the network in clear.",
+            remedy="Leave --host out, or give --tls-cert and --tls-key, or say --behind-proxy if another "
+            "program speaks TLS for it.",
+        )
+    tls = tls_of(listening)
+    socket = listen(listening.host, listening.port)
+    config = uvicorn.Config(
+        make_app(url, home, listening),
+        log_config=None,
+        access_log=False,
+        limit_concurrency=AT_ONCE,
+        timeout_graceful_shutdown=1,
+        ws="none",
+    )
+    config.load()
+    config.ssl = tls
+    scheme = "https" if tls else "http"
+    tell(f"{scheme}://{listening.host}:{socket.getsockname()[1]}{PATH}")
+    try:
+        _Server(config).run([socket])
+    finally:
+        socket.close()
+
+
+class _Server(uvicorn.Server):
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Signals belong to the command."""
+        yield
+
+
+class _Callers:
+    """Lets service accounts in. What they ask for is asked of the lab with their own tokens: one that is
+    revoked is good for nothing from then on."""
+
+    def __init__(self, app: ASGIApp, url: str, home: str | None, rules: TransportSecuritySettings) -> None:
+        self._app, self._url, self._home = app, url, home
+        self._door = TransportSecurityMiddleware(rules)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request = Request(scope)
+        if request.method != "POST":  # without sessions nothing is told unasked, and nothing ends
+            await Response("Send requests by POST.", 405, {"allow": "POST"})(scope, receive, send)
+            return
+        refusal = await self._door.validate_request(request, is_post=True)
+        if refusal is not None:
+            await refusal(scope, receive, send)
+            return
+        try:
+            lab = await asyncio.to_thread(
+                sign_in, self._url, self._home, token=_shown(request), behalf=request.headers.get(BEHALF, "")
+            )
+        except LabosError as error:
+            _log.info("agent_refused", why=error.message)
+            await _refusal(error)(scope, receive, send)
+            return
+        mark = _caller.set(lab)
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            _caller.reset(mark)
+            await asyncio.to_thread(lab.close)
+
+
+def _shown(request: Request) -> str:
+    """The token of a request. What else a client might find on this computer is nobody's. Raises
+    NotSignedIn."""
+    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    token = token.strip()
+    if scheme.lower() != "bearer" or not token.startswith(TOKEN) or len(token) > LONGEST_TOKEN:
+        raise NotSignedIn(
+            "The request shows no token of this lab.",
+            remedy="Send the header `Authorization: Bearer TOKEN`, with the token of a service account: "
+            "labos token create --for NAME",
+        )
+    return token
+
+
+def _refusal(error: LabosError) -> Response:
+    if isinstance(error, BadInput):  # somebody is known, and is no service account
+        error = Forbidden(error.message, remedy=error.remedy)
+    found = send_problem(problem_of(error))
+    if found.status_code == 401:
+        found.headers["www-authenticate"] = "Bearer"
+    return found
