@@ -45,6 +45,7 @@ from labos.errors import BadInput, BusError, Fenced, StoreError, Unreadable
 from labos.http.campaign_rows import CampaignRows
 from labos.http.desk import Desk
 from labos.http.feed import Feed
+from labos.http.finding import Finder
 from labos.http.identity import Gate
 from labos.http.server import HttpServer
 from labos.http.service import LabService
@@ -346,6 +347,7 @@ async def open_lab(
         feed = Feed()
         kernel.listeners.append(feed)
         lab.service = LabService(lab, feed, _viewers(settings))
+        lab.service.finder = Finder(settings.database, settings.blobs, settings.home)
         http_port = _port(settings, settings.http_port, last_ports(settings.home).http)
         lab.gate = stack.enter_context(opened_gate(settings, kernel, lab.metrics))
         await give_first_password(settings, lab.gate.accounts)

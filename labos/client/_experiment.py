@@ -17,7 +17,7 @@ from labos.client._lab import LabClient
 from labos.client._progress import Progress
 from labos.client._results import RunResult
 from labos.client._services import Computations
-from labos.errors import CommitInDoubt, LabosError
+from labos.errors import BadInput, CommitInDoubt, LabosError
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -121,6 +121,27 @@ class Experiment:
         with self._noting:  # computations are noted from threads of their own
             self._note(kind, name, facts)
 
+    def publish(
+        self,
+        title: str,
+        *,
+        about: str = "",
+        keywords: Sequence[str] = (),
+        creators: Sequence[str] = (),
+        files: Iterable[str | Path] | Mapping[str, bytes] = (),
+        runs: Sequence[str] = (),
+    ) -> None:
+        """Make something known that came of the experiment, as one event: `labos find` finds it by its title,
+        what it is about, keywords, creators and the names of its files, which the lab keeps. Files are paths,
+        or contents by name. Creators are ids of users, or their ORCID iDs: what is published stays in the
+        log for ever, so name no persons. Raises BadInput for a file that cannot be read."""
+        kept = [
+            {"file": name, "sha256": self.keep_file(content), "bytes": len(content)}
+            for name, content in _contents(files)
+        ]
+        listed = {"keywords": list(keywords), "creators": list(creators) or [self.user], "runs": list(runs)}
+        self.note("publication", title, title=title, about=about, files=kept, **listed)
+
     def compute(self, function: Callable[..., Any], *args: Any, where: str = "pool", **named: Any) -> Any:
         """What a function returns that is computed in another process, with an event that names it, the
         digests of its code and arguments, where it ran, how long, and what it returned. ``where`` is local (a
@@ -173,6 +194,19 @@ class Experiment:
                 self.lab.heartbeat(self.id)
             except LabosError:
                 continue
+
+
+def _contents(files: Iterable[str | Path] | Mapping[str, bytes]) -> Iterator[tuple[str, bytes]]:
+    """Name and content of each file."""
+    if isinstance(files, Mapping):
+        yield from files.items()
+        return
+    for path in map(Path, files):
+        try:
+            yield path.name, path.read_bytes()
+        except OSError as error:
+            why = error.strerror or error
+            raise BadInput(f"{path} cannot be read: {why}.", remedy="Name a file that is there.") from None
 
 
 def _on_one_line(why: str) -> str:

@@ -379,6 +379,28 @@ class AsyncExperiment:
         local_compute, compute, flow or publication."""
         await self.threads.wait(self.sync.note, kind, name, **facts)
 
+    async def publish(
+        self,
+        title: str,
+        *,
+        about: str = "",
+        keywords: Sequence[str] = (),
+        creators: Sequence[str] = (),
+        files: Iterable[str | Path] | Mapping[str, bytes] = (),
+        runs: Sequence[str] = (),
+    ) -> None:
+        """Make something known that came of the experiment, as one event: `labos find` finds it by its
+        title, what it is about, keywords, creators and the names of its files, which the lab keeps."""
+        await self.threads.wait(
+            self.sync.publish,
+            title,
+            about=about,
+            keywords=keywords,
+            creators=creators,
+            files=files,
+            runs=runs,
+        )
+
     async def run(
         self,
         workflow: str | Path,
