@@ -12,8 +12,9 @@ import pytest
 from labos.bootstrap import LabThread, descriptions
 from labos.client import Experiment, LabClient
 from labos.errors import BadInput
-from labos.settings import Settings
+from labos.settings import Settings, free_port
 from labos.spec import load_workcell
+from tests.support.api_process import ApiProcess
 from tests.support.lab_process import until
 
 CELL = "labos: 1\nname: corner\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
@@ -80,3 +81,17 @@ def _is_found(client: LabClient, words: str) -> bool:
         return bool(client.find(words)["total"] == 1)
     except Refused:
         return False
+
+
+@pytest.mark.slow
+def test_an_api_process_finds_too(lab: LabThread, tmp_path: Path) -> None:
+    api = ApiProcess(tmp_path, "api-find", free_port(), "--home", str(lab.settings.home))
+    with LabClient(lab.url) as client:
+        publish(client, "Through the side door", tmp_path)
+        try:
+            api.start()
+            with LabClient(api.url) as beside:
+                found = beside.find("side door")
+            assert [entry["title"] for entry in found["entries"]] == ["Through the side door"]
+        finally:
+            api.kill()
