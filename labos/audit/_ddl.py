@@ -69,6 +69,8 @@ def make_all(dialect: Dialect) -> Iterator[str]:
             name = f"labos_{table.name}_{'_'.join(columns)}"
             listed = ", ".join(f'"{column}"' for column in columns)
             yield f'CREATE INDEX "{name}" ON {table_name(table.name, dialect)} ({listed})'
+        if table.searched:
+            yield from _words(table, dialect)
     for table in VIEWS:
         yield _view(table, dialect)
     at = _MOMENTS[dialect].format("at_s")
@@ -85,6 +87,9 @@ def drop_all(dialect: Dialect) -> Iterator[str]:
         return
     for name in (STATE, *(table.view for table in VIEWS)):
         yield f"DROP VIEW IF EXISTS {view_name(name, dialect)}"
+    for table in TABLES:
+        if table.searched:
+            yield f"DROP TABLE IF EXISTS {words_name(table)}"
     for name in (STATE, *(table.name for table in TABLES)):
         yield f"DROP TABLE IF EXISTS {table_name(name, dialect)}"
 
@@ -96,6 +101,42 @@ def _table(table: Table, dialect: Dialect) -> str:
     compact = " WITHOUT ROWID" if dialect == "sqlite" and len(table.key) > 1 else ""
     made = f"CREATE TABLE {table_name(table.name, dialect)} ({', '.join(columns)}, PRIMARY KEY ({key}))"
     return f"{made}{compact}"
+
+
+def words_name(table: Table) -> str:
+    """SQLite's index of the words of a table, a table by itself."""
+    return table_name(f"{table.name}_words", "sqlite")
+
+
+def vector(table: Table) -> str:
+    """PostgreSQL's search vector of a row of a table, as its index has it."""
+    return f"array_to_tsvector(string_to_array(\"{table.searched}\", ' '))"
+
+
+def _words(table: Table, dialect: Dialect) -> Iterator[str]:
+    """An index by words. In SQLite triggers keep it, as a row that takes the place of another is deleted."""
+    if dialect == "postgresql":
+        yield (
+            f'CREATE INDEX "labos_{table.name}_words" ON {table_name(table.name, dialect)} '
+            f"USING gin ({vector(table)})"
+        )
+        return
+    (key,), column = table.key, table.searched
+    name, made = table_name(table.name, dialect), words_name(table)
+    yield (
+        f'CREATE VIRTUAL TABLE {made} USING fts5("{column}", content={name}, content_rowid="{key}", '
+        "tokenize=ascii, detail=none)"
+    )
+    quoted = made.strip('"')
+    yield (
+        f'CREATE TRIGGER "{quoted}_added" AFTER INSERT ON {name} BEGIN '
+        f'INSERT INTO {made} (rowid, "{column}") VALUES (new."{key}", new."{column}"); END'
+    )
+    yield (
+        f'CREATE TRIGGER "{quoted}_deleted" AFTER DELETE ON {name} BEGIN '
+        f'INSERT INTO {made} ({made}, rowid, "{column}") '
+        f'VALUES (\'delete\', old."{key}", old."{column}"); END'
+    )
 
 
 def _view(table: Table, dialect: Dialect) -> str:

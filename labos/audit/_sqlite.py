@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import itemgetter
 from typing import Any, ClassVar
 
 from sqlalchemy.engine import URL
@@ -64,6 +65,8 @@ class SqliteAudit(AuditDatabase):
                 self._connection.execute("PRAGMA journal_mode = WAL")
                 # What a power cut takes away is projected again: position and rows go together.
                 self._connection.execute("PRAGMA synchronous = NORMAL")
+                # A row that takes the place of another one leaves the index of words with it.
+                self._connection.execute("PRAGMA recursive_triggers = ON")
                 self._connection.execute(f"PRAGMA cache_size = -{CACHE_KB}")
                 self._connection.execute(f"PRAGMA wal_autocheckpoint = {PAGES_LOGGED}")
             except sqlite3.DatabaseError:
@@ -116,4 +119,5 @@ class SqliteAudit(AuditDatabase):
         self._connection.executemany(_INSERT[table.name], rows)
 
     def _replace(self, table: Table, rows: list[Sequence[Any]]) -> None:
-        self._insert(table, rows)
+        # The index of words is written in the order of the rows' numbers, or piece by piece.
+        self._insert(table, sorted(rows, key=itemgetter(0)) if table.searched else rows)

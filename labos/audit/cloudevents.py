@@ -19,6 +19,11 @@ PREFIX = "labos."
 """Before every type, so that it is not taken for one of another program."""
 
 
+def source_of(lab: str) -> str:
+    """The lab as the source of its events."""
+    return f"{NAMESPACE}{quote(lab, safe='')}"
+
+
 def cloudevent(record: Record) -> bytes:
     """A record as one line of JSON. ``data`` is the payload as it is stored, in the schema of its time
     (``eventschema``); ``hash`` is the record's place in the chain."""
@@ -26,7 +31,7 @@ def cloudevent(record: Record) -> bytes:
     told: dict[str, Any] = {
         "specversion": "1.0",
         "id": head.id,
-        "source": f"{NAMESPACE}{quote(head.lab, safe='')}",
+        "source": source_of(head.lab),
         "type": PREFIX + head.type,
         "time": iso_time(head.recorded_at),
         "datacontenttype": "application/json",

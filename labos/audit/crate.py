@@ -4,7 +4,8 @@ A crate conforms to Process Run Crate 0.5 (https://w3id.org/ro/wfrun/process/0.5
 a ``CreateAction``, its instrument the driver with its version, its agent the user who asked for the run. If
 all runs follow one workflow and each has carried out something, it conforms to Workflow Run Crate and
 Provenance Run Crate 0.5 as well: the workflow is the main entity, a run is an action of its own, and each
-step of it is told by a ``ControlAction``. Steps that were not carried out stand in the plan only.
+step of it is told by a ``ControlAction``. Steps that were not carried out stand in the plan only. Of an
+experiment the application is that workflow, and runs are its steps.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from typing import Any
 
 import msgspec
 
+from labos.audit._crate_experiment import Done, Program, add_experiment, experiment_of
 from labos.audit._crate_parts import METADATA, VERSION, Crate, link, local_id, safe_name, with_offset
 from labos.audit._crate_steps import STATUS, Doer, add_action, json_of
 from labos.audit.query import Asker
 from labos.core.canonical import canonical
 from labos.core.lab import KernelStarted
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
-from labos.errors import NotFound
+from labos.errors import BadInput, NotFound
 from labos.ports import LogQuery
 from labos.services.log import Log
 from labos.services.times import iso_time
@@ -35,6 +37,9 @@ OF_ONE_WORKFLOW = (
 )
 
 NO_LICENSE = "No licence was given. Ask the lab before you use its data."
+
+NOT_CARRIED_OUT = ["File", "SoftwareSourceCode", "HowTo"]
+"""A workflow of which nothing was carried out: the profiles want tools of one that computes."""
 
 _RUNS = (
     "SELECT run, workflow, workcell, user_id, experiment, status, why, plan, pins, payload, submitted_at, "
@@ -110,10 +115,16 @@ def runs_of(asker: Asker, name: str) -> list[Run]:
     return [Run(*row) for row in rows]
 
 
-def make_crate(asker: Asker, log: Log, name: str, now_ns: int, license_: str = "") -> Crate:
-    """The crate of a run or an experiment, as far as it has come. ``license_`` is the URL of a licence.
-    Raises NotFound, LogDamaged."""
+def make_crate(
+    asker: Asker, log: Log, name: str, now_ns: int, license_: str = "", program: Program | None = None
+) -> Crate:
+    """The crate of a run or an experiment, as far as it has come. ``license_`` is the URL of a licence,
+    ``program`` the source of the experiment's application. Raises NotFound, LogDamaged, and BadInput for the
+    program of a run."""
     runs = runs_of(asker, name)
+    experiment = None if runs[0].run == name else experiment_of(asker, name)
+    if experiment is None and program is not None:
+        raise BadInput(f"{name} is a run, and has no program.", remedy="Name an experiment, or no program.")
     crate = Crate()
     about = {"@id": "./"}
     crate.add("CreativeWork", METADATA, about=about, conformsTo=link(VERSION))
@@ -131,8 +142,16 @@ def make_crate(asker: Asker, log: Log, name: str, now_ns: int, license_: str = "
     workflows = {run.run: _add_workflow(crate, log, run) for run in runs}
     done = [_add_run(crate, asker, log, run, workflows[run.run]) for run in runs]
     main = set(workflows.values())
+    if experiment is not None:
+        told_runs = [
+            Done(run.run, workflows[run.run], tuple(_add_kernels(crate, log, run)), run.submitted_position)
+            for run in runs
+        ]
+        for workflow in main - {workflows[run.run] for run, acted in zip(runs, done, strict=True) if acted}:
+            crate.tell(workflow, **{"@type": NOT_CARRIED_OUT})
+        main = {add_experiment(crate, log, experiment, told_runs, program)}
     profiles = [PROCESS]
-    if len(main) == 1 and all(done):
+    if len(main) == 1 and (all(done) if experiment is None else any(done)):
         profiles += OF_ONE_WORKFLOW
         crate.tell("./", mainEntity=link(*main))
         crate.tell(METADATA, conformsTo=link(VERSION, OF_ONE_WORKFLOW[-1][0]))

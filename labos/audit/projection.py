@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from labos.audit import _approvals, _bench, _campaigns, _liquids, _people, _signatures, _work
+from labos.audit import _approvals, _bench, _campaigns, _entries, _liquids, _people, _signatures, _work
 from labos.audit._bench_tables import TOUCHES
 from labos.audit._rows import Rows, seconds
 from labos.audit._touches import touched_by
@@ -31,7 +31,7 @@ _KNOWN: dict[type[Event], list[tuple[int, str]]] = {
 _HANDLERS: dict[type[Event], tuple[Handler, ...]] = {
     kind: tuple(
         slice_.HANDLERS[kind]
-        for slice_ in (_work, _bench, _liquids, _people, _campaigns, _approvals, _signatures)
+        for slice_ in (_work, _bench, _liquids, _people, _campaigns, _approvals, _signatures, _entries)
         if kind in slice_.HANDLERS
     )
     for kind in TYPES.values()
@@ -61,7 +61,9 @@ class Projection:
         for handler in _HANDLERS[kind]:
             handler(rows, event, head, at)
         if kind in _liquids.SHEETS:
+            before = _entries.samples_of(rows, event.labware)  # type: ignore[attr-defined]
             _liquids.on_samples_registered(rows, event, head, at, self.blobs)
+            _entries.on_samples_registered(rows, event, head, at, before)  # type: ignore[arg-type]
         _people.note_actor(rows, head, at)
         for name in touched_by(rows, event):
             rows.add(TOUCHES, name, head.position)

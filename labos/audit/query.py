@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from labos.audit._ddl import VIEW_SCHEMA
+from labos.audit._ddl import VIEW_SCHEMA, Dialect
 from labos.audit.database import audit_url
 from labos.errors import BadInput, StoreUnavailable
 from labos.store import Door, display_name, sqlite_path
@@ -35,6 +35,9 @@ class Answer(msgspec.Struct, frozen=True):
 
 class Asker(Protocol):
     """A connection that only reads. ``values`` stand for ``?`` in the query, one after the other."""
+
+    @property
+    def dialect(self) -> Dialect: ...
 
     def fetch(self, query: str, *values: Any) -> list[Any]:
         """All rows of a question of our own, as tuples, without a limit of time."""
@@ -91,7 +94,6 @@ def _open_sqlite(uri: str) -> sqlite3.Connection:
         connection.execute(f"ATTACH ? AS {VIEW_SCHEMA}", (f"{uri}?mode=ro",))
         connection.execute(f"SELECT 1 FROM {VIEW_SCHEMA}.sqlite_master").fetchone()
         connection.execute("PRAGMA query_only = ON")
-        connection.set_authorizer(_allow)
     except BaseException:
         connection.close()
         raise
@@ -106,15 +108,23 @@ def _allow(action: int, first: str | None, second: str | None, *others: str | No
 
 
 class _SqliteAsker:
+    dialect: Dialect = "sqlite"
+
     def __init__(self, connection: sqlite3.Connection, limit_s: float) -> None:
         self._connection, self._limit_s = connection, limit_s
+        self._is_guarded = False
 
     def fetch(self, query: str, *values: Any) -> list[Any]:
+        if self._is_guarded:  # tables of SQLite's extensions declare themselves, which is no reading
+            self._connection.set_authorizer(None)
+            self._is_guarded = False
         self._connection.set_progress_handler(None, 0)
         return self._connection.execute(query, values).fetchall()
 
     def ask(self, query: str, values: Sequence[Any] = ()) -> Answer:
         end = time.monotonic() + self._limit_s
+        self._connection.set_authorizer(_allow)
+        self._is_guarded = True
         self._connection.set_progress_handler(lambda: int(time.monotonic() > end), _STEPS)
         try:
             cursor = self._connection.execute(query, values)
@@ -137,6 +147,8 @@ class _SqliteAsker:
 class _PostgresAsker:
     """The query is declared as a cursor in a transaction that only reads: both take nothing but a question,
     and the protocol of prepared statements takes no more than one."""
+
+    dialect: Dialect = "postgresql"
 
     def __init__(self, connection: Any, limit_s: float) -> None:
         self._connection, self._limit_s = connection, limit_s

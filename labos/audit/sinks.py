@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 import msgspec
 
@@ -22,6 +22,16 @@ BEGIN = b'{"specversion":"1.0",'
 """How every line begins."""
 CHUNK = 64 * 1024
 REMEDY = "Name a file that is not there yet."
+
+
+class Sink(Protocol):
+    """Where events are carried to, in order. ``position`` is that of the last one that is there."""
+
+    position: int
+
+    def write(self, records: Iterable[Record]) -> None: ...
+
+    def close(self) -> None: ...
 
 
 class _Line(msgspec.Struct):

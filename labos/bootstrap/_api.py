@@ -22,6 +22,7 @@ from labos.core.ids import ModuleName
 from labos.core.model import Description
 from labos.errors import BadInput, NotFound
 from labos.http.feed import Feed
+from labos.http.finding import Finder
 from labos.http.letters import Letters
 from labos.http.link import KernelLink
 from labos.http.server import HttpServer
@@ -162,6 +163,7 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
         feed = Feed()
         kernel.listeners.append(feed)
         service = LabService(api, feed, viewers)
+        service.finder = Finder(settings.database, settings.blobs, settings.home)
         service.link = api.link
         service.marks = Marks(store)
         kernel.listeners.append(service.marks)

@@ -40,6 +40,7 @@ from labos.core.shorter import BenchCompared
 from labos.errors import BadInput, Fenced, StoreError
 from labos.http.campaign_rows import CampaignRows
 from labos.http.feed import Feed
+from labos.http.finding import Finder
 from labos.http.server import HttpServer
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
@@ -134,6 +135,7 @@ async def open_lab(
         feed = Feed()
         kernel.listeners.append(feed)
         lab.service = LabService(lab, feed, _viewers(settings))
+        lab.service.finder = Finder(settings.database, settings.blobs, settings.home)
         http_port = choose_port(settings, settings.http_port, last_ports(settings.home).http)
         lab.gate = stack.enter_context(open_gate(settings, kernel, lab.metrics))
         await give_first_password(settings, lab.gate.accounts)

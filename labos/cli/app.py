@@ -105,6 +105,7 @@ SECTIONS = {
         "handover-report": "What the next shift has to know.",
     },
     "The log": {
+        "find": "Find experiments, runs, samples, images and results by words.",
         "log": "What happened, event by event.",
         "replay": "Step through any log, with the state at each event.",
         "verify": "Check the log's chain of hashes.",

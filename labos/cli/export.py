@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import zipfile
 from collections.abc import Iterable
@@ -10,9 +11,11 @@ from pathlib import Path
 
 import click
 
+from labos.audit._crate_experiment import Program
 from labos.audit.cloudevents import cloudevent
 from labos.audit.crate import make_crate, runs_of
-from labos.audit.sinks import JsonLines
+from labos.audit.kafka import SCHEME, KafkaSink, Topic, read_settings
+from labos.audit.sinks import JsonLines, Sink
 from labos.cli._audit import open_log_and_views
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
@@ -30,6 +33,10 @@ from labos.services.times import Moment
 POLL_S = 0.25
 BATCH = 1000
 """Events that are synced at once."""
+CALM = 10
+"""How much it stands back behind other processes (``nice``)."""
+BROKER_S = 60.0
+"""How long a broker may be away if nobody said to go on for ever."""
 
 
 @click.group("export", cls=Suggesting, short_help="The lab's records in the formats of others.")
@@ -38,6 +45,7 @@ def command() -> None:
 
     \b
     labos export crate R7 --to R7.zip    one run with its files, as an RO-Crate
+    labos export crate E3 --to E3.zip    an experiment with all its runs
     labos export events                  the events, as CloudEvents
 
     W3C PROV is written by `labos provenance --prov`, CSV and Parquet by `labos sql`.
@@ -58,24 +66,42 @@ def command() -> None:
     "--license", "license_", default="", metavar="URL", help="The licence under which you give it on."
 )
 @click.option("--bundle", is_flag=True, help="Put the signed bundle of each run into it (`labos bundle`).")
+@click.option(
+    "--program",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="The source of the experiment's application, to be put into the crate.",
+)
 @json_option
 @log_options
-def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, as_json: bool) -> None:
+def crate(
+    where: Where,
+    name: str,
+    target: Path,
+    license_: str,
+    bundle: bool,
+    program: Path | None,
+    as_json: bool,
+) -> None:
     """Write a run, or the runs of an experiment, as an RO-Crate 1.1: workflow, payload, each step with its
     driver, times and user, labware, lots, results, and every file with its SHA-256.
 
-    It conforms to Process Run Crate 0.5, and to Provenance Run Crate 0.5 if all runs follow one workflow.
-    Users are named by their ids, as in the log. With --bundle, whoever gets it can check the events
-    with the lab's public key.
+    It conforms to Process Run Crate 0.5, and to Provenance Run Crate 0.5 once something was carried out.
+    That of an experiment also holds what its application did between the runs: decisions, computations
+    with their results, publications with their files, and its program if you give it. Users are named
+    by their ids, as in the log. With --bundle, whoever gets it can check the events of the runs with the
+    lab's public key.
 
     \b
     labos export crate R7 --to R7.zip
     labos checkpoint
+    labos export crate E3 --to E3.zip --program color_picker.py
     labos export crate R7 --to R7 --bundle --license https://spdx.org/licenses/CC-BY-4.0
     """
     _check(target)
+    source = _read_program(program) if program is not None else None
     with open_log_and_views(where) as (store, asker):
-        made = make_crate(asker, store, name, now_ns(), license_)
+        made = make_crate(asker, store, name, now_ns(), license_, source)
         runs = [run.run for run in runs_of(asker, name)]
     for run in runs if bundle else ():
         data, _ = make_bundle_of(where, run)
@@ -86,6 +112,15 @@ def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, as
     facts = {"crate": str(target), "runs": runs, "files": files}
     count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
     tell(f"{target} holds {count} in {files} files.", facts, as_json=as_json)
+
+
+def _read_program(path: Path) -> Program:
+    """Raises BadInput."""
+    try:
+        return Program(path.name, path.read_bytes())
+    except OSError as error:
+        why = error.strerror or error
+        raise BadInput(f"{path} cannot be read: {why}.", remedy="Name the application's file.") from None
 
 
 def _check(target: Path) -> None:
@@ -143,29 +178,56 @@ def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
 @click.option(
     "--to",
     "to",
+    default="",
+    metavar="FILE|kafka://BROKER:PORT/TOPIC",
+    help="Carry all events to this file or topic of Kafka, from where it ends.",
+)
+@click.option(
+    "--settings",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Append all events to this file, from where it ends.",
+    help="Settings of the client of Kafka, name=value a line: certificates, names, passwords.",
+)
+@click.option(
+    "--position",
+    "position_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Where the position of the topic is kept [default: kafka-TOPIC.json in the lab's folder].",
 )
 @log_options
-def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool, to: Path | None) -> None:
+def events(
+    where: Where,
+    moment: Moment,
+    families: tuple[str, ...],
+    follow: bool,
+    to: str,
+    settings: Path | None,
+    position_file: Path | None,
+) -> None:
     """Write events as CloudEvents 1.0, one JSON object a line.
 
     `position` says how far you are: give the last one to --since, and nothing is left out and nothing
     comes twice. `hash` is the event's place in the chain. Works with LABOS_URL, too. With --to, the file
-    itself says how far it is: the command may be killed and started again.
+    or topic itself says how far it is: the command may be killed and started again.
+
+    To Kafka each event goes in order and at least once, all into partition 0 (extra `kafka`). A broker
+    that is away is waited for, with --follow as long as it takes; the lab never waits for it.
 
     \b
     labos export events > events.jsonl
     labos export events --family run --family intervention
     labos export events --since 2041 --follow
     labos export events --to events.jsonl --follow
+    labos export events --to kafka://broker:9092/lab-events --settings kafka.properties --follow
     """
     check_types(families)
-    if to is not None:
+    if (settings or position_file) and not to.startswith(SCHEME):
+        raise BadInput("--settings and --position are for Kafka.", remedy="Name a topic with --to kafka://…")
+    if to:
         if families or moment != Moment():
             raise BadInput("--to appends all events.", remedy="Leave --since and --family out.")
-        _append(where, to, follow)
+        _carry(where, to, follow, settings, position_file)
         return
     with open_log(where) as log, suppress(KeyboardInterrupt):
         seen = _start(log, moment)
@@ -180,9 +242,15 @@ def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool
             time.sleep(POLL_S)
 
 
-def _append(where: Where, to: Path, follow: bool) -> None:
-    """Bring a file of JSON lines up to date with the log, and go on if asked to."""
-    with open_log(where) as log, closing(JsonLines(to)) as sink, suppress(KeyboardInterrupt):
+def _carry(where: Where, to: str, follow: bool, settings: Path | None, position_file: Path | None) -> None:
+    """Bring a file of JSON lines or a topic up to date with the log, and go on if asked to."""
+    if follow and hasattr(os, "nice"):
+        os.nice(CALM)
+    with (
+        open_log(where) as log,
+        suppress(KeyboardInterrupt),
+        closing(_open_sink(where, log, to, follow, settings, position_file)) as sink,
+    ):
         while True:
             end = log.head().position
             if end < sink.position:
@@ -193,6 +261,30 @@ def _append(where: Where, to: Path, follow: bool) -> None:
             if not follow:
                 return
             time.sleep(POLL_S)
+
+
+def _open_sink(
+    where: Where, log: Log, to: str, follow: bool, settings: Path | None, position_file: Path | None
+) -> Sink:
+    """Raises BadInput, SystemFailed."""
+    if not to.startswith(SCHEME):
+        if "://" in to:
+            raise BadInput(f"{to} is no target for events.", remedy="Name a file, or kafka://BROKER/TOPIC.")
+        return JsonLines(Path(to))
+    topic = Topic.of(to)
+    if position_file is None and where.lab:
+        raise BadInput(
+            "The position of the topic has no place here: the lab is on another computer.",
+            remedy="Name a file for it: --position FILE",
+        )
+    return KafkaSink(
+        topic,
+        log.head().lab,
+        position_file or where.home / f"kafka-{topic.name}.json",
+        read_settings(settings) if settings else {},
+        patience_s=None if follow else BROKER_S,
+        tell=lambda words: click.echo(words, err=True),
+    )
 
 
 def _start(log: Log, moment: Moment) -> int:

@@ -202,6 +202,27 @@ class Experiment(LoggedEvents):
         condition than before."""
         self._record.note(kind, name, facts)
 
+    def publish(
+        self,
+        title: str,
+        *,
+        about: str = "",
+        keywords: Sequence[str] = (),
+        creators: Sequence[str] = (),
+        files: Iterable[str | Path] | Mapping[str, bytes] = (),
+        runs: Sequence[str] = (),
+    ) -> None:
+        """Make something known that came of the experiment, as one event: `labos find` finds it by its title,
+        what it is about, keywords, creators and the names of its files, which the lab keeps. Files are paths,
+        or contents by name. Creators are ids of users, or their ORCID iDs: what is published stays in the
+        log for ever, so name no persons. Raises BadInput for a file that cannot be read."""
+        kept = [
+            {"file": name, "sha256": self.keep_file(content), "bytes": len(content)}
+            for name, content in _contents(files)
+        ]
+        listed = {"keywords": list(keywords), "creators": list(creators) or [self.user], "runs": list(runs)}
+        self.note("publication", title, title=title, about=about, files=kept, **listed)
+
     def decide(self, name: str, function: Callable[[], Any], *, key: str = "") -> Any:
         """What a function returns, as JSON gives it back (a tuple is a list), logged as a decision. When the
         program was started again, the function is not called: what it decided then is returned. For all that
@@ -295,6 +316,19 @@ class Experiment(LoggedEvents):
                 self.lab.heartbeat(self.id)
             except LabosError:
                 continue
+
+
+def _contents(files: Iterable[str | Path] | Mapping[str, bytes]) -> Iterator[tuple[str, bytes]]:
+    """Name and content of each file."""
+    if isinstance(files, Mapping):
+        yield from files.items()
+        return
+    for path in map(Path, files):
+        try:
+            yield path.name, path.read_bytes()
+        except OSError as error:
+            why = error.strerror or error
+            raise BadInput(f"{path} cannot be read: {why}.", remedy="Name a file that is there.") from None
 
 
 def _on_one_line(why: str) -> str:

@@ -199,6 +199,8 @@ class HttpServer:
         self._service.tail.close()
         if self._service.viewers is not None:
             self._service.viewers.close()
+        if self._service.finder is not None:
+            self._service.finder.close()
         self._server.should_exit = True
         if self._task is not None:
             await asyncio.wait({self._task}, timeout=5.0)

@@ -72,6 +72,7 @@ from labos.spec.labware import packaged_labware, spec_of
 from labos.spec.stations import Stations
 
 if TYPE_CHECKING:
+    from labos.http.finding import Finder
     from labos.http.forecasts import Forecasts
     from labos.http.link import KernelLink
 
@@ -110,6 +111,8 @@ class LabService:
         """What the log knows of requests, where the kernel is in this process."""
         self.link: KernelLink | None = None
         """The way to the kernel, where it is in another process."""
+        self.finder: Finder | None = None
+        """Who answers from the search index."""
         self._heard: dict[ExperimentId, float] = {}
         self._stories: dict[str, RunHistory] = {}
         self._cells: dict[str, Workcell] = {}

@@ -116,7 +116,7 @@ def solve(
     # As good as that, and each run over as soon as may be.
     model.add(cost <= round(solver.objective_value))
     model.minimize(sum(over))
-    model.clear_hints()  # type: ignore[no-untyped-call]
+    model.clear_hints()
     for start, value in zip(begin, starts, strict=True):
         model.add_hint(start, value)
     _limit(solver, seconds * TIDY, counted=counted)

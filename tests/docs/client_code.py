@@ -32,6 +32,7 @@ MODULES = (
     "lab",
     "accounts",
     "log",
+    "finding",
     "forecasts",
     "planning",
     "runs",

@@ -1,7 +1,8 @@
 """Makes the environments of the foreign nodes and tools: ``python tests/foreign/make.py [KIND …]``.
 
 They are put below the folder that LABOS_FOREIGN names, ``.foreign`` in the checkout if it names none. It
-needs nothing but ``uv`` in the Python that runs it; for packages of npm, ``npm`` and ``node``.
+needs nothing but ``uv`` in the Python that runs it; for packages of npm, ``npm`` and ``node``; for those of
+Maven, ``mvn`` and Java.
 """
 
 from __future__ import annotations
@@ -55,6 +56,43 @@ NODE_PACKAGES = {
 """Of npm: a folder with `node_modules` for each."""
 
 
+MAVEN_PACKAGES = {
+    "kafka": ["org.apache.kafka:kafka_2.13:4.1.0"],
+}
+"""Of Maven: a folder with `libs` for each, with all that they need."""
+
+_POM = """<project xmlns="http://maven.apache.org/POM/4.0.0">
+  <modelVersion>4.0.0</modelVersion>
+  <groupId>labos</groupId>
+  <artifactId>foreign</artifactId>
+  <version>1</version>
+  <packaging>pom</packaging>
+  <dependencies>
+{}
+  </dependencies>
+</project>
+"""
+
+
+def make_java(kind: str) -> None:
+    """A folder with a foreign kind of packages of Maven, unless there is one."""
+    folder = FOLDER / kind
+    mark = folder / "complete"
+    wanted = "\n".join(MAVEN_PACKAGES[kind])
+    if mark.exists() and mark.read_text() == wanted:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = ("groupId", "artifactId", "version")
+    needed = []
+    for package in MAVEN_PACKAGES[kind]:
+        told = zip(parts, package.split(":"), strict=True)
+        needed.append(f"    <dependency>{''.join(f'<{n}>{value}</{n}>' for n, value in told)}</dependency>")
+    (folder / "pom.xml").write_text(_POM.format("\n".join(needed)))
+    command = ["mvn", "-q", "-B", "-f", folder / "pom.xml", "dependency:copy-dependencies"]
+    subprocess.run([*command, f"-DoutputDirectory={folder / 'libs'}"], check=True)
+    mark.write_text(wanted)
+
+
 def make_node(kind: str) -> None:
     """A folder with a foreign kind of packages of npm, unless there is one."""
     folder = FOLDER / kind
@@ -90,5 +128,7 @@ if __name__ == "__main__":
     for wanted_kind in sys.argv[1:] or PACKAGES:
         if wanted_kind in NODE_PACKAGES:
             make_node(wanted_kind)
+        elif wanted_kind in MAVEN_PACKAGES:
+            make_java(wanted_kind)
         else:
             make(wanted_kind)

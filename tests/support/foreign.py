@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 import httpx
 import pytest
 
-from tests.foreign.make import FOLDER, NODE_PACKAGES, PACKAGES, ROOT
+from tests.foreign.make import FOLDER, MAVEN_PACKAGES, NODE_PACKAGES, PACKAGES, ROOT
 
 
 def python_of(kind: str) -> Path:
@@ -50,6 +50,15 @@ def node_modules_of(kind: str) -> Path:
     if shutil.which("node") is None:
         pytest.skip("no node")
     return FOLDER / kind / "node_modules"
+
+
+def java_libraries_of(kind: str) -> Path:
+    """The folder of a foreign kind's packages of Maven. Skips the test where there is none, or no ``java``;
+    where LABOS_REQUIRE_FOREIGN names it, waits while it is being made."""
+    _await_complete(kind, MAVEN_PACKAGES[kind][0])
+    if shutil.which("java") is None:
+        pytest.skip("no java")
+    return FOLDER / kind / "libs"
 
 
 def opentrons_simulate() -> str:

@@ -7,6 +7,7 @@ from labos.client._generated.approvals import GeneratedApprovals
 from labos.client._generated.bench import GeneratedBench
 from labos.client._generated.bookings import GeneratedBookings
 from labos.client._generated.campaigns import GeneratedCampaigns
+from labos.client._generated.finding import GeneratedFinding
 from labos.client._generated.forecasts import GeneratedForecasts
 from labos.client._generated.lab import GeneratedLab
 from labos.client._generated.modules import GeneratedModules
@@ -19,6 +20,7 @@ from labos.client._generated.signatures import GeneratedSignatures
 class GeneratedCalls(
     GeneratedLab,
     GeneratedAccounts,
+    GeneratedFinding,
     GeneratedForecasts,
     GeneratedPlanning,
     GeneratedRuns,

@@ -448,6 +448,28 @@ class AsyncExperiment:
     def numpy_random(self) -> Generator:
         return self.sync.numpy_random
 
+    async def publish(
+        self,
+        title: str,
+        *,
+        about: str = "",
+        keywords: Sequence[str] = (),
+        creators: Sequence[str] = (),
+        files: Iterable[str | Path] | Mapping[str, bytes] = (),
+        runs: Sequence[str] = (),
+    ) -> None:
+        """Make something known that came of the experiment, as one event: `labos find` finds it by its
+        title, what it is about, keywords, creators and the names of its files, which the lab keeps."""
+        await self.threads.wait(
+            self.sync.publish,
+            title,
+            about=about,
+            keywords=keywords,
+            creators=creators,
+            files=files,
+            runs=runs,
+        )
+
     @property
     def random(self) -> Random:
         return self.sync.random

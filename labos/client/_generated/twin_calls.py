@@ -226,6 +226,43 @@ class AsyncCalls:
         """Who has signed the record of an experiment."""
         return await self.threads.call(self.sync.experiment_signatures, experiment)
 
+    async def find(
+        self,
+        words: str = "",
+        *,
+        kind: Sequence[str] = (),
+        user: Sequence[str] = (),
+        workcell: Sequence[str] = (),
+        workflow: Sequence[str] = (),
+        experiment: Sequence[str] = (),
+        run: Sequence[str] = (),
+        status: Sequence[str] = (),
+        keyword: Sequence[str] = (),
+        since: int = 0,
+        until: int = 0,
+        limit: int = 20,
+        offset: int = 0,
+        facets: bool = False,
+    ) -> dict[str, Any]:
+        """What can be found by words."""
+        return await self.threads.call(
+            self.sync.find,
+            words,
+            kind=kind,
+            user=user,
+            workcell=workcell,
+            workflow=workflow,
+            experiment=experiment,
+            run=run,
+            status=status,
+            keyword=keyword,
+            since=since,
+            until=until,
+            limit=limit,
+            offset=offset,
+            facets=facets,
+        )
+
     async def finish_sign_in(
         self,
         state: str,

@@ -9,6 +9,7 @@ from labos.http.routes import (
     bench,
     bookings,
     campaigns,
+    finding,
     forecasts,
     lab,
     log,
@@ -25,6 +26,7 @@ OPERATIONS: tuple[Operation, ...] = (
     *lab.OPERATIONS,
     *accounts.OPERATIONS,
     *log.OPERATIONS,
+    *finding.OPERATIONS,
     *forecasts.OPERATIONS,  # before runs: /runs/forecast is no run
     *planning.OPERATIONS,  # before runs: /runs/check is no run
     *runs.OPERATIONS,

@@ -18,7 +18,7 @@ from labos.audit.crate import make_crate
 from labos.audit.database import open_audit
 from labos.audit.query import open_asker
 from labos.cli.app import main
-from labos.core.decide.experiments import StartExperiment
+from labos.core.decide.experiments import NoteExperiment, StartExperiment
 from labos.core.decide.lab import StartKernel
 from labos.core.ids import ExperimentId, LabId
 from labos.core.labware import SamplesRegistered
@@ -126,6 +126,78 @@ def test_an_experiment_is_in_order_too_and_a_spoilt_crate_is_not(kept: Path) -> 
     assert "ControlAction" in bad["wrong"][0]
 
 
+REPORT = b"The third one was the greenest.\n"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An experiment of three workflows, one of which only waits, that computed and published."""
+    book = Logbook()
+    book.furnish()
+    within = ExperimentId("E1")
+    book.do(StartExperiment("Color_Picker", "ada"))
+    finish_with(book, book.submit("cp_newplate", "ada", experiment=within), {})
+    finish_with(book, book.submit("cp_mixcolor", "ada", experiment=within), {"Take picture": MEASURED})
+    computed = {"code": "c" * 64, "where": "pool", "host": "desk", "result": [1, 2]}
+    report = {"file": "report.txt", "sha256": hashlib.sha256(REPORT).hexdigest(), "bytes": len(REPORT)}
+    told = {"title": "The greenest", "keywords": ["green"], "creators": ["ada", "bo"], "files": [report]}
+    for kind, name, facts in (
+        ("decision", "another one", {"better": True}),
+        ("compute", "app.best", computed),
+        ("local_compute", "app.worst", {"error": "ValueError: no colours"}),
+        ("publication", "the report", told),
+        ("publication", "a page", {"page": 7}),
+    ):
+        book.do(NoteExperiment(within, kind, name, facts))
+    book.submit("pcr", "ada", experiment=within)
+    home = tmp_path_factory.mktemp("finished") / "lab"
+    book.save(home)
+    FolderBlobs(home / "blobs").put(REPORT)
+    return home
+
+
+@pytest.mark.slow
+def test_an_experiment_of_several_workflows_is_in_order_with_its_program_and_without(finished: Path) -> None:
+    Path("app.py").write_text("print('mixing')\n")
+    export(finished, "crate", "E1", "--to", "bare")
+    export(finished, "crate", "E1", "--to", "whole.zip", "--program", "app.py")
+    bare, whole = validated("bare", "whole.zip")
+    assert bare["wrong"] == whole["wrong"] == []
+    assert (bare["main"], whole["main"]) == ("experiments/E1/course.json", "application/app.py")
+    assert {"#experiment-E1", "#run-R1", "#run-R2", "#run-R3"} < {*whole["actions"]}
+
+
+def test_the_crate_of_an_experiment_holds_what_its_application_did(finished: Path) -> None:
+    export(finished, "crate", "E1", "--to", "E1")
+    graph = graph_of(Path("E1"))
+    assert f"{WFRUN}/provenance/0.5" in ids(graph["./"]["conformsTo"])
+    told = json.loads(Path("E1/experiments/E1/course.json").read_text())["course"]
+    assert [step.get("run", step.get("name")) for step in told] == [
+        *("R1", "R2", "another one", "app.best", "app.worst", "the report", "a page", "R3")
+    ]
+    application = graph["experiments/E1/course.json"]
+    assert [graph[step]["name"] for step in ids(application["step"])] == ["Run R1", "Run R2", "Run R3"]
+    published = next(each for each in graph.values() if each.get("name") == "The greenest")
+    assert ids(published["creator"]) == ["#user-ada", "#user-bo"]
+    (report,) = ids(published["hasPart"])
+    assert Path("E1", report).read_bytes() == REPORT
+    computed = next(each for each in graph.values() if str(each.get("name")).startswith("app.best at"))
+    (result,) = ids(computed["result"])
+    assert json.loads(Path("E1", result).read_text()) == [1, 2]
+    (tool,) = (graph[each] for each in ids(computed["instrument"]))
+    assert "c" * 64 in tool["description"]
+    failed = next(each for each in graph.values() if str(each.get("name")).startswith("app.worst at"))
+    assert failed["error"] == "ValueError: no colours"
+    events = Path("E1/experiments/E1/events.jsonl").read_text().splitlines()
+    assert json.loads(events[0])["type"] == "labos.experiment.started"
+
+
+def test_only_an_experiment_has_a_program(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("app.py").touch()
+    export(kept, "crate", "R2", "--to", "R2", "--program", "app.py", code=1)
+    assert "R2 is a run" in capsys.readouterr().err
+
+
 def test_each_file_is_the_one_that_is_told(kept: Path) -> None:
     export(kept, "crate", "R2", "--to", "R2")
     graph = graph_of(Path("R2"))
@@ -179,7 +251,7 @@ def test_a_crate_is_the_same_on_both_databases(kept: Path, postgres_url: str) ->
     assert found[0] == found[1]
 
 
-def test_only_what_follows_one_workflow_is_a_provenance_run_crate(kept: Path) -> None:
+def test_only_of_what_something_was_carried_out_is_a_provenance_run_crate(kept: Path) -> None:
     export(kept, "crate", "E1", "--to", "E1")
     assert f"{WFRUN}/provenance/0.5" in ids(graph_of(Path("E1"))["./"]["conformsTo"])
     export(kept, "crate", "R6", "--to", "R6")
@@ -200,7 +272,7 @@ def test_only_what_follows_one_workflow_is_a_provenance_run_crate(kept: Path) ->
     export(Path("other"), "crate", "E1", "--to", "other-E1")
     root = graph_of(Path("other-E1"))["./"]
     assert ids(root["conformsTo"]) == [f"{WFRUN}/process/0.5"]
-    assert "mainEntity" not in root
+    assert "mainEntity" not in root, "nothing of it was carried out yet"
 
 
 def test_a_crate_tells_what_failed(kept: Path) -> None:

@@ -38,6 +38,8 @@ READ = {
     "interventions": "labos interventions",
     "inbox": "labos inbox",
     "locations pf400": "labos locations",
+    "find": "labos find",
+    "find pcr --kind run --facets": "labos find",
     "log": "labos log",
     "log --last 5": "labos log",
     "log --run R1 --since -1h": "labos log",

@@ -1,0 +1,261 @@
+"""An experiment in its crate: the application, what it did between its runs, and what it published.
+
+The application is the workflow that the crate is about: its steps are runs of workflows. Its program is put
+into the crate if somebody gives it; LabOS keeps no programs. What the application did stands in
+``experiments/E1/course.json`` in any case: its runs, computations and decisions in their order.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from labos.audit._crate_parts import Crate, link, local_id, safe_name, with_offset
+from labos.audit._crate_steps import STATUS
+from labos.audit.cloudevents import cloudevent
+from labos.audit.query import Asker
+from labos.core.canonical import canonical
+from labos.core.experiments import ExperimentNoted
+from labos.ports import LogQuery
+from labos.services.files import files_in
+from labos.services.log import Log
+from labos.services.times import iso_time
+
+WORKFLOW = ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"]
+COMPUTATIONS = ("local_compute", "compute")
+
+
+class Program(msgspec.Struct, frozen=True):
+    """The application's source, given by whoever writes the crate."""
+
+    name: str
+    content: bytes
+
+
+class Experiment(msgspec.Struct, frozen=True):
+    """A row of the view ``experiments``."""
+
+    experiment: str
+    name: str
+    user: str
+    status: str
+    why: str
+    started_at: str
+    ended_at: str | None
+    started_position: int
+    ended_position: int | None
+
+
+class Done(msgspec.Struct, frozen=True):
+    """A run of the experiment: its id, that of its workflow, the LabOS that carried it out, and when it was
+    submitted."""
+
+    run: str
+    workflow: str
+    kernels: tuple[str, ...]
+    position: int
+
+
+def experiment_of(asker: Asker, name: str) -> Experiment | None:
+    """The experiment of that name, if there is one."""
+    columns = ", ".join(("experiment", "name", "user_id", *Experiment.__struct_fields__[3:]))
+    rows = asker.fetch(f"SELECT {columns} FROM experiments WHERE experiment = ?", name)
+    return Experiment(*rows[0]) if rows else None
+
+
+def add_experiment(
+    crate: Crate, log: Log, experiment: Experiment, runs: list[Done], program: Program | None
+) -> str:
+    """The application and what it did; returns the id of the application, the crate's main entity."""
+    name = experiment.experiment
+    records = list(log.select(LogQuery(streams=(name,))))
+    notes = [
+        (record.head, msgspec.json.decode(record.payload))
+        for record in records
+        if record.head.type == ExperimentNoted.TYPE
+    ]
+    user = crate.add(
+        "Person", local_id("user", experiment.user), name=experiment.user, identifier=experiment.user
+    )
+    folder = f"experiments/{safe_name(name)}"
+    course = canonical(_course(experiment, runs, notes))
+    main = _add_application(crate, experiment, program, course, folder)
+    crate.put(
+        f"{folder}/events.jsonl",
+        b"".join(cloudevent(record) + b"\n" for record in records),
+        name=f"Events of {name} itself, as CloudEvents; `hash` is each event's place in the lab's log",
+        encodingFormat="application/x-ndjson",
+    )
+    made = [file for head, note in notes for file in _add_note(crate, experiment, head, note, main, user)]
+    action = local_id("experiment", name)
+    status = STATUS.get({"ended": "completed"}.get(experiment.status, experiment.status), "Active")
+    is_failed = experiment.status == "ended" and experiment.why.startswith("failed")
+    crate.add(
+        "CreateAction",
+        action,
+        name=f"Experiment {name}: {experiment.name}",
+        description=f"The application {experiment.name}; it is {experiment.status}.",
+        instrument=link(main),
+        agent=link(user),
+        startTime=with_offset(experiment.started_at),
+        endTime=with_offset(experiment.ended_at),
+        actionStatus=f"http://schema.org/{'Failed' if is_failed else status}ActionStatus",
+        error=experiment.why if is_failed else None,
+        result=link(*made),
+    )
+    _add_steps(crate, experiment, runs, main, action, user)
+    crate.extend("./", "mentions", action)
+    return main
+
+
+def _course(experiment: Experiment, runs: list[Done], notes: list[tuple[Any, Any]]) -> dict[str, Any]:
+    """What the application did, in order."""
+    steps = [(run.position, {"run": run.run, "workflow": run.workflow}) for run in runs]
+    for head, note in notes:
+        facts = note.get("facts", {})
+        told = {"kind": note["kind"], "name": note["name"], "facts": facts, "at": iso_time(head.recorded_at)}
+        steps.append((head.position, told))
+    return {
+        "experiment": experiment.experiment,
+        "application": experiment.name,
+        "user": experiment.user,
+        "status": experiment.status,
+        "why": experiment.why,
+        "course": [{"position": at, **told} for at, told in sorted(steps, key=lambda step: step[0])],
+    }
+
+
+def _add_application(
+    crate: Crate, experiment: Experiment, program: Program | None, course: bytes, folder: str
+) -> str:
+    """The program, or else what it did, as the workflow that was followed."""
+    told = {"name": f"What {experiment.name} did, in order", "encodingFormat": "application/json"}
+    path = f"{folder}/course.json"
+    if program is None:
+        language = crate.add("ComputerLanguage", "#labos-course", name="LabOS course of an experiment (JSON)")
+        return crate.put(path, course, kind=WORKFLOW, programmingLanguage=link(language), version="1", **told)
+    crate.put(path, course, **told)
+    language = crate.add(
+        "ComputerLanguage",
+        "#python",
+        name="Python",
+        url=link(crate.add("WebPage", "https://www.python.org/")),
+    )
+    return crate.put(
+        f"application/{safe_name(program.name)}",
+        program.content,
+        kind=WORKFLOW,
+        name=experiment.name,
+        encodingFormat="text/x-python",
+        programmingLanguage=link(language),
+    )
+
+
+def _add_steps(
+    crate: Crate, experiment: Experiment, runs: list[Done], main: str, action: str, user: str
+) -> None:
+    """Each run as a step of the application."""
+    controls = []
+    for number, run in enumerate(runs, 1):
+        step = crate.add("HowToStep", f"{main}#{run.run}", name=f"Run {run.run}", position=str(number))
+        crate.extend(step, "workExample", run.workflow)
+        crate.extend(main, "step", step)
+        crate.extend(main, "hasPart", run.workflow)
+        controls.append(
+            crate.add(
+                "ControlAction",
+                local_id("control-run", run.run),
+                name=f"Run {run.run} of {experiment.experiment}",
+                instrument=link(step),
+                object=link(local_id("run", run.run)),
+            )
+        )
+    kernels = [kernel for run in runs for kernel in run.kernels]
+    if controls and kernels:
+        crate.add(
+            "OrganizeAction",
+            local_id("execution", experiment.experiment),
+            name=f"LabOS carries out {experiment.experiment}",
+            instrument=link(*kernels),
+            agent=link(user),
+            startTime=with_offset(experiment.started_at),
+            endTime=with_offset(experiment.ended_at),
+            object=link(*controls),
+            result=link(action),
+        )
+
+
+def _add_note(
+    crate: Crate, experiment: Experiment, head: Any, note: dict[str, Any], main: str, user: str
+) -> list[str]:
+    """A computation or a publication; returns its files."""
+    facts = note.get("facts", {})
+    if note["kind"] in COMPUTATIONS:
+        return _add_computation(crate, head, note["name"], facts, main, user)
+    if note["kind"] != "publication":
+        return []
+    files = [
+        crate.put_blob(f"published/{safe_name(file)}", digest, size, name=file)
+        for file, digest, size in files_in(facts)
+    ]
+    creators = facts.get("creators")
+    people = [each for each in creators if isinstance(each, str)] if isinstance(creators, list) else []
+    keywords = facts.get("keywords")
+    words = [each for each in keywords if isinstance(each, str)] if isinstance(keywords, list) else []
+    entry = crate.add(
+        "CreativeWork",
+        local_id("publication", f"{experiment.experiment}@{head.position}"),
+        name=str(facts.get("title") or note["name"]),
+        description=str(facts.get("about") or "") or None,
+        keywords=words,
+        datePublished=iso_time(head.recorded_at),
+        creator=link(
+            *(crate.add("Person", local_id("user", one), name=one, identifier=one) for one in people)
+        ),
+        hasPart=link(*files),
+    )
+    crate.extend("./", "mentions", entry)
+    return files
+
+
+def _add_computation(
+    crate: Crate, head: Any, function: str, facts: dict[str, Any], main: str, user: str
+) -> list[str]:
+    """A function that was computed: its code by digest, where, and what it returned."""
+    code = str(facts.get("code", ""))
+    tool = crate.add(
+        "SoftwareApplication",
+        local_id("function", f"{function} {code[:12]}".strip()),
+        name=function,
+        softwareVersion=code[:12] or "unknown",
+        description=f"A function; the SHA-256 of its file was {code}." if code else "A function.",
+    )
+    crate.extend(main, "hasPart", tool)
+    made: list[str] = []
+    path = f"computed/{head.position}-{safe_name(function)}"
+    if isinstance(facts.get("result_file"), str):
+        suffix = "json" if facts.get("result_form") == "json" else "pickle"
+        made.append(
+            crate.put_blob(f"{path}.{suffix}", facts["result_file"], None, name=f"Result of {function}")
+        )
+    elif "result" in facts:
+        content = canonical(facts["result"])
+        words = f"Result of {function}"
+        made.append(crate.put(f"{path}.json", content, name=words, encodingFormat="application/json"))
+    error = facts.get("error")
+    end = with_offset(iso_time(head.recorded_at)[:23] + "Z")
+    action = crate.add(
+        "CreateAction",
+        local_id("computation", str(head.position)),
+        name=f"{function} at event {head.position}",
+        description=f"Computed {facts.get('where', '')} on {facts.get('host', 'a computer')}.",
+        instrument=link(tool),
+        agent=link(user),
+        endTime=end,
+        actionStatus=f"http://schema.org/{'Failed' if error else 'Completed'}ActionStatus",
+        error=str(error) if error else None,
+        result=link(*made),
+    )
+    crate.extend("./", "mentions", action)
+    return made

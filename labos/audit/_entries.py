@@ -1,0 +1,270 @@
+"""What can be found by words, as rows of the search index.
+
+The number of an entry is that of the event with which it began and its place in that, so that the entry is
+found again when more becomes known of it, and later ones stand behind earlier ones.
+"""
+
+from __future__ import annotations
+
+import mimetypes
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
+from labos.audit._entry_tables import ENTRIES
+from labos.audit._rows import Row, Rows
+from labos.audit._work_tables import ACTIONS, EXPERIMENTS, RUNS
+from labos.audit.words import all_words
+from labos.core import actions as a
+from labos.core import experiments as x
+from labos.core import runs as r
+from labos.core.envelope import Envelope
+from labos.core.labware import SamplesRegistered
+from labos.core.wells import well_index
+from labos.services.files import files_in
+from labos.services.results import tables
+
+PLACES = 1 << 20
+"""So many entries one event may begin."""
+SAMPLES_FROM = 1 << 16
+"""The samples of labware stand behind what else its first event begins."""
+COLUMNS = 1000
+"""More than the name of a well can say."""
+LONGEST_TEXT = 2000
+MOST_LISTED = 200
+
+
+def _put(rows: Rows, position: int, place: int, kind: str, name: str, at: float, **told: Any) -> Row:
+    """An entry; what is not told is empty. ``told['also']`` are more words by which it is found."""
+    also = told.pop("also", ())
+    row: Row = {
+        "number": position * PLACES + place,
+        "kind": kind,
+        "name": name,
+        "at_s": at,
+        **dict.fromkeys(("title", "about", "user_id", "workcell", "workflow"), ""),
+        **dict.fromkeys(("experiment", "run", "module", "status"), ""),
+        **{"keywords": [], "creators": [], "files": []},
+        **told,
+    }
+    searched = ("name", "title", "about", "user_id", "workcell", "workflow", "experiment", "run", "module")
+    lists = ("keywords", "creators", "files")
+    row["words"] = all_words([*(row[part] for part in (*searched, *lists)), kind, also])
+    return rows.put(ENTRIES, row)
+
+
+def _add_words(row: Row, *values: Any) -> None:
+    row["words"] = all_words([row["words"], values])
+
+
+# -- experiments and runs ----------------------------------------------------------------------
+
+
+def on_experiment_started(rows: Rows, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
+    _put(
+        *(rows, head.position, 0, "experiment", event.experiment, at),
+        title=event.name,
+        workflow=event.name,
+        experiment=event.experiment,
+        user_id=event.user,
+        status="open",
+    )
+
+
+def on_experiment_changed(rows: Rows, event: x.ExperimentEvent, head: Envelope, at: float) -> None:
+    experiment = rows.get(EXPERIMENTS, event.experiment)
+    entry = _entry_of(rows, experiment, "started_position")
+    if experiment is not None and entry is not None:
+        entry["status"] = experiment["status"]
+        _add_words(entry, experiment["why"])
+
+
+def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -> None:
+    run = rows.get(RUNS, event.run)
+    if run is None:
+        return
+    _put(
+        *(rows, head.position, 0, "run", event.run, at),
+        title=event.workflow,
+        user_id=event.user,
+        workcell=run["workcell"],
+        workflow=event.workflow,
+        experiment=event.experiment,
+        run=event.run,
+        status=run["status"],
+        also=(event.campaign, event.payload),
+    )
+
+
+def on_run_changed(rows: Rows, event: Any, head: Envelope, at: float) -> None:
+    run = rows.get(RUNS, event.run)
+    entry = _entry_of(rows, run, "submitted_position")
+    if run is not None and entry is not None:
+        entry["status"] = run["status"]
+        _add_words(entry, run["why"])
+
+
+def _entry_of(rows: Rows, row: Row | None, position: str) -> Row | None:
+    return rows.change(ENTRIES, row[position] * PLACES) if row is not None else None
+
+
+# -- what steps return -------------------------------------------------------------------------
+
+
+def on_result(rows: Rows, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, at: float) -> None:
+    """What was measured, and each file."""
+    action = rows.get(ACTIONS, event.action)
+    if action is None or event.result is None:
+        return
+    run = rows.get(RUNS, event.run) if event.run else None
+    about: dict[str, Any] = {
+        "user_id": run["user_id"] if run is not None else "",
+        "workcell": event.module.partition("/")[0],
+        "workflow": run["workflow"] if run is not None else "",
+        "experiment": run["experiment"] if run is not None else "",
+        "run": event.run,
+        "module": event.module,
+    }
+    step = f"{event.run}#{event.step}" if event.run else event.action
+    key = action["key"] or action["name"]
+    plate = action["plate"]
+    on_plate = f" of {plate}" if plate else ""
+    found = list(tables(event.result))
+    if found:
+        measured = list(dict.fromkeys(table.quantity for table in found))[:MOST_LISTED]
+        labware = rows.get(LABWARE, plate) if plate else None
+        wells = {well for table in found for well in table.values}
+        samples = [s for well, s in (labware["samples"] if labware else {}).items() if well in wells]
+        title = f"{', '.join(measured)}{on_plate}"
+        units = [table.unit for table in found]
+        also = (key, action["name"], samples, units, plate)
+        _put(
+            *(rows, head.position, 0, "result", step, at),
+            **about,
+            title=title[:LONGEST_TEXT],
+            keywords=measured,
+            also=also,
+        )
+    for place, (name, digest, size) in enumerate(files_in(event.result), 1):
+        _put(
+            *(rows, head.position, place, _kind_of(name), digest, at),
+            **about,
+            title=f"{name}{on_plate}",
+            files=_listed([(name, digest, size)]),
+            also=(key, action["name"], step, plate),
+        )
+
+
+def _kind_of(name: str) -> str:
+    return "image" if (mimetypes.guess_type(name)[0] or "").startswith("image/") else "file"
+
+
+def _listed(files: Iterable[tuple[str, str, int]]) -> list[dict[str, Any]]:
+    return [{"file": name, "sha256": digest, "bytes": size} for name, digest, size in files][:MOST_LISTED]
+
+
+# -- samples -----------------------------------------------------------------------------------
+
+
+def samples_of(rows: Rows, labware: str) -> Mapping[str, str]:
+    """The samples that labware was said to hold until now, by well."""
+    row = rows.get(LABWARE, labware)
+    return row["samples"] if row is not None else {}
+
+
+def on_samples_registered(
+    rows: Rows, event: SamplesRegistered, head: Envelope, at: float, before: Mapping[str, str]
+) -> None:
+    """A sheet of samples, which takes the place of the one ``before``."""
+    labware = rows.get(LABWARE, event.labware)
+    if labware is None:
+        return
+    first = labware["placed_position"] * PLACES + SAMPLES_FROM
+    run = rows.get(RUNS, event.run) if event.run else None
+    for well in before:
+        if well not in labware["samples"] and (place := _place(well)) is not None:
+            gone = rows.change(ENTRIES, first + place)
+            if gone is not None:
+                gone["status"] = "replaced"
+    for well, sample in labware["samples"].items():
+        place = _place(well)
+        if place is None:
+            continue
+        _put(
+            *(rows, labware["placed_position"], SAMPLES_FROM + place, "sample"),
+            *(f"{event.labware}/{well}", at),
+            title=sample,
+            user_id=head.actor,
+            workcell=labware["station"].partition("/")[0],
+            workflow=run["workflow"] if run is not None else "",
+            experiment=run["experiment"] if run is not None else "",
+            run=event.run,
+            also=(labware["type"], labware["barcode"]),
+        )
+
+
+def _place(well: str) -> int | None:
+    """Where the entry of a well stands among those of its labware; None for what is no well."""
+    try:
+        row, column = well_index(well)
+    except ValueError:
+        return None
+    return row * COLUMNS + column
+
+
+# -- publications ------------------------------------------------------------------------------
+
+
+def on_noted(rows: Rows, event: x.ExperimentNoted, head: Envelope, at: float) -> None:
+    experiment = rows.get(EXPERIMENTS, event.experiment)
+    if event.kind != "publication":
+        entry = _entry_of(rows, experiment, "started_position")
+        if entry is not None:
+            _add_words(entry, event.name)
+        return
+    facts = event.facts
+    name = experiment["name"] if experiment is not None else ""
+    _put(
+        *(rows, head.position, 0, "publication", f"{event.experiment}@{head.position}", at),
+        title=_text(facts.get("title")) or event.name,
+        about=_text(facts.get("about")),
+        user_id=experiment["user_id"] if experiment is not None else head.actor,
+        workflow=name,
+        experiment=event.experiment,
+        status="published",
+        keywords=_texts(facts.get("keywords")),
+        creators=_texts(facts.get("creators")),
+        files=_listed(files_in(facts)),
+        also=(event.name, facts.get("runs")),
+    )
+
+
+def _text(value: Any) -> str:
+    """An application may note what it likes: here is what is a text."""
+    return value[:LONGEST_TEXT] if isinstance(value, str) else ""
+
+
+def _texts(value: Any) -> list[str]:
+    listed = value if isinstance(value, list | tuple) else ()
+    return [_text(item) for item in listed if isinstance(item, str) and item][:MOST_LISTED]
+
+
+HANDLERS: dict[Any, Any] = {
+    x.ExperimentStarted: on_experiment_started,
+    x.ExperimentCancelled: on_experiment_changed,
+    x.ExperimentClosing: on_experiment_changed,
+    x.ExperimentEnded: on_experiment_changed,
+    x.ExperimentNoted: on_noted,
+    r.RunSubmitted: on_submitted,
+    r.RunStarted: on_run_changed,
+    r.RunPaused: on_run_changed,
+    r.RunResumed: on_run_changed,
+    r.RunCancelling: on_run_changed,
+    r.RunLeaving: on_run_changed,
+    r.RunCompleted: on_run_changed,
+    r.RunFailed: on_run_changed,
+    r.RunCancelled: on_run_changed,
+    a.ActionSucceeded: on_result,
+    a.ActionReconciled: on_result,
+}
+"""They come after those of the other tables, whose rows they read."""

@@ -1,0 +1,235 @@
+"""Finds experiments, runs, samples, images, files, results and publications by words, with facets.
+
+All words of a question must be there; ``colo*`` stands for all words that begin so. What bears the words as
+its name comes first, then what is newest. SQLite finds by its FTS5, PostgreSQL by its full text search; as
+words are cut by LabOS (``labos.audit.words``), both find the same.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import msgspec
+
+from labos.audit._ddl import vector, words_name
+from labos.audit._entry_tables import ENTRIES, KINDS
+from labos.audit.query import Asker
+from labos.audit.words import words_of
+from labos.errors import BadInput
+
+FACETS = ("kind", "user", "workcell", "workflow", "experiment", "status", "keyword", "month")
+MOST_VALUES = 20
+"""So many values of a facet are counted, the most frequent ones."""
+MOST_FOUND = 200
+MOST_ASKED = 30
+"""Words of one question."""
+
+_REMEDY = "Give words of letters and digits, as: labos find color plate*"
+_WORD_AND_STAR = re.compile(r"\S+")
+
+
+class Question(msgspec.Struct, frozen=True):
+    """What is asked for: all ``words`` (none: everything) and every filter that is not empty, one of each
+    list. ``since`` and ``until`` are UTC nanoseconds, 0: no limit. The first ``offset`` are left out, and no
+    more than ``limit`` are told. ``facets``: how many there are of each user, workcell and so on."""
+
+    words: str = ""
+    kinds: tuple[str, ...] = ()
+    users: tuple[str, ...] = ()
+    workcells: tuple[str, ...] = ()
+    workflows: tuple[str, ...] = ()
+    experiments: tuple[str, ...] = ()
+    runs: tuple[str, ...] = ()
+    statuses: tuple[str, ...] = ()
+    keywords: tuple[str, ...] = ()
+    since: int = 0
+    until: int = 0
+    limit: int = 20
+    offset: int = 0
+    facets: bool = False
+
+
+class FoundFile(msgspec.Struct, frozen=True):
+    """A file, which ``GET /files/{sha256}`` gives."""
+
+    file: str
+    sha256: str
+    bytes: int
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """What was found. ``name`` is what other commands call it: E1, R1, a sample's well ``P7/B7``, the result
+    of a step ``R1#3``, the SHA-256 of a file or image, ``E1@2041`` for what E1 published at that position of
+    the log. ``at`` is when it began, was registered, returned or published (UTC, ISO 8601)."""
+
+    kind: str
+    name: str
+    title: str
+    about: str
+    at: str
+    user: str
+    workcell: str
+    workflow: str
+    experiment: str
+    run: str
+    module: str
+    status: str
+    keywords: list[str]
+    creators: list[str]
+    files: list[FoundFile]
+
+
+class FacetValue(msgspec.Struct, frozen=True):
+    value: str
+    count: int
+
+
+class Found(msgspec.Struct, frozen=True):
+    """``total`` is how many fit the question, ``entries`` are those that were asked for. ``facets`` say how
+    often each value is there, the most frequent ones first. The search index knows the log up to
+    ``position``; ``behind`` is how many later events it does not know yet."""
+
+    entries: list[Entry]
+    total: int
+    facets: dict[str, list[FacetValue]]
+    position: int
+    behind: int = 0
+
+
+_COLUMNS = (
+    *("kind", "name", "title", "about", "at", "user_id", "workcell", "workflow", "experiment", "run"),
+    *("module", "status", "keywords", "creators", "files"),
+)
+_JSON = ("keywords", "creators", "files")
+
+
+def find(asker: Asker, question: Question, log_position: int = 0) -> Found:
+    """Answer a question from the search index as it is. Raises BadInput for one that cannot be answered."""
+    where, values = _conditions(asker, question)
+    position = asker.fetch("SELECT position FROM projection")[0][0]
+    total = asker.fetch(f"SELECT count(*) FROM entries WHERE {where}", *values)[0][0]
+    rows = asker.fetch(
+        f"SELECT {', '.join(_COLUMNS)} FROM entries WHERE {where} "
+        "ORDER BY CASE WHEN lower(name) = ? THEN 0 ELSE 1 END, at_s DESC, number DESC LIMIT ? OFFSET ?",
+        *(*values, question.words.strip().lower(), min(question.limit, MOST_FOUND), question.offset),
+    )
+    facets = _facets(asker, where, values) if question.facets else {}
+    behind = max(log_position - position, 0)
+    return Found([_entry(row) for row in rows], total, facets, position, behind)
+
+
+def _entry(row: Any) -> Entry:
+    told = dict(zip(_COLUMNS, row, strict=True))
+    told["user"] = told.pop("user_id")
+    for name in _JSON:
+        told[name] = msgspec.json.decode(told[name])
+    return msgspec.convert(told, Entry)
+
+
+def _conditions(asker: Asker, question: Question) -> tuple[str, list[Any]]:
+    """What stands after WHERE, and the values of its marks."""
+    for kind in question.kinds:
+        if kind not in KINDS:
+            raise BadInput(f"There is no kind {kind!r}.", remedy=f"Name one of {', '.join(KINDS)}.")
+    parts: list[str] = []
+    values: list[Any] = []
+    terms = _terms(question.words)
+    if terms and asker.dialect == "postgresql":
+        parts.append(f"{vector(ENTRIES)} @@ ?::tsquery")
+        values.append(" & ".join(f"'{word}'{':*' if begins else ''}" for word, begins in terms))
+    elif terms:
+        index = words_name(ENTRIES)
+        bare = index.strip('"')
+        parts.append(f"number IN (SELECT rowid FROM labos.{index} WHERE {bare} MATCH ?)")
+        values.append(" AND ".join(f'"{word}"{" *" if begins else ""}' for word, begins in terms))
+    for column, wanted in (
+        ("kind", question.kinds),
+        ("user_id", question.users),
+        ("workcell", question.workcells),
+        ("workflow", question.workflows),
+        ("experiment", question.experiments),
+        ("run", question.runs),
+        ("status", question.statuses),
+    ):
+        if wanted:
+            parts.append(f"{column} IN ({', '.join('?' * len(wanted))})")
+            values += wanted
+    if question.keywords:
+        marks = ", ".join("?" * len(question.keywords))
+        parts.append(f"EXISTS (SELECT 1 FROM {_keywords(asker)} WHERE {_KEYWORD} IN ({marks}))")
+        values += question.keywords
+    if question.since:
+        parts.append("at_s >= ?")
+        values.append(question.since / 1e9)
+    if question.until:
+        parts.append("at_s < ?")
+        values.append(question.until / 1e9)
+    return " AND ".join(parts) or "1 = 1", values
+
+
+def _terms(text: str) -> list[tuple[str, bool]]:
+    """The words of a question, and whether each is only how a word begins. Raises BadInput."""
+    found: dict[tuple[str, bool], bool] = {}
+    for piece in _WORD_AND_STAR.findall(text):
+        words = words_of(piece)
+        for word in words:
+            found[word, piece.endswith("*") and word == words[-1]] = True
+    if text.strip() and not found:
+        raise BadInput(f"{text!r} has no word to look for.", remedy=_REMEDY)
+    if len(found) > MOST_ASKED:
+        raise BadInput(f"A question has at most {MOST_ASKED} words.", remedy="Leave some out.")
+    return list(found)
+
+
+_KEYWORD = "one.value"
+
+
+def _keywords(asker: Asker) -> str:
+    """The keywords of an entry, one a row, as ``one.value``."""
+    if asker.dialect == "postgresql":
+        return "json_array_elements_text(keywords) AS one(value)"
+    return "json_each(keywords) AS one"
+
+
+def _facets(asker: Asker, where: str, values: list[Any]) -> dict[str, list[FacetValue]]:
+    """How often each value is there among all that fits."""
+    month = (
+        "to_char(at, 'YYYY-MM')" if asker.dialect == "postgresql" else "strftime('%Y-%m', at_s, 'unixepoch')"
+    )
+    expressions = {"user": "user_id", "month": month, "keyword": _KEYWORD}
+    found: dict[str, list[FacetValue]] = {}
+    for facet in FACETS:
+        value = expressions.get(facet, facet)
+        source = f"entries, {_keywords(asker)}" if facet == "keyword" else "entries"
+        rows = asker.fetch(
+            f"SELECT {value}, count(*) FROM {source} WHERE ({where}) AND {value} <> '' "
+            f"GROUP BY 1 ORDER BY 2 DESC, 1 LIMIT {MOST_VALUES}",
+            *values,
+        )
+        found[facet] = [FacetValue(str(name), count) for name, count in rows]
+    return found
+
+
+# -- between the kernel's process and the one that answers (labos.audit.find_process) ------------
+
+
+class Begin(msgspec.Struct, frozen=True):
+    """Where the log and its blobs are. A URL may hold a password, so it stands in no command line."""
+
+    database: str
+    blobs: str
+    home: str
+
+
+class Refusal(msgspec.Struct, frozen=True):
+    """What an error says, and whether it is the question that was wrong."""
+
+    message: str
+    remedy: str
+    misasked: bool
+
+
+class Reply(msgspec.Struct, frozen=True):
+    found: Found | None = None
+    refusal: Refusal | None = None

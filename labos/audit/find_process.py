@@ -1,0 +1,78 @@
+"""A process that keeps the search index up to date while it is asked, and answers from it: so that the
+kernel's process has nothing to do with either. It reads a line of JSON for each question and writes one.
+
+It ends when nobody can ask any more. It may be killed at any moment, as every projector.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from labos.audit.database import open_audit
+from labos.audit.find import Begin, Found, Question, Refusal, Reply, find
+from labos.audit.projector import Projector
+from labos.audit.query import open_asker
+from labos.clock import SystemClock
+from labos.errors import BadInput, LabosError, StoreUnavailable
+from labos.store import open_blobs, open_store
+
+ENOUGH_S = 4.0
+"""So long the index is brought up to date before an answer is given from it as it is; the next question goes
+on there."""
+
+NICE = 10
+
+
+class _Enough(Exception):
+    """The index is not up to date yet, and somebody waits."""
+
+
+class Index:
+    """The search index beside a log, opened."""
+
+    def __init__(self, begin: Begin) -> None:
+        """Raises LabosError."""
+        self._url = begin.database
+        self._store = open_store(begin.database, create=False, read_only=True, home=Path(begin.home))
+        self._projector = Projector(self._store, open_audit(begin.database), open_blobs(begin.blobs))
+
+    def answer(self, question: Question) -> Found:
+        """What is found, by an index that is as new as can be waited for. Raises LabosError."""
+        clock = SystemClock()
+        began = clock.monotonic()
+
+        def enough(position: int, head: int) -> None:
+            if position < head and clock.monotonic() - began > ENOUGH_S:
+                raise _Enough
+
+        # A replica of PostgreSQL cannot be written: its index is as new as that of its primary.
+        with suppress(_Enough, StoreUnavailable):
+            self._projector.catch_up(enough)
+        with open_asker(self._url) as asker:
+            return find(asker, question, self._store.head().position)
+
+
+def main() -> None:
+    """Answer until the input ends."""
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    lines = iter(sys.stdin.buffer.readline, b"")
+    begin = msgspec.json.decode(next(lines), type=Begin)
+    index: Index | None = None
+    for line in lines:
+        try:
+            index = index or Index(begin)
+            reply = Reply(index.answer(msgspec.json.decode(line, type=Question)))
+        except LabosError as error:
+            reply = Reply(refusal=Refusal(error.message, error.remedy, isinstance(error, BadInput)))
+        sys.stdout.buffer.write(msgspec.json.encode(reply) + b"\n")
+        sys.stdout.buffer.flush()
+
+
+if __name__ == "__main__":
+    main()

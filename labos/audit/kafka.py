@@ -1,0 +1,350 @@
+"""Events that are carried out of the lab into a topic of Kafka: in order, each at least once.
+
+A message is a CloudEvent in structured mode, as the protocol binding of CloudEvents for Kafka has it. All go
+to partition 0 of the topic, so that they stay in order. Where to go on is read from the end of the topic: a
+broker that lost its end gets it again. The position beside the log counts where the topic's messages have
+expired. Whoever reads tells repeated events by their `position`.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from labos.audit.cloudevents import cloudevent, source_of
+from labos.core.envelope import Record
+from labos.errors import BadInput, SystemFailed
+from labos.lockfile import FileLock
+from labos.private import make_folder, replace_file
+
+if TYPE_CHECKING:
+    from confluent_kafka import KafkaError, Message
+
+SCHEME = "kafka://"
+HEADERS = [("content-type", b"application/cloudevents+json; charset=UTF-8")]
+PARTITION = 0
+LOOKED_BACK = 1000
+"""So many last messages of the topic are looked at for one of this lab."""
+WAIT_S = 1.0
+"""Between two looks at whether messages have arrived."""
+
+OURS = {
+    "acks": "all",
+    "enable.idempotence": True,
+    "enable.gapless.guarantee": True,  # rather a failure than a message left out
+    "message.timeout.ms": 0,  # a broker that is away is waited for, as long as we want
+}
+"""What keeps order and completeness is not left to a file of settings."""
+
+_URL = re.compile(r"kafka://([^/?#]+)/([A-Za-z0-9._-]{1,249})")
+_SETTING = re.compile(r"\s*([a-z][a-z0-9._-]*)\s*=\s*(.*?)\s*")
+
+Tell = Callable[[str], None]
+
+
+class Stored(msgspec.Struct, frozen=True):
+    """What is kept beside the log: up to where this topic has the events of this lab."""
+
+    topic: str
+    source: str
+    position: int
+
+
+class Topic(msgspec.Struct, frozen=True):
+    brokers: str
+    name: str
+
+    @classmethod
+    def of(cls, url: str) -> Topic:
+        """``kafka://broker:9092,other:9092/topic``. Raises BadInput."""
+        found = _URL.fullmatch(url)
+        if found is None or "@" in found[1]:
+            raise BadInput(
+                f"{url.rpartition('@')[2]!r} names no topic of Kafka.",
+                remedy="Write kafka://BROKER:9092/TOPIC; names and passwords belong into a file: --settings.",
+            )
+        return cls(found[1], found[2])
+
+
+def read_settings(path: Path) -> dict[str, str]:
+    """A file of settings of librdkafka, ``name=value`` a line. Raises BadInput."""
+    settings: dict[str, str] = {}
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path} cannot be read: {error}.", remedy="Name a file of text.") from None
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        found = _SETTING.fullmatch(line)
+        if found is None:
+            raise BadInput(
+                f"{path}:{number}: this is no setting.", remedy="Write name=value, as: sasl.username=labos"
+            )
+        if found[1] in OURS:
+            raise BadInput(
+                f"{path}:{number}: {found[1]} is set by LabOS, so that no event is lost.",
+                remedy="Leave that line out.",
+            )
+        settings[found[1]] = found[2]
+    return settings
+
+
+class _BeginAnew(Exception):
+    """The producer cannot go on without a gap."""
+
+
+class KafkaSink:
+    """The topic, at the position up to which it has the lab's events. ``patience_s`` is how long a broker may
+    be away (None: for ever); ``tell`` hears once that it is away and once that it is back."""
+
+    def __init__(
+        self,
+        topic: Topic,
+        lab: str,
+        file: Path,
+        settings: Mapping[str, str],
+        *,
+        patience_s: float | None = None,
+        tell: Tell = lambda words: None,
+    ) -> None:
+        """Raises BadInput for settings that the client library refuses, and while another process carries
+        events to this topic; SystemFailed for a broker that does not answer in time."""
+        _need_library()
+        self._topic, self._file, self._tell = topic, file, tell
+        self._source = source_of(lab)
+        self._lab = lab.encode()
+        self._settings = {
+            "bootstrap.servers": topic.brokers,
+            "client.id": "labos",
+            "reconnect.backoff.max.ms": 2000,
+            **settings,
+        }
+        self._patience_s = patience_s
+        self._is_away = False
+        self._failure = ""
+        self._begun_anew_at = -1
+        self._log = logging.getLogger("labos.kafka")
+        self._log.addHandler(logging.NullHandler())
+        self._log.propagate = False
+        self._producer: Any = None
+        make_folder(file.parent)
+        self._lock = FileLock(file.with_suffix(".lock"))
+        if not self._lock.acquire(f"process {os.getpid()}"):
+            raise BadInput(
+                f"Another process carries events to {topic.name} ({self._lock.note()}).",
+                remedy="End that one.",
+            )
+        try:
+            self.position = self._find_position()
+        except _BeginAnew as why:
+            self._lock.release()
+            raise self._failed(str(why)) from None
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def write(self, records: Iterable[Record]) -> None:
+        """Send records. On return all are in the topic, or fewer if the broker made us begin anew: see
+        ``position``. Raises SystemFailed."""
+        written = self.position
+        producer = self._connected()
+        try:
+            for record in records:
+                self._send(producer, record)
+                written = record.head.position
+            self._wait(lambda: producer.flush(WAIT_S) == 0)
+        except _BeginAnew as why:
+            self._begin_anew(str(why))
+            return
+        self.position = written
+        self._store()
+
+    def close(self) -> None:
+        """What was not delivered is sent again next time."""
+        self._drop_producer()
+        self._lock.release()
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _send(self, producer: Any, record: Record) -> None:
+        while True:
+            try:
+                producer.produce(
+                    self._topic.name,
+                    cloudevent(record),
+                    self._lab,
+                    PARTITION,
+                    on_delivery=self._on_delivery,
+                    headers=HEADERS,
+                )
+                producer.poll(0)
+                return
+            except BufferError:  # so much is under way already
+                self._wait(lambda: bool(producer.poll(WAIT_S)))
+
+    def _begin_anew(self, why: str) -> None:
+        """With another producer, where the topic ends now. Raises SystemFailed if that helped nothing last
+        time."""
+        self._drop_producer()
+        self._failure = ""
+        self.position = self._find_position()
+        if self.position <= self._begun_anew_at:
+            raise self._failed(why)
+        self._begun_anew_at = self.position
+
+    def _drop_producer(self) -> None:
+        if self._producer is not None:
+            self._producer.purge()
+            self._producer = None
+
+    def _connected(self) -> Any:
+        if self._producer is None:
+            from confluent_kafka import Producer
+
+            self._producer = self._client(Producer, OURS)
+        return self._producer
+
+    def _client(self, kind: Any, settings: Mapping[str, Any]) -> Any:
+        from confluent_kafka import KafkaException
+
+        try:
+            every = {**self._settings, **settings, "error_cb": self._on_error}
+            return kind(every, logger=self._log)
+        except KafkaException as error:
+            said = error.args[0]
+            raise BadInput(
+                f"The client of Kafka refuses its settings: {said.str()}.",
+                remedy="Correct the file of --settings.",
+            ) from None
+
+    def _on_error(self, error: KafkaError) -> None:
+        """The library goes on by itself, unless it says that it cannot."""
+        if error.fatal():
+            self._failure = error.str()
+        elif not self._is_away:
+            self._is_away = True
+            self._tell(f"Kafka at {self._topic.brokers} is away ({error.str()}); LabOS goes on trying.")
+
+    def _on_delivery(self, error: KafkaError | None, message: Message) -> None:
+        if error is not None and not self._failure:
+            self._failure = error.str()
+        elif error is None and self._is_away:
+            self._is_away = False
+            self._tell(f"Kafka at {self._topic.brokers} takes events again.")
+
+    def _wait(self, is_done: Callable[[], bool]) -> None:
+        """Until it is done. Raises SystemFailed after ``patience_s`` without it, and _BeginAnew for a
+        producer that cannot go on."""
+        began = time.monotonic()
+        while not is_done() and not self._failure:
+            if self._patience_s is not None and time.monotonic() - began > self._patience_s:
+                raise self._failed(f"no answer in {self._patience_s:g} s")
+        if self._failure:
+            raise _BeginAnew(self._failure)
+
+    def _failed(self, why: str) -> SystemFailed:
+        return SystemFailed(
+            f"Kafka at {self._topic.brokers} does not take the events: {why}.",
+            remedy="See to the broker, then start this again: it goes on where the topic ends.",
+        )
+
+    # -- where to go on ----------------------------------------------------------------------
+
+    def _find_position(self) -> int:
+        """The last event of this lab in the topic; what is kept beside the log, if the topic has none any
+        more; 0 for a topic in which nothing was ever."""
+        from confluent_kafka import Consumer, KafkaError, KafkaException, TopicPartition
+
+        settings = {"group.id": "labos", "enable.auto.commit": False, "enable.partition.eof": True}
+        consumer = self._client(Consumer, settings)
+        try:
+            where = TopicPartition(self._topic.name, PARTITION)
+            ends: list[tuple[int, int]] = []
+
+            def ask() -> bool:
+                try:
+                    self._make_topic()
+                    ends[:] = [consumer.get_watermark_offsets(where, timeout=WAIT_S)]
+                except KafkaException as error:
+                    self._on_error(error.args[0])
+                return bool(ends)
+
+            self._wait(ask)
+            low, high = ends[0]
+            if high == 0:
+                return 0
+            where.offset = max(low, high - LOOKED_BACK)
+            consumer.assign([where])
+            found: list[int] = []
+
+            def look() -> bool:
+                message = consumer.poll(WAIT_S)
+                if message is None:
+                    return False
+                if message.error() is not None:
+                    return bool(message.error().code() == KafkaError._PARTITION_EOF)
+                position = self._position_in(message.value() or b"")
+                found.extend([position] if position else [])
+                return bool(message.offset() >= high - 1)
+
+            self._wait(look)
+            self._is_away = False
+            return found[-1] if found else self._stored()
+        finally:
+            consumer.close()
+
+    def _make_topic(self) -> None:
+        """With one partition, unless it is there. Raises KafkaException."""
+        from confluent_kafka import KafkaError, KafkaException
+        from confluent_kafka.admin import AdminClient, NewTopic  # type: ignore[attr-defined]
+
+        admin = self._client(AdminClient, {})
+        if self._topic.name in admin.list_topics(timeout=WAIT_S).topics:
+            return
+        try:
+            admin.create_topics([NewTopic(self._topic.name, num_partitions=1)])[self._topic.name].result()
+        except KafkaException as error:
+            if error.args[0].code() != KafkaError.TOPIC_ALREADY_EXISTS:
+                raise
+
+    def _position_in(self, value: bytes) -> int:
+        """The position of an event of this lab; 0 for anything else."""
+        try:
+            told = msgspec.json.decode(value)
+            return int(told["position"]) if told["source"] == self._source else 0
+        except (msgspec.MsgspecError, KeyError, TypeError, ValueError):
+            return 0
+
+    def _stored(self) -> int:
+        try:
+            known = msgspec.json.decode(self._file.read_bytes(), type=Stored)
+        except FileNotFoundError:
+            return 0
+        except (OSError, msgspec.MsgspecError):
+            raise BadInput(
+                f"{self._file} cannot be read as the position of a topic.",
+                remedy="Remove it: all events are sent again then.",
+            ) from None
+        same = known.topic == self._topic.name and known.source == self._source
+        return known.position if same else 0
+
+    def _store(self) -> None:
+        replace_file(self._file, msgspec.json.encode(Stored(self._topic.name, self._source, self.position)))
+
+
+def _need_library() -> None:
+    try:
+        import confluent_kafka
+    except ModuleNotFoundError:
+        raise BadInput(
+            "Kafka needs its client, which is not installed.", remedy='Run: pip install "labos-sdl[kafka]"'
+        ) from None
+    assert confluent_kafka

@@ -1,0 +1,50 @@
+"""Words of a text, as the search index keeps them: both databases then find the same."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable
+from typing import Any
+
+LONGEST_WORD = 100
+MOST_WORDS = 500
+"""So many different words of one entry are kept."""
+
+_WORD = re.compile(r"[^\W_]+")
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a text in their order: letters and digits, in small letters, without accents.
+    ``Café cp_mixcolor R1#3`` has the words cafe, cp, mixcolor, r1, 3."""
+    plain = unicodedata.normalize("NFKD", text[: 100 * MOST_WORDS])
+    plain = "".join(char for char in plain if not unicodedata.combining(char)).casefold()
+    return [word[:LONGEST_WORD] for word in _WORD.findall(plain)]
+
+
+def all_words(values: Iterable[Any]) -> str:
+    """The words of all texts in these values, at any depth, each once, with a space between them."""
+    found: dict[str, bool] = {}
+    for text in _texts(values):
+        for word in words_of(text):
+            found[word] = True
+            if len(found) >= MOST_WORDS:
+                return " ".join(found)
+    return " ".join(found)
+
+
+def _texts(value: Any) -> Iterable[str]:
+    """All texts and numbers in a value, names of members too."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for name, item in value.items():
+            yield str(name)
+            yield from _texts(item)
+    elif isinstance(value, bool) or value is None:
+        return
+    elif isinstance(value, int | float):
+        yield f"{value:.10g}" if isinstance(value, float) else str(value)
+    elif isinstance(value, Iterable):
+        for item in value:
+            yield from _texts(item)

@@ -1,0 +1,118 @@
+"""``labos find``: experiments, runs, samples, images, results and publications, by words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import msgspec
+
+from labos.audit.find import FACETS, MOST_FOUND, Found, Question, find
+from labos.cli._audit import open_log_and_views
+from labos.cli._out import show_json, show_table
+from labos.cli._query import Where, as_time, json_option, log_options
+from labos.client import LabClient
+from labos.services.times import parse_time, show_time
+
+KIND = ("experiment", "run", "sample", "image", "file", "result", "publication")
+
+
+@click.command("find", short_help="Find experiments, runs, samples, images and results by words.")
+@click.argument("words", nargs=-1)
+@click.option("--kind", "kinds", multiple=True, type=click.Choice(KIND), help="Only this kind.")
+@click.option("--user", "users", multiple=True, metavar="ID", help="Only what is this user's.")
+@click.option("--workcell", "workcells", multiple=True, metavar="NAME", help="Only of this workcell.")
+@click.option(
+    "--workflow", "workflows", multiple=True, metavar="NAME", help="Only of this workflow or application."
+)
+@click.option("--experiment", "experiments", multiple=True, metavar="ID", help="Only of this experiment.")
+@click.option("--status", "statuses", multiple=True, metavar="STATUS", help="Only of this status.")
+@click.option(
+    "--keyword", "keywords", multiple=True, metavar="WORD", help="Only with this keyword or quantity."
+)
+@click.option("--since", metavar="TIME", callback=as_time, help="Only what is of this time or later.")
+@click.option("--until", metavar="TIME", callback=as_time, help="Only what is from before this time.")
+@click.option("--facets", is_flag=True, help="Count how many there are of each user, workcell, month ….")
+@click.option(
+    "--last",
+    "limit",
+    type=click.IntRange(0, MOST_FOUND),
+    default=20,
+    show_default=True,
+    metavar="N",
+    help="Show so many, the newest ones.",
+)
+@click.option("--offset", type=click.IntRange(0), default=0, metavar="N", help="Leave the first N out.")
+@json_option
+@log_options
+def command(where: Where, words: tuple[str, ...], as_json: bool, facets: bool, **options: Any) -> None:
+    """Find what has all these WORDS: experiments, runs, samples, images, files, results of steps, and what
+    applications have published. Without words, everything that fits the options.
+
+    `colo*` stands for all words that begin so. Capital letters and accents do not matter. What bears
+    the words as its name comes first, then what is newest. An option given twice means either.
+
+    \b
+    labos find color picker
+    labos find "absorb*" --kind result --user ada --since -30d
+    labos find --facets --last 0
+    labos find P7 --kind image --json
+    """
+    since, until = options.pop("since") or 0, options.pop("until") or 0
+    question = Question(words=" ".join(words), since=since, until=until, facets=facets, **options)
+    if where.lab:
+        with LabClient(where.lab) as client:
+            found = msgspec.convert(_ask(client, question), Found)
+    else:
+        with open_log_and_views(where) as (store, asker):
+            found = find(asker, question, store.head().position)
+    if as_json:
+        show_json(found)
+        return
+    _show(found, question)
+
+
+def _ask(client: LabClient, question: Question) -> dict[str, Any]:
+    return client.find(
+        question.words,
+        kind=question.kinds,
+        user=question.users,
+        workcell=question.workcells,
+        workflow=question.workflows,
+        experiment=question.experiments,
+        status=question.statuses,
+        keyword=question.keywords,
+        since=question.since,
+        until=question.until,
+        limit=question.limit,
+        offset=question.offset,
+        facets=question.facets,
+    )
+
+
+def _show(found: Found, question: Question) -> None:
+    if found.entries:
+        rows = [
+            (
+                entry.kind,
+                entry.name[:12] + "…" if len(entry.name) == 64 else entry.name,
+                entry.title,
+                entry.user,
+                entry.workcell,
+                entry.status,
+                show_time(parse_time(entry.at, 0)),
+            )
+            for entry in found.entries
+        ]
+        show_table(("kind", "name", "title", "user", "workcell", "status", "when"), rows)
+    last = question.offset + len(found.entries)
+    if found.total > last and found.entries:
+        click.echo(f"{question.offset + 1} to {last} of {found.total}; the next ones: --offset {last}")
+    else:
+        click.echo("Nothing was found." if not found.total else f"{found.total} found.")
+    for facet in FACETS if question.facets else ():
+        values = ", ".join(f"{value.value} {value.count}" for value in found.facets[facet])
+        if values:
+            click.echo(f"{facet + ':':12} {values}")
+    if found.behind:
+        click.echo(f"The last {found.behind} events are not in the search index yet: ask again.")

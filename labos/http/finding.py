@@ -1,0 +1,103 @@
+"""Questions to the search index, which a process of its own answers and keeps."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+
+from labos.audit.find import Begin, Found, Question, Reply
+from labos.errors import BadInput, Refused
+
+PROGRAM = "labos.audit.find_process"
+
+GIVE_UP_S = 60.0
+"""After so many seconds a question is given up."""
+
+MOST_ASKED = 16
+"""So many may be asked at a time."""
+
+LONGEST_LINE = 64 * 1024 * 1024
+
+_encode = msgspec.json.Encoder().encode
+_decode = msgspec.json.Decoder(Reply).decode
+
+
+class Finder:
+    """Asks the process, which is started with the first question; one question at a time."""
+
+    def __init__(self, database: str, blobs: Path | str, home: Path) -> None:
+        self._begin = Begin(database, str(blobs), str(home))
+        self._process: asyncio.subprocess.Process | None = None
+        self._turn = asyncio.Lock()
+        self._asked = 0
+
+    async def find(self, question: Question) -> Found:
+        """Raises BadInput for a question that cannot be answered, Refused for an index that cannot."""
+        if self._asked >= MOST_ASKED:
+            raise Refused(
+                f"{self._asked} questions to the search index wait already.",
+                remedy="Ask again when they have been answered.",
+            )
+        self._asked += 1
+        try:
+            async with self._turn:
+                reply = await self._ask(question)
+        finally:
+            self._asked -= 1
+        if reply.found is not None:
+            return reply.found
+        assert reply.refusal is not None
+        kind = BadInput if reply.refusal.misasked else Refused
+        raise kind(reply.refusal.message, remedy=reply.refusal.remedy)
+
+    def close(self) -> None:
+        """The process ends with its input."""
+        if self._process is not None and self._process.returncode is None:
+            self._process.kill()
+        self._process = None
+
+    async def _ask(self, question: Question) -> Reply:
+        try:
+            async with asyncio.timeout(GIVE_UP_S):
+                process = await self._started()
+                assert process.stdin is not None
+                assert process.stdout is not None
+                process.stdin.write(_encode(question) + b"\n")
+                await process.stdin.drain()
+                line = await process.stdout.readline()
+        except TimeoutError:
+            self.close()
+            raise Refused(
+                f"The search took longer than {GIVE_UP_S:g} s and was given up.", remedy="Ask for less."
+            ) from None
+        except OSError:
+            line = b""
+        except BaseException:
+            self.close()  # or its answer would be taken for that of the next question
+            raise
+        if not line:
+            self.close()
+            raise Refused(
+                "The process of the search index has ended.",
+                remedy="Ask again. `labos audit rebuild` makes the index anew.",
+            )
+        return _decode(line)
+
+    async def _started(self) -> asyncio.subprocess.Process:
+        if self._process is None or self._process.returncode is not None:
+            self._process = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-m",
+                PROGRAM,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                limit=LONGEST_LINE,
+            )
+            assert self._process.stdin is not None
+            self._process.stdin.write(_encode(self._begin) + b"\n")
+        return self._process
