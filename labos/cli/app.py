@@ -110,6 +110,7 @@ SECTIONS = {
         "key": "The keys that sign a lab's checkpoints.",
         "checkpoint": "Sign the log's end, and keep it elsewhere.",
         "sign": "Sign the record of a run, or show its signatures.",
+        "erase": "Erase what people wrote: reasons, notes, comments.",
         "bundle": "One run as a file that proves itself.",
         "witness": "Cosign other labs' checkpoints.",
         "sql": "Ask the lab in SQL, read only.",

@@ -147,9 +147,20 @@ def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
     metavar="FILE",
     help="Append all events to this file, from where it ends.",
 )
+@click.option("--with-words", is_flag=True, help="Put in what people wrote.")
 @log_options
-def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool, to: Path | None) -> None:
+def events(
+    where: Where,
+    moment: Moment,
+    families: tuple[str, ...],
+    follow: bool,
+    to: Path | None,
+    with_words: bool,
+) -> None:
     """Write events as CloudEvents 1.0, one JSON object a line.
+
+    Payloads are as the log has them: what people wrote (reasons, notes, comments) stands beside the log and
+    is not in them, unless --with-words puts it in. What was exported is not reached by `labos erase`.
 
     `position` says how far you are: give the last one to --since, and nothing is left out and nothing
     comes twice. `hash` is the event's place in the chain. Works with LABOS_URL, too. With --to, the file
@@ -165,9 +176,9 @@ def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool
     if to is not None:
         if families or moment != Moment():
             raise BadInput("--to appends all events.", remedy="Leave --since and --family out.")
-        _append(where, to, follow)
+        _append(where, to, follow, stored=not with_words)
         return
-    with open_log(where) as log, suppress(KeyboardInterrupt):
+    with open_log(where, stored=not with_words) as log, suppress(KeyboardInterrupt):
         seen = _start(log, moment)
         while True:
             end = log.head().position
@@ -180,9 +191,9 @@ def events(where: Where, moment: Moment, families: tuple[str, ...], follow: bool
             time.sleep(POLL_S)
 
 
-def _append(where: Where, to: Path, follow: bool) -> None:
+def _append(where: Where, to: Path, follow: bool, *, stored: bool) -> None:
     """Bring a file of JSON lines up to date with the log, and go on if asked to."""
-    with open_log(where) as log, closing(JsonLines(to)) as sink, suppress(KeyboardInterrupt):
+    with open_log(where, stored=stored) as log, closing(JsonLines(to)) as sink, suppress(KeyboardInterrupt):
         while True:
             end = log.head().position
             if end < sink.position:

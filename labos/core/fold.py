@@ -11,6 +11,7 @@ from labos.core import (
     bench,
     bookings,
     campaigns,
+    erasure,
     failures,
     interventions,
     lab,
@@ -59,6 +60,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("bookings", bookings.HANDLERS),
     ("lab", repeated.HANDLERS),
     ("lab", signatures.HANDLERS),
+    ("erasures", erasure.HANDLERS),
 )
 
 

@@ -13,6 +13,7 @@ from labos.client._generated.modules import GeneratedModules
 from labos.client._generated.people import GeneratedPeople
 from labos.client._generated.planning import GeneratedPlanning
 from labos.client._generated.runs import GeneratedRuns
+from labos.client._generated.words import GeneratedWords
 
 
 class GeneratedCalls(
@@ -27,5 +28,6 @@ class GeneratedCalls(
     GeneratedBookings,
     GeneratedBench,
     GeneratedPeople,
+    GeneratedWords,
 ):
     """One method for each operation."""

@@ -16,6 +16,7 @@ from labos.http.routes import (
     people,
     planning,
     runs,
+    words,
 )
 
 PREFIX = "/api/v1"
@@ -24,6 +25,7 @@ OPERATIONS: tuple[Operation, ...] = (
     *lab.OPERATIONS,
     *accounts.OPERATIONS,
     *log.OPERATIONS,
+    *words.OPERATIONS,
     *forecasts.OPERATIONS,  # before runs: /runs/forecast is no run
     *planning.OPERATIONS,  # before runs: /runs/check is no run
     *runs.OPERATIONS,

@@ -9,6 +9,7 @@ files have the digests that the events name.
 ``checkpoint.tsr``   its time stamp, if there is one
 ``rotation.notes``   changes of the lab's key, if there were any
 ``events.jsonl``     an event a line: envelope and payload as stored, and the proof of inclusion
+``words.jsonl``      what people wrote into them, if it was not erased or left out
 ``blobs/…``          files that the events name, by SHA-256
 ===================  ========================================================================
 """
@@ -27,6 +28,7 @@ from labos.core.merkle import Tree, inclusion_ranges, leaf_hash, proof_of
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.runs import RUN_ENDS, RunSubmitted
 from labos.core.signatures import RunSigned
+from labos.core.words import references_in
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.ports import BlobStore
 from labos.services.log import Log
@@ -35,7 +37,8 @@ from labos.services.trust.keys import encode_rotations
 from labos.services.trust.notes import Note
 from labos.services.verification import needed_blobs
 
-FORMAT = "labos-bundle/1"
+FORMAT, WITH_WORDS = "labos-bundle/1", "labos-bundle/2"
+"""Of a bundle without and with words."""
 SIGNED = RunSigned.TYPE
 PLANS = (PlanRecorded.TYPE, PlanStepsRecorded.TYPE)
 ABOUT, NOTE, STAMP, ROTATIONS, EVENTS = (
@@ -45,6 +48,7 @@ ABOUT, NOTE, STAMP, ROTATIONS, EVENTS = (
     "rotation.notes",
     "events.jsonl",
 )
+WORDS = "words.jsonl"
 BLOBS = "blobs/"
 
 
@@ -68,12 +72,23 @@ class ProvenEvent(msgspec.Struct, frozen=True):
     proof: tuple[str, ...]
 
 
+class ToldWords(msgspec.Struct, frozen=True):
+    """A line of ``words.jsonl``: a text, and the salt (hexadecimal digits) with which its digest stands in an
+    event."""
+
+    reference: str
+    salt: str
+    text: str
+
+
 class Attachments(msgspec.Struct, frozen=True):
-    """What goes into a bundle beside the log: the checkpoint, its time stamp, changes of the key."""
+    """What goes into a bundle beside the log: the checkpoint, its time stamp, changes of the key; and whether
+    what people wrote does."""
 
     note: Note
     stamp: bytes = b""
     rotations: tuple[Note, ...] = ()
+    words: bool = True
 
 
 def make_bundle(log: Log, blobs: BlobStore, run: str, beside: Attachments) -> tuple[bytes, About]:
@@ -101,16 +116,31 @@ def make_bundle(log: Log, blobs: BlobStore, run: str, beside: Attachments) -> tu
         )
         lines.append(msgspec.json.encode(line) + b"\n")
         digests.update(dict.fromkeys(needed_blobs(record.head.type, record.payload)))
-    about = About(FORMAT, records[0].head.lab, run, head.size, len(records), len(digests))
+    words = _words(log, records) if beside.words else b""
+    about = About(
+        WITH_WORDS if words else FORMAT, records[0].head.lab, run, head.size, len(records), len(digests)
+    )
     files = {
         ABOUT: msgspec.json.format(msgspec.json.encode(about), indent=2) + b"\n",
         NOTE: beside.note.encode(),
         **({STAMP: beside.stamp} if beside.stamp else {}),
         **({ROTATIONS: encode_rotations(beside.rotations)} if beside.rotations else {}),
         EVENTS: b"".join(lines),
+        **({WORDS: words} if words else {}),
         **{f"{BLOBS}{digest}": blobs.get(digest) for digest in digests},
     }
     return _pack(files), about
+
+
+def _words(log: Log, records: Iterable[Record]) -> bytes:
+    """What people wrote into records, as far as it was not erased."""
+    named = dict.fromkeys(name for record in records for name in references_in(record.payload))
+    found = log.words_of(named) if named else {}
+    standing = [found[name] for name in named if name in found and not found[name].is_erased]
+    return b"".join(
+        msgspec.json.encode(ToldWords(kept.reference, kept.salt.hex(), kept.text)) + b"\n"
+        for kept in standing
+    )
 
 
 def _read(log: Log, run: str, head: TreeHead) -> tuple[Tree, list[Record]]:
