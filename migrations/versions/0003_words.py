@@ -15,6 +15,19 @@ branch_labels = None
 depends_on = None
 
 
+# A role that kernels work as (`labos db writer`) goes on as before.
+GRANT_TO_WRITERS = """DO $$
+DECLARE who name;
+BEGIN
+  FOR who IN SELECT DISTINCT grantee FROM information_schema.role_table_grants
+             WHERE table_name = 'event' AND table_schema = current_schema() AND privilege_type = 'INSERT'
+               AND grantee NOT IN (current_user, 'PUBLIC')
+  LOOP
+    EXECUTE format('GRANT SELECT, INSERT, UPDATE ON words TO %I', who);
+  END LOOP;
+END $$"""
+
+
 def upgrade() -> None:
     name = sa.Text().with_variant(sa.Text(collation="C"), "postgresql")
     op.create_table(
@@ -26,6 +39,8 @@ def upgrade() -> None:
         sa.Column("erased_at", sa.BigInteger, nullable=False),
     )
     op.create_index("words_position", "words", ["position"])
+    if op.get_bind().dialect.name == "postgresql":
+        op.execute(GRANT_TO_WRITERS)
 
 
 def downgrade() -> None:

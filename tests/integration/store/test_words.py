@@ -49,6 +49,7 @@ def test_words_come_and_go_with_their_events(store: SqlEventStore) -> None:
     gone = Kept(words.reference, b"", "")
     assert store.words_of([words.reference]) == {words.reference: gone}
     assert [each.erased_at for each in store.all_words()] == [2]
+    assert store.scrub() == ""
     assert first_damage(store) is None
     found = check_words(store)
     assert (found.faults, found.checked) == ((), 1)
