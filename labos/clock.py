@@ -1,7 +1,8 @@
-"""The only place where LabOS reads a clock or makes an id."""
+"""The only place where LabOS reads a clock, or makes an id or a salt."""
 
 from __future__ import annotations
 
+import secrets
 import time
 from typing import Protocol
 
@@ -32,6 +33,11 @@ class SystemClock:
 
     def monotonic(self) -> float:
         return time.monotonic()
+
+
+def new_salt() -> bytes:
+    """16 bytes that nobody can guess."""
+    return secrets.token_bytes(16)
 
 
 class Uuid7Ids:

@@ -5,13 +5,14 @@ Each port has a real implementation and one for the seeded simulation; both pass
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Protocol
 
 import msgspec
 
 from labos.core.envelope import Record
 from labos.core.ids import LabId
+from labos.core.words import Kept
 
 
 class Head(msgspec.Struct, frozen=True):
@@ -25,7 +26,8 @@ class Head(msgspec.Struct, frozen=True):
 
 
 class LogQuery(msgspec.Struct, frozen=True):
-    """A selection of the log. Empty fields select everything; times are UTC nanoseconds."""
+    """A selection of the log. Empty fields select everything; times are UTC nanoseconds. A record
+    ``mentions`` a text that stands in its payload or its stream, or was written beside it."""
 
     after: int = 0
     upto: int | None = None
@@ -89,6 +91,13 @@ class EventStore(Protocol):
 
     def select(self, query: LogQuery) -> Iterator[Record]:
         """Records that a query selects, in order."""
+
+    def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
+        """The words that stand beside the log for references, also those that were erased."""
+
+    def scrub(self) -> str:
+        """Let nothing of words that were erased stand in the database's files any more. Returns why something
+        still may, empty if it does not."""
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
         """Keep a disposable picture of the state; replaces older ones."""

@@ -93,6 +93,9 @@ class PostgresAudit(AuditDatabase):
         self._execute(f"SELECT 1 FROM {_STATE} FOR UPDATE")
         return self._mark()
 
+    def _scrub(self) -> str:
+        return ""  # the files of tables that are dropped are removed
+
     def _version(self) -> int:
         known = self._execute("SELECT to_regclass(%s)", (f"{TABLE_SCHEMA}.{STATE}",)).fetchone()
         if known is None or known[0] is None:

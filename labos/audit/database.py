@@ -49,6 +49,12 @@ class AuditDatabase(ABC):
                 self._make_anew()
             return self._mark()
 
+    @property
+    def is_made(self) -> bool:
+        """Whether there are tables."""
+        with self._door:
+            return self._version() > 0
+
     def mark(self) -> Mark:
         """Up to where the log is in the tables."""
         with self._door:
@@ -58,6 +64,17 @@ class AuditDatabase(ABC):
         """Throw everything away and make empty tables."""
         with self._writing():
             self._make_anew()
+
+    def forget(self) -> str:
+        """Throw everything away, so that nothing of it stands in the database's files, and make empty tables.
+        Returns why something still may stand there; empty if it does not."""
+        self.reset()
+        with self._door:
+            return self._scrub()
+
+    @abstractmethod
+    def _scrub(self) -> str:
+        """Nothing of rows that were thrown away stands in the files any more, or why it may."""
 
     @abstractmethod
     def load(self, table: Table, key: Key) -> Row | None:

@@ -10,21 +10,31 @@ import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import structlog
+
 from labos.audit._rows import Rows, seconds
 from labos.audit.database import AuditDatabase, Mark
 from labos.audit.projection import Projection
+from labos.core.erasure import WordsErased
 from labos.ports import BlobStore, Head
 from labos.services.log import Log
 
 BATCH = 10_000
 """Events that are written at once."""
 
+_log = structlog.get_logger(__name__)
+
 Tell = Callable[[int, int], None]
 """Is told how far the tables are, and how far the log."""
 
 
+class _WordsErased(Exception):
+    """The tables may hold words that were erased."""
+
+
 class Projector:
-    """Several may work on the same tables: whoever comes second begins again where the first one is."""
+    """Several may work on the same tables: whoever comes second begins again where the first one is. With a
+    log that is shown (``ShownLog``) the tables hold people's words, until these are erased."""
 
     def __init__(self, log: Log, database: AuditDatabase, blobs: BlobStore | None = None) -> None:
         self._log, self._database = log, database
@@ -35,7 +45,8 @@ class Projector:
 
     def catch_up(self, tell: Tell | None = None) -> int:
         """Carry over all that is in the log now; returns its position. Tables that are of another log, or
-        know more than this one, are made anew. Raises StoreUnavailable, LogTooNew, LogDamaged."""
+        know more than this one, are made anew; so are those that may hold words which were erased since.
+        Raises StoreUnavailable, LogTooNew, LogDamaged."""
         head = self._log.head()
         mark = self._database.prepare()
         if not self._is_of(mark, head):
@@ -43,18 +54,26 @@ class Projector:
             mark = self._database.mark()
         if mark != self._remembered:  # another projector has been here
             self._rows.forget()
+        begun = mark.position
         with _no_search_for_cycles():
             while mark.position < head.position:
-                mark = self._carry(mark, min(mark.position + BATCH, head.position))
+                try:
+                    mark = self._carry(mark, min(mark.position + BATCH, head.position), begun)
+                except _WordsErased:
+                    mark = self._forget_erased()
+                    begun = 0  # what is read from now on is without them
                 if tell is not None:
                     tell(mark.position, head.position)
         return mark.position
 
-    def _carry(self, mark: Mark, upto: int) -> Mark:
-        """One batch; returns where the tables are then."""
+    def _carry(self, mark: Mark, upto: int, begun: int) -> Mark:
+        """One batch; returns where the tables are then. Raises _WordsErased where words were erased that the
+        tables may hold, which were made up to ``begun`` before."""
         after = mark
         try:
             for record in self._log.read(mark.position, upto):
+                if begun and record.head.type == WordsErased.TYPE:
+                    raise _WordsErased
                 self._projection.take(record)
             head = record.head
             after = Mark(head.lab, head.position, record.hash.hex(), seconds(head.recorded_at))
@@ -67,6 +86,13 @@ class Projector:
             self._remembered = after
             return after
         self._rows.forget()
+        return self._database.mark()
+
+    def _forget_erased(self) -> Mark:
+        """Where erased words stand in the tables nobody knows: they are made anew, without them."""
+        self._rows.forget()
+        if left := self._database.forget():
+            _log.warning("erased_words_may_be_left", why=left)
         return self._database.mark()
 
     def _is_of(self, mark: Mark, head: Head) -> bool:

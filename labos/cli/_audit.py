@@ -8,12 +8,13 @@ from contextlib import AbstractContextManager, contextmanager
 
 import click
 
-from labos.audit.database import AuditDatabase, open_audit
+from labos.audit.database import AuditDatabase, audit_url, open_audit
 from labos.audit.projector import Projector
 from labos.audit.query import TIME_LIMIT_S, Asker, open_asker
 from labos.cli._query import Where, open_database
+from labos.services.shown import ShownLog
 from labos.settings import Settings
-from labos.store import SqlEventStore, open_blobs
+from labos.store import SqlEventStore, open_blobs, sqlite_path
 
 SHOWN_FROM = 20_000
 """So many events take long enough to say how far they are."""
@@ -26,7 +27,7 @@ def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase,
         database = open_audit(where.url)
         try:
             blobs = open_blobs(Settings.of(where.home, where.url).blobs)
-            yield store, database, Projector(store, database, blobs)
+            yield store, database, Projector(ShownLog(store), database, blobs)
         finally:
             database.close()
 
@@ -50,6 +51,19 @@ def open_views(where: Where, limit_s: float) -> Iterator[Asker]:
 def open_views_as_is(where: Where, limit_s: float) -> AbstractContextManager[Asker]:
     """The views, with what they know already."""
     return open_asker(where.url, limit_s)
+
+
+def forget_erased(where: Where) -> bool:
+    """Let the tables beside the log lose words that were erased; False if there are none. Raises
+    StoreUnavailable."""
+    url = audit_url(where.url)
+    if url.get_backend_name() == "sqlite" and not sqlite_path(url).exists():
+        return False
+    with open_projector(where) as (_, database, projector):
+        if database.is_made:
+            projector.catch_up(tell_progress)
+            return True
+    return False
 
 
 def tell_progress(position: int, head: int) -> None:

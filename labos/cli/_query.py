@@ -18,6 +18,7 @@ from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
 from labos.ports import BlobReader
 from labos.services.log import Log
+from labos.services.shown import ShownLog
 from labos.services.times import Moment, parse_moment, parse_time
 from labos.settings import Settings, lab_url
 from labos.store import SqlEventStore, open_blobs, open_store
@@ -90,15 +91,16 @@ def log_options(command: F) -> F:
 
 
 @contextmanager
-def open_log(where: Where) -> Iterator[Log]:
-    """The log, for reading only; works with and without a running kernel, and over HTTP. Raises
-    StoreUnavailable, LogTooNew, BadInput, LabUnreachable."""
+def open_log(where: Where, *, stored: bool = False) -> Iterator[Log]:
+    """The log, for reading only; works with and without a running kernel, and over HTTP. It is shown with
+    the words that stand beside it, or as it is ``stored``. Raises StoreUnavailable, LogTooNew, BadInput,
+    LabUnreachable."""
     if where.lab:
         with LabClient(where.lab) as client:
-            yield LabLog(client)
+            yield LabLog(client, stored=stored)
     else:
         with open_database(where) as store:
-            yield store
+            yield store if stored else ShownLog(store)
 
 
 @contextmanager

@@ -112,6 +112,7 @@ SECTIONS = {
         "key": "The keys that sign a lab's checkpoints.",
         "checkpoint": "Sign the log's end, and keep it elsewhere.",
         "sign": "Sign the record of a run, an experiment or a campaign.",
+        "erase": "Erase what people wrote: reasons, notes, comments.",
         "bundle": "A run, an experiment or a campaign as a file that proves itself.",
         "witness": "Cosign other labs' checkpoints.",
         "sql": "Ask the lab in SQL, read only.",

@@ -199,6 +199,7 @@ def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for what, is_so in waits.items():
         if is_so:
             yield "waits for approval", what
+    yield "erases words", "an admin" + (", when a second one has agreed" if policy["erasure"] else "")
     yield "approves", "an operator, also what is their own" if policy["own"] else "another operator"
     if policy["priority"] is not None:
         yield "highest priority", f"{policy['priority']}, of whoever is no operator and has no quota for it"

@@ -37,9 +37,12 @@ from labos.store import create_file, open_blobs
     metavar="FILE",
     help="The checkpoint that it rests on (the newest in checkpoints/ of the lab's folder).",
 )
+@click.option("--without-words", is_flag=True, help="Leave out what people wrote; it verifies as well.")
 @json_option
 @log_options
-def command(where: Where, subject: str, file: Path, checkpoint: Path | None, as_json: bool) -> None:
+def command(
+    where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool, as_json: bool
+) -> None:
     """Write a run's events, plan and files into FILE, with the proof that they are in the log whose
     checkpoint was signed; of an experiment or a campaign its own events and those of all its runs. Whoever
     has the lab's public key checks it without network and without the lab:
@@ -48,8 +51,11 @@ def command(where: Where, subject: str, file: Path, checkpoint: Path | None, as_
     labos checkpoint
     labos bundle R7 -o R7.zip
     labos verify --bundle R7.zip --public-key lab.pub
+
+    What people wrote (reasons, notes, comments) is in it as long as it was not erased. A bundle that was
+    handed on is not reached by `labos erase`.
     """
-    data, about = make_bundle_of(where, subject, checkpoint)
+    data, about = make_bundle_of(where, subject, checkpoint, words=not without_words)
     try:
         with create_file(file) as written:
             written.write(data)
@@ -59,9 +65,11 @@ def command(where: Where, subject: str, file: Path, checkpoint: Path | None, as_
     tell(f"{told}, proven by the checkpoint of size {about.size}.", about, as_json=as_json)
 
 
-def make_bundle_of(where: Where, subject: str, checkpoint: Path | None = None) -> tuple[bytes, About]:
-    """The bundle of a run, an experiment or a campaign, on a checkpoint or the newest one of the lab. Raises
-    NotFound, Refused, LogDamaged."""
+def make_bundle_of(
+    where: Where, subject: str, checkpoint: Path | None = None, *, words: bool = True
+) -> tuple[bytes, About]:
+    """The bundle of a run, an experiment or a campaign, on a checkpoint or the newest one of the lab, with
+    what people wrote or without. Raises NotFound, Refused, LogDamaged."""
     path = checkpoint or newest_in(where.home / FOLDER)
     if path is None:
         raise NotFound("This lab has no signed checkpoint yet.", remedy="Make one: labos checkpoint")
@@ -72,6 +80,6 @@ def make_bundle_of(where: Where, subject: str, checkpoint: Path | None = None) -
             f"The checkpoint {path} cannot be read: {error.strerror or error}.",
             remedy="Name one that labos checkpoint has made: a file that ends in .note.",
         ) from None
-    beside = Attachments(parse_note(note), stamp, Keys(where.home).rotations())
+    beside = Attachments(parse_note(note), stamp, Keys(where.home).rotations(), words)
     with open_database(where) as store:
         return make_bundle(store, open_blobs(Settings.of(where.home, where.url).blobs), subject, beside)

@@ -195,6 +195,7 @@ def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
     metavar="FILE",
     help="Where the position of the topic is kept [default: kafka-TOPIC.json in the lab's folder].",
 )
+@click.option("--with-words", is_flag=True, help="Put in what people wrote.")
 @log_options
 def events(
     where: Where,
@@ -204,8 +205,12 @@ def events(
     to: str,
     settings: Path | None,
     position_file: Path | None,
+    with_words: bool,
 ) -> None:
     """Write events as CloudEvents 1.0, one JSON object a line.
+
+    Payloads are as the log has them: what people wrote (reasons, notes, comments) stands beside the log and
+    is not in them, unless --with-words puts it in. What was exported is not reached by `labos erase`.
 
     `position` says how far you are: give the last one to --since, and nothing is left out and nothing
     comes twice. `hash` is the event's place in the chain. Works with LABOS_URL, too. With --to, the file
@@ -227,9 +232,9 @@ def events(
     if to:
         if families or moment != Moment():
             raise BadInput("--to appends all events.", remedy="Leave --since and --family out.")
-        _carry(where, to, follow, settings, position_file)
+        _carry(where, to, follow, settings, position_file, stored=not with_words)
         return
-    with open_log(where) as log, suppress(KeyboardInterrupt):
+    with open_log(where, stored=not with_words) as log, suppress(KeyboardInterrupt):
         seen = _start(log, moment)
         while True:
             end = log.head().position
@@ -242,12 +247,20 @@ def events(
             time.sleep(POLL_S)
 
 
-def _carry(where: Where, to: str, follow: bool, settings: Path | None, position_file: Path | None) -> None:
+def _carry(
+    where: Where,
+    to: str,
+    follow: bool,
+    settings: Path | None,
+    position_file: Path | None,
+    *,
+    stored: bool,
+) -> None:
     """Bring a file of JSON lines or a topic up to date with the log, and go on if asked to."""
     if follow and hasattr(os, "nice"):
         os.nice(CALM)
     with (
-        open_log(where) as log,
+        open_log(where, stored=stored) as log,
         suppress(KeyboardInterrupt),
         closing(_open_sink(where, log, to, follow, settings, position_file)) as sink,
     ):

@@ -54,7 +54,7 @@ POLL_S = 0.25
 @click.option("--until", metavar="T", callback=as_time, help="Before this time.")
 @click.option("--last", type=click.IntRange(min=0), metavar="N", help="Only the last N.")
 @click.option("-f", "--follow", is_flag=True, help="Go on as events are added, until Ctrl-C.")
-@json_option_saying("One line an event: envelope, hash and payload.")
+@json_option_saying("One line an event: envelope, hash and payload, as they are stored.")
 @log_options
 def command(
     where: Where,
@@ -83,7 +83,7 @@ def command(
     `labos stations --at POSITION` shows the lab at that moment.
     """
     wanted = Filter(types, run, module, labware, user, experiment, since, until, last)
-    with open_log(where) as store, suppress(KeyboardInterrupt):
+    with open_log(where, stored=as_json) as store, suppress(KeyboardInterrupt):
         head = store.head()
         seen = head.position
         say_if_dead(where.url, head, last_known=False)

@@ -14,6 +14,7 @@ from labos.cli._out import show_json, show_table, tell
 from labos.cli._query import Where, json_option, log_options, open_log
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
+from labos.services.shown import show_struct
 from labos.services.times import iso_time, show_time
 from labos.settings import Settings
 from labos.spec.findings import near
@@ -57,6 +58,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
         outbox.close()
     with suppress(LabosError), open_log(where) as store:  # there may be no lab yet
         say_if_dead(where.url, store.head(), last_known=False)
+        found = [show_struct(store, delivery) for delivery in found]
     if as_json:
         show_json([_facts(delivery) for delivery in found])
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,15 @@ from labos.cli._query import Where
 from labos.core.envelope import Record
 from labos.core.state import LabState, state_hash
 from labos.core.wells import by_well
+from labos.core.words import Kept
 from labos.errors import BadInput
 from labos.services.catalogue import Catalogue
 from labos.services.describe import describe
 from labos.services.log import event_of
+from labos.services.shown import WordsBeside, show_text
 from labos.services.steps import Change, Step, plain, steps
 from labos.services.times import iso_time, show_time
-from labos.store import open_store, read_backup, read_segment, records_of
+from labos.store import Standing, open_store, read_backup, read_segment, read_words_copy, records_of
 
 WIDEST = 100
 HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: its parts with WORD; q: end"
@@ -49,24 +51,27 @@ def command(
     labos replay lab.jsonl --from 90 --to 99  ten events and what they changed
     labos replay /safe/lab --hash             the hash of the state at its end
 
+    What people wrote is shown where it stands beside the log and was not erased; the state, its hash and
+    --json have references in its place, so they are the same before and after.
+
     Nothing is written. A log with events that this LabOS does not know is refused, and one that
     contradicts itself ends at the first event that does.
     """
     if at is not None and (first or last):
         raise click.UsageError("--at takes the state at one position; --from and --to a stretch of events.")
     state = LabState()
-    with _records(log) as records:
+    with _records(log) as (records, beside):
         if at is not None or only_hash:
             for _ in steps(records, state, sys.maxsize, at if at is not None else last):
                 pass
             _expect(log, state, at)
             _show_end(state, only_hash, as_json)
         elif not as_json and first is None and last is None and sys.stdin.isatty() and sys.stdout.isatty():
-            _walk(steps(records, state, 1, None), state)
+            _walk(steps(records, state, 1, None), state, beside)
         else:
             names = Catalogue()
             for step in steps(_named(records, names), state, first or 1, last):
-                _show(step, names, as_json)
+                _show(step, names, beside, as_json)
             _expect(log, state, first)
 
 
@@ -85,7 +90,7 @@ def _show_end(state: LabState, only_hash: bool, as_json: bool) -> None:
         click.echo(msgspec.json.format(msgspec.json.encode(plain(state)), indent=2))
 
 
-def _show(step: Step, names: Catalogue, as_json: bool) -> None:
+def _show(step: Step, names: Catalogue, beside: WordsBeside, as_json: bool) -> None:
     head = step.record.head
     if as_json:
         show_line(
@@ -100,9 +105,9 @@ def _show(step: Step, names: Catalogue, as_json: bool) -> None:
         return
     kind = click.style(f"{head.type:<22}", fg="cyan")
     told = describe(step.event, head, names)
-    click.echo(f"{head.position:>6}  {show_time(head.recorded_at)}  {kind} {told}")
-    for change in step.changes:
-        click.echo(f"          {_line(change)}")
+    lines = [f"{head.position:>6}  {show_time(head.recorded_at)}  {kind} {told}"]
+    lines += [f"          {_line(change)}" for change in step.changes]
+    click.echo(show_text(beside, "\n".join(lines)))
 
 
 def _line(change: Change) -> str:
@@ -118,7 +123,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= WIDEST else f"{text[:WIDEST]}… ({len(text)} characters)"
 
 
-def _walk(found: Iterator[Step], state: LabState) -> None:
+def _walk(found: Iterator[Step], state: LabState, beside: WordsBeside) -> None:
     """Step by step, as somebody at a terminal asks."""
     click.echo(HELP)
     names, upto = Catalogue(), 0
@@ -126,7 +131,7 @@ def _walk(found: Iterator[Step], state: LabState) -> None:
         names.learn(step.event)
         if step.record.head.position < upto:
             continue
-        _show(step, names, as_json=False)
+        _show(step, names, beside, as_json=False)
         while True:
             said = click.prompt("", default="", show_default=False, prompt_suffix="> ").strip()
             if said == "q":
@@ -137,15 +142,15 @@ def _walk(found: Iterator[Step], state: LabState) -> None:
             if not said:
                 break
             if said == "s" or said.startswith("s "):
-                _show_state(state, said[2:].strip())
+                _show_state(state, said[2:].strip(), beside)
             else:
                 click.echo(HELP)
 
 
-def _show_state(state: LabState, word: str) -> None:
+def _show_state(state: LabState, word: str, beside: WordsBeside) -> None:
     for path, value in _leaves("", plain(state)):
         if word in path or (word and word in str(value)):
-            click.echo(f"{path} = {_short(value)}")
+            click.echo(show_text(beside, f"{path} = {_short(value)}"))
 
 
 def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -162,14 +167,24 @@ def _named(records: Iterator[Record], names: Catalogue) -> Iterator[Record]:
         yield record
 
 
+class _Words:
+    """Words that are not in a database."""
+
+    def __init__(self, words: Iterable[Standing] = ()) -> None:
+        self._known = {each.words.reference: each.words for each in words}
+
+    def words_of(self, references: Iterable[str]) -> dict[str, Kept]:
+        return {name: self._known[name] for name in references if name in self._known}
+
+
 @contextmanager
-def _records(log: str) -> Iterator[Iterator[Record]]:
-    """The records of whatever kind of log this is. Raises BadInput."""
+def _records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
+    """The records of whatever kind of log this is, and the words beside it. Raises BadInput."""
     path = Path(log)
     if "://" in log:
         url = log
     elif path.is_dir() and (path / "backup.json").exists():
-        yield records_of(path, read_backup(path))
+        yield records_of(path, read_backup(path)), _Words(read_words_copy(path))
         return
     elif path.is_dir():
         url = _database_in(path)
@@ -177,14 +192,14 @@ def _records(log: str) -> Iterator[Iterator[Record]]:
         with path.open("rb") as file:
             is_database = file.read(15) == b"SQLite format 3"
         if not is_database:
-            yield read_segment(path)
+            yield read_segment(path), _Words()
             return
         url = f"sqlite:///{path.absolute()}"
     else:
         raise BadInput(f"There is no {log}.", remedy="Name a lab's folder, a database, a backup or a file.")
     store = open_store(url, create=False, read_only=True)
     try:
-        yield store.read()
+        yield store.read(), store
     finally:
         store.close()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -13,12 +14,15 @@ from labos.cli._rehearse import rehearse
 from labos.cli.backup import key_option
 from labos.core.ids import LabId
 from labos.core.state import state_hash
+from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.services.log import fold_to
 from labos.settings import KernelInfo, Settings, announce
 from labos.store import (
+    ERASURES,
     Blobs,
     FolderBlobs,
+    Standing,
     first_damage,
     forget_end,
     key_of,
@@ -27,6 +31,8 @@ from labos.store import (
     open_blobs,
     put_accounts_back,
     read_accounts_copy,
+    read_erasures,
+    read_words_copy,
     records_of,
     refuse_to_overwrite,
     restore_log,
@@ -65,6 +71,14 @@ class Restored(msgspec.Struct, frozen=True):
     metavar="DIR",
     help="With --rehearse: where there is room for a copy of the log (the folder for temporary files).",
 )
+@click.option(
+    "--erased",
+    "lists",
+    type=click.Path(path_type=Path, dir_okay=False),
+    multiple=True,
+    metavar="FILE",
+    help="A list of erasures (labos.erased) besides the one in the lab's folder.",
+)
 @key_option
 @json_option
 @log_options
@@ -73,6 +87,7 @@ def command(
     folder: Path,
     is_rehearsal: bool,
     scratch: Path | None,
+    lists: tuple[Path, ...],
     key_file: Path | None,
     as_json: bool,
 ) -> None:
@@ -82,6 +97,9 @@ def command(
     The backup is checked first, what was written is checked afterwards: chain, fold and hash of the
     state. The lab's next kernel has a greater epoch than any that its nodes have seen, and starts nothing
     before a person has checked the bench: labos bench round.
+
+    Words that were erased since the backup was made do not come back: labos.erased in the lab's folder says
+    which (`labos erase` writes it). If that folder is lost, name a copy of the list with --erased.
 
     With --rehearse all that is done in a folder of its own, and the copy is compared with the lab's log:
     how much a restore would lose, and how long it takes. When this was done last, `labos doctor` reports.
@@ -94,10 +112,11 @@ def command(
     if scratch is not None and not is_rehearsal:
         raise click.UsageError("--scratch goes with --rehearse.")
     if is_rehearsal:
-        rehearse(where, folder, lambda place: _put_into(place, folder, key), scratch, as_json=as_json)
+        known = _with_own(lists, where)
+        rehearse(where, folder, lambda place: _put_into(place, folder, key, known), scratch, as_json=as_json)
         return
     # What is noted in the home must hold from every working directory.
-    done = put_back(Where(where.home.absolute(), where.database), folder, key)
+    done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists)
     if as_json:
         show_json({name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"})
         return
@@ -113,14 +132,17 @@ def command(
     )
 
 
-def _put_into(where: Where, folder: Path, key: bytes) -> Restored:
+def _put_into(where: Where, folder: Path, key: bytes, lists: Sequence[Path]) -> Restored:
     """As ``put_back``, with the blobs in the same folder, wherever the lab keeps its own."""
-    return put_back(where, folder, key, FolderBlobs(where.home / "blobs"))
+    return put_back(where, folder, key, FolderBlobs(where.home / "blobs"), lists)
 
 
-def put_back(where: Where, folder: Path, key: bytes, blobs: Blobs | None = None) -> Restored:
+def put_back(
+    where: Where, folder: Path, key: bytes, blobs: Blobs | None = None, lists: Sequence[Path] = ()
+) -> Restored:
     """Put a backup into a database without a log, its blobs where the lab keeps them (or into ``blobs``), and
-    check what was written. Raises Refused, LogDamaged, BadInput, StoreUnavailable."""
+    check what was written. Words that were erased by ``lists``, and by that in the lab's folder, are left
+    out. Raises Refused, LogDamaged, BadInput, StoreUnavailable."""
     refuse_to_overwrite(where.url)
     found, state = verify_backup(folder, key=key)
     people = read_accounts_copy(folder, found.lab, key)
@@ -131,10 +153,13 @@ def put_back(where: Where, folder: Path, key: bytes, blobs: Blobs | None = None)
     for name in found.blobs:
         target.put(source.get(name))
     epoch = leapt_epoch(found.epoch, now_ns())
-    head = restore_log(where.url, records_of(folder, found), found.lab, epoch)
+    gone = _erased_since(found.lab, _with_own(lists, where))
+    words = _without_erased(read_words_copy(folder), gone)
+    head = restore_log(where.url, records_of(folder, found), found.lab, epoch, words)
     forget_end(where.home)  # it was put back on purpose
     wanted = state_hash(state)
     with open_database(where) as store:
+        store.note_erasures()
         damage = first_damage(store)
         if damage is not None:
             raise LogDamaged(
@@ -170,3 +195,22 @@ def put_back(where: Where, folder: Path, key: bytes, blobs: Blobs | None = None)
         recorded_at=head.recorded_at,
         users=people.users if people is not None else 0,
     )
+
+
+def _with_own(lists: Sequence[Path], where: Where) -> Sequence[Path]:
+    """Lists of erasures, and that in the lab's folder if there is one."""
+    own = where.home / ERASURES
+    return (*lists, own) if own.exists() else lists
+
+
+def _erased_since(lab: str, lists: Sequence[Path]) -> dict[str, int]:
+    """The references that lists of erasures name, and the positions of the events. Raises BadInput."""
+    known = [each for file in lists for each in read_erasures(file) if each.lab == lab]
+    return {each.reference: each.position for each in known}
+
+
+def _without_erased(words: Iterable[Standing], gone: Mapping[str, int]) -> Iterator[Standing]:
+    for each in words:
+        name = each.words.reference
+        is_gone = name in gone
+        yield Standing(Kept(name, b"", ""), each.position, gone[name]) if is_gone else each

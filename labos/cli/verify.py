@@ -32,6 +32,7 @@ from labos.services.verification import (
     check_journals,
     check_snapshot,
 )
+from labos.services.words_check import check_words
 from labos.settings import Settings
 from labos.store import (
     AccountsCopy,
@@ -239,6 +240,7 @@ def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
         ("snapshot", lambda: check_snapshot(store)),
         ("blobs", lambda: check_blobs(store, open_blobs(settings.blobs))),
         ("signatures", lambda: check_signatures(store)),
+        ("words", lambda: check_words(store)),
         ("benches", lambda: check_benches(settings.worlds)),
     )
     found = []

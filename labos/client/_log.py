@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -11,6 +11,7 @@ import msgspec
 from labos.core.canonical import digest
 from labos.core.envelope import GENESIS, Envelope, Record
 from labos.core.ids import LabId
+from labos.core.words import Kept
 from labos.ports import EventLine, Head, LogQuery
 
 if TYPE_CHECKING:
@@ -36,10 +37,12 @@ class _Records(msgspec.Struct, frozen=True):
 
 
 class LabLog:
-    """Reads a page at a time."""
+    """Reads a page at a time: as people read it, or as it is ``stored``, with references to the words that
+    stand beside it."""
 
-    def __init__(self, client: LabClient) -> None:
+    def __init__(self, client: LabClient, *, stored: bool = False) -> None:
         self._client = client
+        self._stored = stored
         self._lab = ""
 
     def head(self) -> Head:
@@ -69,6 +72,10 @@ class LabLog:
         """There is none: the log is folded from its beginning."""
         return None
 
+    def words_of(self, references: Iterable[str]) -> dict[str, Kept]:
+        """The lab has put them in already."""
+        return {}
+
     def select(self, query: LogQuery) -> Iterator[Record]:
         """The records of a query, in order."""
         if query.upto == 0:
@@ -83,6 +90,8 @@ class LabLog:
             "since": query.since_ns or 0,
             "until": query.until_ns or 0,
         }
+        if self._stored:
+            asked["stored"] = True
         if query.last is not None and query.last <= MOST_LAST:
             return iter(self._ask({**asked, "after": query.after, "last": query.last}).records)
         found = self._pages(asked, query.after)

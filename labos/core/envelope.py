@@ -12,6 +12,7 @@ import hashlib
 import msgspec
 
 from labos.core.canonical import digest
+from labos.core.words import Kept
 
 GENESIS = bytes(32)
 """The hash before position 1."""
@@ -38,12 +39,14 @@ class Envelope(msgspec.Struct, frozen=True):
 
 
 class Record(msgspec.Struct, frozen=True):
-    """One line of the log as it is stored: the envelope, its exact bytes, payload and hash."""
+    """One line of the log as it is stored: the envelope, its exact bytes, payload and hash. ``words`` are to
+    be written beside it; of a record that was read they are not known (``words_of`` of a store)."""
 
     head: Envelope
     envelope: bytes
     payload: bytes
     hash: bytes
+    words: tuple[Kept, ...] = ()
 
 
 _encode_envelope = msgspec.json.Encoder(order="sorted").encode  # texts and whole numbers only

@@ -11,6 +11,7 @@ from labos.core import (
     bench,
     bookings,
     campaigns,
+    erasure,
     failures,
     interventions,
     lab,
@@ -61,6 +62,7 @@ _SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
     ("lab", repeated.HANDLERS),
     ("lab", signatures.HANDLERS),
     ("suggestions", suggestions.HANDLERS),
+    ("erasures", erasure.HANDLERS),
 )
 
 

@@ -1,4 +1,5 @@
-"""Which submissions wait for an operator's approval, how high a priority may be, and what may be booked."""
+"""Which submissions wait for an operator's approval, how high a priority may be, what may be booked, and who
+erases words."""
 
 from __future__ import annotations
 
@@ -20,9 +21,10 @@ class BookingLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Policy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What waits for an approval: what ``programs`` (service accounts that are not ``trusted``) submit; the
     first ``newcomers`` submissions of a user; what does something ``dangerous``; what is ``above`` a budget;
-    campaigns with ``deadlines``. With ``own``, an operator may approve what is the operator's own.
-    ``priority`` is the highest that somebody may give who is no operator and whose quota names none (null:
-    any). ``bookings`` limits what such a user books."""
+    campaigns with ``deadlines``. With ``own``, an operator may approve what is the operator's own. With
+    ``erasure``, words are erased only when a second admin has agreed. ``priority`` is the highest that
+    somebody may give who is no operator and whose quota names none (null: any). ``bookings`` limits what
+    such a user books."""
 
     programs: bool = True
     trusted: tuple[str, ...] = ()
@@ -31,6 +33,7 @@ class Policy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     above: Budget = Budget()
     deadlines: bool = False
     own: bool = False
+    erasure: bool = False
     priority: int | None = None
     bookings: BookingLimits = BookingLimits()
 

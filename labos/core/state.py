@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from importlib import resources as package_files
+from typing import Any
 
 import msgspec
 
@@ -12,6 +14,7 @@ from labos.core.approvals import Approvals
 from labos.core.bench import Bench
 from labos.core.bookings import Bookings
 from labos.core.campaigns import Campaigns
+from labos.core.erasure import Erasures
 from labos.core.interventions import Interventions
 from labos.core.lab import Lab
 from labos.core.modules import Modules
@@ -47,6 +50,7 @@ class LabState(msgspec.Struct):
     approvals: Approvals = msgspec.field(default_factory=Approvals)
     bookings: Bookings = msgspec.field(default_factory=Bookings)
     suggestions: Suggestions = msgspec.field(default_factory=Suggestions)
+    erasures: Erasures = msgspec.field(default_factory=Erasures)
 
 
 # Tables keep their order: who came first is part of the state.
@@ -73,6 +77,22 @@ def from_picture(data: bytes) -> LabState:
     state: LabState = decoder.decode(data)
     share_plans(state.runs.plans)
     return state
+
+
+def picture_with(data: bytes, change: Callable[[str], str]) -> bytes:
+    """A picture with each of its texts changed. It is of no event any more, and is only to be shown."""
+    codec: Any = msgspec.json if data[:1] == _WIDE else msgspec.msgpack
+
+    def changed(value: Any) -> Any:
+        if isinstance(value, str):
+            return change(value)
+        if isinstance(value, list):
+            return [changed(item) for item in value]
+        if isinstance(value, dict):
+            return {key: changed(item) for key, item in value.items()}
+        return value
+
+    return bytes(codec.encode(changed(codec.decode(data))))
 
 
 def state_hash(state: LabState) -> str:

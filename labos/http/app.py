@@ -27,6 +27,7 @@ from labos.http.operation import Api, Operation
 from labos.http.providing import provider_routes
 from labos.http.routes import OPERATIONS, PREFIX
 from labos.http.service import LabService
+from labos.http.words import ShownWords
 
 DOCUMENT = f"{PREFIX}/openapi.json"
 
@@ -46,7 +47,7 @@ def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> 
             HTTPException: wire.http_error,  # type: ignore[dict-item]
             Exception: wire.surprise,
         },
-        middleware=[Middleware(Door, names=names)],
+        middleware=[Middleware(Door, names=names), Middleware(ShownWords, log=service.parts.store)],
     )
     app.state.api = api
     return app

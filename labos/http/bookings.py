@@ -266,7 +266,7 @@ def changed_terms(state: LabState, booking: Booking, body: BookingChange) -> New
         user=user,
         group=group,
         maintenance=maintenance,
-        why=booking.why if body.why is None else body.why,
+        why=body.why,
         zone=booking.zone if body.zone is None else body.zone,
         rule=rule,
         last=last if rule else 0,

@@ -52,4 +52,8 @@ class LabKernel(Protocol):
 
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]: ...
 
+    async def scrub(self) -> str:
+        """Let nothing of words that were erased stand in the database's files. Returns why something still
+        may."""
+
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection: ...

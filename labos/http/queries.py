@@ -80,6 +80,9 @@ class EventFilter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     correlation: Annotated[Name, says("part of this run or experiment")] = ""
     actor: Annotated[Name, says("caused by this user or module")] = ""
     mentions: Annotated[Name, says("the payload holds this name")] = ""
+    stored: Annotated[bool, says("payloads as the log has them: references in place of people's words")] = (
+        False
+    )
 
 
 class EventsQuery(EventFilter, frozen=True, forbid_unknown_fields=True):

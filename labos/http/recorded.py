@@ -91,6 +91,10 @@ class RecordedKernel:
     async def written(self) -> None:
         """All of it is on disk."""
 
+    async def scrub(self) -> str:
+        """It was done, or told, when the request was carried out."""
+        return ""
+
     async def execute(self, command: Command, actor: str, causation: str = "") -> list[Event]:
         answer = self.submit(command, actor, causation)
         if isinstance(answer, Rejection):

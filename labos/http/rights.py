@@ -23,6 +23,7 @@ from labos.core.decide.campaigns import (
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import DeclareStations, ReportRound, SubmitWithLabware
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
+from labos.core.decide.erasure import EraseWords, RefuseErasure
 from labos.core.decide.experiments import EndExperiment, NoteExperiment, ResumeExperiment, StartExperiment
 from labos.core.decide.handover import HandOver
 from labos.core.decide.interventions import ResolveIntervention
@@ -78,6 +79,9 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "approve_proposal": (ApproveProposal,),
     "refuse_proposal": (RefuseProposal,),
     "apply_policy": (ApplyPolicy,),
+    "erase_words": (EraseWords,),
+    "approve_erasure": (EraseWords,),
+    "refuse_erasure": (RefuseErasure,),
     "take_out_of_service": (TakeOut,),
     "put_in_service": (PutBack,),
     "replenish_resource": (Replenish,),
@@ -156,6 +160,9 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "approve_proposal": ("labos approve",),
     "refuse_proposal": ("labos refuse",),
     "apply_policy": ("labos policy",),
+    "erase_words": ("labos erase",),
+    "approve_erasure": ("labos erase",),
+    "refuse_erasure": ("labos erase",),
     "take_out_of_service": ("labos out-of-service",),
     "put_in_service": ("labos in-service",),
     "replenish_resource": ("labos replenish",),

@@ -19,9 +19,11 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.core.envelope import Record
+from labos.core.words import references_in
 from labos.http.lines import line_of
 from labos.ports import LogQuery
 from labos.services.filters import is_of_type
+from labos.services.shown import show_json
 
 if TYPE_CHECKING:
     # The process for followers starts without them.
@@ -189,8 +191,9 @@ class Tail:
 
     # -- for those who ask ---------------------------------------------------------------------
 
-    async def page(self, query: LogQuery) -> bytes:
-        """One page of events as JSON, and the position from which to go on. Raises StoreUnavailable."""
+    async def page(self, query: LogQuery, *, stored: bool = False) -> bytes:
+        """One page of events as JSON, and the position from which to go on: with the words that stand beside
+        the log, or as it is ``stored``. Raises StoreUnavailable."""
         self._want()
         upto = self._durable()
         if _is_open(query) and self._covers(query.after) and self._end == upto:
@@ -200,10 +203,12 @@ class Tail:
             upto = upto if query.upto is None else min(upto, query.upto)
             found, full = await self._read(msgspec.structs.replace(query, upto=upto))
         seen = found[-1].position if full else upto
-        data = b",".join(line.data for line in found)
+        data = await self._show(b",".join(line.data for line in found), stored=stored)
         return b'{"events":[%b],"position":%d}' % (data, seen)
 
-    async def follow(self, query: LogQuery, end: End | None = None) -> AsyncIterator[bytes]:
+    async def follow(
+        self, query: LogQuery, end: End | None = None, *, stored: bool = False
+    ) -> AsyncIterator[bytes]:
         """Server-sent events, for ever; or until their ``end`` comes, or the follower has fallen too far
         behind."""
         self._want()
@@ -215,7 +220,7 @@ class Tail:
             while not self._closed and not (end is not None and end.has_come):
                 piece = me.take()
                 if piece:
-                    yield piece
+                    yield await self._show(piece, stored=stored)
                 elif me.dropped:
                     yield _good_bye(me.sent)
                     return
@@ -223,13 +228,19 @@ class Tail:
                     piece = await self._catch_up(me)
                     me.sent = me.after
                     if piece:
-                        yield piece
+                        yield await self._show(piece, stored=stored)
                 elif not await me.wait(KEEP_ALIVE_S):
                     yield b": %d\n\n" % me.after
         finally:
             self._followers.discard(me)
 
     # -- inside --------------------------------------------------------------------------------
+
+    async def _show(self, data: bytes, *, stored: bool) -> bytes:
+        """Put in the words that stand beside the log now. They are not kept here: they may be erased."""
+        if stored or not references_in(data):
+            return data
+        return await asyncio.to_thread(show_json, self._log, data)
 
     async def _catch_up(self, me: _Follower) -> bytes:
         """What a follower has missed, or a page of that; it is live if there is no more."""

@@ -57,11 +57,12 @@ class Grown(msgspec.Struct, frozen=True, tag="grown"):
 
 class Follow(msgspec.Struct, frozen=True, tag="follow"):
     """A follower; its connection comes with the packet. ``key`` names what it has shown (empty: nothing),
-    ``lasts_s`` is how long that is good."""
+    ``lasts_s`` is how long that is good. ``stored``: events as the log has them."""
 
     query: LogQuery
     key: str = ""
     lasts_s: float = 0.0
+    stored: bool = False
 
 
 class Cut(msgspec.Struct, frozen=True, tag="cut"):
@@ -104,11 +105,9 @@ class Viewers:
         except OSError:
             self._end()  # rather all of them than none: they connect again, if they may
 
-    def take_over(
-        self, connection: socket.socket, query: LogQuery, durable: int, key: str = "", lasts_s: float = 0.0
-    ) -> bool:
-        """Hand a follower's connection over; the caller closes its own end. ``lasts_s``: what it has shown,
-        under this ``key``, is good for so long. False if that cannot be done now."""
+    def take_over(self, connection: socket.socket, follow: Follow, durable: int) -> bool:
+        """Hand a follower's connection over; the caller closes its own end. False if that cannot be done
+        now."""
         self._durable = max(self._durable, durable)
         if self._is_closed:
             return False
@@ -122,7 +121,7 @@ class Viewers:
         except OSError:
             return True  # the follower has gone
         try:
-            socket.send_fds(link, [_encode(Follow(query, key, lasts_s))], [connection.fileno()])
+            socket.send_fds(link, [_encode(follow)], [connection.fileno()])
         except BlockingIOError:
             pass  # many at once while the process starts: this one is cut off, and asks again
         except OSError as error:
@@ -202,7 +201,7 @@ class _Server:
 
     def hear(self, message: Message, fds: Sequence[int]) -> None:
         match message:
-            case Follow(query, key, lasts_s) if fds:
+            case Follow(_, key, lasts_s) if fds:
                 if len(self._tasks) >= self._most:
                     os.close(fds[0])
                     return
@@ -210,7 +209,7 @@ class _Server:
                 if end is not None:  # at once: the next word may be that it has ended
                     self._ends.setdefault(key, set()).add(end)
                 task = asyncio.get_running_loop().create_task(
-                    self._serve(socket.socket(fileno=fds[0]), query, key, end)
+                    self._serve(socket.socket(fileno=fds[0]), message, end)
                 )
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
@@ -240,14 +239,14 @@ class _Server:
     def _records(self, after: int, upto: int) -> list[Record]:
         return list(self.store.read(after, upto))
 
-    async def _serve(self, connection: socket.socket, query: LogQuery, key: str, end: End | None) -> None:
+    async def _serve(self, connection: socket.socket, follow: Follow, end: End | None) -> None:
         reader, writer = await asyncio.open_connection(sock=connection)
         me = asyncio.current_task()
         assert me is not None
         gone = asyncio.ensure_future(_await_end(reader))
         gone.add_done_callback(lambda _: me.cancel())
         try:
-            async for piece in self.tail.follow(query, end):
+            async for piece in self.tail.follow(follow.query, end, stored=follow.stored):
                 writer.write(piece)
                 await asyncio.wait_for(writer.drain(), STALL_S)
             await asyncio.wait_for(writer.drain(), STALL_S)
@@ -258,7 +257,7 @@ class _Server:
             gone.cancel()
             if end is not None:
                 end.forget()
-                self._leave(key, end)
+                self._leave(follow.key, end)
 
     def _leave(self, key: str, end: End) -> None:
         left = self._ends.get(key, set())

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 import msgspec
 import structlog
 
-from labos.clock import Clock, Ids
+from labos.clock import Clock, Ids, new_salt
 from labos.core.actions import ActionAccepted
 from labos.core.decide import LABOS, Command, Denied, Rejection, carry_out
 from labos.core.decide.access import GrantAccess
@@ -25,6 +25,7 @@ from labos.core.failures import SUSPICIOUS
 from labos.core.ids import ActionId, LabId, ModuleName
 from labos.core.invariants import find_broken_by
 from labos.core.registry import Event
+from labos.core.words import Keep, Kept, keep, references_in
 from labos.errors import (
     BadInput,
     Forbidden,
@@ -69,7 +70,7 @@ class _Turn(msgspec.Struct):
 class Kernel(KernelLog):
     """Decides and writes for one lab. The first event of a command bears its ``causation``, else the mark of
     the request that is being carried out (``marks``). ``plan_with`` makes the scheduler, once for each
-    reading of the log."""
+    reading of the log. What people say in commands stands beside the log, with a ``salt`` for each text."""
 
     def __init__(
         self,
@@ -78,8 +79,10 @@ class Kernel(KernelLog):
         ids: Ids,
         settings: KernelSettings,
         plan_with: Callable[[], Scheduler] = Scheduler,
+        salt: Callable[[], bytes] = new_salt,
     ) -> None:
         super().__init__(writer, clock, ids, settings)
+        self._salt = salt
         self._plan_with = plan_with
         self.scheduler = plan_with()
         self.turns = 0
@@ -183,7 +186,7 @@ class Kernel(KernelLog):
         self._is_folded = False
         try:
             if command is not None:
-                decided = self._carry_out(command, entries, actor, causation)
+                decided = self._obey(command, entries, actor, causation)
                 if isinstance(decided, Rejection):
                     return decided
                 events = decided
@@ -222,8 +225,32 @@ class Kernel(KernelLog):
             self._faulty.record(command, now_s, why)
         return Rejection(FAULT, why, FAULT_REMEDY)
 
-    def _carry_out(
+    def _obey(
         self, command: Command, entries: list[Entry], actor: str, causation: str
+    ) -> list[Event] | Rejection:
+        """Carry out what somebody asks for. The words of a person stand beside the log, and go there with the
+        first event that refers to them."""
+        if actor == LABOS or "/" in actor:  # a module
+            return self._carry_out(command, entries, actor, causation)
+        kept: dict[str, Kept] = {}
+
+        def keep_words(text: str) -> str:
+            words = keep(text, self._salt())
+            kept[words.reference] = words
+            return words.reference
+
+        decided = self._carry_out(command, entries, actor, causation, keep_words)
+        if kept:
+            _attach(kept, entries)
+        return decided
+
+    def _carry_out(
+        self,
+        command: Command,
+        entries: list[Entry],
+        actor: str,
+        causation: str,
+        keep_words: Keep | None = None,
     ) -> list[Event] | Rejection:
         """Decide a command and fold its events and what follows from them, which are added to ``entries``.
         The first is caused by ``causation``, the others by the first."""
@@ -236,7 +263,7 @@ class Kernel(KernelLog):
             entries.append(ledger.write(event, actor, cause))
             return entries[-1].event
 
-        events = carry_out(ledger.state, command, write, actor)
+        events = carry_out(ledger.state, command, write, actor, keep_words)
         for entry in entries[begin:]:
             self._keys.update(find_touched_keys(ledger.state, entry.event))
         return events
@@ -349,6 +376,16 @@ class Kernel(KernelLog):
     def suspended(self) -> str:
         """Why nothing is started: what planning fails on. Empty while it works."""
         return self._starts.why if self._starts.is_open else ""
+
+
+def _attach(kept: dict[str, Kept], entries: list[Entry]) -> None:
+    """Give each text to the first record that refers to it. To what nothing refers is not kept."""
+    for at, entry in enumerate(entries):
+        named = references_in(entry.record.payload)
+        words = tuple(found for name in named if (found := kept.pop(name, None)) is not None)
+        if words:
+            record = msgspec.structs.replace(entry.record, words=words)
+            entries[at] = msgspec.structs.replace(entry, record=record)
 
 
 def error_of(rejection: Rejection) -> LabosError:

@@ -143,6 +143,14 @@ class KernelLog(ABC):
 
         return await self._writer.call(look)
 
+    async def scrub(self) -> str:
+        """Let nothing of words that were erased stand in the database's files any more. Returns why something
+        still may; empty if it does not."""
+        try:
+            return await self._writer.call(lambda store: store.scrub())
+        except StoreError as error:
+            return error.message
+
     async def check_lease(self) -> None:
         """Ask the database whether this is still the lab's kernel; if it is not, the kernel stops. Raises
         Fenced then, StoreError if the database does not say."""

@@ -22,6 +22,7 @@ from labos.core import steps as st
 from labos.core import users as u
 from labos.core.approvals import ApprovalGiven, ApprovalRefused, ApprovalRequested, RunApproved
 from labos.core.envelope import Envelope
+from labos.core.erasure import ErasureAsked, ErasureRefused, WordsErased
 from labos.core.ids import local, owner_parts
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.policy import PolicyApplied
@@ -117,6 +118,14 @@ def _if(value: Any, text: str) -> str:
     return text if value else ""
 
 
+def _words_of(event: ErasureAsked | WordsErased) -> str:
+    """Whose words are erased."""
+    if event.user:
+        return f"what {event.user} wrote"
+    positions = ", ".join(map(str, event.records[:MOST_NAMED]))
+    return f"the words of position {positions}{_if(len(event.records) > MOST_NAMED, ' …')}"
+
+
 def _there(target: str) -> str:
     """Where starts are paused: of an experiment, or at a place."""
     return "in the lab" if target == g.WHOLE_LAB else f"of {local(target)}"
@@ -133,6 +142,9 @@ def _sight(event: b.StationObserved) -> str:
         return what
     return f"{event.count} × {what}" if event.count else "nothing"
 
+
+MOST_NAMED = 5
+"""So many positions are named."""
 
 _DONE = {"all": "it was done", "none": "it was not done"}
 
@@ -319,6 +331,14 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     RecordsSigned: lambda e, _: (
         f"{e.by} signed the {e.kind} {e.subject} with {e.runs} run{'' if e.runs == 1 else 's'}: "
         f"{e.meaning}{_if(e.why, f': {e.why}')}"
+    ),
+    ErasureAsked: lambda e, _: (
+        f"{e.by} asks to erase {_words_of(e)} ({e.because}); it takes a second person ({e.erasure})"
+    ),
+    ErasureRefused: lambda e, _: f"{e.by} did not agree to {e.erasure}: no words are erased",
+    WordsErased: lambda e, _: (
+        f"{e.by} erased {_words_of(e)} ({e.because}; {len(e.digests)} texts)"
+        f"{_if(e.approved_by, f'; {e.approved_by} agreed')}"
     ),
     PolicyApplied: lambda e, _: "another policy says what waits for an approval",
     ApprovalRequested: lambda e, _: (

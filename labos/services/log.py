@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Protocol
 
 import msgspec
@@ -11,6 +11,7 @@ from labos.core.envelope import Envelope, Record
 from labos.core.fold import evolve
 from labos.core.registry import Event, decode
 from labos.core.state import LabState, fold_fingerprint, from_picture
+from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.ports import Head, LogQuery
 
@@ -31,6 +32,9 @@ class Log(Protocol):
     def select(self, query: LogQuery) -> Iterator[Record]: ...
 
     def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None: ...
+
+    def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
+        """The words that stand beside it for these references."""
 
 
 def event_of(record: Record) -> Event:

@@ -37,6 +37,7 @@ class PolicyFile(Part):
     above: BudgetEntry = BudgetEntry()
     deadlines: bool = False
     own: bool = False
+    erasure: bool = False
     priority: int | None = Field(default=None, ge=-100_000, le=100_000)
     bookings: BookingsEntry = BookingsEntry()
 
@@ -74,6 +75,7 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
         above=above,
         deadlines=file.deadlines,
         own=file.own,
+        erasure=file.erasure,
         priority=file.priority,
         bookings=_limits(booked),
     )

@@ -383,6 +383,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "above": "what uses more than this waits",
         "deadlines": "whether campaigns with a deadline wait",
         "own": "whether an operator may approve what is the operator's own",
+        "erasure": "whether people's words are erased only when a second admin has agreed",
         "priority": "the highest priority of whoever is no operator and has no quota for it",
         "bookings": "what whoever is no operator may book",
     },

@@ -8,6 +8,7 @@ from labos.store._backend import Holder
 from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
 from labos.store._detached import Detached, verify_detached
+from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
 from labos.store._errors import Door
 from labos.store._event_store import SqlEventStore
 from labos.store._home import HomeFiles, KnownEnd, forget_end
@@ -20,8 +21,11 @@ from labos.store._roles import grant_writer
 from labos.store._segment import chained, line_of, read_segment, write_segment
 from labos.store._url import display_name, parse_url, sqlite_path
 from labos.store._verify import Damage, Progress, first_damage
+from labos.store._words import Standing
+from labos.store._words_copy import read_words_copy
 
 __all__ = [
+    "ERASURES",
     "AccountsCopy",
     "Backup",
     "Blobs",
@@ -29,6 +33,7 @@ __all__ = [
     "DatabaseStatus",
     "Detached",
     "Door",
+    "Erased",
     "FolderBlobs",
     "Holder",
     "HomeFiles",
@@ -38,6 +43,8 @@ __all__ = [
     "Segment",
     "SqlAccounts",
     "SqlEventStore",
+    "Standing",
+    "add_erasures",
     "backup",
     "chained",
     "copy_accounts",
@@ -66,7 +73,9 @@ __all__ = [
     "raise_epoch",
     "read_accounts_copy",
     "read_backup",
+    "read_erasures",
     "read_segment",
+    "read_words_copy",
     "records_of",
     "refuse_to_overwrite",
     "restore_log",

@@ -13,6 +13,17 @@ from labos.store._tables import head
 
 Row = tuple[Any, ...]
 
+
+class Beside(msgspec.Struct, frozen=True):
+    """What records do to the words beside them: rows that are added, and parameters of ``ERASE_WORDS``."""
+
+    added: Sequence[Row] = ()
+    erased: Sequence[Row] = ()
+
+
+INSERT_WORDS = "INSERT INTO words (reference, position, salt, text, erased_at) VALUES (?, ?, ?, ?, ?)"
+ERASE_WORDS = "UPDATE words SET salt = ?, text = '', erased_at = ? WHERE reference = ?"
+
 MOVE_HEAD = (
     "UPDATE head SET position = ?, hash = ?, recorded_at = ? "
     "WHERE position = ? AND hash = ? AND epoch = ? AND lab = ?"
@@ -67,13 +78,21 @@ class Backend(Protocol):
     def standbys(self) -> list[str]:
         """The names of those who stand by."""
 
-    def append(self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row]) -> bool:
-        """In one exclusive transaction move the head from ``expected`` to ``after`` and add rows
-        of the event table, in the order of its columns. False, and nothing done, if the head is
+    def append(
+        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: Beside
+    ) -> bool:
+        """In one exclusive transaction move the head from ``expected`` to ``after``, add rows
+        of the event table, in the order of its columns, and do what follows for words. False, and nothing
+        done, if the head is
         another. By plain statements: SQLAlchemy would take longer over each than the database."""
 
-    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
-        """Add rows of the event table inside the transaction that the caller began."""
+    def insert(self, connection: Connection, rows: Sequence[Row], beside: Beside) -> None:
+        """Add rows of the event table, and do what follows for words, inside the transaction that the caller
+        began."""
+
+    def scrub(self) -> str:
+        """Let nothing of what was erased stand anywhere in the database's files. Returns why it may still;
+        empty if it does not."""
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         """Rows of a plain statement (``?`` marks), by a reader's connection, without the cost

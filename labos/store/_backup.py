@@ -3,7 +3,8 @@
 The log only grows, so what stands up to a position is read at leisure while the kernel writes on:
 nobody waits. A second backup into the same folder adds a segment with what is new. A segment is
 never changed; its manifest in ``backup.json`` names its hashes, the state that it ends in, and bears
-a seal if a key was given. The folder is verified by itself, without a database.
+a seal if a key was given. People's words stand in a file of their own (``_words_copy``). The folder is
+verified by itself, without a database.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
 from labos.store._objects import Blobs
 from labos.store._segment import chained, file_digest, read_segment, write_segment
+from labos.store._words_copy import WordsExpected, copy_words
 
 FORMAT = 1
 MANIFEST = "backup.json"
@@ -121,7 +123,8 @@ def backup(
             sha256=digest,
         )
         segments = (*segments, sealed(segment, key))
-    # After the log: a blob is on disk before the event that names it.
+    # After the log: words and a blob are on disk before the event that names them.
+    copy_words(store.all_words(), folder, head.position)
     copies = _copy_blobs(blobs, FolderBlobs(folder / "blobs"), set(known.blobs) if known else set())
     made = Backup(FORMAT, str(head.lab), head.epoch, segments, copies, simulated)
     replace_file(folder / MANIFEST, msgspec.json.format(msgspec.json.encode(made), indent=2) + b"\n")
@@ -180,10 +183,11 @@ def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
     amounts to. Raises LogDamaged, LogTooNew, BadInput."""
     found = read_backup(folder)
     check_manifests(folder, found.segments, key)
-    state = LabState()
+    state, words = LabState(), WordsExpected(folder)
     ends = {segment.last: segment for segment in found.segments}
     for record in records_of(folder, found):
         at = record.head
+        words.take(record)
         try:
             evolve(state, decode(at.type, at.schema, record.payload), at.position, at.recorded_at)
         except (msgspec.MsgspecError, TypeError, KeyError, ValueError, IndexError) as error:
@@ -196,6 +200,7 @@ def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
         # Another version of LabOS may picture the same state otherwise.
         if end is not None and end.fold == fold_fingerprint() and end.state != state_hash(state):
             raise damaged(end, "folds to another state than when it was sealed")
+    words.end()
     check_files(folder, found.segments)
     blobs = FolderBlobs(folder / "blobs")
     for name in found.blobs:

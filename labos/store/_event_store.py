@@ -14,12 +14,13 @@ from sqlalchemy.engine import URL
 
 from labos.core.envelope import Record
 from labos.core.ids import LabId
-from labos.errors import Fenced, Refused, StoreError, StoreUnavailable
+from labos.errors import BadInput, Fenced, Refused, StoreError, StoreUnavailable
 from labos.ports import Head
-from labos.store._backend import Backend, Holder, Row, holder
+from labos.store._backend import Backend, Beside, Holder, Row, holder
 from labos.store._home import HomeFiles
 from labos.store._reader import HASH, LogReader
 from labos.store._tables import head, snapshot
+from labos.store._words import beside, read_erased, read_words
 
 CLOSE_S = 2.0
 """How long a store that is to be closed waits for a write that is under way, before it breaks it off."""
@@ -139,9 +140,45 @@ class SqlEventStore(LogReader):
         self._files.make_key()
         if self._known is None:
             self._known = self._look_for_known()
+        self._keep_erasures(claimed.lab)
         # An empty log is a new lab's from now on.
         self._files.begin_notes(self._known if claimed.position else 0)
         return claimed
+
+    def _keep_erasures(self, lab: LabId) -> None:
+        """Note what a kernel erased that died before it could note it; and erase again what somebody brought
+        back with an older copy of the database."""
+        try:
+            known = self._files.erasures(lab)
+        except BadInput as error:
+            _log.error("erasures_not_read", why=str(error))
+            return
+        with self._door, self._backend.reading.connect() as connection:
+            erased = read_erased(connection)
+            back = read_words(connection, known.keys() - erased.keys())
+        self._files.note_erasures(lab, {name: at for name, at in erased.items() if name not in known})
+        if back:
+            _log.warning("words_erased_again", number=len(back))
+            rows = [(b"", known[name], name) for name in back]
+            with self._door, self._transaction() as connection:
+                self._backend.insert(connection, (), Beside((), rows))
+            with self._door, self._turn:
+                self._backend.scrub()
+
+    def note_erasures(self) -> None:
+        """Note in the lab's folder what this database says that was erased. Raises StoreUnavailable."""
+        self._files.note_erasures(self._lab_id(), self._erased_here())
+
+    def _erased_here(self) -> dict[str, int]:
+        """What this database says that was erased, and the lab's folder does not know."""
+        known = self.erasures()
+        with self._door, self._backend.reading.connect() as connection:
+            return {name: at for name, at in read_erased(connection).items() if name not in known}
+
+    def erasures(self) -> dict[str, int]:
+        """The words of this lab that were erased by what the lab's folder knows, also in a newer copy of this
+        log: references, and positions of the events that did it. Raises BadInput, StoreUnavailable."""
+        return self._files.erasures(self._lab_id())
 
     def _take_over(self, connection: Connection, lab: LabId, owner: str, lease_s: float) -> Head:
         now = self._backend.now_ms
@@ -193,16 +230,25 @@ class SqlEventStore(LogReader):
         """
         if not records:
             return expected
-        rows = rows_of(expected, records)
+        rows, words = rows_of(expected, records), beside(records)
         last = records[-1]
         after = Head(expected.lab, last.head.position, last.hash, expected.epoch, last.head.recorded_at)
         if expected.epoch != self._epoch:
             raise self._fenced()
         with self._door, self._connection() as connection:
-            if not self._backend.append(connection, expected, after, rows):
+            if not self._backend.append(connection, expected, after, rows, words):
                 raise self._fenced()
         self._files.note(after)
+        if words.erased:
+            self._files.note_erasures(after.lab, {row[2]: row[1] for row in words.erased})
         return after
+
+    def scrub(self) -> str:
+        """Let nothing of words that were erased stand in the database's files any more. Returns why something
+        still may, empty if it does not. Raises StoreUnavailable."""
+        self._refuse_if_read_only()
+        with self._door, self._turn:
+            return self._backend.scrub()
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
         """Keep a disposable picture of the state, sealed with the lab's key; replaces older ones. Without a

@@ -1,4 +1,5 @@
-"""What the store keeps in the lab's folder, outside the database: a key, and a note of the log's end.
+"""What the store keeps in the lab's folder, outside the database: a key, a note of the log's end, and which
+words were erased.
 
 The key seals snapshots: whoever can write to the database, but not read the lab's folder, cannot make a state
 that the kernel believes. The note says how far the log has reached, so that a database that lost its tail
@@ -14,6 +15,7 @@ import hmac
 import os
 import re
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -23,6 +25,7 @@ from labos.core.canonical import canonical
 from labos.core.seals import broken_seal, sealed
 from labos.ports import Head
 from labos.private import create_file, make_folder, sync_folder, tighten
+from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
 
 KEY_FILE = "labos.key"
 END_FILE = "labos.head"
@@ -115,6 +118,25 @@ class HomeFiles:
         mac = hmac.new(key, what, hashlib.sha256)
         mac.update(data)
         return f"{SEAL}{mac.hexdigest()}"
+
+    # -- what was erased ---------------------------------------------------------------------
+
+    def erasures(self, lab: str) -> dict[str, int]:
+        """The references of a lab's words that were erased, and the positions of the events that did it.
+        Raises BadInput."""
+        file = self._home / ERASURES if self._home is not None else None
+        if file is None or not file.exists():
+            return {}
+        return {each.reference: each.position for each in read_erasures(file) if each.lab == lab}
+
+    def note_erasures(self, lab: str, erased: Mapping[str, int]) -> None:
+        """These words were erased, in the database as well. If it cannot be noted, the next start does."""
+        if self._home is None or not erased:
+            return
+        try:
+            add_erasures(self._home / ERASURES, (Erased(lab, *each) for each in erased.items()))
+        except OSError as error:
+            _log.warning("erasures_not_noted", folder=str(self._home), why=str(error))
 
     # -- the end of the log ------------------------------------------------------------------
 

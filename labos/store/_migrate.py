@@ -23,7 +23,7 @@ from labos.store._url import display_name, parse_url, sqlite_path
 if TYPE_CHECKING:
     from alembic.config import Config
 
-REVISION = "0002"
+REVISION = "0003"
 """The revision that this version of LabOS reads and writes."""
 
 _MIGRATION_LOCK = 0x4C61624D

@@ -27,7 +27,7 @@ from sqlalchemy.pool import NullPool, QueuePool
 from labos.clock import Uuid7Ids
 from labos.errors import Refused, StoreUnavailable
 from labos.ports import Head
-from labos.store._backend import MOVE_HEAD, Row, move
+from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Beside, Row, move
 from labos.store._lines import Lines
 from labos.store._tables import event as event_table
 from labos.store._url import display_name
@@ -85,6 +85,12 @@ WHERE datname = current_database() AND application_name = :writer
 _COLUMN_NAMES = ", ".join(f'"{column.name}"' for column in event_table.columns)
 _INSERT = f"INSERT INTO event ({_COLUMN_NAMES}) VALUES ({', '.join(['%s'] * len(event_table.columns))})"
 _MOVE_HEAD = MOVE_HEAD.replace("?", "%s")
+_INSERT_WORDS = INSERT_WORDS.replace("?", "%s")
+_ERASE_WORDS = ERASE_WORDS.replace("?", "%s")
+_OWNS_WORDS = (
+    "SELECT pg_has_role(tableowner, 'MEMBER') FROM pg_tables "
+    "WHERE tablename = 'words' AND schemaname = current_schema()"
+)
 _COPY = f"COPY event ({_COLUMN_NAMES}) FROM STDIN (FORMAT BINARY)"
 _TYPES = ["int8", "text", "text", "int4", "text", "int4", "int8"] + ["text"] * 4 + ["bytea"] * 3
 
@@ -208,20 +214,35 @@ class PostgresBackend:
 
     # -- rows ------------------------------------------------------------------------------
 
-    def append(self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row]) -> bool:
+    def append(
+        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: Beside
+    ) -> bool:
         driver: Any = connection.connection.driver_connection
         with connection.begin() as transaction, driver.cursor() as cursor:
             cursor.execute(_MOVE_HEAD, move(expected, after))
             if cursor.rowcount != 1:
                 transaction.rollback()
                 return False
-            _insert(cursor, rows)
+            _insert(cursor, rows, beside)
         return True
 
-    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
+    def insert(self, connection: Connection, rows: Sequence[Row], beside: Beside) -> None:
         driver: Any = connection.connection.driver_connection
         with driver.cursor() as cursor:
-            _insert(cursor, rows)
+            _insert(cursor, rows, beside)
+
+    def scrub(self) -> str:
+        # A row that was erased stands in the table's file until that is written anew, which only its owner
+        # may let the server do.
+        with self._keeping.connect() as connection:
+            if not connection.execute(text(_OWNS_WORDS)).scalar_one():
+                return "only the owner of the tables can have them written anew: VACUUM FULL words"
+            try:
+                connection.execute(text(f"SET lock_timeout = '{LOCK_TIMEOUT_S}s'"))
+                connection.execute(text("VACUUM FULL words"))
+            except DBAPIError as error:
+                return str(error.orig)
+        return ""
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         with self.reading.connect() as connection:
@@ -270,9 +291,14 @@ class PostgresBackend:
             engine.dispose()
 
 
-def _insert(cursor: Any, rows: Sequence[Row]) -> None:
+def _insert(cursor: Any, rows: Sequence[Row], beside: Beside) -> None:
+    if beside.added:
+        cursor.executemany(_INSERT_WORDS, beside.added)
+    if beside.erased:
+        cursor.executemany(_ERASE_WORDS, beside.erased)
     if len(rows) < _COPY_FROM:
-        cursor.executemany(_INSERT, rows)
+        if rows:
+            cursor.executemany(_INSERT, rows)
         return
     with cursor.copy(_COPY) as copy:
         copy.set_types(_TYPES)

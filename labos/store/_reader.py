@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hmac
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import msgspec
 import structlog
@@ -11,6 +11,7 @@ from sqlalchemy import Integer, literal_column, select, true
 from sqlalchemy.engine import URL
 
 from labos.core.envelope import GENESIS, Envelope, Record, decode_folded
+from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.ports import Head, LogQuery
 from labos.store import _checked
@@ -21,6 +22,7 @@ from labos.store._home import SEAL, HomeFiles
 from labos.store._select import positions_of_last, selection
 from labos.store._tables import event, head, snapshot
 from labos.store._url import display_name
+from labos.store._words import Standing, read_all_words, read_words, read_words_by
 
 _log = structlog.get_logger(__name__)
 
@@ -182,6 +184,29 @@ class LogReader:
             if len(rows) < _CHUNK:
                 return
             after = rows[-1].position
+
+    def words_of(self, references: Iterable[str]) -> dict[str, Kept]:
+        """The words that stand beside the log for these references, also those that were erased; of others
+        there are none. Raises StoreUnavailable."""
+        with self._door, self._backend.reading.connect() as connection:
+            return read_words(connection, references)
+
+    def words_by(self, user: str) -> list[tuple[int, str]]:
+        """Position and reference of all words of a user that were not erased. Raises StoreUnavailable."""
+        with self._door, self._backend.reading.connect() as connection:
+            return read_words_by(connection, user)
+
+    def all_words(self) -> Iterator[Standing]:
+        """All words, also those that were erased, in the order of their references. Raises
+        StoreUnavailable."""
+        after = ""
+        while True:
+            with self._door, self._backend.reading.connect() as connection:
+                found = read_all_words(connection, after, _CHUNK)
+            yield from found
+            if len(found) < _CHUNK:
+                return
+            after = found[-1].words.reference
 
     def caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]:
         """The positions of those of the ``last`` records whose causation begins so, and the causations.

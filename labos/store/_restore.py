@@ -17,6 +17,7 @@ from labos.core.ids import LabId
 from labos.core.lab import LEAP
 from labos.errors import Refused
 from labos.ports import Head
+from labos.store._backend import Beside
 from labos.store._errors import Door
 from labos.store._event_store import rows_of
 from labos.store._lease import lease_holder
@@ -24,6 +25,7 @@ from labos.store._migrate import database_status, migrate
 from labos.store._open import backend_for
 from labos.store._tables import head
 from labos.store._url import display_name, parse_url
+from labos.store._words import Standing, beside, row_of
 
 _CHUNK = 2000
 _BEGAN_S = 1_767_225_600
@@ -36,10 +38,12 @@ def leapt_epoch(epoch: int, now_ns: int) -> int:
     return max(epoch + LEAP, now_ns // 1_000_000_000 - _BEGAN_S)
 
 
-def restore_log(url: str, records: Iterable[Record], lab: str, epoch: int) -> Head:
-    """Put records into a database that has no log, in one transaction, and return its head. The
-    caller has checked them. Raises Refused if there is a log, StoreUnavailable; then nothing of them
-    is there."""
+def restore_log(
+    url: str, records: Iterable[Record], lab: str, epoch: int, words: Iterable[Standing] = ()
+) -> Head:
+    """Put records, and the words beside them, into a database that has no log, in one transaction, and return
+    its head. The caller has checked them. Raises Refused if there is a log, StoreUnavailable; then nothing of
+    them is there."""
     parsed = parse_url(url)
     refuse_to_overwrite(url)
     migrate(url)
@@ -53,9 +57,12 @@ def restore_log(url: str, records: Iterable[Record], lab: str, epoch: int) -> He
                 found = connection.execute(select(head.c.position).with_for_update()).scalar_one()
                 if found:
                     raise _occupied(url, found)
+                rest = iter(words)
+                while some := list(islice(rest, _CHUNK)):  # before the events that erased some of them
+                    backend.insert(connection, (), Beside(list(map(row_of, some))))
                 while chunk := list(islice(source, _CHUNK)):
                     rows = rows_of(end, chunk)
-                    backend.insert(connection, rows)
+                    backend.insert(connection, rows, beside(chunk))
                     last = chunk[-1]
                     end = Head(end.lab, last.head.position, last.hash, epoch, last.head.recorded_at)
                 connection.execute(

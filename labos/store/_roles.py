@@ -17,11 +17,12 @@ from labos.store._tables import VERSION_TABLE, metadata
 from labos.store._url import display_name, parse_url
 
 _ACCOUNTS = tuple(name for name in metadata.tables if name.startswith("account_"))
-_TABLES = ("event", "head", "snapshot", *_ACCOUNTS, VERSION_TABLE)
+_TABLES = ("event", "head", "snapshot", "words", *_ACCOUNTS, VERSION_TABLE)
 _RIGHTS = (
     "GRANT SELECT, INSERT ON event TO {role}",
     "GRANT SELECT, UPDATE ON head TO {role}",
     "GRANT SELECT, INSERT, DELETE ON snapshot TO {role}",
+    "GRANT SELECT, INSERT, UPDATE ON words TO {role}",
     f"GRANT SELECT, INSERT, UPDATE, DELETE ON {', '.join(_ACCOUNTS)} TO {{role}}",
     f"GRANT SELECT ON {VERSION_TABLE} TO {{role}}",
 )

@@ -9,7 +9,7 @@ import msgspec
 from sqlalchemy import ColumnElement, Select, and_, func, or_, select
 
 from labos.ports import LogQuery
-from labos.store._tables import event
+from labos.store._tables import event, words
 
 Contains = Callable[[Any, str | bytes], ColumnElement[bool]]
 
@@ -33,7 +33,9 @@ def selection(query: LogQuery, contains: Contains) -> Select[Any]:
     if query.mentions:
         # In a payload the text stands as JSON writes it.
         quoted = msgspec.json.encode(query.mentions)[1:-1]
-        conditions.append(or_(contains(c.payload, quoted), contains(c.stream, query.mentions)))
+        beside = select(words.c.position).where(contains(words.c.text, query.mentions))
+        told = (contains(c.payload, quoted), contains(c.stream, query.mentions), c.position.in_(beside))
+        conditions.append(or_(*told))
     if query.since_ns is not None:
         conditions.append(c.recorded_at >= query.since_ns)
     if query.until_ns is not None:

@@ -29,7 +29,7 @@ from labos.errors import Refused, StoreUnavailable
 from labos.lockfile import FileLock
 from labos.ports import Head
 from labos.private import make_database_file
-from labos.store._backend import MOVE_HEAD, Row, move
+from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Beside, Row, move
 from labos.store._url import sqlite_path
 
 BUSY_TIMEOUT_S = 5.0
@@ -85,13 +85,15 @@ class SqliteBackend:
     def standbys(self) -> list[str]:
         return []
 
-    def append(self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row]) -> bool:
+    def append(
+        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: Beside
+    ) -> bool:
         driver: Any = connection.connection.driver_connection
         driver.execute("BEGIN IMMEDIATE")
         try:
             moved: bool = driver.execute(MOVE_HEAD, move(expected, after)).rowcount == 1
             if moved:
-                driver.executemany(_INSERT, rows)
+                _insert(driver, rows, beside)
             driver.execute("COMMIT" if moved else "ROLLBACK")
         except BaseException:
             # Some errors, such as a full disk, have rolled it back already.
@@ -100,9 +102,13 @@ class SqliteBackend:
             raise
         return moved
 
-    def insert(self, connection: Connection, rows: Sequence[Row]) -> None:
-        driver: Any = connection.connection.driver_connection
-        driver.executemany(_INSERT, rows)
+    def insert(self, connection: Connection, rows: Sequence[Row], beside: Beside) -> None:
+        _insert(connection.connection.driver_connection, rows, beside)
+
+    def scrub(self) -> str:
+        # What is erased is overwritten (secure_delete), but the pages of before may stand in the write-ahead
+        # log until that is moved into the file and cut to nothing.
+        return self._move_into_the_file()
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
         pooled = self.reading.raw_connection()
@@ -136,18 +142,30 @@ class SqliteBackend:
         self.vacate()
         self.writing.dispose()
 
-    def _move_into_the_file(self) -> None:
-        """After an orderly end the one file is the whole log, whoever else may still have it open."""
+    def _move_into_the_file(self) -> str:
+        """After an orderly end the one file is the whole log, whoever else may still have it open. Returns
+        why it is not."""
         try:
             # Not by an engine of ours, which would make the file anew if somebody has moved it away.
             with closing(_open(self.path, "rw")) as connection:
                 connection.execute("PRAGMA checkpoint_fullfsync = ON")
                 busy, *_ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
         except sqlite3.Error as error:
-            _log.warning("log_not_in_one_file", file=str(self.path), why=str(error))
+            why = str(error)
         else:
-            if busy:
-                _log.warning("log_not_in_one_file", file=str(self.path), why="another program reads it")
+            why = "another program reads it" if busy else ""
+        if why:
+            _log.warning("log_not_in_one_file", file=str(self.path), why=why)
+        return why
+
+
+def _insert(driver: Any, rows: Sequence[Row], beside: Beside) -> None:
+    if rows:
+        driver.executemany(_INSERT, rows)
+    if beside.added:
+        driver.executemany(INSERT_WORDS, beside.added)
+    if beside.erased:
+        driver.executemany(ERASE_WORDS, beside.erased)
 
 
 def make_writing_engine(path: Path) -> Engine:
@@ -162,6 +180,8 @@ def make_writing_engine(path: Path) -> Engine:
         )
         try:
             connection.execute("PRAGMA synchronous = FULL")
+            # What is erased, or moved to another page, is overwritten.
+            connection.execute("PRAGMA secure_delete = ON")
             # macOS: fsync leaves data in the drive's cache unless told so; ignored elsewhere.
             connection.execute("PRAGMA fullfsync = ON")
             connection.execute("PRAGMA checkpoint_fullfsync = ON")

@@ -77,6 +77,19 @@ snapshot = Table(
 
 # What follows is no part of the log: it can be changed, and erased. No event holds any of it.
 
+words = Table(
+    "words",
+    metadata,
+    Column("reference", Name, primary_key=True),
+    Column("position", BigInteger, nullable=False),
+    Column("salt", LargeBinary, nullable=False),
+    Column("text", Name, nullable=False),
+    Column("erased_at", BigInteger, nullable=False),
+    Index("words_position", "position"),
+)
+"""What people wrote into events: ``reference`` stands there in its place, ``position`` is the first such
+event. Erased, a row has neither salt nor text, and the position of the event that erased it."""
+
 account_person = Table(
     "account_person",
     metadata,

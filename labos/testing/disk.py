@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from labos.core.envelope import GENESIS, Record, damage
+from labos.core.erasure import WordsErased
 from labos.core.ids import LabId
+from labos.core.registry import decode
+from labos.core.words import Kept
 from labos.errors import Fenced, LogDamaged, Refused, StoreError, StoreUnavailable
 from labos.ports import EventStore, Head, LogQuery
 from labos.testing.faults import Faults
@@ -25,6 +28,7 @@ class SimulatedStore:
 
     def __init__(self, now: Callable[[], float] = lambda: 0.0) -> None:
         self.records: list[Record] = []
+        self.words: dict[str, Kept] = {}
         self._now = now
         self._head = Head(LabId(""), 0, GENESIS, 0)
         self._holder: Process | None = None
@@ -117,7 +121,17 @@ class SimulatedStore:
             _, self._head, records = self._unsynced
             self._unsynced = None
             self.records.extend(records)
+            for record in records:
+                self.words.update((kept.reference, kept) for kept in record.words)
+                if record.head.type == WordsErased.TYPE:
+                    self._erase(record)
         return self._head
+
+    def _erase(self, record: Record) -> None:
+        event = decode(record.head.type, record.head.schema, record.payload)
+        assert isinstance(event, WordsErased)
+        for name in event.references():
+            self.words[name] = Kept(name, b"", "")
 
     def _settle(self, holder: Process | None) -> None:
         """Of a dead kernel's last write the system's cache is left, if it had power; a living one's
@@ -135,6 +149,12 @@ class SimulatedStore:
 
     def select(self, query: LogQuery) -> Iterator[Record]:
         return iter(self.records[query.after : query.upto])
+
+    def words_of(self, references: Iterable[str]) -> dict[str, Kept]:
+        return {name: self.words[name] for name in references if name in self.words}
+
+    def scrub(self) -> str:
+        return ""
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
         self._snapshot = (position, hash_, fingerprint, data)

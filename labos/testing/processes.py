@@ -218,7 +218,10 @@ class Processes:
         how = self.conditions
         settings = KernelSettings("simulated", how.pace, process.name, how.lease_s, how.snapshot_every)
         assert process.clock is not None
-        kernel = Kernel(writer, process.clock, self.ids("kernel"), settings, how.plan_with)
+        salts = self.ids("salt")
+        kernel = Kernel(
+            writer, process.clock, self.ids("kernel"), settings, how.plan_with, lambda: salts.new().encode()
+        )
         self.opened.append(kernel)
         self._process_of[kernel] = process
         await kernel.open()

@@ -42,7 +42,7 @@ MODULES = (
     "modules",
     "bookings",
 )
-MODULES += ("bench", "people")
+MODULES += ("bench", "people", "words")
 
 DISTINCT = ("not_found", "refused", "forbidden", "spec_errors", "log_damaged")
 """Problems that a caller tells apart; those that may come with each request are said once."""

@@ -15,6 +15,7 @@ from labos.client._generated.people import GeneratedPeople
 from labos.client._generated.planning import GeneratedPlanning
 from labos.client._generated.runs import GeneratedRuns
 from labos.client._generated.signatures import GeneratedSignatures
+from labos.client._generated.words import GeneratedWords
 
 
 class GeneratedCalls(
@@ -31,5 +32,6 @@ class GeneratedCalls(
     GeneratedBookings,
     GeneratedBench,
     GeneratedPeople,
+    GeneratedWords,
 ):
     """One method for each operation."""

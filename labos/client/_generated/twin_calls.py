@@ -77,6 +77,10 @@ class AsyncCalls:
             alike=alike,
         )
 
+    async def approve_erasure(self, erasure: str, by: str) -> dict[str, Any]:
+        """Agree, as the second person, that words are erased."""
+        return await self.threads.call(self.sync.approve_erasure, erasure, by)
+
     async def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
         """Say which barcode labware bears."""
         await self.threads.call(self.sync.barcode, labware, barcode, by, replace=replace)
@@ -221,6 +225,16 @@ class AsyncCalls:
     async def erase_person(self, user: str) -> None:
         """Forget who a user is."""
         await self.threads.call(self.sync.erase_person, user)
+
+    async def erase_words(
+        self, because: str, by: str, *, records: Sequence[int] = (), user: str = ""
+    ) -> dict[str, Any]:
+        """Erase what people wrote into events."""
+        return await self.threads.call(self.sync.erase_words, because, by, records=records, user=user)
+
+    async def erasures(self) -> list[dict[str, Any]]:
+        """What is to be erased, and waits for a second person."""
+        return await self.threads.call(self.sync.erasures)
 
     async def experiment_signatures(self, experiment: str) -> list[dict[str, Any]]:
         """Who has signed the record of an experiment."""
@@ -386,6 +400,10 @@ class AsyncCalls:
     async def refuse(self, subject: str, by: str, *, comment: str = "") -> str:
         """Do not let a submission go on."""
         return await self.threads.call(self.sync.refuse, subject, by, comment=comment)
+
+    async def refuse_erasure(self, erasure: str, by: str) -> str:
+        """Do not erase what waits for a second person."""
+        return await self.threads.call(self.sync.refuse_erasure, erasure, by)
 
     async def remove_group(self, group: str, by: str) -> None:
         """Remove a group."""

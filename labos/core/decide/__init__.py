@@ -11,9 +11,11 @@ from labos.core.decide.limits import bare_report, cut_report, misfit
 from labos.core.decide.reactions import REACTIONS
 from labos.core.decide.rights import Denied, denied  # its table loads every command
 from labos.core.decide.submissions import attribute, hold_for_approval
+from labos.core.decide.wording import refer_to_words
 from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.core.users import LABOS
+from labos.core.words import Keep
 
 __all__ = ["LABOS", "REACTIONS", "Command", "Decision", "Denied", "Rejection", "carry_out", "decide"]
 
@@ -22,13 +24,18 @@ MOST_REACTIONS = 10_000
 
 
 def carry_out(
-    state: LabState, command: Command, write: Callable[[Event], Event], actor: str
+    state: LabState,
+    command: Command,
+    write: Callable[[Event], Event],
+    actor: str,
+    keep: Keep | None = None,
 ) -> list[Event] | Rejection:
     """Decide a command of ``actor``. Each of its events is folded by ``write``, which returns it as it is
     stored, before the next is worked out; then what follows from them, in their order, until nothing follows
-    any more. Returns all these events, or why the command cannot be carried out: then nothing was written.
-    Whatever raises leaves the state in the midst of it."""
-    decision = decide(state, command, actor)
+    any more. With ``keep``, the words of the command stand beside the log. Returns all these events, or why
+    the command cannot be carried out: then nothing was written. Whatever raises leaves the state in the midst
+    of it."""
+    decision = decide(state, command, actor, keep)
     if isinstance(decision, Rejection):
         return decision
     events = [write(event) for event in decision]
@@ -42,7 +49,7 @@ def carry_out(
     return events
 
 
-def decide(state: LabState, command: Command, actor: str) -> Decision:
+def decide(state: LabState, command: Command, actor: str, keep: Keep | None = None) -> Decision:
     """The events that carry out a command of ``actor``, or why it cannot be carried out (``Denied`` if the
     actor may not). Changes nothing. What follows from the events is not among them."""
     if refusal := denied(state, command, actor):
@@ -51,6 +58,8 @@ def decide(state: LabState, command: Command, actor: str) -> Decision:
         command = cut_report(command)
     elif fault := misfit(command):
         return fault
+    elif keep is not None:
+        command = refer_to_words(command, keep)
     decision = _decide(state, command, actor)
     if isinstance(command, Report) and isinstance(decision, Rejection) and decision.code == UNFIT:
         return _decide(

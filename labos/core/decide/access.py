@@ -20,6 +20,7 @@ from labos.core.modules import ModuleStatus
 from labos.core.registry import Event
 from labos.core.repeated import record_repeat
 from labos.core.state import LabState
+from labos.core.words import Words
 
 
 class Change(msgspec.Struct, frozen=True):
@@ -36,7 +37,7 @@ class RequestAccess(Command, frozen=True):
 
     workcell: str
     by: str
-    why: str = ""
+    why: Words = ""
     parking: tuple[SubmitRun, ...] = ()
 
     def parts(self) -> Sequence[Command]:
@@ -54,7 +55,7 @@ class EndAccess(Command, frozen=True):
 
     workcell: str
     by: str
-    note: str = ""
+    note: Words = ""
     changes: tuple[Change, ...] = ()
 
 

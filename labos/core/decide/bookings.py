@@ -30,6 +30,7 @@ from labos.core.roles import role_in
 from labos.core.state import LabState
 from labos.core.topics import BookedPlace, in_batches, name_some
 from labos.core.users import person_of, rank
+from labos.core.words import Words
 
 HOUR_NS = 3_600_000_000_000
 
@@ -42,14 +43,15 @@ CONFLICT_DAYS = 400
 
 class NewTerms(msgspec.Struct, frozen=True, kw_only=True):
     """When (UTC ns), and for whom: a user, a group, or nobody's runs (``maintenance``). With a ``rule`` it is
-    repeated by the clock of a time zone, at the latest at ``last`` (UTC ns; 0: without end)."""
+    repeated by the clock of a time zone, at the latest at ``last`` (UTC ns; 0: without end). ``why`` is null
+    for the reason that a booking has that is changed."""
 
     begins: int
     ends: int
     user: str = ""
     group: str = ""
     maintenance: bool = False
-    why: str = ""
+    why: Words | None = ""
     zone: str = "UTC"
     rule: str = ""
     last: int = 0
@@ -82,7 +84,7 @@ class CancelBooking(Command, frozen=True):
 
     booking: str
     by: str
-    why: str = ""
+    why: Words = ""
     begins: int = 0
 
 
@@ -120,6 +122,9 @@ def change_booking(state: LabState, command: ChangeBooking) -> Decision:
     booking = state.bookings.open.get(command.booking)
     if booking is None:
         return no_booking(command.booking)
+    if command.terms.why is None:
+        same = msgspec.structs.replace(command.terms, why=booking.why)
+        command = msgspec.structs.replace(command, terms=same)
     over = _over(state, booking.target, command, booking.id)
     if isinstance(over, Rejection):
         return over
@@ -206,7 +211,7 @@ def _event(
         terms.user,
         terms.group,
         terms.maintenance,
-        terms.why,
+        terms.why or "",
         terms.zone,
         terms.rule,
         terms.last,
@@ -226,7 +231,7 @@ def _over(
 
 
 def _unfit(state: LabState, target: str, terms: NewTerms, now: int) -> Rejection | None:
-    for field in ("user", "group", "why", "zone", "rule"):
+    for field in ("user", "group", "zone", "rule"):
         if fault := fault_of(getattr(terms, field), field):
             return Rejection(BAD_TEXT, fault, "Shorten it.")
     if target not in state.lab.workcells and ModuleName(target) not in state.modules.by_name:

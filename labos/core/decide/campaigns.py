@@ -38,6 +38,7 @@ from labos.core.runs import RunPaused, RunResumed, RunSubmitted
 from labos.core.state import LabState
 from labos.core.texts import LONGEST_REASON, cut
 from labos.core.users import UserDisabled
+from labos.core.words import Words
 
 NO_ROOM = "no_room"
 """The code of a rejection of a row for which there is no room yet."""
@@ -87,7 +88,7 @@ class RefuseRow(Command, frozen=True):
 
 class PauseCampaign(Command, frozen=True):
     campaign: CampaignId
-    why: str = ""
+    why: Words = ""
 
 
 class ResumeCampaign(Command, frozen=True):
@@ -106,7 +107,7 @@ class CancelCampaign(Command, frozen=True):
 
     campaign: CampaignId
     stay: bool = False
-    why: str = ""
+    why: Words = ""
 
 
 @decides(SubmitCampaign)

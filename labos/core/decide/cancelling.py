@@ -13,6 +13,7 @@ from labos.core.registry import Event
 from labos.core.repeated import record_repeat
 from labos.core.runs import RunCancelled, RunCancelling, RunLeaving, RunState, RunStatus
 from labos.core.state import LabState
+from labos.core.words import Words
 
 
 class CancelRun(Command, frozen=True):
@@ -21,7 +22,7 @@ class CancelRun(Command, frozen=True):
 
     run: RunId
     stay: bool = False
-    why: str = ""
+    why: Words = ""
 
 
 class TakeWayOut(Command, frozen=True):

@@ -13,6 +13,7 @@ from labos.core.open_experiments import ExperimentStatus
 from labos.core.repeated import record_repeat
 from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
+from labos.core.words import Words
 
 
 class PauseStarts(Command, frozen=True):
@@ -21,7 +22,7 @@ class PauseStarts(Command, frozen=True):
 
     target: str
     by: str
-    why: str = ""
+    why: Words = ""
 
 
 class ResumeStarts(Command, frozen=True):
@@ -35,7 +36,7 @@ class CancelRuns(Command, frozen=True):
 
     target: str
     stay: bool = False
-    why: str = ""
+    why: Words = ""
 
 
 class CancelExperiment(Command, frozen=True):
@@ -45,7 +46,7 @@ class CancelExperiment(Command, frozen=True):
     experiment: ExperimentId
     by: str
     stay: bool = False
-    why: str = ""
+    why: Words = ""
 
 
 @decides(PauseStarts)

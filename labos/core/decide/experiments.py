@@ -33,6 +33,7 @@ from labos.core.rules import CLOSING_S, closes_late_at
 from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
 from labos.core.topics import ClosingWaits, LostExperiment
+from labos.core.words import Words
 
 
 class StartExperiment(Command, frozen=True):
@@ -69,7 +70,7 @@ class EndExperiment(Command, frozen=True):
     """The application is over."""
 
     experiment: ExperimentId
-    why: str = "ended"
+    why: Words = "ended"
 
 
 class AskAboutClosing(Command, frozen=True):

@@ -10,6 +10,7 @@ from labos.core.labware import LabwareHandedOver
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.state import LabState
 from labos.core.users import person_of
+from labos.core.words import Words
 
 
 class HandOver(Command, frozen=True):
@@ -20,7 +21,7 @@ class HandOver(Command, frozen=True):
     to: Owner
     by: str
     force: bool = False
-    note: str = ""
+    note: Words = ""
 
 
 @decides(HandOver)

@@ -54,6 +54,7 @@ from labos.core.topics import (
     Unexpected,
     UnknownAction,
 )
+from labos.core.words import Words
 
 
 class ResolveIntervention(Command, frozen=True):
@@ -63,7 +64,7 @@ class ResolveIntervention(Command, frozen=True):
     intervention: InterventionId
     choice: str
     by: str
-    note: str = ""
+    note: Words = ""
     result: Any = None
 
 

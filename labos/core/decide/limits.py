@@ -13,6 +13,7 @@ from typing import Any, get_args
 import msgspec
 
 from labos.core.decide._base import Command, Rejection, Report
+from labos.core.decide.wording import words_in
 from labos.core.texts import (
     CONTROL,
     CONTROL_IN_NOTE,
@@ -58,6 +59,7 @@ def misfit(command: Command) -> Rejection | None:
     single, several = _texts(type(command))
     texts = [(getattr(command, field), field) for field in single]
     texts += [(text, field) for field in several for text in getattr(command, field)]
+    texts += words_in(command)
     for text, field in texts:
         if fault := fault_of(text, field):
             return Rejection(BAD_TEXT, fault, "Shorten it, or hand in long text as a file.")

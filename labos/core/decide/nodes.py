@@ -21,6 +21,7 @@ from labos.core.modules import (
 from labos.core.registry import Event
 from labos.core.rules import find_give_up_time, lab_ns
 from labos.core.state import LabState
+from labos.core.words import Words
 
 
 class JoinNode(Report, frozen=True):
@@ -69,7 +70,7 @@ class TakeOut(Command, frozen=True):
     """Take a module out of service, until it is put back or until a time (UTC ns)."""
 
     module: ModuleName
-    why: str
+    why: Words
     until: int = 0
     now: int = 0
 

@@ -35,6 +35,7 @@ from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.core.topics import Approval
 from labos.core.users import ON_BEHALF, person_of
+from labos.core.words import Words
 
 SHORTEST_DIGEST = 12
 """Characters of a digest that are enough to say what was looked at."""
@@ -48,7 +49,7 @@ class ApproveProposal(Command, frozen=True):
     subject: str
     digest: str
     by: str
-    why: str = ""
+    why: Words = ""
     priority: int | None = None
     terms: Terms | None = None
     alike: bool = False
@@ -59,7 +60,7 @@ class RefuseProposal(Command, frozen=True):
 
     subject: str
     by: str
-    why: str = ""
+    why: Words = ""
 
 
 @decides(ApproveProposal)

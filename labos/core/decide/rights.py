@@ -21,6 +21,7 @@ from labos.core.decide import (
     composites,
     control,
     doubts,
+    erasure,
     experiments,
     handover,
     interventions,
@@ -285,6 +286,8 @@ RIGHTS: dict[type[Command], Right] = {
     # people
     shares.ApplyShares: Right("admin", _ADMIN, targets.in_lab("admin")),
     submissions.ApplyPolicy: Right("admin", _ADMIN, targets.in_lab("admin")),
+    erasure.EraseWords: Right("admin", _ADMIN, targets.in_lab("admin"), "by"),
+    erasure.RefuseErasure: Right("admin", _ADMIN, targets.in_lab("admin"), "by"),
     users.AddUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.DisableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.EnableUser: Right("admin", _ADMIN, targets.in_lab("admin")),

@@ -44,6 +44,7 @@ from labos.core.runs import (
 from labos.core.state import LabState
 from labos.core.steps import WindowBreached
 from labos.core.topics import LateStep
+from labos.core.words import Words
 
 STEPS_PER_EVENT = 16
 
@@ -69,7 +70,7 @@ class PauseRun(Command, frozen=True):
     """``why`` is a word about it for the log."""
 
     run: RunId
-    why: str = ""
+    why: Words = ""
 
 
 class ResumeRun(Command, frozen=True):

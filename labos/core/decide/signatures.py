@@ -7,6 +7,7 @@ from labos.core.ids import RunId
 from labos.core.signatures import Kind, Meaning, RecordsSigned, RunSigned
 from labos.core.state import LabState
 from labos.core.users import ON_BEHALF
+from labos.core.words import Words
 
 
 class SignRun(Command, frozen=True):
@@ -19,7 +20,7 @@ class SignRun(Command, frozen=True):
     records: int
     digest: str
     method: str
-    why: str = ""
+    why: Words = ""
 
 
 class SignRecords(Command, frozen=True):

@@ -8,6 +8,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.modules import LocationTaught
 from labos.core.state import LabState
+from labos.core.words import Words
 
 
 class TeachLocation(Command, frozen=True):
@@ -17,7 +18,7 @@ class TeachLocation(Command, frozen=True):
     station: StationName
     pose: tuple[float, ...]
     by: str
-    why: str = ""
+    why: Words = ""
     labware_type: str = ""
 
 

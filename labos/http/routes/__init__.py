@@ -18,6 +18,7 @@ from labos.http.routes import (
     planning,
     runs,
     signatures,
+    words,
 )
 
 PREFIX = "/api/v1"
@@ -27,6 +28,7 @@ OPERATIONS: tuple[Operation, ...] = (
     *accounts.OPERATIONS,
     *log.OPERATIONS,
     *finding.OPERATIONS,
+    *words.OPERATIONS,
     *forecasts.OPERATIONS,  # before runs: /runs/forecast is no run
     *planning.OPERATIONS,  # before runs: /runs/check is no run
     *runs.OPERATIONS,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+
+import msgspec
 from starlette.responses import Response
 
 from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking
 from labos.core.recurrence import DAY_NS
+from labos.core.words import put_into_text, references_in
 from labos.http.bookings import (
     BookingCancel,
     BookingCancelled,
@@ -28,6 +32,7 @@ from labos.http.bookings import (
 )
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
+from labos.services.shown import texts_of
 
 MEDIA_TYPE = "text/calendar"
 
@@ -82,8 +87,12 @@ async def export_calendar(call: Call, query: LinkQuery) -> Response:
     in the address."""
     from labos.services.ical import ical  # a large library, which most labs never use
 
-    found = ical(call.kernel.state, bookings_of(call.service, query.target))
+    bookings = bookings_of(call.service, query.target)
     await call.kernel.written()
+    named = references_in("\n".join(booking.why for booking in bookings).encode())
+    texts = await asyncio.to_thread(texts_of, call.service.parts.store, named)
+    shown = [msgspec.structs.replace(each, why=put_into_text(each.why, texts)) for each in bookings]
+    found = ical(call.kernel.state, shown)
     headers = {"cache-control": "private, max-age=300"}
     return Response(found, media_type=MEDIA_TYPE, headers=headers)
 

@@ -15,6 +15,8 @@ from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
+from labos.http.viewers import Follow
+from labos.http.words import STORED
 from labos.ports import LogQuery
 
 CONNECTION = "labos.connection"
@@ -36,7 +38,9 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
         since_ns=query.since or None,
         until_ns=query.until or None,
     )
-    return wire.encoded(await call.service.tail.page(wanted))
+    if query.stored:
+        call.request.scope[STORED] = True
+    return wire.encoded(await call.service.tail.page(wanted, stored=query.stored))
 
 
 async def follow_events(call: Call, query: EventFilter) -> Response:
@@ -50,18 +54,18 @@ async def follow_events(call: Call, query: EventFilter) -> Response:
     known = wire.header(call.request, "last-event-id")
     if known.isascii() and known.isdecimal() and int(known[:20]) <= WHOLE_NUMBERS[1]:
         wanted = msgspec.structs.replace(wanted, after=int(known))
-    if await _hand_over(call, wanted):
+    if await _hand_over(call, wanted, stored=query.stored):
         return Response()  # nobody hears it: the connection is somebody else's now
-    stream = _stream(call, wanted)
+    stream = _stream(call, wanted, stored=query.stored)
     return StreamingResponse(stream, headers=dict(STREAM_HEADERS), media_type=STREAM_TYPE)
 
 
-async def _stream(call: Call, query: LogQuery) -> AsyncIterator[bytes]:
+async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator[bytes]:
     yield RETRY
     shown = call.who.credential
     end = call.api.ends.begin(shown) if shown is not None else None
     try:
-        async for piece in call.service.tail.follow(query, end):
+        async for piece in call.service.tail.follow(query, end, stored=stored):
             yield piece
     finally:
         if shown is not None and end is not None:
@@ -75,14 +79,15 @@ async def get_file(call: Call, path: OfFile) -> Response:
     return await send_file(call.request, path.sha256, call.service.parts.blobs)
 
 
-async def _hand_over(call: Call, query: LogQuery) -> bool:
+async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
     """Whether the process for followers has taken the connection."""
     viewers, connection = call.service.viewers, call.request.scope.get(CONNECTION)
     if viewers is None or connection is None:
         return False
     shown, durable = call.who.credential, call.kernel.durable
     key, lasts_s = (shown.key, call.api.ends.lasts_s(shown)) if shown is not None else ("", 0.0)
-    return bool(await connection.give_away(lambda s: viewers.take_over(s, query, durable, key, lasts_s)))
+    follow = Follow(query, key, lasts_s, stored)
+    return bool(await connection.give_away(lambda s: viewers.take_over(s, follow, durable)))
 
 
 def _log_query(query: EventFilter) -> LogQuery:

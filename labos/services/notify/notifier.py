@@ -29,6 +29,7 @@ from labos.services.notify.notices import (
 )
 from labos.services.notify.outbox import Delivery, Outbox
 from labos.services.notify.schedule import SECOND, Due, plan
+from labos.services.shown import show_struct
 
 PAGE = 500
 FIRST_PAUSE_S = 30
@@ -285,7 +286,13 @@ class Notifier:
         self._sent.discard(delivery.id)
 
     def _message(self, delivery: Delivery) -> channels.Message:
-        return channels.Message(delivery.id, *self._names, delivery.notice, delivery.level)
+        """The message with people's words put in; the outbox has references, as they may be erased."""
+        notice = delivery.notice
+        try:
+            notice = show_struct(self.log, notice)
+        except StoreError as error:
+            _log.warning("words_not_read", why=str(error))
+        return channels.Message(delivery.id, *self._names, notice, delivery.level)
 
     def _put_off(self, delivery: Delivery, why: str) -> None:
         now = self.clock.now_ns()

@@ -10,6 +10,7 @@ files have the digests that the events name.
 ``checkpoint.tsr``   its time stamp, if there is one
 ``rotation.notes``   changes of the lab's key, if there were any
 ``events.jsonl``     an event a line: envelope and payload as stored, and the proof of inclusion
+``words.jsonl``      what people wrote into them, if it was not erased or left out
 ``blobs/…``          files that the events name, by SHA-256
 ===================  ========================================================================
 """
@@ -28,6 +29,7 @@ from labos.core.envelope import Envelope, Record
 from labos.core.merkle import Tree, inclusion_ranges, leaf_hash, proof_of
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.runs import RunSubmitted
+from labos.core.words import references_in
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.ports import BlobStore
 from labos.services.log import Log
@@ -38,8 +40,8 @@ from labos.services.trust.notes import Note
 from labos.services.verification import find_needed_blobs
 
 FORMAT = "labos-bundle/1"
-"""Of a run; the other one is of an experiment or a campaign."""
-FORMAT_OF_SEVERAL = "labos-bundle/2"
+"""Of a run, without words; the second one is of an experiment or a campaign, the third one has words."""
+FORMAT_OF_SEVERAL, WITH_WORDS = "labos-bundle/2", "labos-bundle/3"
 PLANS = (PlanRecorded.TYPE, PlanStepsRecorded.TYPE)
 ABOUT, NOTE, STAMP, ROTATIONS, EVENTS = (
     "bundle.json",
@@ -48,6 +50,7 @@ ABOUT, NOTE, STAMP, ROTATIONS, EVENTS = (
     "rotation.notes",
     "events.jsonl",
 )
+WORDS = "words.jsonl"
 BLOBS = "blobs/"
 
 
@@ -89,12 +92,23 @@ class Planned(Protocol):
     def payload(self) -> bytes: ...
 
 
+class ToldWords(msgspec.Struct, frozen=True):
+    """A line of ``words.jsonl``: a text, and the salt (hexadecimal digits) with which its digest stands in an
+    event."""
+
+    reference: str
+    salt: str
+    text: str
+
+
 class Attachments(msgspec.Struct, frozen=True):
-    """What goes into a bundle beside the log: the checkpoint, its time stamp, changes of the key."""
+    """What goes into a bundle beside the log: the checkpoint, its time stamp, changes of the key; and whether
+    what people wrote does."""
 
     note: Note
     stamp: bytes = b""
     rotations: tuple[Note, ...] = ()
+    words: bool = True
 
 
 def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -> tuple[bytes, About]:
@@ -126,8 +140,9 @@ def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -
         )
         lines.append(msgspec.json.encode(line) + b"\n")
         digests.update(dict.fromkeys(find_needed_blobs(record.head.type, record.payload)))
+    words = _words(log, records) if beside.words else b""
     about = About(
-        FORMAT if kind == "run" else FORMAT_OF_SEVERAL,
+        WITH_WORDS if words else FORMAT if kind == "run" else FORMAT_OF_SEVERAL,
         records[0].head.lab,
         head.size,
         len(records),
@@ -143,9 +158,21 @@ def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -
         **({STAMP: beside.stamp} if beside.stamp else {}),
         **({ROTATIONS: encode_rotations(beside.rotations)} if beside.rotations else {}),
         EVENTS: b"".join(lines),
+        **({WORDS: words} if words else {}),
         **{f"{BLOBS}{digest}": blobs.get(digest) for digest in digests},
     }
     return _pack(files), about
+
+
+def _words(log: Log, records: Iterable[Record]) -> bytes:
+    """What people wrote into records, as far as it was not erased."""
+    named = dict.fromkeys(name for record in records for name in references_in(record.payload))
+    found = log.words_of(named) if named else {}
+    standing = [found[name] for name in named if name in found and not found[name].is_erased]
+    return b"".join(
+        msgspec.json.encode(ToldWords(kept.reference, kept.salt.hex(), kept.text)) + b"\n"
+        for kept in standing
+    )
 
 
 def _read(log: Log, subject: str, head: TreeHead) -> tuple[Tree, list[Record], tuple[str, ...]]:

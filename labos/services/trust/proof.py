@@ -15,6 +15,7 @@ from labos.core.envelope import Envelope
 from labos.core.merkle import is_included, leaf_hash
 from labos.core.runs import RunSubmitted
 from labos.core.signatures import RecordsSigned, RunSigned, digest_of_records
+from labos.core.words import Kept, references_in
 from labos.errors import BadInput
 from labos.services.signatures import BEGINS, ENDS, Kind
 from labos.services.times import iso_time
@@ -28,8 +29,11 @@ from labos.services.trust.bundle import (
     PLANS,
     ROTATIONS,
     STAMP,
+    WITH_WORDS,
+    WORDS,
     About,
     ProvenEvent,
+    ToldWords,
     belongs_to,
     planned_by,
     signs,
@@ -45,6 +49,7 @@ LARGEST = 4 << 30
 
 _line = msgspec.json.Decoder(ProvenEvent)
 _envelope = msgspec.json.Decoder(Envelope)
+_told_words = msgspec.json.Decoder(ToldWords)
 _about = msgspec.json.Decoder(About)
 
 
@@ -94,6 +99,7 @@ def prove_bundle(path: Path, trust: Trust) -> Proof:
         inside,
         _check_story(about, events),
         *_check_signatures(about, events),
+        *_check_words(files, events),
         _check_blobs(files, events),
     ]
     lab = events[0].head.lab if events else ""
@@ -123,7 +129,7 @@ def _said(files: dict[str, bytes], path: Path) -> About:
         about = _about.decode(files[ABOUT])
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         raise _no_bundle(path, f"{ABOUT}: {error}") from None
-    if about.format != (FORMAT if about.kind == "run" else FORMAT_OF_SEVERAL):
+    if about.format not in (FORMAT if about.kind == "run" else FORMAT_OF_SEVERAL, WITH_WORDS):
         raise BadInput(
             f"{path} has the format {about.format!r}, which this LabOS does not know.",
             remedy="Check it with the LabOS that made it.",
@@ -311,6 +317,39 @@ def _check_signatures(about: About, events: Sequence[_Event]) -> Iterator[Part]:
         yield Part("signed by", len(signed), told, tuple(faults), tuple(positions))
 
 
+def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[Part]:
+    """Whether the texts are those that people wrote into the events. One that is not in the bundle was
+    erased, or left out: that is no fault."""
+    named: dict[str, int] = {}
+    for event in events:
+        for reference in references_in(event.payload):
+            named.setdefault(reference, event.head.position)
+    faults: list[str] = []
+    positions: list[int] = []
+    found: set[str] = set()
+    for number, line in enumerate(files.get(WORDS, b"").splitlines(), 1):
+        try:
+            told = _told_words.decode(line)
+            kept = Kept(told.reference, bytes.fromhex(told.salt), told.text)
+        except (msgspec.MsgspecError, ValueError) as error:
+            faults.append(f"Line {number} of {WORDS} cannot be read ({error}).")
+            continue
+        if kept.reference not in named:
+            faults.append(f"Line {number} of {WORDS} is a text of no event, which nothing vouches for.")
+        elif kept.is_erased or not kept.is_genuine:
+            at = named[kept.reference]
+            faults.append(f"Position {at}: line {number} of {WORDS} is not what was written there.")
+            positions.append(at)
+        else:
+            found.add(kept.reference)
+    if not named and not faults:
+        return
+    left_out = len(named) - len(found)
+    told_of = f"{len(found)} of {len(named)} texts of people are there, as they were written"
+    told_of += f"; {left_out} were erased or left out." if left_out else "."
+    yield Part("words", len(named), told_of, tuple(faults), tuple(positions))
+
+
 def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> Part:
     named: dict[str, int] = {}
     for event in events:
@@ -326,7 +365,7 @@ def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> Part:
         else:
             continue
         positions.append(position)
-    known = {ABOUT, NOTE, STAMP, ROTATIONS, EVENTS, *(f"{BLOBS}{each}" for each in named)}
+    known = {ABOUT, NOTE, STAMP, ROTATIONS, EVENTS, WORDS, *(f"{BLOBS}{each}" for each in named)}
     faults += [
         f"The bundle holds {name!r}, which nothing vouches for." for name in files if name not in known
     ]

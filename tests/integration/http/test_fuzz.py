@@ -143,6 +143,9 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "alike": False,
     },
     "/approvals/{subject}/refuse": {"by": "bo", "comment": "x"},
+    "/words/erasures": {"because": "personal", "by": "ada", "records": [3], "user": ""},
+    "/words/erasures/{erasure}/approve": {"by": "bo"},
+    "/words/erasures/{erasure}/refuse": {"by": "bo"},
     "/policy": {"text": POLICY, "by": "ada", "name": "p.yaml"},
     "/shares": {"text": SHARES, "by": "ada", "name": "s.yaml"},
     "/bookings": {

@@ -15,6 +15,7 @@ from labos.cli.db import command as db
 from labos.errors import BadInput, NotFound, Refused, StoreUnavailable
 from labos.store import SqlEventStore, first_damage, grant_writer, lease_holder, migrate
 from tests.integration.store.records import LAB, batch, filled
+from tests.integration.store.test_words import erasing, said
 from tests.support.postgres import PostgresServer
 
 pytestmark = pytest.mark.postgres
@@ -81,6 +82,27 @@ def test_a_writer_can_do_what_a_kernel_does(roles: Roles, opened: Open) -> None:
     assert successor.known_position == 53
 
 
+def test_a_writer_keeps_and_erases_words_also_where_it_was_there_before_them(
+    roles: Roles, opened: Open
+) -> None:
+    grant_writer(roles.owners_url, roles.writer)
+    with psycopg.connect(roles.owners_url, autocommit=True) as owner:  # as before the upgrade
+        owner.execute("DROP TABLE words")
+        owner.execute("UPDATE labos_version SET version_num = '0002'")
+    migrate(roles.owners_url)
+    store = opened(roles.writers_url)
+    head = store.claim(LAB, "test", 30.0)
+    record, words = said(head, "a cold")
+    head = store.append(head, [record])
+    store.append(head, [erasing(head, words)])
+    assert store.words_of([words.reference])[words.reference].is_erased
+    assert "VACUUM FULL words" in store.scrub()
+    with psycopg.connect(roles.writers_url, autocommit=True) as writer:
+        for statement in ("DELETE FROM words", "TRUNCATE words"):
+            with pytest.raises(errors.InsufficientPrivilege):
+                writer.execute(statement)
+
+
 def test_a_writer_cannot_change_the_log_nor_take_its_guards_away(roles: Roles, opened: Open) -> None:
     grant_writer(roles.owners_url, roles.writer)
     store = opened(roles.writers_url)
@@ -101,7 +123,7 @@ def test_nobody_else_can_read_or_write_the_log(roles: Roles, opened: Open) -> No
         admin.execute(f'CREATE ROLE "stranger to {roles.owner}" LOGIN')
     stranger = f"postgresql://stranger%20to%20{roles.owner}@{roles.base}"
     with psycopg.connect(stranger, autocommit=True) as connection:
-        for table in ("event", "head", "snapshot"):
+        for table in ("event", "head", "snapshot", "words"):
             with pytest.raises(errors.InsufficientPrivilege):
                 connection.execute(f"SELECT * FROM {table}")
 

@@ -9,7 +9,7 @@ from labos.cli.app import group
 from tests.docs.generate import commands
 
 ONE_NAME = {
-    "--why": ("--note", "--reason", "--because", "--comment", "--message", "--remark", "--say-why"),
+    "--why": ("--note", "--reason", "--comment", "--message", "--remark", "--say-why"),
     "--wait": ("--block", "--follow-run", "--detach", "--background", "--async"),
     "--output": ("--out", "--to-file", "--into", "--target", "--dest", "--destination"),
     "--json": ("--format", "--as-json", "--machine"),

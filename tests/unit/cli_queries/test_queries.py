@@ -452,6 +452,7 @@ def test_what_stands_beside_the_log_is_checked_too(ask: Ask, home: Path) -> None
         "snapshot": 1,
         "blobs": checked["blobs"],
         "signatures": 0,
+        "words": 0,
         "benches": 1,
         "database": 1,
     }

@@ -55,6 +55,7 @@ from labos.core.campaigns import (
 )
 from labos.core.conditions import condition
 from labos.core.effects import Consumes, Draws, Move, Needs, Replaces, Requires, Sets, Take, Transfers
+from labos.core.erasure import ErasureAsked, ErasureRefused, WordsErased
 from labos.core.experiments import (
     ExperimentCancelled,
     ExperimentClosing,
@@ -313,6 +314,9 @@ EXAMPLES: list[Event] = [
     BookingNeared("B1", 5, 7),
     BookingBegan("B1", 5, 7),
     BookingEnded("B1", 5, 7, True),
+    ErasureAsked("X1", "personal", "ada", (3, 7)),
+    ErasureRefused("X1", "bo"),
+    WordsErased("X1", "personal", "ada", ("d",), (3,), "", "bo"),
 ]
 
 

@@ -1,0 +1,114 @@
+"""``labos erase``: delete what people wrote, and keep the log whole."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._out import show_json, show_table, tell
+from labos.cli._query import Where
+from labos.cli._remote import lab_of
+from labos.core.erasure import REASONS
+from labos.services.times import show_time
+from labos.settings import Settings
+
+
+@click.command("erase", short_help="Erase what people wrote: reasons, notes, comments.")
+@click.argument("records", metavar="[POSITION]...", nargs=-1, type=click.IntRange(min=1))
+@click.option("--for", "author", metavar="USER", help="All that this user wrote.")
+@click.option(
+    "--because", metavar="CODE", type=click.Choice(list(REASONS)), help="Why: one of the codes below."
+)
+@click.option("--approve", metavar="ID", help="Agree, as the second person.")
+@click.option("--refuse", metavar="ID", help="Do not erase what waits.")
+@user_option
+@home_option
+@json_option
+def command(
+    records: tuple[int, ...],
+    author: str | None,
+    because: str | None,
+    approve: str | None,
+    refuse: str | None,
+    user: str | None,
+    home: str | None,
+    as_json: bool,
+) -> None:
+    """Erase the words of the events at these positions of the log, or all words of a user. The events stay,
+    and the log, its checkpoints and bundles verify as before; in place of the words stands `(erased)`. It is
+    an event who erased what, when and why. This cannot be taken back.
+
+    \b
+    labos log --user bo                          which position it is
+    labos erase 120 --because personal
+    labos erase --for bo --because request
+    labos erase                                  what waits for a second person
+    labos erase --approve X1
+
+    Codes: request (the person who wrote it, or of whom it tells, asked for it), personal (it tells of a
+    person what does not belong there), secret (a password, or what is confidential), mistake (written in the
+    wrong place), retention (kept for as long as the rules say), order (a court or an authority ordered it).
+
+    Names, tags and values that steps were given are no words: the log keeps them. Words that were written
+    before LabOS kept them beside the log stay too. Copies that have left the lab are not reached: bundles,
+    exports, messages that were sent; backups lose the words with the next `labos backup`. Tables for SQL that
+    stand on another computer lose them when they are brought up to date (`labos audit project`).
+    """
+    from labos.cli._audit import forget_erased
+    from labos.cli._lab import need_lab
+
+    asks = bool(records) + bool(author) + bool(approve) + bool(refuse)
+    if asks > 1:
+        raise click.UsageError("Name positions, or --for, or --approve, or --refuse: one of them.")
+    if bool(because) != bool(records or author):
+        raise click.UsageError("--because CODE belongs to positions or to --for USER, which need it.")
+    with need_lab(home) as client:
+        if refuse:
+            client.refuse_erasure(refuse, who(user))
+            tell(f"{refuse} is not done.", {"erasure": refuse}, as_json=as_json)
+            return
+        if not asks:
+            _show(client.erasures(), as_json=as_json)
+            return
+        if approve:
+            done = client.approve_erasure(approve, who(user))
+        else:
+            assert because is not None
+            done = client.erase_words(because, who(user), records=list(records), user=author or "")
+    if done["erased"] and not lab_of(home):
+        forget_erased(Where(Settings.of(home).home))
+    tell(_sentence(done), done, as_json=as_json)
+
+
+def _sentence(done: dict[str, Any]) -> str:
+    if done["erasure"]:
+        return (
+            f"{done['erasure']} waits for a second person, by the lab's policy: "
+            f"labos erase --approve {done['erasure']}"
+        )
+    texts = "1 text was" if done["erased"] == 1 else f"{done['erased']} texts were"
+    told = f"{texts} erased; position {done['position']} of the log says so."
+    if done["left"]:
+        told += f"\nBytes of it may still stand in the database's files: {done['left']}."
+    return told
+
+
+def _show(waiting: list[dict[str, Any]], *, as_json: bool) -> None:
+    if as_json:
+        show_json(waiting)
+    elif not waiting:
+        click.echo("Nothing waits for a second person.")
+    else:
+        rows = [
+            (
+                each["erasure"],
+                f"all words of {each['user']}" if each["user"] else ", ".join(map(str, each["records"])),
+                each["because"],
+                each["by"],
+                show_time(each["asked_at"]),
+            )
+            for each in waiting
+        ]
+        show_table(("id", "positions", "because", "by", "since"), rows)

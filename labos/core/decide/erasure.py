@@ -1,0 +1,116 @@
+"""Erasing words. Which ones stand beside the log is looked up by whoever asks; here is decided who may."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.policy import service_of
+from labos.core.erasure import REASONS, ErasureAsked, ErasureRefused, WordsErased
+from labos.core.registry import Event
+from labos.core.state import LabState
+from labos.core.users import person_of
+
+PER_EVENT = 400
+"""So many digests one event bears."""
+
+MOST_RECORDS = 1000
+"""So many records are named at once."""
+
+_DIGEST = re.compile("[0-9a-f]{64}")
+
+
+class EraseWords(Command, frozen=True):
+    """Erase the words of the events at the positions ``records``, or all of a ``user``. ``found`` are digests
+    of their references, each with the position of its event. With ``erasure``, a second person agrees to what
+    waits under that id."""
+
+    because: str
+    by: str
+    found: tuple[tuple[int, str], ...]
+    records: tuple[int, ...] = ()
+    user: str = ""
+    erasure: str = ""
+
+
+class RefuseErasure(Command, frozen=True):
+    """Do not erase what waits for a second person."""
+
+    erasure: str
+    by: str
+
+
+@decides(EraseWords)
+def erase_words(state: LabState, command: EraseWords) -> Decision:
+    wrong = _unfit(state, command)
+    if wrong:
+        return wrong
+    if not state.approvals.policy.erasure and not command.erasure:
+        return list(_erased(command, command.by, ""))
+    if not command.erasure:
+        name, terms = state.erasures.next_id, (command.because, command.by)
+        return [ErasureAsked(name, *terms, command.records, command.user)]
+    asked = state.erasures.open.get(command.erasure)
+    if asked is None:
+        return _not_asked(command.erasure)
+    if person_of(asked.by) == person_of(command.by):
+        return Rejection(
+            "same_person",
+            f"{command.by} asked for {command.erasure}, and the policy wants a second person.",
+            "Let another admin agree: labos erase --approve",
+        )
+    if (asked.because, asked.records, asked.user) != (command.because, command.records, command.user):
+        return Rejection("changed", f"{command.erasure} was asked for otherwise.", "Look: labos erase")
+    return list(_erased(command, asked.by, command.by))
+
+
+def _erased(command: EraseWords, by: str, approved_by: str) -> Iterator[Event]:
+    for begin in range(0, len(command.found), PER_EVENT):
+        some = command.found[begin : begin + PER_EVENT]
+        yield WordsErased(
+            command.erasure,
+            command.because,
+            by,
+            tuple(digest for _, digest in some),
+            tuple(dict.fromkeys(position for position, _ in some)),
+            command.user,
+            approved_by,
+        )
+
+
+@decides(RefuseErasure)
+def refuse_erasure(state: LabState, command: RefuseErasure) -> Decision:
+    if command.erasure not in state.erasures.open:
+        return _not_asked(command.erasure)
+    return [ErasureRefused(command.erasure, command.by)]
+
+
+def _unfit(state: LabState, command: EraseWords) -> Rejection | None:
+    if command.because not in REASONS:
+        return Rejection(
+            "no_reason", f"{command.because!r} is no reason to erase words.", f"Known: {', '.join(REASONS)}."
+        )
+    if bool(command.records) == bool(command.user) or len(command.records) > MOST_RECORDS:
+        return Rejection(
+            "no_words",
+            f"Whose words are to be erased is said by 1 to {MOST_RECORDS} positions, or by a user.",
+            "Find them: labos log",
+        )
+    if not command.found:
+        return Rejection(
+            "no_words",
+            "No words stand beside the log there: none were written, or they were erased, or they were "
+            "written before words could be erased.",
+            "Look: labos log",
+        )
+    if not all(_DIGEST.fullmatch(digest) for _, digest in command.found):
+        return Rejection("no_words", "A digest is no SHA-256.")
+    service = service_of(state, command.by)
+    if service:
+        return Rejection("no_person", f"{service} is a program, and erases nothing.", "Ask an admin.")
+    return None
+
+
+def _not_asked(name: str) -> Rejection:
+    return Rejection("no_erasure", f"No erasure {name!r} waits for a second person.", "List: labos erase")

@@ -1,0 +1,113 @@
+"""Erasing words: that it was done is in the log, what was erased is gone from beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from labos.core.registry import TYPES, Event, event
+from labos.core.words import PREFIX, fields_of_words, references_in
+
+REASONS = {
+    "request": "the person who wrote it, or of whom it tells, asked for it",
+    "personal": "it tells of a person what does not belong there",
+    "secret": "it holds a password, or what is confidential",
+    "mistake": "it was written in the wrong place",
+    "retention": "it was kept for as long as the rules say",
+    "order": "a court or an authority ordered it",
+}
+"""Why words may be erased, by code. A text would be words again."""
+
+
+class ErasureEvent(Event, frozen=True):
+    """``because`` is the code of a reason. The words are those of the events at the positions ``records``, or
+    all of a ``user``. ``erasure`` is the id of what waits for a second person, empty if nobody was waited
+    for."""
+
+    erasure: str
+
+    def stream(self) -> str:
+        return "words"
+
+
+@event("words.erasure_asked")
+class ErasureAsked(ErasureEvent, frozen=True):
+    """Somebody wants words erased, which takes a second person by the lab's policy."""
+
+    because: str
+    by: str
+    records: tuple[int, ...] = ()
+    user: str = ""
+
+
+@event("words.erasure_refused")
+class ErasureRefused(ErasureEvent, frozen=True):
+    """What waits for a second person is not done."""
+
+    by: str
+
+
+@event("words.erased")
+class WordsErased(ErasureEvent, frozen=True):
+    """Words that stood beside the log are gone. ``digests`` are those in the references to them, ``records``
+    the positions of the events that were written with them. ``approved_by`` is the second person."""
+
+    because: str
+    by: str
+    digests: tuple[str, ...]
+    records: tuple[int, ...]
+    user: str = ""
+    approved_by: str = ""
+
+    def references(self) -> list[str]:
+        return [f"{PREFIX}{digest}" for digest in self.digests]
+
+
+def references_in_words(kind: str, payload: bytes) -> list[str]:
+    """The references in those fields of a stored event in which people's words stand: what a name or a value
+    says is none, whatever it looks like."""
+    event = TYPES.get(kind)
+    if event is None or not references_in(payload):
+        return []
+    told = msgspec.json.decode(payload)
+    words = [told.get(name) for name in fields_of_words(event)]
+    return references_in("\n".join(text for text in words if isinstance(text, str)).encode())
+
+
+class Erasure(msgspec.Struct):
+    """What waits for a second person since ``asked_at`` (UTC ns)."""
+
+    because: str
+    by: str
+    records: tuple[int, ...]
+    user: str
+    asked_at: int
+
+
+class Erasures(msgspec.Struct):
+    """``open`` is what waits, by its id; ``asked`` counts what has ever waited."""
+
+    open: dict[str, Erasure] = {}
+    asked: int = 0
+
+    @property
+    def next_id(self) -> str:
+        return f"X{self.asked + 1}"
+
+
+def asked(erasures: Erasures, event: ErasureAsked, at: int) -> None:
+    erasures.asked += 1
+    erasures.open[event.erasure] = Erasure(event.because, event.by, event.records, event.user, at)
+
+
+def ended(erasures: Erasures, event: ErasureEvent, at: int) -> None:
+    erasures.open.pop(event.erasure, None)
+
+
+HANDLERS: dict[Any, Callable[..., None]] = {
+    ErasureAsked: asked,
+    ErasureRefused: ended,
+    WordsErased: ended,
+}

@@ -1,0 +1,83 @@
+"""Erasing words: which of them stand beside the log is looked up here; the core decides that they go."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import Protocol, cast
+
+import msgspec
+
+from labos.core.decide.erasure import EraseWords
+from labos.core.erasure import ErasureAsked, WordsErased
+from labos.core.registry import TYPES
+from labos.core.words import PREFIX, fields_of_words, references_in
+from labos.errors import NotFound, Refused
+from labos.http.operation import Call
+from labos.services.log import Log
+
+Found = tuple[tuple[int, str], ...]
+"""Digests of references to words, each with the position of an event that bears it."""
+
+
+class ErasingLog(Log, Protocol):
+    """A log that knows whose words stand beside it."""
+
+    def words_by(self, user: str) -> list[tuple[int, str]]: ...
+
+
+class ErasureDone(msgspec.Struct, frozen=True):
+    """``erased`` is how many texts are gone, ``records`` the positions of their events; ``position`` that of
+    the event that says so. ``left`` says where bytes of them may still stand, empty if nowhere in the
+    database's files. With an ``erasure`` nothing is done yet: it waits under this id for a second person."""
+
+    erasure: str
+    erased: int
+    records: list[int]
+    position: int
+    left: str
+
+
+async def erase(
+    call: Call, because: str, by: str, records: Sequence[int], user: str, erasure: str = ""
+) -> ErasureDone:
+    """Erase words, or ask for a second person. Raises NotFound, Refused, Forbidden."""
+    log = cast(ErasingLog, call.service.parts.store)
+    found = await asyncio.to_thread(_find, log, tuple(records), user, call.kernel.durable)
+    command = EraseWords(because, by, found, tuple(records), user, erasure)
+    events = await call.kernel.execute(command, by)
+    asked = next((event for event in events if isinstance(event, ErasureAsked)), None)
+    if asked is not None:
+        return ErasureDone(asked.erasure, 0, [], 0, "")
+    position = call.kernel.durable
+    gone = [event for event in events if isinstance(event, WordsErased)]
+    left = await call.kernel.scrub()
+    positions = sorted({at for event in gone for at in event.records})
+    return ErasureDone("", sum(len(event.digests) for event in gone), positions, position, left)
+
+
+def _find(log: ErasingLog, records: tuple[int, ...], user: str, durable: int) -> Found:
+    named = log.words_by(user) if user else [pair for at in records for pair in _words_at(log, at, durable)]
+    first = {reference: position for position, reference in reversed(named)}
+    standing = [kept for kept in log.words_of(first).values() if not kept.is_erased]
+    digests = [(first[kept.reference], kept.reference.removeprefix(PREFIX)) for kept in standing]
+    return tuple(sorted(digests))
+
+
+def _words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[int, str]]:
+    """The references in a record. Raises NotFound, and Refused for one whose words stand in the log."""
+    record = next(log.read(position - 1, position), None) if 0 < position <= durable else None
+    if record is None:
+        raise NotFound(f"The log has no position {position}.", remedy="Find it: labos log")
+    found = references_in(record.payload)
+    if found:
+        return [(position, reference) for reference in found]
+    kind = TYPES.get(record.head.type)
+    told = msgspec.json.decode(record.payload)
+    if kind is not None and any(told.get(name) for name in fields_of_words(kind)):
+        raise Refused(
+            f"The words of position {position} stand in the log itself: they were written before words could "
+            "be erased, or by LabOS.",
+            remedy="What the log itself holds cannot be erased.",
+        )
+    return []

@@ -1,0 +1,148 @@
+"""Erasing what people wrote: reasons, notes and comments, which stand beside the log."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from labos.core.decide.erasure import MOST_RECORDS, RefuseErasure
+from labos.core.erasure import REASONS, Erasure
+from labos.errors import NotFound
+from labos.http.erasing import ErasureDone, erase
+from labos.http.limits import Asker, Name, Time, says
+from labos.http.method import Method
+from labos.http.operation import Call, Operation
+
+_CODES = ", ".join(f"`{code}` ({why})" for code, why in REASONS.items())
+
+
+class OfErasure(msgspec.Struct, frozen=True):
+    erasure: Annotated[Name, msgspec.Meta(description="what waits for a second person", examples=["X1"])]
+
+
+class NewErasure(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """Either ``records`` or a ``user``."""
+
+    because: Annotated[Name, says(f"a code: {_CODES}")]
+    by: Asker = ""
+    records: Annotated[
+        list[Time], msgspec.Meta(max_length=MOST_RECORDS), says("positions of the events whose words go")
+    ] = []
+    user: Annotated[Name, says("the words of all events of this user go")] = ""
+
+
+class Agreement(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+
+
+class ErasureView(msgspec.Struct, frozen=True):
+    """What ``by`` asked for at ``asked_at`` (UTC nanoseconds), and waits for a second person under the id
+    ``erasure``."""
+
+    erasure: str
+    because: str
+    by: str
+    records: tuple[int, ...]
+    user: str
+    asked_at: int
+
+
+class Erasures(msgspec.Struct, frozen=True):
+    erasures: list[ErasureView]
+
+
+class ErasureReference(msgspec.Struct, frozen=True):
+    erasure: str
+
+
+async def list_erasures(call: Call) -> Erasures:
+    waiting = call.kernel.state.erasures.open
+    found = Erasures([_view(name, each) for name, each in waiting.items()])
+    await call.kernel.written()
+    return found
+
+
+async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
+    """The texts are deleted, with the salts of their digests; the events stay, and the log verifies as
+    before. Each is shown as `(erased)` from then on. That, who did it and why is an event. Where the policy
+    says `erasure: true`, nothing is done before a second admin has agreed."""
+    return await erase(call, body.because, body.by, body.records, body.user)
+
+
+async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureDone:
+    """Whoever asked cannot agree. What stands there now is erased."""
+    asked = _asked(call, path.erasure)
+    return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
+
+
+async def refuse_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureReference:
+    """Nothing is erased. Whoever asked may take it back so."""
+    _asked(call, path.erasure)
+    await call.kernel.execute(RefuseErasure(path.erasure, body.by), body.by)
+    return ErasureReference(path.erasure)
+
+
+def _asked(call: Call, name: str) -> Erasure:
+    """Raises NotFound."""
+    found = call.kernel.state.erasures.open.get(name)
+    if found is None:
+        raise NotFound(f"No erasure {name!r} waits for a second person.", remedy="List them: labos erase")
+    return found
+
+
+def _view(name: str, asked: Erasure) -> ErasureView:
+    return ErasureView(name, asked.because, asked.by, asked.records, asked.user, asked.asked_at)
+
+
+_DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": ""}
+
+OPERATIONS = (
+    Operation(
+        method="GET",
+        path="/words/erasures",
+        handler=list_erasures,
+        client=Method("erasures", take="erasures"),
+        summary="What is to be erased, and waits for a second person",
+        tag="log",
+        needs="viewer",
+    ),
+    Operation(
+        method="POST",
+        path="/words/erasures",
+        handler=erase_words,
+        client=Method("erase_words"),
+        summary="Erase what people wrote into events",
+        tag="log",
+        needs="admin",
+        at_kernel=True,
+        problems=("refused",),
+        example={"records": [120], "because": "personal", "by": "ada"},
+        example_answer=_DONE,
+    ),
+    Operation(
+        method="POST",
+        path="/words/erasures/{erasure}/approve",
+        handler=approve_erasure,
+        client=Method("approve_erasure"),
+        summary="Agree, as the second person, that words are erased",
+        tag="log",
+        needs="admin",
+        at_kernel=True,
+        problems=("refused",),
+        example={"by": "olga"},
+        example_answer=_DONE,
+    ),
+    Operation(
+        method="POST",
+        path="/words/erasures/{erasure}/refuse",
+        handler=refuse_erasure,
+        client=Method("refuse_erasure", take="erasure", repeat=True),
+        summary="Do not erase what waits for a second person",
+        tag="log",
+        needs="admin",
+        problems=("refused",),
+        example={"by": "olga"},
+        example_answer={"erasure": "X1"},
+    ),
+)

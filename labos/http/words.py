@@ -1,0 +1,69 @@
+"""Answers are shown with the words that stand beside the log, put in at the last moment.
+
+Nothing behind this knows them: what is folded, kept for a repetition, or sent between processes has
+references in their place. So what is erased is gone from every answer at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+import structlog
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from labos.core.words import put_into_json, references_in
+from labos.errors import LabosError
+from labos.services.shown import WordsBeside, texts_of
+
+STORED = "labos.stored"
+"""Where a request's scope says that it asks for what is stored."""
+
+NOT_READ = "(not read: the log's database does not answer)"
+
+_log = structlog.get_logger(__name__)
+
+
+class ShownWords:
+    """Puts words into answers that are JSON and come in one piece. Streams of events see to it themselves."""
+
+    def __init__(self, app: ASGIApp, log: WordsBeside) -> None:
+        self._app, self._beside = app, log
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        begun: Message | None = None
+
+        async def pass_on(message: Message) -> None:
+            nonlocal begun
+            if message["type"] == "http.response.start" and _is_json(message):
+                begun = message  # how long the answer is may change
+                return
+            if begun is not None:
+                start, begun = begun, None
+                if message["type"] == "http.response.body" and not message.get("more_body"):
+                    message = await self._show(scope, start, message)
+                await send(start)
+            await send(message)
+
+        await self._app(scope, receive, pass_on)
+
+    async def _show(self, scope: Scope, start: Message, message: Message) -> Message:
+        body: bytes = message.get("body", b"")
+        named = references_in(body)
+        if not named or scope.get(STORED):
+            return message
+        try:
+            texts = await asyncio.to_thread(texts_of, self._beside, named)
+        except LabosError as error:
+            _log.warning("words_not_read", why=str(error))
+            texts = dict.fromkeys(named, NOT_READ)
+        body = put_into_json(body, texts)
+        MutableHeaders(raw=start["headers"])["content-length"] = str(len(body))
+        return {**message, "body": body}
+
+
+def _is_json(start: Message) -> bool:
+    return "json" in Headers(raw=start["headers"]).get("content-type", "")

@@ -1,0 +1,114 @@
+"""A log as people read it: with the words that stand beside it put in, and a mark where they were erased.
+
+Whoever verifies, copies or folds a log to go on from it reads it as it is stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
+from typing import Protocol, TypeVar
+
+import msgspec
+
+from labos.core.envelope import Record
+from labos.core.state import picture_with
+from labos.core.words import PREFIX, Kept, put_into_json, put_into_text, references_in
+from labos.ports import Head, LogQuery
+from labos.services.log import Log, Row
+
+PAGE = 500
+"""Records of which the words are looked for at once."""
+
+T = TypeVar("T")
+S = TypeVar("S", bound=msgspec.Struct)
+
+
+class WordsBeside(Protocol):
+    """Where words stand."""
+
+    def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]: ...
+
+
+def texts_of(log: WordsBeside, references: Iterable[str]) -> dict[str, str]:
+    """The texts of references, without those that were erased. Raises StoreUnavailable."""
+    named = list(references)
+    if not named:
+        return {}
+    return {name: kept.text for name, kept in log.words_of(named).items() if not kept.is_erased}
+
+
+def show_json(log: WordsBeside, data: bytes) -> bytes:
+    """JSON with the words put in. Raises StoreUnavailable."""
+    named = references_in(data)
+    return put_into_json(data, texts_of(log, named)) if named else data
+
+
+def show_text(log: WordsBeside, text: str) -> str:
+    """Plain text with the words put in. Raises StoreUnavailable."""
+    return put_into_text(text, texts_of(log, references_in(text.encode())))
+
+
+def show_struct(log: WordsBeside, value: S) -> S:
+    """A struct with the words put into all its texts. Raises StoreUnavailable."""
+    data = msgspec.json.encode(value)
+    return msgspec.json.decode(show_json(log, data), type=type(value)) if references_in(data) else value
+
+
+def show_records(log: WordsBeside, records: Sequence[Record]) -> list[Record]:
+    """Records with the words put into their payloads. Raises StoreUnavailable."""
+    named = [_references(record) for record in records]
+    texts = texts_of(log, dict.fromkeys(name for names in named for name in names))
+    return [
+        msgspec.structs.replace(record, payload=put_into_json(record.payload, texts)) if names else record
+        for record, names in zip(records, named, strict=True)
+    ]
+
+
+def _references(record: Record) -> list[str]:
+    # SQLite lets a column hold a value of any type: whoever reads the event says that it is damaged.
+    return references_in(record.payload) if isinstance(record.payload, bytes) else []
+
+
+class ShownLog:
+    """The same log, shown."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+
+    def head(self) -> Head:
+        return self._log.head()
+
+    def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
+        return self._shown(self._log.read(after, upto))
+
+    def select(self, query: LogQuery) -> Iterator[Record]:
+        return self._shown(self._log.select(query))
+
+    def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
+        """As the log's own, so each record is checked before its words are put in."""
+        for rows in _in_pages(self._log.replay(after, upto)):
+            named = [name for row in rows for name in references_in(row[4])]
+            texts = texts_of(self._log, dict.fromkeys(named))
+            for row in rows:
+                yield (*row[:4], put_into_json(row[4], texts)) if PREFIX.encode() in row[4] else row
+
+    def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None:
+        found = self._log.load_snapshot(fingerprint)
+        if found is None or PREFIX.encode() not in found[2]:
+            return found
+        position, hash_, data = found
+        texts = texts_of(self._log, references_in(data))
+        return position, hash_, picture_with(data, lambda text: put_into_text(text, texts))
+
+    def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
+        return self._log.words_of(references)
+
+    def _shown(self, records: Iterator[Record]) -> Iterator[Record]:
+        for page in _in_pages(records):
+            yield from show_records(self._log, page)
+
+
+def _in_pages(items: Iterator[T]) -> Iterator[list[T]]:
+    while page := list(islice(items, PAGE)):
+        yield page

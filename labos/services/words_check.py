@@ -1,0 +1,78 @@
+"""What ``labos verify`` looks at beside the log: whether words are those that were written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Protocol
+
+from labos.core.erasure import WordsErased, references_in_words
+from labos.core.registry import decode
+from labos.core.words import Kept
+from labos.services.log import Log
+from labos.services.verification import Part
+
+
+class Standing(Protocol):
+    """Words beside the log, and the position of the first event that refers to them."""
+
+    @property
+    def words(self) -> Kept: ...
+    @property
+    def position(self) -> int: ...
+
+
+class Store(Log, Protocol):
+    """A log with words beside it."""
+
+    def all_words(self) -> Iterator[Any]: ...
+    def erasures(self) -> Mapping[str, int]: ...
+
+
+def check_words(store: Store) -> Part:
+    """Whether each text beside the log is the one that was written, and whether each that is gone was erased
+    by an event: of this log, or of a newer one that it is an older copy of, as the lab's folder knows. Raises
+    StoreUnavailable, BadInput."""
+    named, erased = _references(store)
+    elsewhere = store.erasures()
+    found: list[tuple[int, str]] = []
+    whole = gone = apart = 0
+    standing: Standing
+    for standing in store.all_words():
+        name, position = standing.words.reference, standing.position
+        named.pop(name, None)
+        if standing.words.is_erased:
+            gone += name in erased
+            apart += name not in erased and name in elsewhere
+            if name not in erased and name not in elsewhere:
+                found.append((position, "words are gone, and no event says that somebody erased them"))
+        elif name in erased:
+            found.append((position, f"words that were erased at position {erased[name]} are there again"))
+        elif not standing.words.is_genuine:
+            found.append((position, "the words that stand beside the log are not those that were written"))
+        else:
+            whole += 1
+    found += [
+        (position, "words are missing beside the log, and no event says that somebody erased them")
+        for name, position in named.items()
+        if name not in erased
+    ]
+    found.sort()
+    told = f"Words beside the log: {whole} are those that were written, {gone} were erased"
+    told += f", {apart} in a newer copy of this log." if apart else "."
+    faults = tuple(f"Position {position}: {fault}." for position, fault in found)
+    return Part("words", whole + gone + apart + len(found), told, faults, tuple(at for at, _ in found))
+
+
+def _references(log: Log) -> tuple[dict[str, int], dict[str, int]]:
+    """The references that stand in fields of words, and those that events say were erased; each with the
+    position."""
+    named: dict[str, int] = {}
+    erased: dict[str, int] = {}
+    for position, kind, schema, _, payload in log.replay():
+        if kind == WordsErased.TYPE:
+            event = decode(kind, schema, payload)
+            assert isinstance(event, WordsErased)
+            erased.update((reference, position) for reference in event.references())
+        for reference in references_in_words(kind, payload):
+            named.setdefault(reference, position)
+    return named, erased

@@ -1,0 +1,104 @@
+"""The words that stand beside the log: rows that are written with their events, read, and erased."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import msgspec
+from sqlalchemy import Connection, or_, select
+
+from labos.core.envelope import Record
+from labos.core.erasure import WordsErased
+from labos.core.registry import decode
+from labos.core.users import ON_BEHALF
+from labos.core.words import Kept
+from labos.store._backend import Beside, Row
+from labos.store._tables import event, words
+
+_AT_ONCE = 500
+"""References that are looked for by one statement."""
+
+
+class Standing(msgspec.Struct, frozen=True):
+    """Words beside the log, the ``position`` of the first event that refers to them, and that of the event
+    that erased them (0: none did). One behind the end of the log: they were erased in a log that this one
+    is an older copy of."""
+
+    words: Kept
+    position: int
+    erased_at: int
+
+
+NOTHING = Beside()
+
+
+def beside(records: Sequence[Record]) -> Beside:
+    """What is to be written with records."""
+    added = [
+        (kept.reference, record.head.position, kept.salt, kept.text, 0)
+        for record in records
+        if record.words
+        for kept in record.words
+    ]
+    erased = [row for record in records if record.head.type == WordsErased.TYPE for row in _erased_by(record)]
+    return Beside(added, erased) if added or erased else NOTHING
+
+
+def _erased_by(record: Record) -> Iterator[Row]:
+    found = decode(record.head.type, record.head.schema, record.payload)
+    if isinstance(found, WordsErased):
+        for reference in found.references():
+            yield b"", record.head.position, reference
+
+
+def read_words(connection: Connection, references: Iterable[str]) -> dict[str, Kept]:
+    """The words of references, as far as there are any; those that were erased, too."""
+    named = list(references)
+    found: dict[str, Kept] = {}
+    for begin in range(0, len(named), _AT_ONCE):
+        some = words.c.reference.in_(named[begin : begin + _AT_ONCE])
+        for row in connection.execute(select(words.c.reference, words.c.salt, words.c.text).where(some)):
+            found[row.reference] = _kept(row)
+    return found
+
+
+def read_all_words(connection: Connection, after: str, limit: int) -> list[Standing]:
+    """Some words in the order of their references, those behind one."""
+    query = select(words).where(words.c.reference > after).order_by(words.c.reference).limit(limit)
+    return [_standing(row) for row in connection.execute(query)]
+
+
+def read_words_by(connection: Connection, user: str) -> list[tuple[int, str]]:
+    """Positions and references of the words of a user that were not erased."""
+    theirs = or_(event.c.actor == user, event.c.actor.endswith(f"{ON_BEHALF}{user}", autoescape=True))
+    query = (
+        select(words.c.position, words.c.reference)
+        .join(event, event.c.position == words.c.position)
+        .where(words.c.erased_at == 0, theirs)
+        .order_by(words.c.position)
+    )
+    return [(row.position, row.reference) for row in connection.execute(query)]
+
+
+def read_erased(connection: Connection) -> dict[str, int]:
+    """The references of all words that were erased, and the positions of the events that did it."""
+    query = select(words.c.reference, words.c.erased_at).where(words.c.erased_at > 0)
+    return {row.reference: row.erased_at for row in connection.execute(query)}
+
+
+def row_of(each: Standing) -> Row:
+    """The row of words that are put back."""
+    return each.words.reference, each.position, each.words.salt, each.words.text, each.erased_at
+
+
+def _standing(row: Any) -> Standing:
+    return Standing(_kept(row), row.position, row.erased_at)
+
+
+def _kept(row: Any) -> Kept:
+    salt, text = row.salt, row.text
+    if not isinstance(salt, bytes | memoryview) or not isinstance(text, str):
+        # SQLite lets a column hold a value of any type; whoever put it there is found out by its digest.
+        return Kept(row.reference, str(salt).encode(), str(text))
+    return Kept(row.reference, bytes(salt), text)

@@ -1,0 +1,98 @@
+"""People's words in a backup: a file that is written anew each time, so that it loses what was erased.
+
+They are no part of the segments, which never change. Each line is a text with its salt, and is checked
+against the reference in its event; or the mark that it was erased.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import msgspec
+
+from labos.core.envelope import Record
+from labos.core.erasure import WordsErased, references_in_words
+from labos.core.registry import decode
+from labos.core.words import Kept
+from labos.errors import LogDamaged
+from labos.private import replace_file
+from labos.store._words import Standing
+
+WORDS = "words.jsonl"
+
+
+class _Line(msgspec.Struct, frozen=True):
+    reference: str
+    position: int
+    salt: str = ""
+    text: str = ""
+    erased_at: int = 0
+
+
+_decoder = msgspec.json.Decoder(_Line)
+
+
+def copy_words(words: Iterable[Standing], folder: Path, upto: int) -> int:
+    """Write the words of events up to a position; returns how many texts there are."""
+    number = 0
+    lines = []
+    for each in words:
+        if each.position > upto:
+            continue  # of an event that the backup does not hold yet
+        kept = each.words
+        line = _Line(kept.reference, each.position, kept.salt.hex(), kept.text, each.erased_at)
+        lines.append(msgspec.json.encode(line) + b"\n")
+        number += not kept.is_erased
+    if lines or (folder / WORDS).exists():
+        replace_file(folder / WORDS, b"".join(lines))
+    return number
+
+
+def read_words_copy(folder: Path) -> Iterator[Standing]:
+    """The words in a backup. Raises LogDamaged."""
+    path = folder / WORDS
+    if not path.exists():
+        return
+    for number, line in enumerate(path.read_bytes().splitlines(), 1):
+        try:
+            told = _decoder.decode(line)
+            kept = Kept(told.reference, bytes.fromhex(told.salt), told.text)
+        except (msgspec.MsgspecError, ValueError) as error:
+            raise _damaged(0, f"{path}:{number}: this is no text of a backup ({error})") from None
+        if not kept.is_genuine:
+            raise _damaged(told.position, f"{path}:{number}: the text is not the one that was written")
+        yield Standing(kept, told.position, told.erased_at)
+
+
+class WordsExpected:
+    """Finds out, from the records of a backup, whether all words are there."""
+
+    def __init__(self, folder: Path) -> None:
+        self._known = {each.words.reference: each.words.is_erased for each in read_words_copy(folder)}
+        self._named: dict[str, int] = {}
+
+    def take(self, record: Record) -> None:
+        head = record.head
+        if head.type == WordsErased.TYPE:
+            event = decode(head.type, head.schema, record.payload)
+            assert isinstance(event, WordsErased)
+            for reference in event.references():
+                self._named.pop(reference, None)
+                if self._known.get(reference) is False:
+                    raise _damaged(head.position, f"{WORDS} holds words that were erased there")
+        for reference in references_in_words(head.type, record.payload):
+            self._named.setdefault(reference, head.position)
+
+    def end(self) -> None:
+        """Raises LogDamaged."""
+        for reference, position in self._named.items():
+            if reference not in self._known:
+                raise _damaged(position, f"its words are missing from {WORDS}")
+
+
+def _damaged(position: int, fault: str) -> LogDamaged:
+    where = f"Position {position}: " if position else ""
+    return LogDamaged(
+        f"{where}{fault}.", position=position, remedy="Take another copy of the backup; keep this one."
+    )
