@@ -93,6 +93,19 @@ def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -
         experiment["runs"] += 1
 
 
+def on_bound(rows: Rows, event: r.RunBound, head: Envelope, at: float) -> None:
+    run = rows.change(RUNS, event.run)
+    if run is None:
+        return
+    run["plan"] = event.plan
+    for number in range(run["steps"]):
+        known = rows.get(STEPS, event.run, number)
+        module = event.modules.get(known["key"]) if known is not None else None
+        step = rows.change(STEPS, event.run, number) if module is not None else None
+        if step is not None:
+            step["module"] = module
+
+
 def on_started(rows: Rows, event: r.RunStarted, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is not None:
@@ -370,6 +383,7 @@ HANDLERS: dict[Any, Any] = {
     p.PlanRecorded: on_plan_recorded,
     p.PlanStepsRecorded: on_plan_steps_recorded,
     r.RunSubmitted: on_submitted,
+    r.RunBound: on_bound,
     r.RunStarted: on_started,
     r.RunPaused: on_paused,
     r.RunResumed: on_resumed,

@@ -37,7 +37,7 @@ def show_runs(found: Mapping[str, Any]) -> None:
     rows = [
         (
             run["run"],
-            run["workflow"],
+            _workflow(run),
             run["user"],
             show_expected(run["starts"], now) or "not in sight",
             show_expected(run["ends"], now) or "not in sight",
@@ -50,6 +50,12 @@ def show_runs(found: Mapping[str, Any]) -> None:
         click.echo(f"The first {len(rows)} runs are forecast; {found['left_out']} more wait.")
     if found["cut"]:
         click.echo("The lab has too much to do: what comes late is not in sight.")
+
+
+def _workflow(run: Mapping[str, Any]) -> str:
+    """A run's workflow, with the modules that it is expected to choose."""
+    chosen = ", ".join(dict.fromkeys(run["modules"].values()))
+    return f"{run['workflow']} ({chosen})" if chosen else str(run["workflow"])
 
 
 def show_change(found: Mapping[str, Any]) -> None:

@@ -11,6 +11,7 @@ from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.cli.runs import took
 from labos.core.ids import RunId, local
 from labos.core.interventions import Intervention
+from labos.core.runs import modules_open
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 from labos.services.experiments import experiment_histories
@@ -94,6 +95,8 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         found.append(
             f"#{reason.step} {story.steps[reason.step].key!r} waits: {reason.why.rstrip('.')}.{who}{remedy}"
         )
+    for key, names in modules_open(state.runs, run).items() if not run.has_started else ():
+        found.append(f"{key!r} may be done by {' or '.join(map(local, names))}")
     if run.status == "queued":
         before = sum(other.position < run.position for other in state.runs.queued.values())
         if before:

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 class Step(msgspec.Struct):
     """A step with its nominal times, in seconds from the start of the run. ``rescues`` is the step for
     whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled run.
-    Neither has times. ``looks`` says who looks where afterwards, and when."""
+    Neither has times. ``looks`` says who looks where afterwards, and when. ``choices`` are the modules of
+    which one does the step, if there are several: all else is told for ``module``."""
 
     key: str
     module: str
@@ -48,6 +49,7 @@ class Step(msgspec.Struct):
     rescues: str = ""
     on_cancel: bool = False
     looks: list[str] = []
+    choices: list[str] = []
 
 
 class Resource(msgspec.Struct):
@@ -141,7 +143,9 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
 def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
     """A compiled workflow with its times."""
     from labos.planning.timetable import consumption, count_taken, timetable
+    from labos.spec.choices import list_choices
 
+    choices = list_choices(compiled.plans)
     plan = compiled.plan
     times = timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
@@ -167,6 +171,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             rescues=plan.steps[step.serves].key if step.serves is not None else "",
             on_cancel=step.part == ON_CANCEL,
             looks=_looks(step, workcell),
+            choices=choices.get(step.key, []),
         )
         for index, (step, slot) in enumerate(zip(plan.steps, times.slots, strict=True))
     ]
@@ -241,12 +246,13 @@ def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -
 def _tell(outline: Outline) -> None:
     from labos.services.describe import short
     from labos.services.times import show_span
+    from labos.spec.choices import describe_choices
 
     rows = [
         (
             f"{number}{'*' if step.critical else ''}",
             step.key,
-            f"{step.module}.{step.action}",
+            f"{step.module}{' (any)' if step.choices else ''}.{step.action}",
             " → ".join(step.stations),
             ", ".join(f"{name}={short(value, 40)}" for name, value in step.args.items()),
             show_span(step.start_s),
@@ -260,6 +266,8 @@ def _tell(outline: Outline) -> None:
         f"\n{outline.workflow} on {outline.workcell}: {len(rows)} steps, "
         f"{show_span(outline.total_s)} alone on the bench; {len(outline.critical)} are critical (*)."
     )
+    for line in describe_choices({step.key: step.choices for step in outline.steps if step.choices}):
+        click.echo(line)
     for step in outline.steps:
         if step.late_s:
             click.echo(f"{step.key!r} starts {show_span(step.late_s)} later than its window allows.")

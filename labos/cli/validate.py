@@ -26,6 +26,7 @@ from labos.spec import (
     compile_workflow,
     list_specs,
 )
+from labos.spec.choices import describe_choices, list_choices
 from labos.spec.findings import finding_of
 
 ONLINE_PATIENCE_S = 2.0
@@ -177,7 +178,7 @@ def _copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None:
         return None  # how many copies fit depends on results
     stock = [(item.station, item.labware, item.count) for item in cell.bench.stock]
     try:
-        return capacity(cell.workcell, stock, compiled.plan, compiled.inputs)
+        return capacity(cell.workcell, stock, compiled.plan, compiled.inputs, others=compiled.others)
     except Refused as error:
         return Capacity(0, why=error.message)
 
@@ -191,7 +192,7 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
     if kernel is None and not where.lab:
         raise NoAnswer(f"No lab runs in {where.home}.", remedy="Start it: labos up WORKCELL")
     url = where.lab or (kernel.url if kernel is not None else "")
-    used = list(dict.fromkeys(step.module for step in compiled.plan.steps))
+    used = list(dict.fromkeys(step.module for plan in compiled.plans for step in plan.steps))
     try:
         with LabClient(url, patience_s=ONLINE_PATIENCE_S) as client:
             heard = {found["module"]: found for found in client.ask_nodes(used)}
@@ -216,6 +217,8 @@ def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
     plan = compiled.plan
     steps = sum(step.part == MAIN for step in plan.steps)
     click.echo(f"{plan.workflow} on {plan.workcell}: {steps} steps, no errors.")
+    for line in describe_choices(list_choices(compiled.plans)):
+        click.echo(line)
     click.echo(f"Labware needed at the start: {_places(verdict.inputs) or 'none'}.")
     click.echo(f"Labware stands at the end: {_places(verdict.outputs) or 'nowhere'}.")
     if verdict.copies is not None:

@@ -69,13 +69,15 @@ class RunEvent(Event, frozen=True):
         return self.run
 
 
-@event("run.submitted", schema=2)
+@event("run.submitted", schema=3)
 class RunSubmitted(RunEvent, frozen=True):
     """A run waits to be started. ``pins`` are digests of the workflow file, the workcell, each
     module's ``about`` and the whole request, by name. ``anchors`` are the ends of other runs'
     steps at which its windows are anchored. ``planned_by`` is the run or experiment in whose
     stream its plan stands (empty: in its own). It may be the ``row`` of a ``campaign``, counted from 0;
-    ``reads`` are then the steps whose results the campaign's stop rule reads: their index by key."""
+    ``reads`` are then the steps whose results the campaign's stop rule reads: their index by key.
+    ``choices`` are all its plans, ``plan`` being the first, if a step may be done by one of several modules:
+    which of them it is says ``run.bound``."""
 
     plan: str
     workflow: str
@@ -91,6 +93,19 @@ class RunSubmitted(RunEvent, frozen=True):
     campaign: CampaignId = CampaignId("")
     row: int | None = None
     reads: dict[str, int] = {}
+    choices: tuple[str, ...] = ()
+
+
+@event("run.bound")
+class RunBound(RunEvent, frozen=True):
+    """Of the plans that a run has to choose from, this one counts from now on. ``modules`` are those that
+    were chosen, by the steps' keys; ``planned_by`` is as in ``run.submitted``; ``why`` it was bound to
+    another one after it had started."""
+
+    plan: str
+    modules: dict[str, ModuleName]
+    planned_by: str = ""
+    why: str = ""
 
 
 @event("run.started")
@@ -184,7 +199,9 @@ class RunStatus(StrEnum):
 class RunState(msgspec.Struct):
     """A run that has not ended. ``steps`` are in the order of its plan; while it waits to be let in they may
     be missing (``statuses_of``). ``asked`` is whether a person was told that it does not begin;
-    ``unapproved`` while it waits for a second person, ``held`` while it waits for an approval."""
+    ``unapproved`` while it waits for a second person, ``held`` while it waits for an approval. ``choices``
+    are the plans that it has to choose from, if there are several; ``plan`` is the one that counts, or the
+    first while it waits."""
 
     id: RunId
     plan: str
@@ -206,6 +223,7 @@ class RunState(msgspec.Struct):
     campaign: CampaignId = CampaignId("")
     unapproved: bool = False
     held: bool = False
+    choices: tuple[str, ...] = ()
 
     @property
     def has_started(self) -> bool:
@@ -248,7 +266,8 @@ class Runs(msgspec.Struct):
     hold a module; ``named`` counts run ids given out; ``requests`` are the last submissions'
     idempotency keys. Indexes by workcell: ``in_cell`` of the active runs, ``windowed_in`` of those
     ``windowed``, ``closings_in`` of the experiments whose closing workflow goes there. ``ending`` are
-    the active runs that are being cancelled or go their way out."""
+    the active runs that are being cancelled or go their way out, ``choosing`` those that had several plans
+    to choose from."""
 
     plans: dict[str, PlanState] = {}
     queued: dict[RunId, RunState] = {}
@@ -263,6 +282,7 @@ class Runs(msgspec.Struct):
     windowed_in: dict[str, dict[RunId, bool]] = {}
     closings_in: dict[str, dict[ExperimentId, bool]] = {}
     ending: dict[RunId, bool] = {}
+    choosing: dict[RunId, bool] = {}
 
     def inside(self, cell: str) -> list[RunState]:
         """The active runs of a workcell, in the order in which they were let in."""
@@ -291,6 +311,42 @@ class Runs(msgspec.Struct):
 
     def plan_of(self, run: RunState) -> Plan:
         return self.plans[run.plan].plan
+
+    def shape_of(self, run: RunState) -> str:
+        """What decides, of its plans, whether a run may start."""
+        if not run.choices:
+            return self.plans[run.plan].shape
+        return "+".join(self.plans[plan].shape for plan in run.choices)
+
+
+def options(run: RunState) -> list[RunState]:
+    """A run that waits as it would be with each of its plans; one that was let in as it is."""
+    if run.has_started or not run.choices:
+        return [run]
+    return [run if plan == run.plan else msgspec.structs.replace(run, plan=plan) for plan in run.choices]
+
+
+def modules_open(runs: Runs, run: RunState) -> dict[str, list[ModuleName]]:
+    """Between which modules a run has a choice, by the steps' keys; once it was let in, the one that it has
+    chosen."""
+    found: dict[str, list[ModuleName]] = {}
+    for option in options(run) if run.choices else ():
+        for key, module in modules_chosen(runs, option).items():
+            names = found.setdefault(key, [])
+            if module not in names:
+                names.append(module)
+    return found
+
+
+def modules_chosen(runs: Runs, run: RunState) -> dict[str, ModuleName]:
+    """The modules, by the steps' keys, that another of a run's plans would have others for."""
+    plans = [runs.plans[plan].plan.steps for plan in run.choices]
+    steps = runs.plan_of(run).steps
+    return {
+        step.key: step.module
+        for index, step in enumerate(steps)
+        if any(other[index].module != step.module for other in plans)
+    }
 
 
 def queue_key(shape: str, run: RunState) -> str:
@@ -328,7 +384,8 @@ def fold_plan_steps_recorded(runs: Runs, event: PlanStepsRecorded, at: int) -> N
 
 def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
     plan = runs.plans[event.plan]
-    plan.uses += 1
+    for one in event.choices or (event.plan,):
+        runs.plans[one].uses += 1
     run = RunState(
         id=event.run,
         plan=event.plan,
@@ -341,12 +398,13 @@ def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) 
         closing=event.closing,
         anchors=event.anchors,
         campaign=event.campaign,
-        unapproved=bool(plan.dangers),
+        unapproved=any(runs.plans[one].dangers for one in event.choices or (event.plan,)),
+        choices=event.choices,
     )
     runs.queued[event.run] = run
     if event.anchors:
         _note_window(runs, event.run, plan.plan.workcell)
-    runs.queue.setdefault(queue_key(plan.shape, run), {})[event.run] = True
+    runs.queue.setdefault(queue_key(runs.shape_of(run), run), {})[event.run] = True
     runs.named += 1
     if event.request:
         runs.requests[event.request] = event.run
@@ -355,7 +413,7 @@ def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) 
 
 
 def _leave_queue(runs: Runs, run: RunState) -> None:
-    key = queue_key(runs.plans[run.plan].shape, run)
+    key = queue_key(runs.shape_of(run), run)
     waiting = runs.queue[key]
     del waiting[run.id]
     if not waiting:
@@ -373,6 +431,21 @@ def fold_run_started(runs: Runs, event: RunStarted, at: int) -> None:
     runs.in_cell.setdefault(cell, {})[event.run] = True
     if runs.plans[run.plan].windowed:
         _note_window(runs, event.run, cell)
+    for hold in runs.plan_of(run).holds:
+        runs.holders.setdefault(hold.module, {})[event.run] = True
+    if run.choices:
+        runs.choosing[event.run] = True
+
+
+def fold_run_bound(runs: Runs, event: RunBound, at: int) -> None:
+    run = runs.queued.get(event.run)
+    if run is not None:
+        run.plan = event.plan
+        return
+    run = runs.active[event.run]
+    for hold in runs.plan_of(run).holds:
+        _lets_go(runs, hold.module, event.run)
+    run.plan = event.plan
     for hold in runs.plan_of(run).holds:
         runs.holders.setdefault(hold.module, {})[event.run] = True
 
@@ -436,7 +509,7 @@ def let_wait_anew(runs: Runs, run: RunState) -> Iterator[None]:
     """What is changed of a waiting run in the block decides where it waits."""
     _leave_queue(runs, run)
     yield
-    runs.queue.setdefault(queue_key(runs.plans[run.plan].shape, run), {})[run.id] = True
+    runs.queue.setdefault(queue_key(runs.shape_of(run), run), {})[run.id] = True
 
 
 def fold_run_cancelling(runs: Runs, event: RunCancelling, at: int) -> None:
@@ -465,13 +538,15 @@ def fold_run_ended(runs: Runs, event: RunCompleted | RunFailed | RunCancelled, a
         _leave_queue(runs, run)
         del runs.queued[event.run]
     runs.ending.pop(event.run, None)
+    runs.choosing.pop(event.run, None)
     for index in (runs.in_cell, runs.windowed_in):
         index.get(runs.plan_of(run).workcell, {}).pop(event.run, None)
     for hold in runs.plan_of(run).holds:
         _lets_go(runs, hold.module, event.run)
     if isinstance(event, RunCompleted) and run.experiment and not run.closing:
         _remember(runs, run)
-    release_plan(runs.plans, run.plan)
+    for plan in run.choices or (run.plan,):
+        release_plan(runs.plans, plan)
 
 
 def _lets_go(runs: Runs, module: ModuleName, run: RunId) -> None:
@@ -519,6 +594,7 @@ def fold_experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
 HANDLERS = {
     PlanRecorded: fold_plan_recorded,
     PlanStepsRecorded: fold_plan_steps_recorded,
+    RunBound: fold_run_bound,
     RunStarted: fold_run_started,
     RunPaused: fold_run_paused,
     RunResumed: fold_run_resumed,

@@ -110,6 +110,7 @@ LIFTS: dict[tuple[str, int], Lift] = {
     ("plan.steps_recorded", 2): _with_no_numbers_for_nothing,
     ("plan.steps_recorded", 3): _with_named_parts,
     ("run.submitted", 1): _with_no_row,
+    ("run.submitted", 2): _as_it_was,
     ("window.breached", 1): _with_no_anchor,
     ("module.taken_out", 1): _as_it_was,
     ("intervention.requested", 1): _with_topic,

@@ -53,9 +53,8 @@ class CampaignRows:
             compiled = await self._service.compile(workflow, payload, campaign.workcell)
         except BadInput as error:
             return RefuseRow(campaign.id, row, str(error).replace("\n", " "))
-        return SubmitRow(
-            campaign.id, row, compiled.plan, payload, self._service.pins_of(workflow, compiled.plan)
-        )
+        pins = self._service.pins_of(workflow, *compiled.plans)
+        return SubmitRow(campaign.id, row, compiled.plan, payload, pins, compiled.others)
 
     async def _read(self, campaign: Campaign) -> tuple[Table, WorkflowText]:
         if campaign.id not in self._known:

@@ -81,10 +81,12 @@ class CampaignView(msgspec.Struct, frozen=True):
 
 
 class _Checked(msgspec.Struct):
-    """What the check of a campaign's rows has found."""
+    """What the check of a campaign's rows has found: a plan of each that was planned, and in ``rows`` all of
+    them between which it chooses."""
 
     report: Report
     plans: list[Plan] = []
+    rows: list[tuple[Plan, ...]] = []
     findings: dict[Finding, bool] = {}
 
 
@@ -123,7 +125,7 @@ async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Esti
     told, deadline, workcell, checked = await _read(service, new)
     estimate = _estimate(service, told, workcell, checked)
     command = _command(new, told, estimate, checked, deadline)
-    return estimate, await service.forecasts.of_campaign(command, checked.plans, new.user)
+    return estimate, await service.forecasts.of_campaign(command, checked.rows, new.user)
 
 
 async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, _Checked]:
@@ -247,6 +249,7 @@ def _plan_rows(
             _report_row(checked.report, row, line, finding_of(error), source.text)
         else:
             checked.plans.append(compiled.plan)
+            checked.rows.append(compiled.plans)
             checked.findings.update(dict.fromkeys(compiled.findings, True))
 
 

@@ -58,9 +58,11 @@ class Forecasts:
         """What a run would bring. Raises Refused."""
         return await self._ask(command, actor)
 
-    async def of_campaign(self, command: SubmitCampaign, plans: list[Plan], actor: str) -> LabForecast:
-        """What a campaign would bring whose rows have such plans. Raises Refused."""
-        return await self._ask(command, actor, plans)
+    async def of_campaign(
+        self, command: SubmitCampaign, rows: list[tuple[Plan, ...]], actor: str
+    ) -> LabForecast:
+        """What a campaign would bring whose rows have such plans to choose from. Raises Refused."""
+        return await self._ask(command, actor, rows)
 
     async def drifts(self) -> list[Drift]:
         """The actions whose last times differ much from their earlier ones."""
@@ -70,7 +72,7 @@ class Forecasts:
         self,
         new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None,
         actor: str = "",
-        plans: list[Plan] | None = None,
+        new_rows: list[tuple[Plan, ...]] | None = None,
     ) -> LabForecast:
         spreads = (await self._learned.durations()).spreads()
         rows = await self._known_rows()
@@ -84,19 +86,19 @@ class Forecasts:
                 rows=rows,
                 new=new,
                 actor=actor,
-                new_rows=plans or [],
+                new_rows=new_rows or [],
             )
 
         return await self._process.forecast_lab(request)
 
-    async def _known_rows(self) -> dict[CampaignId, list[Plan]]:
+    async def _known_rows(self) -> dict[CampaignId, list[tuple[Plan, ...]]]:
         """Plans of the next rows of the campaigns that go on."""
-        found: dict[CampaignId, list[Plan]] = {}
+        found: dict[CampaignId, list[tuple[Plan, ...]]] = {}
         for campaign in list(self._service.kernel.state.campaigns.open.values()):
             for row in range(campaign.next_row, min(campaign.rows, campaign.next_row + ROWS_PLANNED)):
                 command = await self._rows.propose(campaign, row)
                 if isinstance(command, SubmitRow):
-                    found.setdefault(campaign.id, []).append(command.plan)
+                    found.setdefault(campaign.id, []).append((command.plan, *command.others))
         return found
 
 

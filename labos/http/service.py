@@ -303,9 +303,10 @@ class LabService:
             payload,
             ExperimentId(experiment),
             priority,
-            {**self.pins_of(workflow, compiled.plan), "request": asked},
+            {**self.pins_of(workflow, *compiled.plans), "request": asked},
             request,
             propose,
+            compiled.others,
         )
         command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
         events = await self.kernel.execute(command, user)
@@ -334,14 +335,14 @@ class LabService:
                 remedy=f"Leave the experiment out, or submit it as {known.user}.",
             )
 
-    def pins_of(self, workflow: WorkflowText, plan: Plan) -> dict[str, str]:
-        """What a run is made of, by digest."""
+    def pins_of(self, workflow: WorkflowText, *plans: Plan) -> dict[str, str]:
+        """What a run is made of that follows one of these plans, by digest."""
         state = self.kernel.state
         pins = {
             "workflow": digest(workflow.text.encode()),
-            "workcell": state.lab.workcells[plan.workcell],
+            "workcell": state.lab.workcells[plans[0].workcell],
         }
-        for step in plan.steps:
+        for step in (step for plan in plans for step in plan.steps):
             module = state.modules.by_name.get(step.module)
             if module is not None and module.about:
                 pins[f"about:{local(step.module)}"] = module.about
@@ -392,7 +393,13 @@ class LabService:
     ) -> str:
         """An application begins; it must be heard of every ``SILENCE_S`` from now on."""
         self.expect_role(user, "submitter")
-        plan = (await self.compile(closing, payload, workcell)).plan if closing is not None else None
+        compiled = await self.compile(closing, payload, workcell) if closing is not None else None
+        if compiled is not None and compiled.others:
+            raise BadInput(
+                f"The closing workflow {compiled.plan.workflow!r} leaves a choice of modules.",
+                remedy="Name one module for each of its steps: that it can be carried out has to be certain.",
+            )
+        plan = compiled.plan if compiled is not None else None
         places = tuple(self.station(place) for place in parking)
         command = StartExperiment(
             name, person_of(user), plan, priority, request or self.kernel.ids.new(), places, propose

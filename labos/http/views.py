@@ -16,7 +16,7 @@ from labos.core.interventions import Intervention
 from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
 from labos.core.open_experiments import Experiment
-from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, in_play, statuses_of
+from labos.core.runs import DONE, FAILED, IN_FLIGHT, UNKNOWN, RunState, in_play, modules_open, statuses_of
 from labos.core.state import LabState
 from labos.core.topics import Choice
 from labos.core.waits import Wait
@@ -163,7 +163,9 @@ class WaitView(msgspec.Struct, frozen=True):
 
 
 class RunView(msgspec.Struct, frozen=True):
-    """A run that is alive: how far it is, what it does, and why it does not go on."""
+    """A run that is alive: how far it is, what it does, and why it does not go on. ``modules`` are those of
+    which one does a step, by the step's key, where its workflow leaves a choice: once the run is let in, the
+    one that it has chosen."""
 
     id: str
     workflow: str
@@ -180,6 +182,7 @@ class RunView(msgspec.Struct, frozen=True):
     failed: int
     doing: list[StepView]
     waits: list[WaitView]
+    modules: dict[str, list[str]] = {}
 
 
 class QuestionView(msgspec.Struct, frozen=True):
@@ -390,6 +393,7 @@ def run_view(
             if step in (IN_FLIGHT, UNKNOWN)
         ],
         waits=waits_view(kernel, run, now) if waits else [],
+        modules={key: list(map(local, names)) for key, names in modules_open(state.runs, run).items()},
     )
 
 

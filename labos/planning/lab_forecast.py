@@ -53,7 +53,8 @@ class Times(msgspec.Struct, frozen=True):
 
 class ExpectedRun(msgspec.Struct, frozen=True):
     """What is expected of a run. ``starts`` is when it started if it has; null: not in sight. ``waits`` is
-    why it does not come to its end without a person."""
+    why it does not come to its end without a person; ``modules`` those that it is expected to choose, by the
+    steps' keys."""
 
     run: str
     workflow: str
@@ -62,6 +63,7 @@ class ExpectedRun(msgspec.Struct, frozen=True):
     starts: Times | None
     ends: Times | None
     waits: str = ""
+    modules: dict[str, str] = {}
 
 
 class ExpectedCampaign(msgspec.Struct, frozen=True):
@@ -118,16 +120,16 @@ class LabForecast(msgspec.Struct, frozen=True):
 
 class ForecastRequest(msgspec.Struct):
     """What is asked: of a state as a picture, at a time. ``new`` is what somebody thinks of submitting, and
-    ``new_rows`` plans of its rows, if it is a campaign. ``rows`` are plans of rows of campaigns that are
-    known."""
+    ``new_rows`` the plans of its rows, between which they choose, if it is a campaign. ``rows`` are those of
+    campaigns that are known."""
 
     picture: bytes
     now: int
     spreads: Spreads = Spreads()
-    rows: dict[CampaignId, list[Plan]] = {}
+    rows: dict[CampaignId, list[tuple[Plan, ...]]] = {}
     new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None
     actor: str = ""
-    new_rows: list[Plan] = []
+    new_rows: list[tuple[Plan, ...]] = []
     most_runs: int = MOST_RUNS
     most_steps: int = MOST_STEPS
     steps: int = STEPS
@@ -175,7 +177,7 @@ class _Forecaster:
         """Number 0 takes the usual durations, others draw them."""
         asked = self.request
         state = from_picture(self.base)
-        rows: dict[CampaignId, Sequence[Plan]] = dict(asked.rows)
+        rows: dict[CampaignId, Sequence[tuple[Plan, ...]]] = dict(asked.rows)
         fresh = CampaignId(f"C{state.campaigns.named + 1}")
         if not without and isinstance(asked.new, SubmitCampaign):
             rows[fresh] = asked.new_rows
@@ -248,6 +250,7 @@ def _run(forecaster: _Forecaster, plays: list[Play], name: RunId) -> ExpectedRun
         starts=of(lambda play: play.starts),
         ends=ends,
         waits=failed or ("" if ends is not None else usual.stays.get(name, "")),
+        modules=usual.modules.get(name, {}),
     )
 
 
@@ -322,12 +325,18 @@ def _delays(before: Play, after: Play) -> Iterator[Delay]:
 # -- conflicts -----------------------------------------------------------------------------------
 
 
+def _sure_to_use(plans: Sequence[Plan]) -> list[ModuleName]:
+    """The modules that a run uses whichever of these plans it follows."""
+    first, *others = ({step.module: True for step in plan.steps} for plan in plans)
+    return [module for module in first if all(module in other for other in others)]
+
+
 def _conflicts(request: ForecastRequest, state: LabState, plays: list[Play], new: str) -> Iterator[str]:
     """What stands in the way of something that is not submitted yet, as sentences."""
     command = request.new
     run = command.run if isinstance(command, SubmitWithLabware) else command
-    plans = request.new_rows if isinstance(run, SubmitCampaign) else [run.plan] if run else []
-    modules = {step.module: True for plan in plans for step in plan.steps}
+    rows = request.new_rows if isinstance(run, SubmitCampaign) else [run.plans] if run else []
+    modules = {module: True for plans in rows for module in _sure_to_use(plans)}
     for name in modules:
         module = state.modules.by_name.get(name)
         if module is None or module.out_of_service or module.status == ModuleStatus.GONE:

@@ -147,6 +147,23 @@ class Safety:
             self._known.update(found)
         return []
 
+    def may_change(self, state: LabState, run: RunState) -> bool:
+        """Whether nobody loses the way to the end if a run inside goes on by the plan that it has here, and
+        it comes out itself."""
+        name, cell = str(run.id), state.runs.plan_of(run).workcell
+        old = self.actors(state, cell)
+        tail = any(actor.name == name and len(actor.owners) > 1 for actor in old)
+        new = [self.actor(state, run, tail=tail) if actor.name == name else actor for actor in old]
+        for view in dict.fromkeys((*self._views(state, run, cell, old), *self._views(state, run, cell, new))):
+            before = [as_seen(actor, view) for actor in old]
+            known = self._before(lay_out(state, cell, before, hopeful=view.hopeful), before, view)
+            after = [as_seen(actor, view) for actor in new]
+            wanted = {*known.ends, name}
+            _, ends = self.find(lay_out(state, cell, after, hopeful=view.hopeful), after, wanted)
+            if not wanted <= ends:
+                return False
+        return True
+
     def _can_pass(self, state: LabState, run: RunState, cell: str) -> bool:
         """Whether a new run only uses modules, each of which it could use now: then it takes nothing from
         anybody, and comes out first."""

@@ -22,12 +22,13 @@ from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, work
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds, options
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import better_here
+from labos.planning.choosing import changes, options_in_order
 from labos.planning.deadlines import Deadlines
 from labos.planning.obstacle import obstacle
 from labos.planning.patience import Patience
@@ -49,17 +50,18 @@ from labos.planning.touch import (
     near_key,
 )
 from labos.planning.urgency import is_urgent
-from labos.planning.waiting import Kind, Turn, WaitingRoom
+from labos.planning.waiting import Kind, Turn, WaitingRoom, modules_of
 
 MOST_BUNDLES = 50
 """So many are asked for what they need: a decision costs no more with a longer queue."""
 
 
 class Start(msgspec.Struct, frozen=True):
-    """Start this step of this run."""
+    """Start this step of this run; ``plan`` is the one to which it binds a run that has several."""
 
     run: RunId
     step: int
+    plan: str = ""
 
 
 class Spot(msgspec.Struct, frozen=True):
@@ -86,7 +88,7 @@ class Scheduler:
         self.adviser = Adviser()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
-        self._futile: dict[RunId, bool] = {}
+        self._futile: dict[tuple[RunId, str], bool] = {}
         self._futile_at: int | None = None
         self._fresh = True
         self._heeded: tuple[Iterable[str], list[str]] = ((), [])
@@ -142,7 +144,10 @@ class Scheduler:
                     until = booked.room_ends(state, RunId(elder), now) if state.bookings.open else None
                     return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
                 early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
-                if early is not None and run not in self.room.impatient(state, plan.workcell):
+                waited = early is not None and any(
+                    run.id == other.id for other in self.room.impatient(state, plan.workcell)
+                )
+                if early is not None and not waited:
                     return early
                 inside = self.patience.keeps_out(state, run, self.sleepers)
                 if inside is not None:
@@ -164,6 +169,7 @@ class Scheduler:
         """What the time that has come asks for, and what becomes of cancelled runs."""
         yield from self.deadlines.due(state, now)
         yield from self._leaving(state)
+        yield from changes(state, self.safety)
 
     def _leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
         """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot."""
@@ -188,9 +194,17 @@ class Scheduler:
 
     def waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
-        steps = state.runs.plans[run.plan].starts if not run.has_started else ready(state, run)
         with self.reservations.only_asking():
-            found = [(step, self.judge(state, run, step, now, only_asking=True)) for step in steps]
+            found = [
+                (step, self.judge(state, option, step, now, only_asking=True))
+                for option in options(run)
+                for step in (
+                    state.runs.plans[option.plan].starts if not run.has_started else ready(state, run)
+                )
+            ]
+        if run.choices and not run.has_started:
+            possible = any(wait is None for _, wait in found)  # one of its plans is enough
+            found = [] if possible else [each for i, each in enumerate(found) if each not in found[:i]]
         return [*find_questions(state, run), *((step, wait) for step, wait in found if wait is not None)]
 
     # -- waking ------------------------------------------------------------------------------
@@ -282,12 +296,13 @@ class Scheduler:
     def _waits_at_start(self, state: LabState, run: RunState, now: int) -> list[Wait]:
         """What each first step of a run has to wait for; nothing if one of them is possible."""
         waits: list[Wait] = []
-        for step in state.runs.plans[run.plan].starts:
-            self.evaluations += 1
-            found = examine(state, run, step, now)
-            if not isinstance(found, Wait):
-                return []
-            waits.append(found)
+        for option in options(run):
+            for step in state.runs.plans[option.plan].starts:
+                self.evaluations += 1
+                found = examine(state, option, step, now)
+                if not isinstance(found, Wait):
+                    return []
+                waits.append(found)
         return waits
 
     def _of_run(self, state: LabState, name: RunId) -> list[tuple[str, int]]:
@@ -341,30 +356,35 @@ class Scheduler:
     def _admissions(self, state: LabState, bundle: str, first: RunState | None, now: int) -> Iterator[Start]:
         run = first
         while run is not None:
-            free, waits = self._free_start(state, run, now)
-            if free is None and any(isinstance(wait.reason, reasons.AfterElder) for wait in waits):
+            start, waits = self._free_start(state, run, now)
+            if start is None and any(isinstance(wait.reason, reasons.AfterElder) for wait in waits):
                 # Somebody older than the elder need not wait with the others.
                 run = self.room.oldest(state, bundle) or run
-                free, waits = self._free_start(state, run, now)
-            if free is None:
+                start, waits = self._free_start(state, run, now)
+            if start is None:
                 for wait in waits:
                     self.sleepers.sleep((bundle, 0), wait)
                 return
-            self.room.let_in(state, run, urgent=is_urgent(state, run, now))
-            self.patience.started(state, run, free, self.sleepers)
-            yield Start(run.id, free)
+            option, free = start
+            self.room.let_in(state, option, urgent=is_urgent(state, run, now))
+            self.patience.started(state, option, free, self.sleepers)
+            yield Start(run.id, free, option.plan if run.choices else "")
             if run.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
             run = self._first(state, bundle, now)
 
-    def _free_start(self, state: LabState, run: RunState, now: int) -> tuple[int | None, list[Wait]]:
-        """The first step with which a run may be let in, or what each of them waits for."""
+    def _free_start(
+        self, state: LabState, run: RunState, now: int
+    ) -> tuple[tuple[RunState, int] | None, list[Wait]]:
+        """A run as one of its plans has it, and the first step with which it may be let in; or what each of
+        them waits for."""
         waits: list[Wait] = []
-        for step in state.runs.plans[run.plan].starts:
-            wait = self.judge(state, run, step, now)
-            if wait is None:
-                return step, []
-            waits.append(wait)
+        for option in options_in_order(state, run, now):
+            for step in state.runs.plans[option.plan].starts:
+                wait = self.judge(state, option, step, now)
+                if wait is None:
+                    return (option, step), []
+                waits.append(wait)
         return None, waits
 
     def _list_plans(self, state: LabState, cell: str) -> Iterator[Plan]:
@@ -383,30 +403,34 @@ class Scheduler:
             if elder.position >= run.position or find_holds(elder):
                 continue
             mine = mine or {step.module for step in plan.plan.steps}
-            if mine.isdisjoint(step.module for step in state.runs.plan_of(elder).steps):
+            if mine.isdisjoint(modules_of(state, elder)):
                 continue
-            first = state.runs.plans[elder.plan].starts[0]
-            found = examine(state, elder, first, now)
-            if isinstance(found, Wait) and found.blocked:
-                continue  # it waits for a person: nobody has to wait with it
-            if self._stands_out(state, elder):
-                continue  # a later step of it does, or what it waits for no run inside moves away
-            if state.bookings.open and booked.against(state, elder, first, now) is not None:
-                continue  # it waits until somebody else's booking is over
-            if not plan.windowed and self._reserved(state, elder, first, now):
-                continue  # it waits for a time: who reserves nothing does not put it off
-            return str(elder.id)
+            if any(self._is_next(state, option, now, bool(plan.windowed)) for option in options(elder)):
+                return str(elder.id)
         return ""
+
+    def _is_next(self, state: LabState, elder: RunState, now: int, windowed: bool) -> bool:
+        """Whether a run would come in next, with the plan that it has here, if nobody else was let in."""
+        first = state.runs.plans[elder.plan].starts[0]
+        found = examine(state, elder, first, now)
+        if isinstance(found, Wait) and found.blocked:
+            return False  # it waits for a person: nobody has to wait with it
+        if self._stands_out(state, elder):
+            return False  # a later step of it does, or what it waits for no run inside moves away
+        if state.bookings.open and booked.against(state, elder, first, now) is not None:
+            return False  # it waits until somebody else's booking is over
+        # It may wait for a time: who reserves nothing does not put it off.
+        return windowed or not self._reserved(state, elder, first, now)
 
     def _stands_out(self, state: LabState, elder: RunState) -> bool:
         """Whether a run could not come to its end in an empty workcell either."""
         if self._futile_at != state.position:
             self._futile_at = state.position
             self._futile.clear()
-        known = self._futile.get(elder.id)
+        known = self._futile.get((elder.id, elder.plan))
         if known is None:
             known = find_block(state, elder) is not None or bool(obstacle(self.safety, state, elder))
-            self._futile[elder.id] = known
+            self._futile[elder.id, elder.plan] = known
         return known
 
     def _reserved(self, state: LabState, run: RunState, step: int, now: int) -> bool:

@@ -62,12 +62,15 @@ class Adviser:
 
     def whose_turn(self, state: LabState, run: RunState, now: int) -> RunState:
         """Who should be let in of those who wait in line with this run, the first of them."""
-        plan = state.runs.plans[run.plan]
-        advice = self._advice(state, plan.plan.workcell, now)
-        key = queue_key(plan.shape, run)
+        advice = self._advice(state, state.runs.plan_of(run).workcell, now)
+        key = queue_key(state.runs.shape_of(run), run)
         for one in advice.lines.get(key, ()) if advice is not None else ():
             other = state.runs.queued.get(one.run)
-            if other is not None and queue_key(plan.shape, other) == key and not find_holds(other):
+            if (
+                other is not None
+                and queue_key(state.runs.shape_of(other), other) == key
+                and not find_holds(other)
+            ):
                 return other
         return run
 
@@ -116,9 +119,8 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> Advice:
         if run is None:
             continue
         advice.starts[one.run, one.step] = one.start
-        plan = state.runs.plans[run.plan]
-        if not run.has_started and one.step in plan.starts:
-            advice.lines.setdefault(queue_key(plan.shape, run), []).append(one)
+        if not run.has_started and one.step in state.runs.plans[run.plan].starts:
+            advice.lines.setdefault(queue_key(state.runs.shape_of(run), run), []).append(one)
         for resource in takes(state, state.runs.plan_of(run).steps[one.step]):
             advice.by_resource.setdefault(resource, []).append(one)
     return advice

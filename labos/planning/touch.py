@@ -54,6 +54,7 @@ from labos.core.quotas import QUOTA_KEY
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.runs import (
+    RunBound,
     RunCancelled,
     RunCancelling,
     RunCompleted,
@@ -228,6 +229,9 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
             return (*_station(state, place), cell_key(workcell_of(place))) if place else ()
         case StationDeclared() | WasteEmptied() | StationLoaded() | StationUnloaded() | StationObserved():
             return (*_station(state, event.station), cell_key(workcell_of(event.station)))
+        case RunBound():
+            # Of one that was let in, its way is another one now.
+            return (everything, run_key(event.run)) if event.why else ()
         case RunStarted() | RunSubmitted() | StepRetried():
             return (run_key(event.run),)
         case StepSkipped() | StepRecovering() | StepUnexpected() | RunLeaving():

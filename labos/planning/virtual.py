@@ -24,14 +24,23 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.work import work_on
 from labos.core.effects import Draws, Transfers
 from labos.core.fold import evolve
-from labos.core.ids import ActionId, CampaignId, RunId
+from labos.core.ids import ActionId, CampaignId, RunId, local
 from labos.core.interventions import InterventionRequested
 from labos.core.model import Plan, PlanStep
 from labos.core.modules import ModuleStatus
 from labos.core.quotas import queue_is_full
 from labos.core.registry import Event
 from labos.core.rules import ends_by
-from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunState, let_wait_anew
+from labos.core.runs import (
+    RunBound,
+    RunCancelled,
+    RunCompleted,
+    RunFailed,
+    RunStarted,
+    RunState,
+    let_wait_anew,
+    modules_chosen,
+)
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 from labos.core.users import LABOS
@@ -71,7 +80,8 @@ class Touch(msgspec.Struct, frozen=True):
 
 class Play(msgspec.Struct):
     """How it went: when runs started and ended (UTC ns), which of them failed, when a person was needed, and
-    why the runs that are left do not go on. ``steps`` were started. ``cut``: it was broken off."""
+    why the runs that are left do not go on. ``steps`` were started. ``cut``: it was broken off. ``modules``
+    are those that runs have chosen, by the steps' keys."""
 
     starts: dict[RunId, int] = {}
     ends: dict[RunId, int] = {}
@@ -83,6 +93,7 @@ class Play(msgspec.Struct):
     levels: dict[str, float] = {}
     steps: int = 0
     cut: bool = False
+    modules: dict[RunId, dict[str, str]] = {}
 
 
 HORIZON_NS = 30 * 24 * 3600 * 10**9
@@ -90,22 +101,25 @@ HORIZON_NS = 30 * 24 * 3600 * 10**9
 
 
 class VirtualLab:
-    """Carries on a state that it owns from ``now`` (UTC ns). ``rows`` are plans of rows of campaigns, which
-    stand for all their rows, in turn; ``most_rows`` of a campaign become runs."""
+    """Carries on a state that it owns from ``now`` (UTC ns). ``rows`` are the plans of rows of campaigns,
+    which stand for all their rows, in turn; ``most_rows`` of a campaign become runs."""
 
     def __init__(
         self,
         state: LabState,
         now: int,
         lasts: Lasts,
-        rows: Mapping[CampaignId, Sequence[Plan]] | None = None,
+        rows: Mapping[CampaignId, Sequence[tuple[Plan, ...]]] | None = None,
         *,
         most_rows: int = MOST_RUNS,
         most_steps: int = MOST_STEPS,
     ) -> None:
         self.state, self.now, self.play = state, now, Play()
         self._lasts = lasts
-        self._rows = {name: [without_results(plan) for plan in plans] for name, plans in (rows or {}).items()}
+        self._rows = {
+            name: [tuple(map(without_results, plans)) for plans in found]
+            for name, found in (rows or {}).items()
+        }
         self._most_rows, self._most_steps = most_rows, most_steps
         self._admitted: dict[CampaignId, int] = {}
         self._keys: set[str] = set()
@@ -154,6 +168,8 @@ class VirtualLab:
         match event:
             case ActionRequested():
                 self._fly(self.state.actions.open[event.action])
+            case RunBound():
+                self.play.modules[event.run] = {key: local(name) for key, name in event.modules.items()}
             case RunStarted():
                 self.play.starts[event.run] = self.now
             case RunCompleted():
@@ -217,7 +233,8 @@ class VirtualLab:
                 self._ask(command)
             for start in self._scheduler.proposals(self.state, keys, self.now):
                 self._count += 1
-                self._ask(StartStep(start.run, start.step, ActionId(f"virtual-{self._count}"), self.now))
+                action = ActionId(f"virtual-{self._count}")
+                self._ask(StartStep(start.run, start.step, action, self.now, start.plan))
                 self.play.steps += 1
                 self._moved_at = self.now
                 if self.play.steps >= self._most_steps:
@@ -239,7 +256,8 @@ class VirtualLab:
                 and not queue_is_full(self.state, campaign.user)
             ):
                 row = campaign.next_row
-                answer = self._ask(SubmitRow(name, row, plans[row % len(plans)]))
+                first, *others = plans[row % len(plans)]
+                answer = self._ask(SubmitRow(name, row, first, others=tuple(others)))
                 if isinstance(answer, Rejection) or not answer:
                     break
                 self._admitted[name] = self._admitted.get(name, 0) + 1
@@ -301,6 +319,9 @@ class VirtualLab:
             self.play.members[run.id] = run.campaign
         if run.has_started:
             self.play.starts[run.id] = run.started_at
+            chosen = modules_chosen(self.state.runs, run)
+            if chosen:
+                self.play.modules[run.id] = {key: local(name) for key, name in chosen.items()}
 
     def _touch(self, touch: Touch) -> None:
         key = (touch.why, touch.run if touch.planned else "")

@@ -17,10 +17,19 @@ import msgspec
 
 from labos.core.bench import Bench, Labware
 from labos.core.effects import Carrying, Needs, places
-from labos.core.ids import ExperimentId, Owner, RunId, StationName, experiment_owner, user_owner, workcell_of
+from labos.core.ids import (
+    ExperimentId,
+    ModuleName,
+    Owner,
+    RunId,
+    StationName,
+    experiment_owner,
+    user_owner,
+    workcell_of,
+)
 from labos.core.model import Plan
 from labos.core.plans import PlanState
-from labos.core.runs import RunState, clocks_of, find_holds, queue_key
+from labos.core.runs import RunState, clocks_of, find_holds, options, queue_key
 from labos.core.state import LabState
 from labos.planning.layout import destination, labware_in
 
@@ -91,7 +100,7 @@ class WaitingRoom:
 
     def note(self, state: LabState, run: RunState) -> str:
         """Somebody waits: the bundle, if it is one that nobody has looked at yet, else empty."""
-        group = queue_key(state.runs.plans[run.plan].shape, run)
+        group = queue_key(state.runs.shape_of(run), run)
         if group in self._bundle_of:
             return ""
         bundle = self._enter(state, group)
@@ -185,7 +194,7 @@ class WaitingRoom:
                 return head
         oldest = min(self.heads(state, bundle), key=lambda run: run.position, default=None)
         if oldest is not None:
-            group = queue_key(state.runs.plans[oldest.plan].shape, oldest)
+            group = queue_key(state.runs.shape_of(oldest), oldest)
             self._oldest[bundle] = (oldest.position, group)
         return oldest
 
@@ -201,7 +210,7 @@ class WaitingRoom:
             elder = self.oldest(state, bundle)
             if elder is None or elder.position >= run.position:
                 continue
-            if not mine.isdisjoint(step.module for step in state.runs.plan_of(elder).steps):
+            if not mine.isdisjoint(modules_of(state, elder)):
                 goes_first = urgent or run.priority > elder.priority
                 self.pass_over(state, elder, 1 / PRIORITY_WEIGHT if goes_first else 1)
 
@@ -229,10 +238,12 @@ class WaitingRoom:
         present = self._present.get(cell, {})
         user, experiment = user_owner(run.user), experiment_owner(run.experiment)
         owners = [user, experiment] if run.experiment else [user]
-        known = state.experiments.open.get(run.experiment)
-        closing = known.closing if known is not None else ""
-        shape = state.runs.plans[run.plan].shape
-        interest = self._interest(state, shape, state.runs.plan_of(run))
+        home = state.experiments.open.get(run.experiment)
+        closing = home.closing if home is not None else ""
+        shape, plans = state.runs.shape_of(run), [state.runs.plans[p] for p in run.choices or (run.plan,)]
+        interest = frozenset[StationName]()
+        for known in plans:
+            interest |= self._interest(state, known.shape, known.plan)
         if closing:
             interest |= self._interest(state, closing, state.runs.plans[closing].plan)
         stake = [owner for owner in owners if interest & present.get(owner, frozenset())]
@@ -252,7 +263,7 @@ class WaitingRoom:
         self._cell_of[bundle] = cell
         self._in_cell.setdefault(cell, {})[bundle] = True
         self._oldest.pop(bundle, None)
-        self._kinds[bundle] = (_starts(state.runs.plans[run.plan]), find_holds(run), *clocks, *stake)
+        self._kinds[bundle] = (*map(_starts, plans), find_holds(run), *clocks, *stake)
         self._bundle_of[group] = bundle
         for owner in owners:
             self._of_owner.setdefault(owner, {}).setdefault(cell, {})[group] = True
@@ -285,6 +296,11 @@ class WaitingRoom:
                 cells.pop(cell, None)
             if not cells:
                 self._of_owner.pop(owner, None)
+
+
+def modules_of(state: LabState, run: RunState) -> set[ModuleName]:
+    """The modules that a run uses or, while it waits, may use."""
+    return {step.module for option in options(run) for step in state.runs.plan_of(option).steps}
 
 
 def head_of(state: LabState, group: str) -> RunState:

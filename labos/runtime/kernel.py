@@ -304,7 +304,7 @@ class Kernel(KernelLog):
         now = self.clock.now_ns()
         for start in self.scheduler.proposals(self.state, keys, now):
             action = ActionId(self.ids.new())
-            self._decide_too(StartStep(start.run, start.step, action, now), entries)
+            self._decide_too(StartStep(start.run, start.step, action, now, start.plan), entries)
 
     def _carry_out_due(self, entries: list[Entry], looked_at: int) -> None:
         """What the time that has come asks for, and the quarantine of modules that fail too often, in the

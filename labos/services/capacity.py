@@ -8,7 +8,7 @@ it stands there as there is room.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import msgspec
@@ -28,6 +28,7 @@ from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.errors import Refused
+from labos.planning.choosing import options_in_order
 from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler, ready
 
@@ -54,17 +55,18 @@ def capacity(
     plan: Plan,
     inputs: tuple[StationName, ...] = (),
     *,
+    others: Sequence[Plan] = (),
     cap: int = CAP,
 ) -> Capacity:
     """Let in copies of a plan one by one until one is refused. ``stock`` is (station, labware
-    type, count); ``inputs`` are the stations where a run's labware must stand at its start.
+    type, count); ``inputs`` are the stations where a run's labware must stand at its start;
+    ``others`` are plans of which a copy may follow one in place of ``plan``.
     Raises Refused if the workcell cannot be set up like this."""
-    steps = tuple(msgspec.structs.replace(step, dangerous="") for step in plan.steps)  # all are approved
-    plan = msgspec.structs.replace(plan, steps=steps)
+    plan, *others = map(_approved, (plan, *others))
     bench = _PaperBench()
     bench.furnish(workcell, stock, inputs)
     for _ in range(cap):
-        bench.do(SubmitRun(plan, USER))
+        bench.do(SubmitRun(plan, USER, others=tuple(others)))
     # Every turn starts a step, so the loop ends with the steps of all copies.
     why = ""
     while len(bench.state.runs.active) < cap:
@@ -76,6 +78,12 @@ def capacity(
             break
     copies = len(bench.state.runs.active)
     return Capacity(copies, copies >= cap, "" if copies >= cap else why)
+
+
+def _approved(plan: Plan) -> Plan:
+    return msgspec.structs.replace(
+        plan, steps=tuple(msgspec.structs.replace(step, dangerous="") for step in plan.steps)
+    )
 
 
 class _PaperBench:
@@ -121,12 +129,13 @@ class _PaperBench:
         """Start the oldest waiting copy; what it waits for if that cannot be done."""
         run = next(iter(self.state.runs.queued.values()))
         found = Wait(reasons.Gone())
-        for step in self.state.runs.plans[run.plan].starts:
-            wait = self.scheduler.judge(self.state, run, step, self.now)
-            if wait is None:
-                self._carry_out(run, step)
-                return None
-            found = wait
+        for option in options_in_order(self.state, run, self.now):
+            for step in self.state.runs.plans[option.plan].starts:
+                wait = self.scheduler.judge(self.state, option, step, self.now)
+                if wait is None:
+                    self._carry_out(option, step)
+                    return None
+                found = wait
         return found
 
     def go_on(self) -> bool:
@@ -146,7 +155,8 @@ class _PaperBench:
         self._actions += 1
         action = ActionId(f"a{self._actions}")
         plan = self.state.runs.plan_of(run)
-        self.do(StartStep(RunId(run.id), step, action, self.now))
+        self.do(StartStep(RunId(run.id), step, action, self.now, run.plan))
+        run = self.state.runs.active[run.id]
         if _over(run) + 1 < len(run.steps):
             self.do(FinishAction(action, 1, True, "all", _imagined(plan, step)))
 

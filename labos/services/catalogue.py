@@ -13,7 +13,7 @@ from labos.core.lab import LabCreated
 from labos.core.model import PlanStep
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.registry import Event
-from labos.core.runs import RunSubmitted
+from labos.core.runs import RunBound, RunSubmitted
 from labos.ports import LogQuery
 from labos.services.log import Log, events
 
@@ -22,6 +22,7 @@ LEARNT = (
     PlanRecorded.TYPE,
     PlanStepsRecorded.TYPE,
     RunSubmitted.TYPE,
+    RunBound.TYPE,
     ExperimentStarted.TYPE,
     InterventionRequested.TYPE,
 )
@@ -55,6 +56,11 @@ class Catalogue(msgspec.Struct):
                     plan.steps = [*plan.steps[: event.first], *event.steps]
             case RunSubmitted():
                 self.runs[event.run] = event
+            case RunBound():
+                known = self.runs.get(event.run)
+                if known is not None:
+                    bound = {"plan": event.plan, "planned_by": event.planned_by}
+                    self.runs[event.run] = msgspec.structs.replace(known, **bound)
             case ExperimentStarted():
                 self.experiments[event.experiment] = event
             case InterventionRequested():

@@ -228,6 +228,12 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + _if(e.experiment, f" in experiment {e.experiment}")
         + _if(e.closing, " to clear away its labware")
     ),
+    r.RunBound: lambda e, _: (
+        f"takes {', '.join(f'{local(m)} for {key!r}' for key, m in e.modules.items())}"
+        + _if(e.why, f", as {e.why}")
+        if e.modules
+        else "is bound to one of its plans"
+    ),
     r.RunStarted: lambda e, _: "started",
     RequestRepeated: lambda e, _: f"{e.request} was asked for again: {e.why}",
     r.RunPaused: lambda e, _: f"paused{_if(e.why, f': {e.why}')}",

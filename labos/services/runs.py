@@ -95,7 +95,7 @@ class RunBook:
                 _run(run, event, head.recorded_at)
 
     def _on_submitted(self, event: r.RunSubmitted, at: int) -> None:
-        plan = self.names.plans.get(event.plan)
+        plan = self.names.plan_of(event.run) or self.names.plans.get(event.plan)
         if self.keep and event.run != self.keep:
             return
         self.runs[event.run] = RunHistory(
@@ -154,6 +154,9 @@ def _tell(book: RunBook, pairs: Iterable[tuple[Event, Envelope]]) -> None:
 
 def _run(run: RunHistory, event: r.RunEvent, at: int) -> None:
     match event:
+        case r.RunBound():
+            for step in run.steps:
+                step.module = event.modules.get(step.key, step.module)
         case r.RunStarted():
             run.status, run.started_at = "active", at
         case r.RunPaused() | r.RunResumed():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from labos.core.model import OnBreach, StationKind, Verify
 from labos.spec.about import About, Extends
@@ -228,12 +228,36 @@ TimeoutOfStep = Annotated[
 ]
 
 
+ANY_OF, SAME_AS = "any ", "same as "
+"""How a step says that one of several modules may do it, or that its module is that of another step."""
+
+
+class AnyModule(Part):
+    """One of these modules."""
+
+    any: list[Name] = Field(min_length=1)
+
+
+def _in_words(value: object) -> object:
+    """``{any: [a, b]}`` as the text that means the same."""
+    if not isinstance(value, dict):
+        return value
+    names = value.get("any")
+    names = names if isinstance(names, list) and all(isinstance(name, str) for name in names) else []
+    if set(value) != {"any"} or not names:
+        raise ValueError("a choice of modules is written {any: [one, other]}")
+    return ANY_OF + ", ".join(names) + ("," if len(names) == 1 else "")
+
+
+ModuleOfStep = Annotated[str, BeforeValidator(_in_words, json_schema_input_type=str | AnyModule)]
+
+
 class StepEntry(Part):
     """One action on one module, or (``use``) all steps of another file. Without ``after``, it follows
     the step before it."""
 
     name: Label
-    module: str = ""
+    module: ModuleOfStep = ""
     action: str = ""
     args: dict[str, Any] = {}
     use: str = ""

@@ -47,7 +47,7 @@ from labos.spec.files import FileFinder
 from labos.spec.findings import Report, near
 from labos.spec.holds import holds_of
 from labos.spec.layout import Layout
-from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
+from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.plan_check import InitialBench, PlanCheck
 from labos.spec.references import fill, result_of
 from labos.spec.remarks import Remarks
@@ -229,6 +229,10 @@ class Planner:
         if module is None and name in self.left_out:
             message = f"Step {entry.name!r}: the module {name!r} is left out: {self.left_out[name]}."
             remedy = "Switch it on in the workcell file, give it a `driver:` or describe it below `about:`."
+            self.remarks.error(message, (*path, "module"), remedy)
+        elif module is None and name.startswith((ANY_OF, SAME_AS)):
+            message = f"Step {entry.name!r}: `{name}` counts in the workflow that is submitted only."
+            remedy = "Hand the module over in the payload: `module: ${step.module}`; here `payload.module`."
             self.remarks.error(message, (*path, "module"), remedy)
         elif module is None:
             message = f"Step {entry.name!r}: there is no module {entry.module!r} in {self.workcell.name!r}."

@@ -179,9 +179,10 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "required": "whether the payload must hold it",
         "description": _PEOPLE,
     },
+    "AnyModule": {"any": "the modules of which one does the step"},
     "StepEntry": {
         "name": "the step's name",
-        "module": "the module's name in the workcell",
+        "module": "the module's name; `any <driver>` or `{any: [a, b]}`: one of them; `same as <step>`",
         "action": "one of the module's actions, or an alias of it",
         "args": "the action's arguments, by name or alias; `payload.x` stands for a value of the payload",
         "use": "another workflow file, whose steps stand here; instead of `module` and `action`",

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from labos.errors import SpecError
+from labos.spec.choices import expand_lists, is_left_open
 from labos.spec.dialects import kind_of, workcell_form, workflow_form
 from labos.spec.findings import Report
 from labos.spec.models import RunSteps, StepEntry, WorkcellFile, WorkflowFile
@@ -83,7 +84,7 @@ def workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Source]]:
         named = [
             cell for cell in cells if file.workcell and _last(file.workcell) in (_last(cell), _stem(cell))
         ]
-        used = {entry.module for _, entry in entries_of(file) if entry.module}
+        used = {e.module for one in expand_lists(file) for _, e in entries_of(one) if e.module}
         most = max((len(used & cells[cell]) for cell in named or cells), default=0)
         fitting = [cell for cell in named or cells if most and len(used & cells[cell]) == most]
         nearest = max((_shared(cell, source.file) for cell in fitting), default=0)
@@ -140,11 +141,16 @@ def _uses_of(source: Source) -> Iterator[Use]:
                 step, fields = reference
                 result_use = ResultUse(entry.module, entry.action, arg, tuple(fields))
                 result_uses.setdefault(_NUMBER.sub("", step), []).append(result_use)
-    for path, entry in entries_of(file):
-        if entry.module and not keys_in([entry.module, entry.action]):
-            where = f"{PurePath(source.file).name}, line {form.place(path).line}"
-            read = tuple(result_uses.get(entry.name, ()))
-            yield Use(entry.module, entry.action, entry.args, where, read)
+    told: list[Use] = []
+    for one in expand_lists(file):
+        for path, entry in entries_of(one):
+            if entry.module and not keys_in([entry.module, entry.action]):
+                where = f"{PurePath(source.file).name}, line {form.place(path).line}"
+                read = tuple(result_uses.get(entry.name, ()))
+                use = Use(entry.module, entry.action, entry.args, where, read)
+                if use not in told and not is_left_open(entry):
+                    told.append(use)
+                    yield use
 
 
 def entries_of(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:

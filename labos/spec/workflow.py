@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from labos.core.model import Description, Plan, Workcell
 from labos.errors import SpecError
 from labos.spec.bench import DEFAULT_LABWARE, DEFAULT_LID, Bench
 from labos.spec.carriers import Carriers
+from labos.spec.choices import bind_modules
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
 from labos.spec.dryrun import DryRun
@@ -24,6 +25,7 @@ from labos.spec.models import WorkflowFile
 from labos.spec.paper import Piece
 from labos.spec.payloads import refuse_unused
 from labos.spec.planner import Planner
+from labos.spec.remarks import Remarks
 from labos.spec.results import check_results
 from labos.spec.source import Source, parse, read
 from labos.spec.unroll import Unroller, with_defaults
@@ -42,7 +44,8 @@ class StartingLabware(msgspec.Struct, frozen=True):
 class Compiled(msgspec.Struct, frozen=True):
     """A plan, the stations where labware must stand at its start and those where it stands at
     its end (one entry a piece), the warnings, the content of pinned files by digest, and what a person
-    must have ``brought`` before."""
+    must have ``brought`` before. ``others`` are plans of the same steps on other modules, where the workflow
+    leaves a choice; everything else is that of ``plan``."""
 
     plan: Plan
     inputs: tuple[StationName, ...] = ()
@@ -50,6 +53,12 @@ class Compiled(msgspec.Struct, frozen=True):
     findings: tuple[Finding, ...] = ()
     files: dict[str, bytes] = {}
     brought: tuple[StartingLabware, ...] = ()
+    others: tuple[Plan, ...] = ()
+
+    @property
+    def plans(self) -> tuple[Plan, ...]:
+        """All plans between which a run chooses."""
+        return (self.plan, *self.others)
 
 
 def read_workflow(path: str | Path) -> Source:
@@ -90,19 +99,83 @@ def compile_workflow(
     if file is None:
         raise SpecErrors(report.sorted())
     finder = FileFinder(files or {}, [*([source.folder] if source.folder else []), *search])
-    unroller = Unroller(report, finder, Defaults(workcell), Carriers(workcell, descriptions))
-    layout = unroller.unroll(file, form, _payload(file, payload), foreign=dialect != "labos")
+    bound = bind_modules(file, workcell, Remarks(form, report))
+    report.raise_if_failed()
+    found: list[Compiled] = []
+    for one in bound:
+        given = Given(source, form, dialect != "labos", payload, workcell, descriptions, finder)
+        try:
+            found.append(_compile(one.file, given, Report(source.file), simulate, bench, left_out or {}))
+        except SpecErrors as errors:
+            raise SpecErrors([_with_choice(each, one.chosen) for each in errors.findings]) from None
+        for each in found[-1].findings:
+            report.keep(each)
+    first, *others = found
+    _refuse_unlike(found, form, report)
+    return msgspec.structs.replace(
+        first,
+        findings=report.sorted(),
+        files={name: content for each in found for name, content in each.files.items()},
+        others=tuple(each.plan for each in others),
+    )
+
+
+class Given(msgspec.Struct):
+    """What a workflow is compiled from, beside itself."""
+
+    source: Source
+    form: Source
+    foreign: bool
+    payload: Mapping[str, Any]
+    workcell: Workcell
+    descriptions: Mapping[str, Description]
+    finder: FileFinder
+
+
+def _with_choice(finding: Finding, chosen: Mapping[str, str]) -> Finding:
+    """A finding that says with which modules it was made, where there is a choice."""
+    if not chosen:
+        return finding
+    by = ", ".join(f"{name!r} by {module}" for name, module in chosen.items())
+    return msgspec.structs.replace(finding, message=f"With {by}: {finding.message}")
+
+
+def _refuse_unlike(found: Sequence[Compiled], form: Source, report: Report) -> None:
+    """Raises SpecErrors for plans that differ in more than who does the steps."""
+    keys = [[(step.key, step.part) for step in each.plan.steps] for each in found]
+    if any(other != keys[0] for other in keys):
+        report.error(
+            "The steps differ with the modules that are chosen.",
+            form.place(("steps",)),
+            field="steps",
+            remedy="Name the `module:` of transfers to and from modules that are chosen.",
+        )
+        report.raise_if_failed()
+
+
+def _compile(
+    file: WorkflowFile,
+    given: Given,
+    report: Report,
+    simulate: bool,
+    bench: Bench | None,
+    left_out: Mapping[str, str],
+) -> Compiled:
+    """Compile a workflow in which each step has one module. Raises SpecErrors."""
+    payload, workcell, finder, form = given.payload, given.workcell, given.finder, given.form
+    unroller = Unroller(report, finder, Defaults(workcell), Carriers(workcell, given.descriptions))
+    layout = unroller.unroll(file, form, _payload(file, payload), foreign=given.foreign)
     report.raise_if_failed()
     planner = Planner(
         file=file,
         layout=layout,
         workcell=workcell,
-        descriptions=descriptions,
+        descriptions=given.descriptions,
         remarks=UnrolledRemarks(form, report, layout),
         finder=finder,
         simulate=simulate,
         bench=bench,
-        left_out=left_out or {},
+        left_out=left_out,
     )
     planner.pinned.update(unroller.pinned)
     planner.contents.update(unroller.contents)
@@ -111,7 +184,7 @@ def compile_workflow(
     check_results(plan, planner.described, planner.remarks)
     plan, dry = planner.dry_run(plan)
     report.raise_if_failed()
-    refuse_unused(payload, file, (source, form), finder, report)
+    refuse_unused(payload, file, (given.source, form), finder, report)
     report.raise_if_failed()
     brought = [_starting_labware(dry, *taken) for taken in dry.taken if not taken[1].fresh]
     brought += [

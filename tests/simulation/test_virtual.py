@@ -195,7 +195,7 @@ def test_rows_of_a_campaign_are_let_in_as_there_is_room_and_a_deadline_is_judged
     lab = small()
     terms = Terms(deadline=lab.now + 1000 * SECOND)
     campaign = SubmitCampaign("screen", "ada", "print", CELL, 10, "t", "d", terms)
-    told = forecast_lab(asked(lab, new=campaign, new_rows=[PRINT], actor="labos"))
+    told = forecast_lab(asked(lab, new=campaign, new_rows=[(PRINT,)], actor="labos"))
     (found,) = told.campaigns
     assert (found.rows_left, found.rows_forecast, len(told.new)) == (10, 10, 10)
     assert found.ends is not None
@@ -207,7 +207,7 @@ def test_of_long_campaigns_the_end_is_reckoned_by_their_rate() -> None:
     lab = small(plates=40, ink=100.0)
     free = plan(step("dev", duration_s=100.0), name="wait")
     campaign = SubmitCampaign("long", "ada", "wait", CELL, 1000, "t", "d")
-    told = forecast_lab(asked(lab, new=campaign, new_rows=[free], actor="labos", most_runs=20))
+    told = forecast_lab(asked(lab, new=campaign, new_rows=[(free,)], actor="labos", most_runs=20))
     (found,) = told.campaigns
     assert (found.rows_left, found.rows_forecast) == (1000, 20)
     assert found.ends is not None

@@ -291,8 +291,8 @@ class Driver:
     def end(self, experiment: str) -> list[Event]:
         return self.do(EndExperiment(ExperimentId(experiment)))
 
-    def start_command(self, run: str, index: int) -> StartStep:
-        return StartStep(RunId(run), index, ActionId(f"A{self._actions + 1}"), self.now)
+    def start_command(self, run: str, index: int, plan: str = "") -> StartStep:
+        return StartStep(RunId(run), index, ActionId(f"A{self._actions + 1}"), self.now, plan)
 
     def start(self, run: str, index: int = 0) -> ActionId:
         """Start a step, whatever planning thinks of it."""
@@ -390,7 +390,7 @@ class Driver:
             for command in self.scheduler.due(self.state, self.now):
                 self.do(command)
             for start in self.scheduler.proposals(self.state, keys, self.now):
-                self._carry_out(start.run, start.step)
+                self._carry_out(start.run, start.step, start.plan)
                 started.append(f"{start.run}#{start.step}")
                 assert len(started) < limit, "planning proposes without end"
             for cell in list(self.state.lab.access) if len(self.log) == before else ():
@@ -412,8 +412,8 @@ class Driver:
                         again = True
                         break
 
-    def _carry_out(self, run: RunId, index: int) -> None:
-        command = self.start_command(run, index)
+    def _carry_out(self, run: RunId, index: int, plan: str = "") -> None:
+        command = self.start_command(run, index, plan)
         answer = self.ask(command)
         if isinstance(answer, Rejection):
             self.rejected.append((command, answer))

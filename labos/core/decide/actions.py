@@ -24,6 +24,7 @@ from labos.core.actions import (
 from labos.core.bench import parts
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides, recordable
 from labos.core.decide.barcodes import readings
+from labos.core.decide.choices import bind
 from labos.core.decide.endings import give_up
 from labos.core.decide.inputs import fill_inputs, name_returned_files
 from labos.core.decide.outcomes import back_in_place, effect_events, find_shown_outcome, limit_result, settle
@@ -58,12 +59,14 @@ from labos.core.wells import misfit
 
 
 class StartStep(Command, frozen=True):
-    """Request a step's action. ``action`` is the id it will bear for ever."""
+    """Request a step's action. ``action`` is the id it will bear for ever. ``plan`` is the one that a run is
+    bound to with its first step, if it has several to choose from."""
 
     run: RunId
     step: int
     action: ActionId
     now: int
+    plan: str = ""
 
 
 class AcceptAction(Report, frozen=True):
@@ -119,6 +122,11 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     run = state.runs.get(command.run)
     if run is None:
         return Rejection("no_run", f"There is no run {command.run} that has not ended.")
+    chooses = bool(run.choices) and not run.has_started
+    if chooses:
+        if command.plan not in run.choices:
+            return Rejection("unbound", f"{run.id} has several plans, and nobody says which one it follows.")
+        run = msgspec.structs.replace(run, plan=command.plan)
     found = examine(state, run, command.step, command.now)
     if isinstance(found, Wait):
         return Rejection(
@@ -126,7 +134,8 @@ def start_step(state: LabState, command: StartStep) -> Decision:
         )
     plan = state.runs.plan_of(run)
     step = plan.steps[command.step]
-    events: list[Event] = [RunStarted(run.id)] if not run.has_started else []
+    events: list[Event] = [bind(state, run)] if chooses else []
+    events += [RunStarted(run.id)] if not run.has_started else []
     results = results_of(plan, run)
     args = fill_inputs(plan, results, step.args)
     if isinstance(args, str):

@@ -47,8 +47,8 @@ def ask_second_person(state: LabState, event: RunSubmitted | ApprovalGiven) -> I
     run = state.runs.queued.get(name)
     if run is None or not run.unapproved or run.held:
         return
-    plan = state.runs.plan_of(run)
-    steps = [plan.steps[index] for index in state.runs.plans[run.plan].dangers]
+    plans = (state.runs.plans[name] for name in run.choices or (run.plan,))
+    steps = next([known.plan.steps[index] for index in known.dangers] for known in plans if known.dangers)
     named = [f"{step.key!r} on {local(step.module)} ({step.dangerous})" for step in steps[:MOST_NAMED]]
     more = f" and {len(steps) - MOST_NAMED} more" if len(steps) > MOST_NAMED else ""
     text = (

@@ -76,6 +76,7 @@ class SubmitRow(Command, frozen=True):
     plan: Plan
     payload: dict[str, Any] = {}
     pins: dict[str, str] = {}
+    others: tuple[Plan, ...] = ()
 
 
 class RefuseRow(Command, frozen=True):
@@ -140,7 +141,8 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
     campaign = _expect_next(state, command.campaign, command.row)
     if isinstance(campaign, Rejection):
         return campaign
-    lacks = lacks_role_for(state, campaign.user, command.plan)
+    needed = (lacks_role_for(state, campaign.user, plan) for plan in (command.plan, *command.others))
+    lacks = next(filter(None, needed), "")
     if lacks:
         return [CampaignStopped(campaign.id, cut(lacks, LONGEST_REASON))]
     beyond = beyond_budget(state, campaign, command.plan)
@@ -154,6 +156,7 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
         payload=command.payload,
         priority=campaign.terms.priority,
         pins=command.pins,
+        others=command.others,
     )
     answer = submit_run(state, run)
     if isinstance(answer, Rejection) and answer.code == QUOTA:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -55,6 +55,15 @@ def demand_of(plans: Iterable[Plan], times: float = 1.0) -> Demand:
         dangers.update(dict.fromkeys(dangers_of(plan), True))
     named = tuple(dangers)[:MOST_DANGERS]
     return Demand(round(steps * times), time * times, modules, consumables, named)
+
+
+def demand_of_choices(plans: Sequence[Plan]) -> Demand:
+    """What a run asks of the lab that follows one of these plans: that of the longest one, and whatever is
+    dangerous in any of them."""
+    demands = [demand_of([plan]) for plan in plans]
+    dangers = dict.fromkeys(danger for demand in demands for danger in demand.dangers)
+    most = max(demands, key=lambda demand: demand.module_time_s)
+    return msgspec.structs.replace(most, dangers=tuple(dangers)[:MOST_DANGERS])
 
 
 def dangers_of(plan: Plan) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.choices import unlike
 from labos.core.decide.endings import give_up
 from labos.core.decide.windows import (
     anchors_of,
@@ -54,7 +55,9 @@ QUOTA = "quota"
 
 class SubmitRun(Command, frozen=True):
     """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
-    one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy."""
+    one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy.
+    ``others`` are plans of the same steps on other modules, of which it may choose one in place of ``plan``
+    when it is let in."""
 
     plan: Plan
     user: str
@@ -64,6 +67,12 @@ class SubmitRun(Command, frozen=True):
     pins: dict[str, str] = {}
     request: str = ""
     propose: bool = False
+    others: tuple[Plan, ...] = ()
+
+    @property
+    def plans(self) -> tuple[Plan, ...]:
+        """All plans from which it chooses."""
+        return (self.plan, *self.others)
 
 
 class PauseRun(Command, frozen=True):
@@ -195,20 +204,23 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         return Rejection(QUOTA, full, "Wait until some have begun, or cancel some.")
     run = RunId(f"R{state.runs.named + 1}")
     try:
-        name = plan_digest(command.plan)
+        plans = {plan_digest(plan): plan for plan in command.plans}
     except (ValueError, TypeError) as error:
         return Rejection("unfit", f"This cannot be recorded: {str(error).rstrip('.')}.")
-    flaw = None if name in state.runs.plans else flaw_in(state, command.plan)
-    if flaw:
-        return flaw
-    astray = _parks_elsewhere(state, command.plan, experiment) if experiment is not None else None
-    if astray:
-        return astray
+    name = next(iter(plans))
+    for digest_, plan in plans.items():
+        flaw = None if digest_ in state.runs.plans else flaw_in(state, plan)
+        flaw = flaw or (_parks_elsewhere(state, plan, experiment) if experiment is not None else None)
+        if flaw:
+            return flaw
+    differ = unlike(command.plan, command.others)
+    if differ:
+        return differ
     anchors = anchors_of(state, command.plan, command.experiment)
     if isinstance(anchors, Rejection):
         return anchors
     events: list[Event] = [
-        *record_plan(state, command.plan, name, run),
+        *(event for one, plan in plans.items() for event in record_plan(state, plan, one, run)),
         RunSubmitted(
             run=run,
             plan=name,
@@ -221,6 +233,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             request=command.request,
             anchors=anchors,
             planned_by=state.runs.planned_by(name),
+            choices=tuple(plans) if len(plans) > 1 else (),
         ),
     ]
     return events

@@ -31,8 +31,8 @@ from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.policy import (
     Submission,
-    dangers_of,
     demand_of,
+    demand_of_choices,
     reasons_for,
     refuse_priority,
     service_of,
@@ -140,12 +140,13 @@ def _of_run(state: LabState, command: SubmitRun, events: list[Event], actor: str
     pins = {name: value for name, value in event.pins.items() if name != "request"}
     parts = {
         **pins,
-        **{f"file:{name}": value for name, value in command.plan.files.items()},
+        **{f"file:{name}": value for plan in command.plans for name, value in plan.files.items()},
         "plan": event.plan,
+        **({"choices": digest(canonical(list(event.choices)))} if event.choices else {}),
         "payload": _digest_of(event.payload),
         **({"experiment": event.experiment} if event.experiment else {}),
     }
-    asked = Submission(event.user, command.plan.workcell, demand_of([command.plan]), command.propose)
+    asked = Submission(event.user, command.plan.workcell, demand_of_choices(command.plans), command.propose)
     why = reasons_for(state, asked, actor, parts=parts)
     return _request(state, event.run, "run", event.workflow, asked, actor, why, parts, [event.priority])
 
@@ -219,7 +220,7 @@ def _of_row(state: LabState, command: SubmitRow, events: list[Event]) -> list[Ev
     """A campaign waits for an approval before a row that does something dangerous, if nobody knew of that
     when it was submitted, or approved."""
     campaign = state.campaigns.open[command.campaign]
-    dangers = dangers_of(command.plan)
+    dangers = demand_of_choices((command.plan, *command.others)).dangers
     if not dangers or campaign.danger_seen or not any(isinstance(e, RunSubmitted) for e in events):
         return events
     demand = Demand(dangers=dangers, rows=campaign.rows)
@@ -288,7 +289,7 @@ def _request(
     )
 
 
-UNCOMPARED = ("plan", "experiment")
+UNCOMPARED = ("plan", "choices", "experiment")
 """Parts that follow from others, or are others each time."""
 
 

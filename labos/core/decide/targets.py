@@ -171,7 +171,8 @@ def of_handover(state: LabState, command: handover.HandOver) -> Iterable[Target]
 def of_submission(state: LabState, command: runs.SubmitRun) -> Iterable[Target]:
     if command.experiment:
         yield the_experiment(state, command.experiment, owner_only=True)
-    yield Target(role_for(command.plan), (command.plan.workcell,))
+    for plan in command.plans:
+        yield Target(role_for(plan), (plan.workcell,))
 
 
 def of_start(state: LabState, command: experiments.StartExperiment) -> Iterable[Target]:

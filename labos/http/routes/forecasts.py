@@ -55,7 +55,12 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     loads = loads_of(service, body.place, workcell, body.user)
     compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
     run = SubmitRun(
-        compiled.plan, person_of(body.user), body.payload, ExperimentId(body.experiment), body.priority
+        compiled.plan,
+        person_of(body.user),
+        body.payload,
+        ExperimentId(body.experiment),
+        body.priority,
+        others=compiled.others,
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
     return RunForecast(await service.forecasts.of_run(command, body.user), compiled.findings)

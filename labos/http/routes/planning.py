@@ -8,7 +8,7 @@ import msgspec
 
 from labos.core.approvals import ApprovalRequested, Demand
 from labos.core.decide import Rejection, decide
-from labos.core.decide.policy import demand_of
+from labos.core.decide.policy import demand_of_choices
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import ExperimentId, RunId, local
@@ -24,6 +24,7 @@ from labos.http.placing import loads_of
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
 from labos.spec.about import described
+from labos.spec.choices import list_choices
 from labos.spec.findings import Finding
 
 
@@ -63,7 +64,8 @@ class Actions(msgspec.Struct, frozen=True):
 
 
 class PlannedStep(msgspec.Struct, frozen=True):
-    """A step of a plan, of which ``after`` are the numbers of those before it. ``dangerous`` says how."""
+    """A step of a plan, of which ``after`` are the numbers of those before it. ``dangerous`` says how;
+    ``choices`` are the modules of which one will do it, if there are several; ``module`` is one of them."""
 
     key: str
     module: str
@@ -72,6 +74,7 @@ class PlannedStep(msgspec.Struct, frozen=True):
     after: tuple[int, ...]
     duration_s: float
     dangerous: str
+    choices: list[str] = []
 
 
 class CheckedRun(msgspec.Struct, frozen=True):
@@ -125,12 +128,14 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         body.payload,
         ExperimentId(body.experiment),
         body.priority,
-        service.pins_of(body.workflow, plan),
+        service.pins_of(body.workflow, *compiled.plans),
         propose=body.propose,
+        others=compiled.others,
     )
     answer = decide(state, command, body.user)
     refusal = f"{answer.message} {answer.remedy}".strip() if isinstance(answer, Rejection) else ""
     asked = [] if isinstance(answer, Rejection) else [e for e in answer if isinstance(e, ApprovalRequested)]
+    choices = list_choices(compiled.plans)
     steps = [
         PlannedStep(
             key=step.key,
@@ -140,6 +145,7 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
             after=step.after,
             duration_s=step.duration_s,
             dangerous=step.hazard,
+            choices=choices.get(step.key, []),
         )
         for step in plan.steps
         if step.part == MAIN
@@ -149,7 +155,7 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         workflow=plan.workflow,
         workcell=plan.workcell,
         steps=steps,
-        demand=demand_of([plan]),
+        demand=demand_of_choices(compiled.plans),
         approval=tuple(why.text for event in asked for why in event.why),
         refusal=refusal,
         warnings=compiled.findings,

@@ -109,19 +109,28 @@ def _to_waste(run: SubmitRun) -> SubmitRun:
 
 def _two_cyclers() -> Iterator[Case]:
     for seed in range(SEEDS):
-        rng = random.Random(f"two cyclers/{seed}")
-        works = []
-        for number in range(8):
-            run = _pcr(
-                rng.choice([1800.0, 3600.0, 5400.0, 7200.0]), rng.choice([300.0, 600.0, 1200.0, 2400.0])
-            )
-            works.append(Work((_on_other_cycler(run) if number % 2 else run,)))
+        works = two_cyclers(seed, share=True)
         yield _rpl(f"8 unlike PCR on two cyclers, seed {seed}", "two cyclers", works)
 
 
-def _on_other_cycler(run: SubmitRun) -> SubmitRun:
-    text = msgspec.json.encode(run.plan).decode()
-    return replace(run, plan=msgspec.json.decode(text.replace("rpl/biometra", "rpl/biometra_192"), type=Plan))
+def two_cyclers(seed: int, *, share: bool) -> list[Work]:
+    """Eight PCR of different lengths; every second one on the other cycler, or each on either of them."""
+    rng = random.Random(f"two cyclers/{seed}")
+    works = []
+    for number in range(8):
+        run = _pcr(rng.choice([1800.0, 3600.0, 5400.0, 7200.0]), rng.choice([300.0, 600.0, 1200.0, 2400.0]))
+        other = _on_other_cycler(run.plan)
+        if not share:
+            run = replace(run, others=(other,))
+        elif number % 2:
+            run = replace(run, plan=other)
+        works.append(Work((run,)))
+    return works
+
+
+def _on_other_cycler(found: Plan) -> Plan:
+    text = msgspec.json.encode(found).decode()
+    return msgspec.json.decode(text.replace("rpl/biometra", "rpl/biometra_192"), type=Plan)
 
 
 # -- workcells of our own --------------------------------------------------------------------------
@@ -211,4 +220,4 @@ def _job_shop() -> Iterator[Case]:
             yield Case(name, "job shop", _machines(machines, 1, 40), _stack(40), tuple(works))
 
 
-__all__ = ["Case", "cases", "with_durations"]
+__all__ = ["Case", "cases", "two_cyclers", "with_durations"]

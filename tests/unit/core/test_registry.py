@@ -117,6 +117,7 @@ from labos.core.repeated import RequestRepeated
 from labos.core.resources import LevelSet, ResourceConsumed, ResourceReplenished
 from labos.core.runs import (
     Anchor,
+    RunBound,
     RunCancelled,
     RunCancelling,
     RunCompleted,
@@ -226,7 +227,9 @@ EXAMPLES: list[Event] = [
         campaign="C1",  # type: ignore[arg-type]
         row=4,
         reads={"k": 0},
+        choices=("p", "q"),
     ),
+    RunBound("R1", "q", {"k": "c/m"}, "R0", "why"),  # type: ignore[arg-type,dict-item]
     RunStarted("R1"),  # type: ignore[arg-type]
     RunPaused("R1"),  # type: ignore[arg-type]
     RunResumed("R1"),  # type: ignore[arg-type]

@@ -1,0 +1,71 @@
+"""Which of several modules does a step: a run has a plan for each choice, and is bound to one of them."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.ids import RunId
+from labos.core.model import Plan
+from labos.core.runs import PENDING, SKIPPED, RunBound, RunState, RunStatus, modules_chosen
+from labos.core.state import LabState
+
+MOST_PLANS = 16
+"""So many plans a run may choose from."""
+
+
+class BindAnew(Command, frozen=True):
+    """A run that was let in goes on by another of its plans, as a module of the one that it has is down.
+    ``why`` is for people."""
+
+    run: RunId
+    plan: str
+    why: str
+
+
+@decides(BindAnew)
+def bind_anew(state: LabState, command: BindAnew) -> Decision:
+    run = state.runs.active.get(command.run)
+    if run is None or command.plan == run.plan or not can_change_to(state, run, command.plan):
+        return Rejection("bound", f"{command.run} cannot go on by another of its plans.")
+    return [bind(state, msgspec.structs.replace(run, plan=command.plan), command.why)]
+
+
+def bind(state: LabState, run: RunState, why: str = "") -> RunBound:
+    """A run is bound to the plan that it has here."""
+    chosen = modules_chosen(state.runs, run)
+    return RunBound(run.id, run.plan, chosen, state.runs.planned_by(run.plan), why)
+
+
+def can_change_to(state: LabState, run: RunState, plan: str) -> bool:
+    """Whether a run inside could go on by a plan: it is one of its own, and what has begun is the same in
+    it."""
+    if plan not in run.choices or run.status != RunStatus.ACTIVE:
+        return False
+    old, new = state.runs.plan_of(run), state.runs.plans[plan].plan
+    return all(
+        step.status in (PENDING, SKIPPED) or old.steps[index] == new.steps[index]
+        for index, step in enumerate(run.steps)
+    )
+
+
+def unlike(first: Plan, others: tuple[Plan, ...]) -> Rejection | None:
+    """Why plans are not the same steps on other modules."""
+    if len(others) >= MOST_PLANS:
+        return Rejection(
+            "too_many_choices",
+            f"{first.workflow!r} has {len(others) + 1} plans to choose from; {MOST_PLANS} may be.",
+            "Name fewer modules, or let a step say `same as`.",
+        )
+    keys = [(step.key, step.part) for step in first.steps]
+    for other in others:
+        if other.workcell != first.workcell or [(step.key, step.part) for step in other.steps] != keys:
+            return Rejection(
+                "unlike",
+                f"The plans of {first.workflow!r} for its choices differ in more than their modules.",
+                "Name the `module:` of transfers between modules that are chosen.",
+            )
+    return None
+
+
+__all__ = ["MOST_PLANS", "BindAnew", "bind", "bind_anew", "can_change_to", "unlike"]

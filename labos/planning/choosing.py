@@ -1,0 +1,82 @@
+"""Which of several modules does a step of a run: of its plans, the one by whose modules it is done first.
+
+A run is bound to a plan when it is let in, and to another one only if a module that it still needs is down,
+what it has begun is the same in both, and nobody loses the way to the end by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+
+from labos.core.decide.choices import BindAnew, can_change_to
+from labos.core.ids import ModuleName, local
+from labos.core.rules import lab_ns
+from labos.core.runs import SETTLED, RunState, modules_chosen, options
+from labos.core.state import LabState
+from labos.planning.layout import down
+from labos.planning.safety import Safety
+from labos.planning.stuck import find_block
+
+
+def options_in_order(state: LabState, run: RunState, now: int) -> list[RunState]:
+    """A run that waits as it would be with each of its plans, the one first by whose modules it would be done
+    first; one that has no choice as it is."""
+    found = options(run)
+    if len(found) == 1:
+        return found
+    loads: dict[ModuleName, int] = {}
+
+    def done_in(option: RunState) -> int:
+        chosen = set(modules_chosen(state.runs, option).values())
+        for module in chosen - loads.keys():
+            loads[module] = _load(state, module, now)
+        return max((loads[module] + _own(state, option, module) for module in chosen), default=0)
+
+    return sorted(found, key=done_in)
+
+
+def _load(state: LabState, module: ModuleName, now: int) -> int:
+    """How long a module still has to work for the runs inside (lab time in wall ns)."""
+    cell = module.partition("/")[0]
+    total = 0
+    for run in state.runs.inside(cell):
+        steps = state.runs.plan_of(run).steps
+        for index, step in enumerate(run.steps):
+            if steps[index].module == module and step.status not in SETTLED:
+                total += lab_ns(state, steps[index].duration_s)
+    for action in state.actions.within(cell):
+        if action.module == module:
+            total -= max(0, now - action.requested_at)
+    return max(0, total)
+
+
+def _own(state: LabState, run: RunState, module: ModuleName) -> int:
+    return sum(lab_ns(state, s.duration_s) for s in state.runs.plan_of(run).steps if s.module == module)
+
+
+def changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:
+    """The runs inside that go on by another of their plans, as a module that they need is down."""
+    if not state.runs.choosing:
+        return
+    cells = {state.runs.plan_of(state.runs.active[name]).workcell for name in state.runs.choosing}
+    dead = {name for cell in cells for name in state.modules.in_cell.get(cell, ()) if down(state, name)}
+    for name in list(state.runs.choosing) if dead else ():
+        run = state.runs.active[name]
+        cause = next((module for module in _needed(state, run) if module in dead), None)
+        if cause is None:
+            continue
+        for plan in run.choices:
+            option = msgspec.structs.replace(run, plan=plan)
+            if plan == run.plan or not can_change_to(state, run, plan) or dead & set(_needed(state, option)):
+                continue
+            if find_block(state, option) is None and safety.may_change(state, option):
+                yield BindAnew(run.id, plan, f"{local(cause)} cannot be used")
+                break
+
+
+def _needed(state: LabState, run: RunState) -> Iterator[ModuleName]:
+    """The modules of the steps that a run has yet to do."""
+    steps = state.runs.plan_of(run).steps
+    return (steps[i].module for i, step in enumerate(run.steps) if step.status not in SETTLED)

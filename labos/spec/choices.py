@@ -1,0 +1,232 @@
+"""Steps that one of several modules may do: ``module: any ot2``, ``module: any ot2_a, ot2_b``.
+
+The workflow is compiled once for each choice. In every one of these plans a step that says ``same as`` has
+the module of the step that it names, and ``${<step>.module}`` in arguments is that module's name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import product
+from math import prod
+from typing import Any
+
+import msgspec
+
+from labos.core.decide.choices import MOST_PLANS
+from labos.core.ids import local
+from labos.core.model import Plan, Workcell
+from labos.spec.findings import near
+from labos.spec.models import ANY_OF, SAME_AS, RunSteps, StepEntry, WorkflowFile
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_
+
+_MODULE_OF = re.compile(r"\$\{(?!payload[.:])([^{}]+)\.module\}")
+
+
+class Bound(msgspec.Struct, frozen=True):
+    """A workflow in which each step has one module, and which were chosen, by the steps' names."""
+
+    file: WorkflowFile
+    chosen: dict[str, str] = {}
+
+
+def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> list[Bound]:
+    """The workflow once for each choice of modules; as it is if it leaves none. Faults go to the remarks."""
+    known = {local(module.name): module.driver for module in workcell.modules}
+    choices: dict[str, Sequence[str]] = {}
+    for path, entry in _entries(file):
+        if entry.module in known:
+            continue
+        if entry.module.startswith(ANY_OF) and not _is_step(path):
+            remarks.error(
+                f"Step {entry.name!r} is for an emergency and has no choice of modules.",
+                (*path, "module"),
+                "Name the module, or the step of the workflow that it goes with: `module: same as <step>`.",
+            )
+        elif entry.module.startswith(ANY_OF):
+            choices[entry.name] = _modules_meant(entry, (*path, "module"), known, remarks)
+    count = prod(len(names) for names in choices.values())
+    if count > MOST_PLANS:
+        remarks.error(
+            f"There are {count} ways to choose the modules of this workflow, and {MOST_PLANS} may be.",
+            ("steps",),
+            "Name fewer modules, or let steps go together: `module: same as <step>`.",
+        )
+    references = _check_references(file, known, remarks)
+    if remarks.report.errors or not (choices or references):
+        return [Bound(file)]
+    combinations = product(*choices.values())
+    return [_bind(file, dict(zip(choices, names, strict=True)), known) for names in combinations]
+
+
+def list_choices(plans: Sequence[Plan]) -> dict[str, list[str]]:
+    """The modules between which plans choose, by the key of the step."""
+    found: dict[str, list[str]] = {}
+    for steps in zip(*(plan.steps for plan in plans), strict=True):
+        names = list(dict.fromkeys(local(step.module) for step in steps))
+        if len(names) > 1:
+            found[steps[0].key] = names
+    return found
+
+
+def describe_choices(choices: Mapping[str, Sequence[str]]) -> list[str]:
+    """What may be done by which modules, one sentence for each group of these."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for key, names in choices.items():
+        groups.setdefault(tuple(names), []).append(repr(key))
+    return [f"By {_listed(names, 'or')}: {', '.join(keys)}." for names, keys in groups.items()]
+
+
+def expand_lists(file: WorkflowFile) -> list[WorkflowFile]:
+    """The workflow once for each choice between modules that it names, whatever the workcell has."""
+    choices = {
+        entry.name: names
+        for _, entry in _entries(file)
+        if entry.module.startswith(ANY_OF) and "," in entry.module and (names := _names(entry.module))
+    }
+    if not choices or prod(map(len, choices.values())) > MOST_PLANS:
+        return [file]
+    return [
+        _bind(file, dict(zip(choices, names, strict=True)), {}).file for names in product(*choices.values())
+    ]
+
+
+def is_left_open(entry: StepEntry) -> bool:
+    """Whether only a workcell tells which module a step, or a place in its arguments, belongs to."""
+    return entry.module.startswith((ANY_OF, SAME_AS)) or any(_steps_meant(v) for _, v in _values(entry))
+
+
+def _listed(names: Sequence[str], word: str) -> str:
+    return f" {word} ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def _names(module: str) -> list[str]:
+    return list(
+        dict.fromkeys(name.strip() for name in module.removeprefix(ANY_OF).split(",") if name.strip())
+    )
+
+
+def _modules_meant(
+    entry: StepEntry, path: Path_, known: Mapping[str, str], remarks: Remarks
+) -> Sequence[str]:
+    """The modules of a step that says ``any``: those that it lists, or all with a driver."""
+    names = _names(entry.module)
+    if len(names) == 1 and "," not in entry.module:
+        found = [name for name, driver in known.items() if driver == names[0]]
+        if not found:
+            remarks.error(
+                f"Step {entry.name!r}: no module of the workcell has the driver {names[0]!r}.",
+                path,
+                f"{near(names[0], set(known.values()), 'driver')} Or list modules: `{{any: [a, b]}}`.",
+            )
+        return found
+    for name in names:
+        if name not in known:
+            remarks.error(
+                f"Step {entry.name!r}: there is no module {name!r} to choose.",
+                path,
+                near(name, known, "module"),
+            )
+    return names
+
+
+def _check_references(file: WorkflowFile, known: Mapping[str, str], remarks: Remarks) -> bool:
+    """Whether a step says that its module, or a place of it, is that of another one."""
+    names = [entry.name for path, entry in _entries(file) if _is_step(path) and entry.module]
+    found = False
+    for path, entry in _entries(file):
+        said = [(name, (*path, where)) for where, value in _values(entry) for name in _steps_meant(value)]
+        if entry.module.startswith(SAME_AS) and entry.module not in known:
+            said.append((entry.module.removeprefix(SAME_AS).strip(), (*path, "module")))
+        for name, at in said:
+            found = True
+            _check_reference(entry, name, at, names, remarks)
+    for key in file.hold:
+        for name in _steps_meant(key):
+            found = True
+            if name not in names:
+                remarks.error(
+                    f"There is no step {name!r}.", ("hold", key), near(name, names, "step"), key=True
+                )
+    return found
+
+
+def _check_reference(entry: StepEntry, name: str, at: Path_, names: Sequence[str], remarks: Remarks) -> None:
+    if name == entry.name and at[-1] == "module":
+        remarks.error(f"Step {name!r} has the module of itself.", at, "Name another step.")
+    elif name not in names:
+        remarks.error(
+            f"Step {entry.name!r}: there is no step {name!r} with a module.", at, near(name, names, "step")
+        )
+    elif names.count(name) > 1:
+        remarks.error(
+            f"Step {entry.name!r}: several steps are called {name!r}.", at, "Give each a name of its own."
+        )
+
+
+def _entries(file: WorkflowFile) -> Iterator[tuple[Path_, StepEntry]]:
+    on_cancel = file.on_cancel if isinstance(file.on_cancel, list) else []
+    for top, entries in (("steps", file.steps), ("on_cancel", on_cancel)):
+        for index, entry in enumerate(entries):
+            yield (top, index), entry
+            if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
+                for number, inner in enumerate(entry.on_error.run):
+                    yield (top, index, "on_error", "run", number), inner
+
+
+def _is_step(path: Path_) -> bool:
+    """Whether an entry is a step of the workflow itself, not one for emergencies."""
+    return path[0] == "steps" and len(path) == 2
+
+
+def _values(entry: StepEntry) -> Iterable[tuple[str, Any]]:
+    return (("args", entry.args), ("payload", entry.payload))
+
+
+def _steps_meant(value: Any) -> list[str]:
+    """The steps whose modules a value names."""
+    if isinstance(value, str):
+        return _MODULE_OF.findall(value)
+    if isinstance(value, list | dict):
+        items = value.values() if isinstance(value, dict) else value
+        return [name for item in items for name in _steps_meant(item)]
+    return []
+
+
+def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str]) -> Bound:
+    modules = {e.name: chosen.get(e.name, e.module) for p, e in _entries(file) if _is_step(p) and e.module}
+    for _ in modules:  # one may be the same as one that is the same as a third
+        for name, module in modules.items():
+            if module.startswith(SAME_AS) and module not in known:
+                modules[name] = modules.get(module.removeprefix(SAME_AS).strip(), module)
+
+    def fill(value: Any) -> Any:
+        if isinstance(value, str):
+            return _MODULE_OF.sub(lambda found: modules.get(found[1], found[0]), value)
+        if isinstance(value, list):
+            return [fill(item) for item in value]
+        return {key: fill(item) for key, item in value.items()} if isinstance(value, dict) else value
+
+    def bind(entry: StepEntry, *, own: bool) -> StepEntry:
+        module = entry.module
+        if own and entry.name in modules and module:
+            module = modules[entry.name]
+        elif module.startswith(SAME_AS) and module not in known:
+            module = modules.get(module.removeprefix(SAME_AS).strip(), module)
+        change: dict[str, Any] = {"module": module} if module != entry.module else {}
+        for name, value in _values(entry):
+            if (filled := fill(value)) != value:
+                change[name] = filled
+        if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
+            inner = [bind(each, own=False) for each in entry.on_error.run]
+            if inner != entry.on_error.run:
+                change["on_error"] = entry.on_error.model_copy(update={"run": inner})
+        return entry.model_copy(update=change) if change else entry
+
+    changed: dict[str, Any] = {"steps": [bind(entry, own=True) for entry in file.steps]}
+    if isinstance(file.on_cancel, list):
+        changed["on_cancel"] = [bind(entry, own=False) for entry in file.on_cancel]
+    changed["hold"] = {fill(key): value for key, value in file.hold.items()}
+    return Bound(file.model_copy(update=changed), dict(chosen))
