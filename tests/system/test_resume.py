@@ -66,7 +66,11 @@ class Program:
     def live(self, die: str = "") -> list[float] | None:
         """One life: what it printed, or None if it was killed."""
         process = self.start(die)
-        said, _ = process.communicate(timeout=100)
+        try:
+            said, _ = process.communicate(timeout=100)
+        finally:
+            process.kill()
+            process.wait()
         assert process.returncode in (0, -signal.SIGKILL), self.up.said()
         return json.loads(said) if process.returncode == 0 else None
 
@@ -87,6 +91,7 @@ class Program:
             lived = process.poll() is None
         finally:
             process.kill()
+            process.wait()
             process.communicate()
         return lived
 
