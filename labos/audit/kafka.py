@@ -262,16 +262,18 @@ class KafkaSink:
         """The last event of this lab in the topic; what is kept beside the log, if the topic has none any
         more; 0 for a topic in which nothing was ever."""
         from confluent_kafka import Consumer, KafkaError, KafkaException, TopicPartition
+        from confluent_kafka.admin import AdminClient
 
         settings = {"group.id": "labos", "enable.auto.commit": False, "enable.partition.eof": True}
         consumer = self._client(Consumer, settings)
+        admin = self._client(AdminClient, {})
         try:
             where = TopicPartition(self._topic.name, PARTITION)
             ends: list[tuple[int, int]] = []
 
             def ask() -> bool:
                 try:
-                    self._make_topic()
+                    self._make_topic(admin)
                     ends[:] = [consumer.get_watermark_offsets(where, timeout=WAIT_S)]
                 except KafkaException as error:
                     self._on_error(error.args[0])
@@ -301,12 +303,11 @@ class KafkaSink:
         finally:
             consumer.close()
 
-    def _make_topic(self) -> None:
+    def _make_topic(self, admin: Any) -> None:
         """With one partition, unless it is there. Raises KafkaException."""
         from confluent_kafka import KafkaError, KafkaException
-        from confluent_kafka.admin import AdminClient, NewTopic  # type: ignore[attr-defined]
+        from confluent_kafka.admin import NewTopic  # type: ignore[attr-defined]
 
-        admin = self._client(AdminClient, {})
         if self._topic.name in admin.list_topics(timeout=WAIT_S).topics:
             return
         try:
