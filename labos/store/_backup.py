@@ -9,6 +9,7 @@ a seal if a key was given. The folder is verified by itself, without a database.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -28,6 +29,9 @@ from labos.store._segment import chained, file_digest, read_segment, write_segme
 
 FORMAT = 1
 MANIFEST = "backup.json"
+
+
+_FILE = re.compile(r"\w[\w.-]*", re.ASCII)
 
 
 class Segment(msgspec.Struct, frozen=True, omit_defaults=False):
@@ -141,6 +145,12 @@ def read_backup(folder: Path) -> Backup:
             f"{folder} was written by a newer LabOS (format {found.format}; this one knows {FORMAT}).",
             remedy="Upgrade this installation: pip install --upgrade labos-sdl",
         )
+    for segment in found.segments:
+        if not _FILE.fullmatch(segment.file):  # it is read from, and moved to, places beside the manifest
+            raise BadInput(
+                f"The manifest of {folder} names {segment.file[:80]!r}, which is no segment.",
+                remedy="Somebody has changed it: take another copy of the backup.",
+            )
     return found
 
 
