@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path, PurePath
+from pathlib import Path, PurePath, PureWindowsPath
 from typing import TYPE_CHECKING
 
 import click
@@ -20,6 +20,7 @@ from labos.cli._query import (
     open_database,
     open_log,
 )
+from labos.core.texts import CONTROL
 from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader
 from labos.services.files import ResultFile, files_of
@@ -160,6 +161,13 @@ def _find_files(found: list[ResultFile], run: str, file: str) -> list[ResultFile
     return wanted
 
 
+def _name_of(told: ResultFile) -> str:
+    """What a file is called here: nodes name files, and a name may not lead out of the folder."""
+    name = PureWindowsPath(Path(told.file).name).name
+    fits = name not in ("", ".", "..") and not CONTROL.search(name)
+    return name if fits else f"file-{told.sha256[:SHORT]}"
+
+
 def _fetch(blobs: BlobReader, found: list[ResultFile], to: str, *, one: bool) -> list[str]:
     """Write files; returns where. Raises BadInput if one is there already, NotFound, LogDamaged."""
     if to == "-":
@@ -170,7 +178,7 @@ def _fetch(blobs: BlobReader, found: list[ResultFile], to: str, *, one: bool) ->
     into_folder = not one or folder.is_dir() or to.endswith(("/", "\\"))
     targets: dict[Path, ResultFile] = {}
     for told in found:
-        path = folder / Path(told.file).name if into_folder else folder
+        path = folder / _name_of(told) if into_folder else folder
         known = targets.get(path)
         if known is not None and known.sha256 != told.sha256:
             path = path.with_name(f"{told.step}-{told.sha256[:SHORT]}-{path.name}".replace("/", "_"))

@@ -19,6 +19,7 @@ async def send_file(request: Request, digest: str, blobs: BlobStore) -> Response
     """The file with a SHA-256, or the range of it that is asked for. A file of this name never
     changes. Raises NotFound, LogDamaged, StoreUnavailable."""
     headers = {"accept-ranges": "bytes", "etag": f'"{digest}"', "cache-control": "private, immutable"}
+    headers["x-content-type-options"] = "nosniff"  # a device's file is no page of this server
     if request.headers.get("if-none-match") == headers["etag"]:
         return Response(status_code=304, headers=headers)
     data = await asyncio.to_thread(blobs.get, digest)

@@ -10,6 +10,7 @@ verified by itself, without a database.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -30,6 +31,9 @@ from labos.store._words_copy import WordsExpected, copy_words
 
 FORMAT = 1
 MANIFEST = "backup.json"
+
+
+_FILE = re.compile(r"\w[\w.-]*", re.ASCII)
 
 
 class Segment(msgspec.Struct, frozen=True, omit_defaults=False):
@@ -144,6 +148,12 @@ def read_backup(folder: Path) -> Backup:
             f"{folder} was written by a newer LabOS (format {found.format}; this one knows {FORMAT}).",
             remedy="Upgrade this installation: pip install --upgrade labos-sdl",
         )
+    for segment in found.segments:
+        if not _FILE.fullmatch(segment.file):  # it is read from, and moved to, places beside the manifest
+            raise BadInput(
+                f"The manifest of {folder} names {segment.file[:80]!r}, which is no segment.",
+                remedy="Somebody has changed it: take another copy of the backup.",
+            )
     return found
 
 
