@@ -25,6 +25,7 @@ from labos.node.node import Node, Setup
 from labos.node.server import NodeServer
 from labos.node.world import World
 from labos.planning.scheduler import Scheduler
+from labos.ports import Bus
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
@@ -118,6 +119,10 @@ class Processes:
         self._process_of: dict[Kernel, Process] = {}
         self._serving: list[Kernel] = []
         self.before_restart: Callable[[], None] = lambda: None
+
+    def files_of(self, bus: Bus) -> Files:
+        """Where a node leaves its files."""
+        return NotedFiles(bus, "", Path())
 
     @property
     def processes(self) -> list[Process]:
@@ -290,7 +295,7 @@ class Processes:
             ids,
             heartbeat_s=HEARTBEAT_S,
             idle_poll_s=5.0,
-            files=NotedFiles(bus, "", Path()),
+            files=self.files_of(bus),
         )
         await server.start()
 

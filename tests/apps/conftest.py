@@ -15,7 +15,7 @@ from labos.settings import Settings
 from labos.spec import find_spec, load_workcell, parse_workcell
 from labos.spec.library import specs_folder
 
-for app in ("polymers", "pendant_drop"):
+for app in ("polymers", "pendant_drop", "color_picker", "pcr"):
     sys.path.append(str(specs_folder() / "apps" / app))
 
 OpenLab = Callable[..., AbstractContextManager[LabThread]]

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from PIL import Image
 
 from labos.spec.library import specs_folder
 
 APPS = specs_folder() / "apps"
 BLUE = (44.0, 12.0, -55.0)
+GREY = (120.0, 120.0, 120.0)
 
 
 def draw_polymers() -> Figure:
@@ -51,7 +53,49 @@ def draw_pendant_drop() -> Figure:
     return draw_rates(drops)
 
 
-PICTURES = {"polymers": draw_polymers, "pendant_drop": draw_pendant_drop}
+def draw_color_picker() -> Figure:
+    """A plate after four batches, as the simulated camera shows it, and how near they came."""
+    from color_picker import WELLS
+    from color_report import Sample, draw_samples
+    from color_solvers import distance, solver_of
+    from plate_reading import read_plate
+
+    from tests.apps.plates import Plate
+
+    plate, solver, samples = Plate(), solver_of("evolutionary", GREY, 3), list[Sample]()
+    for batch in range(4):
+        wells, mixtures = WELLS[12 * batch : 12 * batch + 12], solver.ask(12)
+        plate.mix(wells, mixtures)
+        picture = plate.picture()
+        read = read_plate(picture, wells).colors
+        fresh = [
+            Sample(well, mixture, read[well], distance(read[well], GREY), 0)
+            for well, mixture in zip(wells, mixtures, strict=True)
+        ]
+        solver.tell(mixtures, [sample.color for sample in fresh])
+        samples += fresh
+    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.imshow(Image.open(io.BytesIO(picture)))
+    left.set(xticks=[], yticks=[], title="what the camera sees")
+    draw_samples(right, samples)
+    right.set_title("distance to (120, 120, 120)")
+    return figure
+
+
+def draw_pcr() -> Figure:
+    """The thermal programme of the standard payload."""
+    import pcr
+
+    return pcr.draw_programme(pcr.read_wanted(APPS / "pcr" / "payloads" / "standard.yaml").programme)
+
+
+PICTURES = {
+    "color_picker": draw_color_picker,
+    "pcr": draw_pcr,
+    "polymers": draw_polymers,
+    "pendant_drop": draw_pendant_drop,
+}
 
 
 def drawn(app: str) -> bytes:

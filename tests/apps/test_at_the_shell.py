@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import color_picker
+import pcr
 import pendant_drop
 import polymers
 import pytest
 
 
-@pytest.mark.parametrize("app", [polymers, pendant_drop])
+@pytest.mark.parametrize("app", [polymers, pendant_drop, color_picker, pcr])
 def test_what_is_wrong_is_one_line_that_names_the_file(
     app: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -21,7 +23,7 @@ def test_what_is_wrong_is_one_line_that_names_the_file(
     assert "Traceback" not in told
 
 
-@pytest.mark.parametrize("app", [polymers, pendant_drop])
+@pytest.mark.parametrize("app", [polymers, pendant_drop, color_picker, pcr])
 def test_without_a_lab_it_says_so(
     app: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

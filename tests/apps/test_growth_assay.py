@@ -53,11 +53,12 @@ def test_on_bio(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
             kinds = {note["payload"]["kind"] for note in client.events(type="experiment.noted")}
             leaves_the_bench_clean(client, World(str(lab.runtime.settings.world("bio"))))
     assert "growth assay: IC50 0.9" in told or "growth assay: IC50 0.8" in told
-    assert f"the data is in {out / 'E1'}, and in the log as E1." in told
+    assert told.rstrip().endswith(str(out / "E1" / "index.html"))
+    assert "experiment E1 in the lab's log" in told
     assert kinds == {"loop_started", "loop_ended", "local_compute", "publication"}
     folder = out / "E1"
     assert (folder / "growth.png").read_bytes().startswith(b"\x89PNG")
-    assert "data:image/png;base64," in (folder / "growth.html").read_text()
+    assert "data:image/png;base64," in (folder / "index.html").read_text()
     data = json.loads((folder / "readings.json").read_text())
     assert data["curve"]["ic50"] == pytest.approx(TRUTH, rel=TOLERANCE)
     made = [run for run in runs if run.workflow == "create_plate"]

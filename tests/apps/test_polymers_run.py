@@ -36,14 +36,14 @@ def test_a_colour_is_found_and_its_data_is_where_the_last_line_says(
         assert [note["met"] for note in notes(client, "near enough")][-1] is True
         until_clean(client)
         assert standing(client) == []
-    with (out / "samples.csv").open() as file:
+    with (out / "data.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert min(float(row["difference_CIE2000"]) for row in rows) <= 1.0
     for picture in ("spectra.png", "convergence.png"):
         with Image.open(out / picture) as image:
             assert image.width > 500
     page = (out / "index.html").read_text()
-    assert all(name in page for name in ("spectra.png", "convergence.png", "samples.csv", "experiment E1"))
+    assert all(name in page for name in ("spectra.png", "convergence.png", "data.csv", "experiment E1"))
     world = World(str(lab.settings.world("cnm")))
     assert world.crashes() == []
     world.close()

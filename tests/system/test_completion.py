@@ -57,7 +57,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("labos samples show P1", ["P1"]),
         ("labos submit pc", ["pcr", "pc"]),
         ("labos plan cp_n", ["cp_newplate", "cp_n"]),
-        ("labos up rp", ["rpl", "rpl_growth", "rp"]),
+        ("labos up rp", ["rpl", "rpl_growth", "rpl_picker", "rp"]),
         ("labos driver describe pf", ["pf400"]),
         ("labos access ", ["rpl"]),
         ("labos can", ["cancel"]),

@@ -13,19 +13,20 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from labos.client import Experiment, LabClient, RunResult
-from labos.errors import LabosError
+from labos.client.report import Report, parser_for, run_program
+from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [path for path in [str(HERE)] if path not in sys.path]
 
 from growth_analysis import BadReading, Curve, check, fit  # noqa: E402
 from growth_layout import DRUG  # noqa: E402
-from growth_plots import draw, write_page  # noqa: E402
+from growth_plots import write_growth_report  # noqa: E402
 
 MOST_PLATES = 20
 """Of the first stacker of the incubator."""
@@ -38,7 +39,7 @@ class Outcome(NamedTuple):
     curve: Curve
     plates: int
     bad: list[str]
-    folder: Path
+    report: Report
 
 
 def assay(lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int = 1) -> Outcome:
@@ -65,9 +66,10 @@ def assay(lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int
         first, last_ = [pair[0] for pair in good], [pair[1] for pair in good]
         curve = fit(first, last_)
         experiment.note("local_compute", "dose-response curve", plates=len(good), **curve._asdict())
-        written = _write(folder / experiment.id, experiment.id, first, last_, curve)
-        experiment.note("publication", "plots and table", files=[str(path) for path in written])
-    return Outcome(experiment.id, curve, len(good), bad, folder / experiment.id)
+        data = json.dumps({"T0": first, "T12": last_, "curve": curve._asdict()}, indent=1)
+        report = write_growth_report(experiment, folder / experiment.id, first, last_, curve)
+        (folder / experiment.id / "readings.json").write_text(data, "utf-8")
+    return Outcome(experiment.id, curve, len(good), bad, report)
 
 
 def _submit(experiment: Experiment, flow: Path, payload: Mapping[str, Any]) -> str:
@@ -106,47 +108,27 @@ def _sorted_out(
     return good, bad
 
 
-def _write(
-    folder: Path,
-    experiment: str,
-    first: Sequence[Mapping[str, float]],
-    last: Sequence[Mapping[str, float]],
-    curve: Curve,
-) -> list[Path]:
-    folder.mkdir(parents=True, exist_ok=True)
-    picture, data = folder / "growth.png", folder / "readings.json"
-    draw(first, last, curve, DRUG).savefig(picture, dpi=120)
-    data.write_text(json.dumps({"T0": list(first), "T12": list(last), "curve": curve._asdict()}, indent=1))
-    page = write_page(folder, experiment, picture.read_bytes(), curve, first, last)
-    return [picture, page, data]
+def prepare(given: argparse.Namespace) -> Callable[[LabClient], list[str]]:
+    if not 1 <= given.plates <= MOST_PLATES:
+        raise BadInput(f"--plates is {given.plates}.", remedy=f"Give 1 to {MOST_PLATES}.")
+
+    def work(lab: LabClient) -> list[str]:
+        found = assay(lab, given.user, given.workcell, given.out or Path("growth"), plates=given.plates)
+        ic50, error = found.curve.ic50, found.curve.ic50_error
+        return [
+            *(f"left out: {why}" for why in found.bad),
+            f"IC50 {ic50:.3f} ± {error:.3f} mg/L of {DRUG}, from {found.plates} plates.",
+            found.report.line,
+        ]
+
+    return work
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Find how much of a drug halves the growth of bacteria.")
-    parser.add_argument("--home", help="the lab's folder")
-    parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
-    parser.add_argument("--user", default="bo", help="whose experiment it is")
+    parser = parser_for("Find how much of a drug halves the growth of bacteria.", user="bo", out="growth")
     parser.add_argument("--workcell", choices=("rpl", "bio"), default="rpl", help="where it runs")
     parser.add_argument("--plates", type=int, default=1, help=f"how many, {MOST_PLATES} at the most")
-    parser.add_argument("--out", type=Path, default=Path("growth"), help="the folder for plots and tables")
-    parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
-    given = parser.parse_args()
-    if not 1 <= given.plates <= MOST_PLATES:
-        parser.error(f"--plates is {given.plates}: give 1 to {MOST_PLATES}.")
-    try:
-        with LabClient(given.url, home=given.home, patience_s=given.patience) as lab:
-            found = assay(lab, given.user, given.workcell, given.out, plates=given.plates)
-    except LabosError as error:
-        print(f"growth assay: {error}", file=sys.stderr)  # noqa: T201
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    for why in found.bad:
-        print(f"growth assay: left out: {why}", file=sys.stderr)  # noqa: T201
-    ic50, error = found.curve.ic50, found.curve.ic50_error
-    print(f"growth assay: IC50 {ic50:.3f} ± {error:.3f} mg/L of {DRUG}, from {found.plates} plates.")  # noqa: T201
-    print(f"growth assay: the data is in {found.folder}, and in the log as {found.experiment}.")  # noqa: T201
-    return 0
+    return run_program("growth assay", parser, prepare)
 
 
 if __name__ == "__main__":

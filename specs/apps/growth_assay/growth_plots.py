@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from growth_analysis import Column, Curve, summarise
+from growth_layout import DRUG
 from matplotlib.figure import Figure
+
+from labos.client import Experiment
+from labos.client.report import Report, write_report
 
 NO_DOSE = 0.03
 """Where wells without a drug are drawn: a logarithmic axis has no zero (mg/L)."""
@@ -60,34 +62,33 @@ def _over_plates(readings: Sequence[Mapping[str, float]]) -> list[Column]:
     ]
 
 
-def write_page(
+def write_growth_report(
+    experiment: Experiment,
     folder: Path,
-    experiment: str,
-    picture: bytes,
-    curve: Curve,
     first: Sequence[Mapping[str, float]],
     last: Sequence[Mapping[str, float]],
-) -> Path:
-    """A page that needs nothing else: the picture, the fit, and a table of the doses."""
-    rows = "".join(
-        f"<tr><td>{before.dose:g}</td><td>{before.mean:.3f} ± {before.error:.3f}</td>"
-        f"<td>{after.mean:.3f} ± {after.error:.3f}</td></tr>"
-        for before, after in zip(_over_plates(first), _over_plates(last), strict=True)
+    curve: Curve,
+) -> Report:
+    """The picture, the fit, and a table of the doses (means and standard errors)."""
+    columns = zip(_over_plates(first), _over_plates(last), strict=True)
+    return write_report(
+        experiment,
+        folder,
+        "Growth assay",
+        said=[
+            f"{len(first)} plates. IC50 {curve.ic50:.3f} ± {curve.ic50_error:.3f} mg/L, "
+            f"Hill coefficient {curve.hill:.2f}."
+        ],
+        pictures={"growth.png": ("dose-response curve", draw(first, last, curve, DRUG))},
+        table=[
+            {
+                "mg_per_l": before.dose,
+                "OD590_at_T0": before.mean,
+                "error_at_T0": before.error,
+                "OD590_at_T12": after.mean,
+                "error_at_T12": after.error,
+            }
+            for before, after in columns
+        ],
+        files="the reader's tables",
     )
-    shown = base64.b64encode(picture).decode()
-    name = html.escape(experiment)
-    page = folder / "growth.html"
-    page.write_text(
-        f"""<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>Growth assay {name}</title>
-<style>body {{ font: 15px sans-serif; margin: 2em }} td, th {{ padding: 2px 12px; text-align: right }}</style>
-<h1>Growth assay {name}</h1>
-<p>{len(first)} plates. IC50 {curve.ic50:.3f} ± {curve.ic50_error:.3f} mg/L,
-Hill coefficient {curve.hill:.2f}.</p>
-<img alt="dose-response curve" src="data:image/png;base64,{shown}">
-<table><tr><th>mg/L</th><th>OD590 at T0</th><th>OD590 at T12</th></tr>{rows}</table>
-</html>
-""",
-        encoding="utf-8",
-    )
-    return page

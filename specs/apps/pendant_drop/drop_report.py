@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import html
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +11,9 @@ import numpy as np
 from drop_dynamics import Dynamics, radius_of
 from matplotlib.figure import Figure
 from PIL import Image
+
+from labos.client import Experiment
+from labos.client.report import Report, write_report
 
 
 class Drop(NamedTuple):
@@ -43,25 +45,42 @@ def summary_of(drops: Sequence[Drop], viscosity: float) -> Summary:
     return Summary(mean, max(within, between), radius_of(mean, temperature, viscosity))
 
 
-def write_report(folder: Path, drops: Sequence[Drop], viscosity: float, where: str) -> Path:
-    """Write ``g2.png``, ``rates.png``, ``drop.png``, ``drops.csv`` and ``index.html``; returns the page."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "drops.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(["well", "diffusion_m2_per_s", "error_m2_per_s", "radius_nm"])
-        for drop in drops:
-            radius = radius_of(drop.dynamics.diffusion, drop.temperature, viscosity)
-            table.writerow([drop.well, drop.dynamics.diffusion, drop.dynamics.error, radius * 1e9])
-    draw_g2(drops[0]).savefig(folder / "g2.png", dpi=110)
-    draw_rates(drops).savefig(folder / "rates.png", dpi=110)
-    write_pictures(folder / "drop.png", drops[0].microscope, drops[0].frame)
-    page = folder / "index.html"
-    page.write_text(_page(drops, summary_of(drops, viscosity), where), "utf-8")
-    return page
+def write_drop_report(
+    experiment: Experiment, folder: Path | None, drops: Sequence[Drop], viscosity: float
+) -> Report:
+    """Plots, table and page."""
+    found = summary_of(drops, viscosity)
+    return write_report(
+        experiment,
+        folder or Path(f"drops-{experiment.id}"),
+        "Pendant drop",
+        said=[
+            f"Diffusion coefficient {found.diffusion * 1e12:.3f} ± {found.error * 1e12:.3f} µm²/s; "
+            f"hydrodynamic radius {found.radius * 1e9:.1f} nm."
+        ],
+        pictures={
+            "rates.png": ("rates over q squared", draw_rates(drops)),
+            "g2.png": ("intensity correlation of the first drop", draw_g2(drops[0])),
+            "drop.png": (
+                "the first drop under the microscope, and a frame of the detector",
+                side_by_side(drops[0].microscope, drops[0].frame),
+            ),
+        },
+        table=[
+            {
+                "well": drop.well,
+                "diffusion_m2_per_s": drop.dynamics.diffusion,
+                "error_m2_per_s": drop.dynamics.error,
+                "radius_nm": radius_of(drop.dynamics.diffusion, drop.temperature, viscosity) * 1e9,
+            }
+            for drop in drops
+        ],
+        files="series and pictures",
+    )
 
 
-def write_pictures(path: Path, microscope: np.ndarray, frame: np.ndarray) -> None:
-    """The drop as the microscope sees it, and a frame of the detector, beside each other."""
+def side_by_side(microscope: np.ndarray, frame: np.ndarray) -> bytes:
+    """The drop as the microscope sees it, and a frame of the detector, as a PNG."""
     shown = (255 * (frame / max(int(frame.max()), 1))).astype("uint8")
     left, right = (
         Image.fromarray(picture).resize((320, 320), Image.NEAREST) for picture in (microscope, shown)
@@ -69,7 +88,9 @@ def write_pictures(path: Path, microscope: np.ndarray, frame: np.ndarray) -> Non
     both = Image.new("L", (650, 320), 255)
     both.paste(left, (0, 0))
     both.paste(right, (330, 0))
-    both.save(path)
+    file = io.BytesIO()
+    both.save(file, "PNG")
+    return file.getvalue()
 
 
 def draw_g2(drop: Drop) -> Figure:
@@ -102,27 +123,3 @@ def draw_rates(drops: Sequence[Drop]) -> Figure:
     axes.set(xlabel="q² (1/µm²)", ylabel="rate Γ (1/s)", title="The slope is the diffusion coefficient")
     axes.legend()
     return figure
-
-
-def _page(drops: Sequence[Drop], found: Summary, where: str) -> str:
-    rows = "\n".join(
-        f"<tr><td>{html.escape(drop.well)}</td><td>{drop.dynamics.diffusion * 1e12:.3f}</td>"
-        f"<td>{drop.dynamics.error * 1e12:.3f}</td></tr>"
-        for drop in drops
-    )
-    return f"""<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>Pendant drop</title>
-<style>body{{font-family:sans-serif;max-width:50em;margin:2em auto}}img{{max-width:100%}}
-td,th{{padding:.2em .6em;text-align:right}}</style>
-<h1>Pendant drop</h1>
-<p>Diffusion coefficient {found.diffusion * 1e12:.3f} ± {found.error * 1e12:.3f} µm²/s; hydrodynamic radius
-{found.radius * 1e9:.1f} nm.</p>
-<img src="rates.png" alt="rates over q squared">
-<img src="g2.png" alt="intensity correlation of the first drop">
-<img src="drop.png" alt="the first drop under the microscope, and a frame of the detector">
-<table><tr><th>well</th><th>D (µm²/s)</th><th>±</th></tr>
-{rows}
-</table>
-<p>The numbers: <a href="drops.csv">drops.csv</a>. The data: {html.escape(where)}</p>
-</html>
-"""

@@ -9,9 +9,10 @@ becomes a diffusion coefficient, and a radius by Stokes and Einstein.
 
 from __future__ import annotations
 
-import argparse
 import io
 import sys
+from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,10 @@ from typing import Any
 import numpy as np
 import yaml
 from drop_dynamics import BadSeries, dynamics_of, series_of
-from drop_report import Drop, Summary, summary_of, write_report
+from drop_report import Drop, Summary, summary_of, write_drop_report
 
 from labos.client import Experiment, LabClient
+from labos.client.report import parser_for, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -169,39 +171,28 @@ def measure_diffusion(
                 f"No drop of {experiment.id} gave a series that could be used.",
                 remedy="Look at its pictures in the log.",
             )
-        where = f"experiment {experiment.id} in the lab's log, with series and pictures as files"
-        page = write_report(out or Path(f"drops-{experiment.id}"), measurement.drops, wanted.viscosity, where)
-        experiment.note("publication", "report", page=str(page.resolve()))
+        report = write_drop_report(experiment, out, measurement.drops, wanted.viscosity)
     found = summary_of(measurement.drops, wanted.viscosity)
     return found, (
         f"D = {found.diffusion * 1e12:.3f} ± {found.error * 1e12:.3f} µm²/s, "
         f"a radius of {found.radius * 1e9:.1f} nm, "
-        f"from {len(measurement.drops)} of {len(wanted.wells)} drops. The data: {where}; {page}"
+        f"from {len(measurement.drops)} of {len(wanted.wells)} drops. {report.line}"
     )
+
+
+def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
+    wanted = read_wanted(given.payload)
+    return lambda lab: [measure_diffusion(lab, given.user, wanted, out=given.out)[1]]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Measure how fast particles diffuse in a pendant drop.")
-    parser.add_argument("--home", help="the lab's folder")
-    parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
-    parser.add_argument("--user", default="qi", help="whose experiment it is")
+    parser = parser_for(
+        "Measure how fast particles diffuse in a pendant drop.", user="qi", out="drops-EXPERIMENT"
+    )
     parser.add_argument(
         "--payload", type=Path, default=HERE / "payloads" / "silica_50.yaml", help="what is measured"
     )
-    parser.add_argument("--out", type=Path, help="a folder for the report (drops-EXPERIMENT)")
-    parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
-    given = parser.parse_args()
-    try:
-        wanted = read_wanted(given.payload)
-        with LabClient(given.url, home=given.home, patience_s=given.patience) as lab:
-            _, told = measure_diffusion(lab, given.user, wanted, out=given.out)
-    except LabosError as error:
-        print(f"pendant drop: {error}", file=sys.stderr)  # noqa: T201
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    print(f"pendant drop: {told}")  # noqa: T201
-    return 0
+    return run_program("pendant drop", parser, prepare)
 
 
 if __name__ == "__main__":

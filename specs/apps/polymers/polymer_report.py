@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from polymer_colours import Lab, rgb_of
 from polymer_recommender import Recipe
+
+from labos.client import Experiment
+from labos.client.report import Report, write_report
 
 
 class Sample(NamedTuple):
@@ -27,40 +28,43 @@ class Sample(NamedTuple):
     od: np.ndarray
 
 
-def write_report(folder: Path, samples: Sequence[Sample], target: Lab, tolerance: float, where: str) -> Path:
-    """Write ``spectra.png``, ``convergence.png``, ``samples.csv`` and ``index.html``; returns the page."""
-    folder.mkdir(parents=True, exist_ok=True)
-    _write_table(folder / "samples.csv", samples)
-    draw_spectra(samples).savefig(folder / "spectra.png", dpi=110)
-    draw_convergence(samples, target, tolerance).savefig(folder / "convergence.png", dpi=110)
-    page = folder / "index.html"
-    page.write_text(_page(samples, target, tolerance, where), "utf-8")
-    return page
+def write_polymer_report(
+    experiment: Experiment, folder: Path | None, samples: Sequence[Sample], target: Lab, tolerance: float
+) -> Report:
+    """Plots, table and page."""
+    nearest = min(samples, key=lambda sample: sample.difference)
+    a, b, c, length = nearest.recipe
+    return write_report(
+        experiment,
+        folder or Path(f"polymers-{experiment.id}"),
+        "Electrochromic polymers",
+        said=[
+            f"Target L*a*b* {target}; nearest {nearest.lab} in well {nearest.well} of batch {nearest.batch}: "
+            f"a difference of {nearest.difference:.2f} (CIE 2000), tolerance {tolerance:g}. Recipe: {a:.3f}, "
+            f"{b:.3f} and {c:.3f} of the monomers A, B and C, {length:g} units in a chain."
+        ],
+        pictures={
+            "convergence.png": (
+                "difference to the target, sample by sample",
+                draw_convergence(samples, target, tolerance),
+            ),
+            "spectra.png": ("spectra", draw_spectra(samples)),
+        },
+        table=[_row(sample) for sample in samples],
+        files="the reader's tables",
+    )
 
 
-def _write_table(path: Path, samples: Sequence[Sample]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(
-            [
-                "batch",
-                "well",
-                "share_A",
-                "share_B",
-                "share_C",
-                "chain_length",
-                "L",
-                "a",
-                "b",
-                "x",
-                "y",
-                "difference_CIE2000",
-            ]
-        )
-        for sample in samples:
-            table.writerow(
-                [sample.batch, sample.well, *sample.recipe, *sample.lab, *sample.xy, sample.difference]
-            )
+def _row(sample: Sample) -> dict[str, object]:
+    shares = zip(("share_A", "share_B", "share_C", "chain_length"), sample.recipe, strict=True)
+    return {
+        "batch": sample.batch,
+        "well": sample.well,
+        **dict(shares),
+        **dict(zip("Lab", sample.lab, strict=True)),
+        **dict(zip("xy", sample.xy, strict=True)),
+        "difference_CIE2000": sample.difference,
+    }
 
 
 def draw_spectra(samples: Sequence[Sample]) -> Figure:
@@ -90,35 +94,3 @@ def draw_convergence(samples: Sequence[Sample], target: Lab, tolerance: float) -
         right.text(0.5, height + 0.5, name, ha="center", va="center", color="white")
     right.set(xticks=[], yticks=[], ylim=(0, 2))
     return figure
-
-
-def _page(samples: Sequence[Sample], target: Lab, tolerance: float, where: str) -> str:
-    nearest = min(samples, key=lambda sample: sample.difference)
-    rows = "\n".join(_row(sample) for sample in samples)
-    a, b, c, length = nearest.recipe
-    return f"""<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>Electrochromic polymers</title>
-<style>body{{font-family:sans-serif;max-width:50em;margin:2em auto}}img{{max-width:100%}}
-td,th{{padding:.2em .6em;text-align:right}}</style>
-<h1>Electrochromic polymers</h1>
-<p>Target L*a*b* {target}; nearest {nearest.lab} in well {nearest.well} of batch {nearest.batch}:
-a difference of {nearest.difference:.2f} (CIE 2000), tolerance {tolerance:g}. Recipe: {a:.3f}, {b:.3f} and
-{c:.3f} of the monomers A, B and C, {length:g} units in a chain.</p>
-<img src="convergence.png" alt="difference to the target, sample by sample">
-<img src="spectra.png" alt="spectra">
-<table><tr><th></th><th>batch</th><th>well</th><th>A</th><th>B</th><th>C</th><th>units</th><th>difference</th></tr>
-{rows}
-</table>
-<p>The numbers: <a href="samples.csv">samples.csv</a>. The data: {html.escape(where)}</p>
-</html>
-"""
-
-
-def _row(sample: Sample) -> str:
-    red, green, blue = (round(255 * value) for value in rgb_of(sample.lab))
-    shares = "".join(f"<td>{share:.3f}</td>" for share in sample.recipe[:3])
-    return (
-        f'<tr><td style="background:rgb({red},{green},{blue})">&emsp;</td><td>{sample.batch}</td>'
-        f"<td>{html.escape(sample.well)}</td>{shares}<td>{sample.recipe.length:g}</td>"
-        f"<td>{sample.difference:.2f}</td></tr>"
-    )

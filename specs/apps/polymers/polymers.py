@@ -9,8 +9,9 @@ and a model proposes the next batch.
 
 from __future__ import annotations
 
-import argparse
 import sys
+from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,10 @@ from typing import Any
 import yaml
 from polymer_colours import Lab, Spectra, chromaticity_of, difference, judge, lab_of, read_table
 from polymer_recommender import Recipe, Recommender
-from polymer_report import Sample, write_report
+from polymer_report import Sample, write_polymer_report
 
 from labos.client import Experiment, LabClient
+from labos.client.report import parser_for, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -193,42 +195,27 @@ def find_polymer(lab: LabClient, user: str, wanted: Wanted, *, seed: int = 0, ou
             raise LabosError(
                 f"No spectrum of {experiment.id} could be used.", remedy="Look at its tables in the log."
             )
-        where = f"experiment {experiment.id} in the lab's log, with the reader's tables as files"
-        folder = out or Path(f"polymers-{experiment.id}")
-        page = write_report(folder, search.samples, wanted.target, wanted.tolerance, where)
-        experiment.note("publication", "report", page=str(page.resolve()))
+        report = write_polymer_report(experiment, out, search.samples, wanted.target, wanted.tolerance)
     nearest = search.recommender.nearest
     verdict = "found" if nearest <= wanted.tolerance else "not found"
     return (
         f"{verdict}: a difference of {nearest:.2f} (CIE 2000) to the target "
-        f"after {len(search.samples)} samples. "
-        f"The data: {where}; {page}"
+        f"after {len(search.samples)} samples. {report.line}"
     )
 
 
+def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
+    wanted = read_wanted(given.payload)
+    return lambda lab: [find_polymer(lab, given.user, wanted, seed=given.seed, out=given.out)]
+
+
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Find a polymer of a wanted colour.")
-    parser.add_argument("--home", help="the lab's folder")
-    parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
-    parser.add_argument("--user", default="ada", help="whose experiment it is")
+    parser = parser_for("Find a polymer of a wanted colour.", user="ada", out="polymers-EXPERIMENT")
     parser.add_argument(
         "--payload", type=Path, default=HERE / "payloads" / "blue.yaml", help="what is wanted"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the recommender")
-    parser.add_argument("--out", type=Path, help="a folder for the report (polymers-EXPERIMENT)")
-    parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
-    given = parser.parse_args()
-    try:
-        wanted = read_wanted(given.payload)
-        with LabClient(given.url, home=given.home, patience_s=given.patience) as lab:
-            told = find_polymer(lab, given.user, wanted, seed=given.seed, out=given.out)
-    except LabosError as error:
-        print(f"polymers: {error}", file=sys.stderr)  # noqa: T201
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    print(f"polymers: {told}")  # noqa: T201
-    return 0
+    return run_program("polymers", parser, prepare)
 
 
 if __name__ == "__main__":

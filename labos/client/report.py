@@ -1,0 +1,155 @@
+"""How an application ends: plots, a table and one page in a folder, and a line that says where the data is;
+and how it is started from a shell.
+
+::
+
+    def prepare(given):
+        return lambda lab: [measure(lab, given.user)]
+
+    sys.exit(run_program("my application", parser_for("Measure something.", user="ada", out="mine"), prepare))
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import csv
+import html
+import io
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from labos.client._experiment import Experiment
+from labos.client._lab import LabClient
+from labos.errors import LabosError
+
+PICTURE_DPI = 110
+MEDIA = {".png": "image/png", ".jpg": "image/jpeg"}
+STYLE = (
+    "body{font-family:sans-serif;max-width:50em;margin:2em auto}img{max-width:100%}"
+    "td,th{padding:.2em .6em;text-align:right}"
+)
+
+
+class Drawing(Protocol):
+    """What can be saved as a picture: a figure of Matplotlib, for example."""
+
+    def savefig(self, file: Any, **options: Any) -> Any: ...
+
+
+class Report(NamedTuple):
+    """A page, and a line that says where the data is."""
+
+    page: Path
+    line: str
+
+
+def write_report(
+    experiment: Experiment,
+    folder: Path,
+    title: str,
+    *,
+    said: Sequence[str],
+    pictures: Mapping[str, tuple[str, Drawing | bytes]],
+    table: Sequence[Mapping[str, Any]] = (),
+    files: str = "its files",
+) -> Report:
+    """Write the pictures (by file name: what they show, and a figure or a file's content), the table as
+    ``data.csv``, and ``index.html``, which holds all of it and needs nothing else. The log is told: a
+    publication with the names of the files. ``files`` says what the log holds besides."""
+    folder.mkdir(parents=True, exist_ok=True)
+    contents = {name: _content(drawing, Path(name).suffix) for name, (_, drawing) in pictures.items()}
+    for name, content in contents.items():
+        (folder / name).write_bytes(content)
+    written = [folder / name for name in contents]
+    if table:
+        written.append(_write_table(folder / "data.csv", table))
+    page = folder / "index.html"
+    where = f"experiment {experiment.id} in the lab's log, with {files} as files"
+    shown = [(name, pictures[name][0], content) for name, content in contents.items()]
+    page.write_text(_page(f"{title} {experiment.id}", said, shown, table, where), "utf-8")
+    experiment.note("publication", "report", files=[str(path.resolve()) for path in (*written, page)])
+    return Report(page, f"The data: {where}; {page}")
+
+
+def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentParser:
+    """The options that each application has; ``out`` says where it writes its report if it is not told."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--home", help="the lab's folder")
+    parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
+    parser.add_argument("--user", default=user, help=f"whose experiment it is ({user})")
+    parser.add_argument("--out", type=Path, help=f"a folder for the report ({out})")
+    parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
+    return parser
+
+
+def run_program(
+    name: str,
+    parser: argparse.ArgumentParser,
+    prepare: Callable[[argparse.Namespace], Callable[[LabClient], Sequence[str]]],
+) -> int:
+    """Start an application; returns its exit code. ``prepare`` reads what it is given, before a lab is asked;
+    what it returns does the work and says what came of it, line by line. An error is one line."""
+    given = parser.parse_args()
+    try:
+        work = prepare(given)
+        with LabClient(given.url, home=given.home, patience_s=given.patience) as lab:
+            lines = work(lab)
+    except LabosError as error:
+        sys.stderr.write(f"{name}: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    for line in lines:
+        sys.stdout.write(f"{name}: {line}\n")
+    return 0
+
+
+def _content(drawing: Drawing | bytes, suffix: str) -> bytes:
+    if isinstance(drawing, bytes):
+        return drawing
+    file = io.BytesIO()
+    drawing.savefig(file, format=suffix.lstrip("."), dpi=PICTURE_DPI)
+    return file.getvalue()
+
+
+def _write_table(path: Path, table: Sequence[Mapping[str, Any]]) -> Path:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(table[0]))
+        writer.writeheader()
+        writer.writerows(table)
+    return path
+
+
+def _page(
+    title: str,
+    said: Sequence[str],
+    pictures: Sequence[tuple[str, str, bytes]],
+    table: Sequence[Mapping[str, Any]],
+    where: str,
+) -> str:
+    body = [f"<p>{html.escape(paragraph)}</p>" for paragraph in said]
+    for name, shows, content in pictures:
+        data = base64.b64encode(content).decode()
+        kind = MEDIA[Path(name).suffix]
+        body.append(
+            f'<img alt="{html.escape(shows)}" title="{html.escape(name)}" src="data:{kind};base64,{data}">'
+        )
+    if table:
+        head = "".join(f"<th>{html.escape(str(name))}</th>" for name in table[0])
+        rows = ("".join(f"<td>{html.escape(_shown(value))}</td>" for value in row.values()) for row in table)
+        body.append(f"<table><tr>{head}</tr>" + "".join(f"<tr>{row}</tr>\n" for row in rows) + "</table>")
+        body.append('<p>The numbers: <a href="data.csv">data.csv</a>.</p>')
+    body.append(f"<p>The data: {html.escape(where)}.</p>")
+    name = html.escape(title)
+    return (
+        f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{name}</title>\n'
+        f"<style>{STYLE}</style>\n"
+        f"<h1>{name}</h1>\n" + "\n".join(body) + "\n</html>\n"
+    )
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,62 @@
+"""PCR as published, and ours, with the thermal programme in the log."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pcr
+import pytest
+from PIL import Image
+
+from labos.client import LabClient
+from labos.errors import BadInput
+from tests.apps.conftest import OpenLab
+from tests.apps.support import notes, standing, until_clean
+
+STANDARD = pcr.HERE / "payloads" / "standard.yaml"
+
+
+def test_a_programme_repeats_its_cycle() -> None:
+    programme = pcr.read_wanted(STANDARD).programme
+    course = programme.course()
+    assert len(course) == 2 * (1 + 3 * 30 + 2)
+    assert course[-1] == pytest.approx(((120 + 30 * 120 + 300) / 60, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("program: 3", "names no `programme`"),
+        ("{programme: {steps: [{temperature_c: 95}]}}", "is no step of a programme"),
+        ("{programme: {steps: [], colour: 1}}", "colour"),
+        ("{programme: {steps: []}, program: 5}", "start program 3"),
+        ("{programme: {steps: []}, plates: 0}", "must be 1 at least"),
+        ("{programme: {steps: []}, lids: 0}", "'lids' is unknown"),
+    ],
+)
+def test_a_payload_that_says_nothing_useful_is_refused(text: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "payload.yaml").write_text(text)
+    with pytest.raises(BadInput, match=why):
+        pcr.read_wanted(tmp_path / "payload.yaml")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_as_published_and_with_our_own_ending(open_lab: OpenLab, tmp_path: Path) -> None:
+    with open_lab("rpl", 3000.0) as lab, LabClient(lab.url) as client:
+        for published, ending in ((True, "are in the trash"), (False, "wait in the output hotel")):
+            out = tmp_path / ending
+            wanted = pcr.read_wanted(STANDARD)
+            told = pcr.run_pcr(client, "ada", wanted, published=published, out=out)
+            assert told.startswith(f"1 plates are done and {ending}. The data: experiment E")
+            assert told.endswith(str(out / "index.html"))
+            with (out / "data.csv").open() as file:
+                (row,) = csv.DictReader(file)
+            assert int(row["cycling_until"]) > int(row["cycling_from"]) > 0
+            with Image.open(out / "plate1.jpg") as image:
+                assert image.width > 500
+            until_clean(client)
+            assert standing(client) == ([] if published else ["wc.output", "wc.output.1"])
+        programmes = notes(client, "thermal programme")
+    assert [(told["program"], told["cycles"]) for told in programmes] == [(3, 30), (3, 30)]
