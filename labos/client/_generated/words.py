@@ -27,7 +27,7 @@ class GeneratedWords(Calls):
         or what is confidential), ``mistake`` (it was written in the wrong place), ``retention`` (it was kept
         for as long as the rules say), ``order`` (a court or an authority ordered it). ``records``: positions
         of the events whose words go. ``user``: the words of all events of this user go. Returns ``erasure``,
-        ``erased``, ``records``, ``position``, ``left``. Raises Refused."""
+        ``erased``, ``records``, ``position``, ``left``. Raises NotFound, Refused."""
         return self._post("/words/erasures", {"because": because, "by": by, "records": records, "user": user})
 
     def approve_erasure(self, erasure: str, by: str) -> dict[str, Any]:

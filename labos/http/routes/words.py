@@ -116,7 +116,7 @@ OPERATIONS = (
         tag="log",
         needs="admin",
         at_kernel=True,
-        problems=("refused",),
+        problems=("not_found", "refused"),
         example={"records": [120], "because": "personal", "by": "ada"},
         example_answer=_DONE,
     ),

@@ -17,6 +17,7 @@ from labos.cli._remote import FOLDER
 from labos.cli.app import main
 from labos.client import LabClient, LabLog
 from labos.ports import LogQuery
+from labos.services.shown import ShownLog
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from labos.store import open_store
@@ -285,7 +286,7 @@ def test_the_log_is_the_same_by_the_address(lab: LabThread) -> None:
     store = open_store(lab.settings.database, create=False, read_only=True)
     try:
         with LabClient(lab.url) as client:
-            far = LabLog(client)
+            far, shown_far, shown = LabLog(client, stored=True), LabLog(client), ShownLog(store)
             assert far.head().position == store.head().position
             begun = next(store.read(3, 4)).head.recorded_at
             for query in (
@@ -300,6 +301,8 @@ def test_the_log_is_the_same_by_the_address(lab: LabThread) -> None:
                 LogQuery(upto=0),
             ):
                 assert list(far.select(query)) == list(store.select(query)), query
+                told = [record.payload for record in shown_far.select(query)]
+                assert told == [record.payload for record in shown.select(query)], query
             assert list(far.replay(5, 30)) == list(store.replay(5, 30))
     finally:
         store.close()
