@@ -96,7 +96,7 @@ def test_a_text_is_genuine_with_its_salt_only() -> None:
 
 def test_every_word_of_a_command_is_declared() -> None:
     """Commands of people: what devices and nodes report, and what LabOS asks of itself, are not theirs."""
-    told_by_labos = {"RefuseRow", "DoubtNode", "OutrankNode"}
+    told_by_labos = {"RefuseRow", "DoubtNode", "OutrankNode", "BindAnew"}
     for kind in DECIDERS:
         if issubclass(kind, Report) or kind.__name__ in told_by_labos:
             continue
