@@ -357,6 +357,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     u.UserAdded: lambda e, _: f"{e.user} may use the lab ({e.kind})",
     u.UserDisabled: lambda e, _: f"{e.user} may do nothing any more",
     u.UserEnabled: lambda e, _: f"{e.user} may act again",
+    u.UserErased: lambda e, _: f"the lab has forgotten who {e.user} is",
     u.GroupAdded: lambda e, _: f"the group {e.group} was added",
     u.GroupRemoved: lambda e, _: f"the group {e.group} was removed",
     u.MemberAdded: lambda e, _: f"{e.user} is in the group {e.group}",

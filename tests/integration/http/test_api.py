@@ -169,6 +169,7 @@ def test_what_is_answered_is_what_is_described(lab: LabThread, raw: httpx.Client
     with LabClient(lab.url) as client:
         run = client.submit("pcr", user="ada")
         campaign = client.submit_campaign(screen, user="ada")["campaign"]
+        experiment = client.start_experiment("app", "ada")
         waits = client.submit("pcr", user="ada", propose=True)
         day = 86_400_000_000_000
         booking = client.book("hidex", 20_000 * day, 20_001 * day, "ada", rule="FREQ=WEEKLY")["id"]
@@ -179,6 +180,7 @@ def test_what_is_answered_is_what_is_described(lab: LabThread, raw: httpx.Client
             names = {
                 "run": run,
                 "campaign": campaign,
+                "experiment": experiment,
                 "booking": booking,
                 "module": "pf400",
                 "subject": waits,
