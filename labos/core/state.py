@@ -14,6 +14,7 @@ from labos.core.bookings import Bookings
 from labos.core.campaigns import Campaigns
 from labos.core.interventions import Interventions
 from labos.core.lab import Lab
+from labos.core.lengths import Lengths
 from labos.core.modules import Modules
 from labos.core.open_experiments import Experiments
 from labos.core.plans import share_plans
@@ -45,6 +46,7 @@ class LabState(msgspec.Struct):
     users: Users = msgspec.field(default_factory=Users)
     approvals: Approvals = msgspec.field(default_factory=Approvals)
     bookings: Bookings = msgspec.field(default_factory=Bookings)
+    lengths: Lengths = msgspec.field(default_factory=Lengths)
 
 
 # Tables keep their order: who came first is part of the state.
