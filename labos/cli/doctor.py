@@ -12,18 +12,21 @@ import click
 
 from labos.cli._exit import FAILED
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, now_ns
+from labos.cli._query import Where, json_option, log_options, now_ns, open_log
+from labos.core.lengths import drifts
 from labos.errors import LabosError
 from labos.pki import Authority
 from labos.services.doctor import (
     Finding,
     check_certificates,
+    check_durations,
     check_nodes,
     check_permissions,
     check_rehearsal,
     check_space,
     check_sync,
 )
+from labos.services.history import state_at
 from labos.services.times import show_time
 from labos.services.trust.places import newest_in
 from labos.services.trust.publish import FOLDER
@@ -91,6 +94,7 @@ def _examine(where: Where) -> Iterator[Finding]:
         yield from _kernel(where.home, kernel)
     yield _checkpoint(where.home)
     yield check_rehearsal(where.home, now_ns())
+    yield from _durations(where)
 
 
 def _examine_safely(name: str, look: Callable[[], Finding]) -> Iterator[Finding]:
@@ -117,6 +121,18 @@ def _database(where: Where) -> Finding:
         case "older":
             return Finding("database", "fault", told, "Take a backup, then: labos db upgrade")
     return Finding("database", "fault", told, "Install the newer LabOS that wrote it.")
+
+
+def _durations(where: Where) -> Iterator[Finding]:
+    """Whether actions take as long as planned, where there is a log that can be read."""
+    try:
+        if database_status(where.url).state != "current":
+            return
+        with open_log(where) as store:
+            state = state_at(store)
+    except LabosError:
+        return  # what is wrong with the log is told elsewhere
+    yield check_durations(drifts(state.lengths, state.lab.pace))
 
 
 def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[Finding]:

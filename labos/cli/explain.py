@@ -79,6 +79,7 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         f"#{step.index} {step.key!r} is {_doing(step.state)} on {local(step.module)} since "
         f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
         + (f": {step.error}" if step.error else "")
+        + _usual(state, story, step.index)
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
@@ -102,6 +103,19 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         if before:
             found.append(f"{before} runs that were submitted before it wait too")
     return found or ["It may go on, and is about to."]
+
+
+def _usual(state: LabState, story: RunHistory, index: int) -> str:
+    """How long a step takes as a rule, where that is not what was planned."""
+    run = state.runs.get(RunId(story.id))
+    steps = state.runs.plan_of(run).steps if run is not None else ()
+    known = state.lengths.of(steps[index], state.lab.pace) if index < len(steps) else None
+    if known is None:
+        return ""
+    usual_s, planned_s = known.usual * state.lab.pace / 1e9, steps[index].duration_s
+    if abs(usual_s - planned_s) < max(1.0, planned_s / 4):
+        return ""
+    return f"; it takes {show_span(usual_s)} as a rule, planned {show_span(planned_s)}"
 
 
 def questions(state: LabState, run: str) -> list[str]:

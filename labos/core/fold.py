@@ -15,6 +15,7 @@ from labos.core import (
     failures,
     interventions,
     lab,
+    lengths,
     modules,
     open_experiments,
     repeated,
@@ -27,7 +28,7 @@ from labos.core import (
     suggestions,
     users,
 )
-from labos.core.actions import ActionRequested
+from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.bookings import BookingCancelled
 from labos.core.campaigns import CampaignCompleted
 from labos.core.experiments import ExperimentEnded
@@ -87,10 +88,20 @@ _STREAM_ENDS: dict[type[Event], str] = {
 """Events that end a stream, and the field that names it: nothing may follow them there."""
 
 
+def _learn(state: LabState, event: ActionSucceeded, at: int) -> None:
+    """How long an action has taken, before it is forgotten."""
+    action, run = state.actions.open.get(event.action), state.runs.active.get(event.run)
+    if action is not None and run is not None:
+        step = state.runs.plan_of(run).steps[event.step]
+        lengths.learn(state.lengths, action, step, at, state.lab.pace)
+
+
 def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> None:
     """Take in one event. Raises KeyError or ValueError if it contradicts the state: such an
     event must never have been written."""
     kind = type(event)
+    if kind is ActionSucceeded:
+        _learn(state, event, recorded_at)  # type: ignore[arg-type]
     for name, handler in TABLE[kind]:
         handler(getattr(state, name), event, recorded_at)
     # These two are remembered by where they stand in the log.

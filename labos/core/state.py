@@ -17,6 +17,7 @@ from labos.core.campaigns import Campaigns
 from labos.core.erasure import Erasures
 from labos.core.interventions import Interventions
 from labos.core.lab import Lab
+from labos.core.lengths import Lengths
 from labos.core.modules import Modules
 from labos.core.open_experiments import Experiments
 from labos.core.plans import share_plans
@@ -51,6 +52,7 @@ class LabState(msgspec.Struct):
     bookings: Bookings = msgspec.field(default_factory=Bookings)
     suggestions: Suggestions = msgspec.field(default_factory=Suggestions)
     erasures: Erasures = msgspec.field(default_factory=Erasures)
+    lengths: Lengths = msgspec.field(default_factory=Lengths)
 
 
 # Tables keep their order: who came first is part of the state.

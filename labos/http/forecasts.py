@@ -14,6 +14,7 @@ from labos.core.state import picture
 from labos.http.campaign_rows import CampaignRows
 from labos.planning.durations import LEARNED_FROM, Drift, Durations
 from labos.planning.lab_forecast import ForecastRequest, LabForecast
+from labos.planning.newcomers import HEARD_OF, Comings, Newcomers
 from labos.ports import LogQuery
 from labos.runtime.forecasting import ForecastProcess
 from labos.services.log import Log, events
@@ -37,7 +38,7 @@ class Forecasts:
     def __init__(self, service: LabService) -> None:
         self._service = service
         self._process = ForecastProcess()
-        self._learned = LearnedDurations(service.parts.store)
+        self._learned = Learned(service.parts.store)
         self._rows = CampaignRows(service)
         self._queue: LabForecast | None = None
         self._queue_at: tuple[int, float] = (-1, 0.0)
@@ -75,6 +76,7 @@ class Forecasts:
         new_rows: list[tuple[Plan, ...]] | None = None,
     ) -> LabForecast:
         spreads = (await self._learned.durations()).spreads()
+        newcomers = await self._learned.newcomers()
         rows = await self._known_rows()
         kernel = self._service.kernel
 
@@ -83,6 +85,7 @@ class Forecasts:
                 picture=picture(kernel.state),
                 now=kernel.clock.now_ns(),
                 spreads=spreads,
+                newcomers=newcomers,
                 rows=rows,
                 new=new,
                 actor=actor,
@@ -102,12 +105,13 @@ class Forecasts:
         return found
 
 
-class LearnedDurations:
-    """Durations as far as the log goes."""
+class Learned:
+    """How long actions take and who comes, as far as the log goes."""
 
     def __init__(self, store: Log) -> None:
         self._store = store
         self._durations = Durations()
+        self._comings = Comings()
         self._position = 0
         self._turn = asyncio.Lock()
 
@@ -117,9 +121,16 @@ class LearnedDurations:
             await asyncio.to_thread(self._read)
             return self._durations
 
+    async def newcomers(self) -> Newcomers:
+        """Who may come, as far as the log tells."""
+        async with self._turn:
+            await asyncio.to_thread(self._read)
+            return self._comings.newcomers()
+
     def _read(self) -> None:
         first = None if self._position else LEARNED
-        query = LogQuery(after=self._position, types=LEARNED_FROM, last=first)
+        query = LogQuery(after=self._position, types=(*LEARNED_FROM, *HEARD_OF), last=first)
         for event, head in events(self._store.select(query)):
             self._durations.learn(event, head.recorded_at)
+            self._comings.learn(event, head.recorded_at)
             self._position = head.position

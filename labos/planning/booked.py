@@ -21,11 +21,10 @@ from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
 from labos.core.effects import Carrying, Sets, carried
 from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.model import MAIN, Plan, PlanStep
-from labos.core.rules import lab_ns
 from labos.core.runs import PENDING, RunState, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.forecast import earliest
+from labos.planning.forecast import earliest, usual
 from labos.planning.player import find_chained
 
 
@@ -149,7 +148,7 @@ def _times(state: LabState, run: RunState, plan: Plan, first: int, now: int) -> 
             begins = max([now, *(known.get(before, now) for before in step.after)])
             if index != first:
                 begins = max(begins, earliest(state, run, index, known))
-            known[index] = begins + lab_ns(state, step.duration_s)
+            known[index] = begins + usual(state, step)
             found[index] = (begins - now, known[index] - now)
             left.discard(index)
         if len(left) == before_pass:

@@ -12,9 +12,9 @@ import msgspec
 
 from labos.core.decide.choices import BindAnew, can_change_to
 from labos.core.ids import ModuleName, local
-from labos.core.rules import lab_ns
 from labos.core.runs import SETTLED, RunState, modules_chosen, options
 from labos.core.state import LabState
+from labos.planning.forecast import usual
 from labos.planning.layout import down
 from labos.planning.safety import Safety
 from labos.planning.stuck import find_block
@@ -45,7 +45,7 @@ def _load(state: LabState, module: ModuleName, now: int) -> int:
         steps = state.runs.plan_of(run).steps
         for index, step in enumerate(run.steps):
             if steps[index].module == module and step.status not in SETTLED:
-                total += lab_ns(state, steps[index].duration_s)
+                total += usual(state, steps[index])
     for action in state.actions.within(cell):
         if action.module == module:
             total -= max(0, now - action.requested_at)
@@ -53,7 +53,7 @@ def _load(state: LabState, module: ModuleName, now: int) -> int:
 
 
 def _own(state: LabState, run: RunState, module: ModuleName) -> int:
-    return sum(lab_ns(state, s.duration_s) for s in state.runs.plan_of(run).steps if s.module == module)
+    return sum(usual(state, s) for s in state.runs.plan_of(run).steps if s.module == module)
 
 
 def changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -117,9 +117,7 @@ class Durations:
     def spreads(self) -> Spreads:
         """What is known well enough."""
         known = {kind: sorted(times) for kind, times in self._times.items() if len(times) >= ENOUGH}
-        return Spreads(
-            {kind: tuple(int(quantile(times, level)) for level in LEVELS) for kind, times in known.items()}
-        )
+        return Spreads({kind: tuple(_spread(times)) for kind, times in known.items()})
 
     def drifts(self) -> list[Drift]:
         """The actions whose last times differ much from their earlier ones."""
@@ -133,6 +131,15 @@ class Durations:
             if max(was, now) > DRIFT * max(1, min(was, now)):
                 found.append(Drift(module, action, was / 1e9, now / 1e9))
         return found
+
+
+def _spread(ordered: Sequence[int]) -> Iterator[int]:
+    """The durations at ``LEVELS`` of all that could be, of which these are a few. Few values lie closer
+    together than all: of n that are equally likely within bounds the ends are (n - 1) / (n + 1) of these
+    apart."""
+    middle, wider = quantile(ordered, 0.5), (len(ordered) + 1) / (len(ordered) - 1)
+    for level in LEVELS:
+        yield max(0, int(middle + (quantile(ordered, level) - middle) * wider))
 
 
 def kind_of(

@@ -1,4 +1,4 @@
-"""What a start would occupy, and for how long, by nominal durations.
+"""What a start would occupy, and for how long, by what was learned of durations, else by nominal ones.
 
 A forecast may be wrong. It is good enough to leave room for those who are in a hurry; nothing that
 must hold rests on it.
@@ -20,19 +20,33 @@ from labos.core.waits import module_key, station_key, zone_key
 from labos.core.zones import zones_of
 
 MARGIN = 1.1
-"""Durations scatter: a forecast counts each of them this much longer."""
+"""Durations scatter: a forecast counts each of them this much longer, and as long as the longest that was
+learned if that is more."""
 
 FOR_EVER = 2**62
 """Nanoseconds for which labware stays where its run leaves it."""
 
 
 def length(state: LabState, step: PlanStep) -> int:
-    """How long a step takes (ns of wall time)."""
+    """How long a step takes at the most, if nothing is in its way (ns of wall time)."""
+    known = state.lengths.of(step, state.lab.pace)
+    if known is not None:
+        return max(known.high, int(known.usual * MARGIN))
     return lab_ns(state, step.duration_s * MARGIN)
+
+
+def usual(state: LabState, step: PlanStep) -> int:
+    """How long a step takes as a rule (ns of wall time)."""
+    known = state.lengths.of(step, state.lab.pace)
+    return known.usual if known is not None else lab_ns(state, step.duration_s)
 
 
 def spread(state: LabState, step: PlanStep) -> int:
     """How much sooner than that a step may end (ns of wall time)."""
+    known = state.lengths.of(step, state.lab.pace)
+    if known is not None:
+        margin = int(known.usual * (MARGIN - 1))
+        return max(known.high, known.usual + margin) - min(known.low, known.usual - margin)
     return lab_ns(state, step.duration_s * 2 * (MARGIN - 1))
 
 

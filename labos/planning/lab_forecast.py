@@ -27,6 +27,7 @@ from labos.core.modules import ModuleStatus
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, from_picture, picture
 from labos.planning.durations import Spreads, quantile
+from labos.planning.newcomers import Newcomers
 from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
 
 LOW, HIGH = 0.1, 0.9
@@ -121,11 +122,12 @@ class LabForecast(msgspec.Struct, frozen=True):
 class ForecastRequest(msgspec.Struct):
     """What is asked: of a state as a picture, at a time. ``new`` is what somebody thinks of submitting, and
     ``new_rows`` the plans of its rows, between which they choose, if it is a campaign. ``rows`` are those of
-    campaigns that are known."""
+    campaigns that are known; ``newcomers`` tell who may come meanwhile."""
 
     picture: bytes
     now: int
     spreads: Spreads = Spreads()
+    newcomers: Newcomers = Newcomers()
     rows: dict[CampaignId, list[tuple[Plan, ...]]] = {}
     new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None
     actor: str = ""
@@ -174,7 +176,7 @@ class _Forecaster:
         self.new, self.refusal = "", ""
 
     def play(self, number: int, *, without: bool = False) -> Play:
-        """Number 0 takes the usual durations, others draw them."""
+        """Number 0 takes the usual durations, and nobody comes; others draw both."""
         asked = self.request
         state = from_picture(self.base)
         rows: dict[CampaignId, Sequence[tuple[Plan, ...]]] = dict(asked.rows)
@@ -182,8 +184,15 @@ class _Forecaster:
         if not without and isinstance(asked.new, SubmitCampaign):
             rows[fresh] = asked.new_rows
         lasts = partial(_lasts, asked.spreads, state.lab.pace, number)
+        come = asked.newcomers.draw(asked.now, lambda word: draw(f"{number}/{word}")) if number else []
         lab = VirtualLab(
-            state, asked.now, lasts, rows, most_rows=asked.most_runs, most_steps=asked.most_steps
+            state,
+            asked.now,
+            lasts,
+            rows,
+            most_rows=asked.most_runs,
+            most_steps=asked.most_steps,
+            newcomers=come,
         )
         if asked.new is not None and not without:
             self._submit(lab, asked.new)

@@ -9,7 +9,7 @@ from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, find_anchor, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import party
-from labos.planning.forecast import deadline, earliest, find_pending_before, is_pending
+from labos.planning.forecast import deadline, earliest, find_pending_before, is_pending, usual
 
 Step = tuple[str, int]
 """A run and one of its steps."""
@@ -113,7 +113,7 @@ class Player:
             for before in step.after:
                 if before in latest:
                     wait_s = max((w.wait_s for w in step.windows if w.anchor == before), default=0.0)
-                    takes = lab_ns(self._state, self.plan.steps[before].duration_s + wait_s)
+                    takes = usual(self._state, self.plan.steps[before]) + lab_ns(self._state, wait_s)
                     latest[before] = min(latest[before], latest[follower] - takes)
         for step_before, at in latest.items():
             self.latest[step_before] = min(at, self.latest.get(step_before, FAR))

@@ -14,8 +14,8 @@ from typing import Any
 import msgspec
 
 from labos.core.ids import RunId
-from labos.core.rules import lab_ns
 from labos.core.runs import PENDING
+from labos.planning.forecast import usual
 from labos.planning.player import FAR, Player, Step, Who
 from labos.planning.scene import Scene
 
@@ -68,7 +68,7 @@ def play(scene: Scene, players: Iterable[Player], advice: Advice, forced: Step |
 
     def start(player: Player, index: int) -> None:
         step = player.plan.steps[index]
-        end = now + lab_ns(scene.state, step.duration_s)
+        end = now + usual(scene.state, step)
         scene.take(player.run, index, step, step.effects, end)
         player.start(index, end)
         outcome.starts[player.name, index] = now

@@ -29,7 +29,16 @@ from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
-from labos.planning.forecast import deadline, earliest, find_pending_before, is_pending, length, spread, uses
+from labos.planning.forecast import (
+    deadline,
+    earliest,
+    find_pending_before,
+    is_pending,
+    length,
+    spread,
+    uses,
+    usual,
+)
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.keeping import CALM_S, Windows
 from labos.planning.layout import down
@@ -208,7 +217,7 @@ class Reservations:
         if not followers:
             return None
         others = [found for found in reservations if found.run != run.id]
-        foreseen = {step: now + lab_ns(state, plan.plan.steps[step].duration_s)}
+        foreseen = {step: now + usual(state, plan.plan.steps[step])}
         for index in followers:
             mine = _reservation(state, run, index, now, foreseen)
             if mine is None:

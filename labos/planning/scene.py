@@ -26,11 +26,11 @@ from labos.core.effects import (
 )
 from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
 from labos.core.model import PlanStep
-from labos.core.rules import lab_ns
 from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import party
 from labos.core.zones import zones_of
+from labos.planning.forecast import usual
 from labos.planning.layout import down
 from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
@@ -71,7 +71,7 @@ class Scene:
             if run is None or not action.module.startswith(f"{cell}/"):
                 continue
             step = state.runs.plan_of(run).steps[action.step]
-            end = max(now, action.requested_at + lab_ns(state, step.duration_s))
+            end = max(now, action.requested_at + usual(state, step))
             effects = tuple(_as_planned(state, effect) for effect in action.effects)
             end = FAR if action.status == ActionStatus.UNKNOWN else end
             self.take(run, action.step, step, effects, end)

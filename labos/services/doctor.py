@@ -7,12 +7,14 @@ import shutil
 import statistics
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 
+from labos.core.ids import local
+from labos.core.lengths import Drift
 from labos.pki import Authority, Entry
 from labos.private import create_file
 from labos.services.times import show_time
@@ -48,6 +50,10 @@ class Finding(msgspec.Struct, frozen=True):
     remedy: str = ""
 
 
+MOST_DRIFTS = 5
+"""So many actions are named that take longer or shorter than planned."""
+
+
 def check_space(folder: Path) -> Finding:
     """Free space on the disk of a folder."""
     free = shutil.disk_usage(folder).free
@@ -73,6 +79,19 @@ def check_rehearsal(home: Path, now_ns: int) -> Finding:
     if now_ns - at > LONG_UNREHEARSED_NS:
         return Finding("backup", "warning", told, remedy)
     return Finding("backup", "ok", told)
+
+
+def check_durations(found: Sequence[Drift]) -> Finding:
+    """Whether actions take about as long as was planned."""
+    if not found:
+        return Finding("durations", "ok", "Actions take about as long as their drivers or workflows say.")
+    named = [
+        f"{local(drift.module)}.{drift.action} takes {drift.takes_s:.3g} s, planned {drift.planned_s:.3g} s"
+        for drift in found[:MOST_DRIFTS]
+    ]
+    more = f"; and {len(found) - MOST_DRIFTS} more" if len(found) > MOST_DRIFTS else ""
+    told = f"{'; '.join(named)}{more}. The scheduler goes by what it takes."
+    return Finding("durations", "warning", told, "Is the device well? Else correct its `duration`.")
 
 
 def check_sync(folder: Path) -> Finding:

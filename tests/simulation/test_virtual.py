@@ -259,7 +259,8 @@ def test_durations_are_learned_by_arguments_and_forgotten_by_number() -> None:
     spreads = durations.spreads()
     known = {tuple(kind.split("\x1f")[:2]): times for kind, times in spreads.known.items()}
     times = known[f"{CELL}/dev", "print"]
-    assert (times[0], times[3], times[-1]) == (40 * SECOND, 50 * SECOND, 60 * SECOND)
+    assert times[3] == 50 * SECOND
+    assert (times[0], times[-1]) == (30 * SECOND, 70 * SECOND), "three lie in the middle"
 
 
 def test_a_drift_is_told_when_the_last_times_are_others() -> None:

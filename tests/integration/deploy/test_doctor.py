@@ -11,10 +11,13 @@ from typing import Any
 import pytest
 
 from labos.cli.app import main
+from labos.core.ids import ModuleName
+from labos.core.lengths import Drift
 from labos.http.asking import _ahead_s
 from labos.pki import Authority, Identity
 from labos.services.doctor import (
     check_certificates,
+    check_durations,
     check_nodes,
     check_permissions,
     check_space,
@@ -53,8 +56,9 @@ def test_a_lab_that_is_well(lab: Lab) -> None:
         "kernel": "ok",
         "checkpoints": "warning",
         "backup": "warning",
+        "durations": "warning",  # its log was made up, and nothing in it takes as long as planned
     }
-    assert "0 faults, 2 warnings" in lab.ask("doctor")
+    assert "0 faults, 3 warnings" in lab.ask("doctor")
     assert sorted(path.name for path in lab.home.iterdir() if path.name.startswith(".")) == []
 
 
@@ -84,6 +88,15 @@ def test_a_lab_that_is_not_there(tmp_path: Path) -> None:
     assert found["home"]["state"] == "fault"
     assert found["database"]["remedy"].startswith("labos up makes one")
     assert not (tmp_path / "none").exists()
+
+
+def test_actions_that_take_longer_than_planned() -> None:
+    slow = [Drift(ModuleName(f"rpl/m{n}"), "transfer", 14.0, 10.0) for n in range(7)]
+    found = check_durations(slow)
+    assert found.state == "warning"
+    assert found.told.startswith("m0.transfer takes 14 s, planned 10 s; ")
+    assert "2 more" in found.told
+    assert check_durations([]).state == "ok"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such rights")

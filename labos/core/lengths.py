@@ -1,0 +1,155 @@
+"""How long actions take: what the log tells of their last times, by module, action and arguments.
+
+A part of the state, so that whoever folds the same log plans with the same numbers. It only says what to
+expect: nothing that must hold rests on it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+import msgspec
+
+from labos.core.actions import Action, ActionStatus
+from labos.core.ids import ModuleName
+from labos.core.model import PlanStep
+
+KEPT = 20
+"""The last times that are kept of each kind of action."""
+
+KINDS = 1_000
+"""Kinds of actions that are kept: those that were carried out last."""
+
+ENOUGH = 3
+"""Times from which on what was learned goes before what a driver says of itself."""
+
+OUTLIER = 2.0
+"""A time above so many times the usual one is taken for an interruption, and counts as that much."""
+
+SHARED = 4096
+
+
+class Times(msgspec.Struct, array_like=True):
+    """The last times of a kind of action, oldest first; the shortest, usual and longest of them. Of an action
+    with the same arguments in ns of wall time, else in millionths of what was planned; ``planned`` (ns of
+    wall time) is kept of the latter."""
+
+    took: list[int] = []
+    planned: list[int] = []
+    low: int = 0
+    usual: int = 0
+    high: int = 0
+
+    @property
+    def suffices(self) -> bool:
+        return len(self.took) >= ENOUGH
+
+    def add(self, took: int, planned: int | None = None) -> None:
+        for known, new in ((self.took, took), (self.planned, planned)):
+            if new is not None:
+                known.append(new)
+                if len(known) > KEPT:
+                    del known[0]
+        ordered = sorted(self.took)
+        self.usual = ordered[len(ordered) // 2]
+        self.low, self.high = ordered[0], min(ordered[-1], int(OUTLIER * self.usual))
+
+
+class Length(msgspec.Struct, frozen=True):
+    """How long a step takes: at the least, as a rule, at the most (ns of wall time)."""
+
+    low: int
+    usual: int
+    high: int
+
+
+class Lengths(msgspec.Struct):
+    """Times by kind: of a module's action with its arguments, and of the action with any (``kind_of``)."""
+
+    by_kind: dict[str, Times] = {}
+
+    def of(self, step: PlanStep, pace: float) -> Length | None:
+        """How long steps like this have taken, if there were enough: with the same arguments; else with
+        others, as part of what was planned."""
+        if not self.by_kind:
+            return None
+        fine = self.by_kind.get(kind_of(step))
+        if fine is not None and fine.suffices:
+            return Length(fine.low, fine.usual, fine.high)
+        coarse = self.by_kind.get(f"{step.module}\x1f{step.action}")
+        if coarse is None or not coarse.suffices:
+            return None
+        planned = step.duration_s * 1e3 / pace  # ns of each millionth
+        return Length(*(int(part * planned) for part in (coarse.low, coarse.usual, coarse.high)))
+
+
+class Drift(msgspec.Struct, frozen=True):
+    """An action that takes longer or shorter than its driver or workflow says: middle of its last times, in
+    lab seconds."""
+
+    module: ModuleName
+    action: str
+    takes_s: float
+    planned_s: float
+
+
+def learn(lengths: Lengths, action: Action, step: PlanStep, at: int, pace: float) -> None:
+    """An action of a step has succeeded. What a person did, or nobody knew of for a while, tells nothing."""
+    if step.by_person or action.status == ActionStatus.UNKNOWN or action.attempt > 1:
+        return
+    took, planned = max(0, at - action.requested_at), int(step.duration_s * 1e9 / pace)
+    known = lengths.by_kind
+    times = known.pop(kind_of(step), Times())
+    times.add(took)
+    known[kind_of(step)] = times
+    if planned > 0:
+        any_arguments = f"{step.module}\x1f{step.action}"
+        times = known.pop(any_arguments, Times())
+        times.add(took * 1_000_000 // planned, planned)
+        known[any_arguments] = times
+    while len(known) > KINDS:
+        del known[next(iter(known))]
+
+
+DRIFT, LEAST_S = 1.25, 1.0
+
+
+def drifts(lengths: Lengths, pace: float) -> list[Drift]:
+    """The actions that take a quarter more or less than planned, and not by less than a second."""
+    found: list[Drift] = []
+    for kind, times in lengths.by_kind.items():
+        module, action, *more = kind.split("\x1f")
+        if more or not times.suffices:
+            continue
+        planned = sorted(times.planned)[len(times.planned) // 2]
+        takes = planned * times.usual // 1_000_000
+        longer, shorter = max(takes, planned), min(takes, planned)
+        if longer > DRIFT * shorter and longer - shorter > LEAST_S * 1e9:
+            found.append(Drift(ModuleName(module), action, takes * pace / 1e9, planned * pace / 1e9))
+    return found
+
+
+_kinds: dict[int, tuple[PlanStep, str]] = {}
+"""Kinds by the step itself, which is kept so that no other takes its number."""
+
+
+def kind_of(step: PlanStep) -> str:
+    """The kind of a step: its module, action and arguments, as they stand in its plan, numbers with two
+    digits; and how long it should take."""
+    known = _kinds.get(id(step))
+    if known is not None:
+        return known[1]
+    told = "\x1f".join(f"{name}={_coarse(value)}" for name, value in sorted(step.args.items()))
+    told = f"{step.duration_s!r}\x1f{told}"
+    mark = hashlib.blake2b(told.encode(errors="surrogatepass"), digest_size=6).hexdigest()
+    kind = f"{step.module}\x1f{step.action}\x1f{mark}"
+    _kinds[id(step)] = step, kind
+    if len(_kinds) > SHARED:
+        del _kinds[next(iter(_kinds))]
+    return kind
+
+
+def _coarse(value: object) -> str:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return f"{value:.2g}"
+    return str(value)
