@@ -16,6 +16,7 @@ from plate_reading import BadPicture, read_plate
 
 from labos.errors import BadInput
 from labos_drivers._optics import color_of
+from tests.apps import color_study
 from tests.apps.plates import Plate
 from tests.apps.virtual_lab import VirtualExperiment, VirtualLab
 
@@ -191,3 +192,23 @@ def test_a_payload_that_says_nothing_useful_is_refused(text: str, why: str, tmp_
 def test_an_unknown_solver_is_refused() -> None:
     with pytest.raises(BadInput, match="evolutionary, bayesian, grid, random"):
         solver_of("lucky", GREY, 0)
+
+
+# -- the study -------------------------------------------------------------------------------------
+
+
+def test_the_page_of_the_study_shows_what_is_in_its_data() -> None:
+    page, found = color_study.PAGE.read_text("utf-8"), color_study.kept()
+    assert {told.case for told in found} == set(color_study.cases())
+    for table in color_study.tables(found).values():
+        assert table in page
+    assert all(told.samples[-1] >= 0.9 * color_study.SAMPLES for told in found)
+    assert all(a >= b for told in found for a, b in pairwise(told.best))
+
+
+@pytest.mark.slow
+def test_an_experiment_of_the_study_tells_distance_over_lab_time() -> None:
+    told = color_study.carry_out(color_study.Case("evolutionary", 8, 1, 0), samples=16)
+    assert told.samples[-1] <= 16
+    assert len(told.hours) == len(told.best) == len(told.samples)
+    assert 0 < told.hours[0] < told.hours[-1] < 1
