@@ -29,6 +29,7 @@ from labos.core.policy import PolicyApplied
 from labos.core.registry import Event
 from labos.core.repeated import RequestRepeated
 from labos.core.signatures import RecordsSigned, RunSigned
+from labos.core.suggestions import OrderSuggested
 from labos.core.wells import by_well
 from labos.services.catalogue import Catalogue
 from labos.services.times import show_time
@@ -333,6 +334,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     q.SharesApplied: lambda e, _: (
         f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users hold from now on"
     ),
+    OrderSuggested: lambda e, _: f"{e.by} suggests an order for {len(e.steps)} steps in {e.workcell}",
     RunSigned: lambda e, _: f"{e.by} signed {e.run}: {e.meaning}{_if(e.why, f': {e.why}')}",
     RecordsSigned: lambda e, _: (
         f"{e.by} signed the {e.kind} {e.subject} with {e.runs} run{'' if e.runs == 1 else 's'}: "

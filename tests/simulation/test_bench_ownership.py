@@ -128,6 +128,6 @@ def test_the_closing_workflow_can_always_be_run(rates: FaultRates) -> None:
 
 
 def test_who_forgets_that_experiments_close_shuts_their_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labos.planning.safety._closing", lambda path: ())
+    monkeypatch.setattr("labos.planning.safety._make_closing", lambda path: ())
     with pytest.raises(Stalled):
         parked(0)

@@ -130,6 +130,6 @@ def test_taken_for_not_done_the_arm_grips_empty_air(monkeypatch: pytest.MonkeyPa
         assert not isinstance(found, Rejection)
         return list(found)
 
-    monkeypatch.setattr(steps, "doubting", failed)
+    monkeypatch.setattr(steps, "doubt", failed)
     ends, crashes = lived(stamped("before", retry=replace(AGAIN, delay_s=60.0), timeout_s=20.0), Nobody)
     assert any("ur grips empty air" in crash for crash in crashes), (ends, crashes)

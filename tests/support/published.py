@@ -9,7 +9,7 @@ from typing import Any
 from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
 from labos.core.ids import ExperimentId
 from labos.store import FolderBlobs
-from tests.support.audited import audited_lab, finish_with
+from tests.support.audited import audit_lab, finish_with
 from tests.unit.services.logbook import Logbook
 
 PICTURE_CONTENT = b"\x89PNG, nearly"
@@ -32,7 +32,7 @@ LATER_S = 90_000
 
 def published_lab() -> Logbook:
     """Eve's experiment runs a PCR, takes a picture of its plate, decides, and publishes."""
-    book = audited_lab()
+    book = audit_lab()
     book.at(LATER_S)
     within = ExperimentId("E1")
     book.do(StartExperiment("Color_Picker", "eve"), "eve")

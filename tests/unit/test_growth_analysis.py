@@ -143,8 +143,4 @@ def test_the_plots_hold_what_they_show(tmp_path: Any) -> None:
     figure = growth_plots.draw([first], [last], curve, "tetracycline")
     figure.savefig(tmp_path / "growth.png")
     picture = (tmp_path / "growth.png").read_bytes()
-    page = growth_plots.write_page(tmp_path, "E<1>", picture, curve, [first], [last]).read_text()
     assert picture.startswith(b"\x89PNG")
-    assert "E&lt;1&gt;" in page
-    assert f"IC50 {curve.ic50:.3f}" in page
-    assert page.count("<tr>") == 13

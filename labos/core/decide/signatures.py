@@ -34,7 +34,7 @@ class SignRecords(Command, frozen=True):
     records: int
     digest: str
     method: str
-    why: str = ""
+    why: Words = ""
 
 
 @decides(SignRun)

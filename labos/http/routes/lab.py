@@ -82,7 +82,7 @@ async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
     return await call.service.emergency_stop(body.target, name_in_emergency(body.said_by))
 
 
-_NODE = {"name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
+_NODE = {"module": "rpl/sealer", "name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
 _CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}
 _CONTROLLED = {"kind": "module", "target": "rpl/ot2_pcr_alpha", "runs": []}
 

@@ -246,6 +246,7 @@ OPERATIONS = (
         needs="operator",
         problems=("not_found", "refused"),
         example={
+            "by": "ada",
             "steps": [{"run": "R1", "step": 2, "start": 1_790_000_000_000_000_000}],
             "until": 1_790_000_600_000_000_000,
         },

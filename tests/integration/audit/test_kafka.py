@@ -21,7 +21,7 @@ from labos.core.ids import LabId
 from labos.errors import BadInput, SystemFailed
 from labos.store import open_store
 from tests.integration.audit.logs import golden
-from tests.support.audited import audited_lab
+from tests.support.audited import audit_lab
 from tests.support.kafka import KafkaBroker
 from tests.support.lab_process import until
 from tests.unit.services.logbook import Logbook
@@ -106,7 +106,7 @@ def test_what_the_topic_says_goes_before_what_is_kept(broker: KafkaBroker, tmp_p
 @pytest.mark.slow
 def test_a_broker_that_is_killed_gets_everything_after_all(tmp_path: Path) -> None:
     """The command follows a lab's log; the broker dies, the lab goes on, the broker comes back."""
-    book = audited_lab()
+    book = audit_lab()
     book.save(tmp_path / "lab")
     with KafkaBroker(tmp_path / "broker") as broker:
         with Exporter(tmp_path, broker) as exporter:
@@ -157,7 +157,7 @@ class Exporter:
 def test_kills_at_any_moment_leave_nothing_out(tmp_path: Path, seed: int) -> None:
     """Exporter and broker are killed or frozen twenty times while the log grows."""
     choose = random.Random(seed)
-    book = audited_lab()
+    book = audit_lab()
     book.save(tmp_path / "lab")
     with KafkaBroker(tmp_path / "broker") as broker, Exporter(tmp_path, broker) as exporter:
         until(lambda: bool(broker.values("lab")), "the first events", 180)
@@ -210,7 +210,7 @@ def test_bad_targets_and_settings_are_told(
     with pytest.raises(BadInput, match=r"no\.such\.setting"):
         KafkaSink(Topic("127.0.0.1:1", "lab"), LAB, tmp_path / "k.json", read_settings(file))
     monkeypatch.setenv("LABOS_HOME", str(tmp_path))
-    audited_lab().save(tmp_path)
+    audit_lab().save(tmp_path)
     for words, said in (
         (["--to", "amqp://broker/x"], "no target"),
         (["--settings", str(file)], "are for Kafka"),

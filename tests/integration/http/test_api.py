@@ -183,6 +183,7 @@ def test_what_is_answered_is_what_is_described(lab: LabThread, raw: httpx.Client
                 "experiment": experiment,
                 "booking": booking,
                 "module": "pf400",
+                "workcell": "rpl",
                 "subject": waits,
             }
             path = operation.path.format(**names)

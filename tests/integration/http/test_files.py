@@ -79,7 +79,7 @@ def test_the_client_gets_a_file_and_parts_of_it(lab: Lab) -> None:
 
 def test_a_picture_and_a_table_in_one_call(lab: Lab) -> None:
     image = lab.client.image(lab.picture)
-    assert (image.format, image.mode, image.width) == ("PNG", "RGB", 640)
+    assert (image.format, image.mode, image.width) == ("PNG", "RGB", 800)
     with pytest.raises(BadInput, match=r"plate\.png is no table"):
         lab.client.table(lab.picture)
     name = kept(lab, b"well;OD\r\nA1;0,25\r\nA2;1\r\n")

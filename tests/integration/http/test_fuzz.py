@@ -216,6 +216,12 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "labware": {"a.yaml": "YQ=="},
         "files": {"b.yaml": "YQ=="},
     },
+    "/workcells/{workcell}/order": {
+        "steps": [{"run": "R1", "step": 0, "start": 1}],
+        "until": 2,
+        "position": 1,
+        "by": "ada",
+    },
     "/workcells/{workcell}/access": {"by": "ada", "why": "x", "park": True},
     "/workcells/{workcell}/access/end": {
         "by": "ada",
