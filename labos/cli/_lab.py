@@ -56,9 +56,10 @@ def check_first(
 ) -> Compiled:
     """Refuse what a new lab would refuse, before there is one. Raises SpecErrors."""
     from labos.bootstrap import descriptions
+    from labos.planning.certified import check_windows
     from labos.spec import compile_workflow, parse_workflow
 
-    return compile_workflow(
+    compiled = compile_workflow(
         parse_workflow(text["text"], text["name"]),
         payload,
         cell.workcell,
@@ -68,6 +69,7 @@ def check_first(
         bench=cell.bench,
         left_out=cell.left_out,
     )
+    return check_windows(compiled, cell.workcell)
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ from labos.core.effects import Carrying, Claims, Needs
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN, ON_CANCEL
 from labos.core.watching import ends
+from labos.planning.certificate import Certificate
 
 if TYPE_CHECKING:
     from labos.core.model import PlanStep, Workcell
@@ -79,7 +80,8 @@ class Setpoint(msgspec.Struct):
 
 
 class Outline(msgspec.Struct):
-    """A workflow as it would run alone."""
+    """A workflow as it would run alone. ``certificate`` says which of its windows it can keep for all
+    durations of its steps."""
 
     workflow: str
     workcell: str
@@ -93,6 +95,7 @@ class Outline(msgspec.Struct):
     outputs: list[str]
     holds: list[ReservedModule] = []
     setpoints: list[Setpoint] = []
+    certificate: Certificate | None = None
 
 
 @click.command("plan")
@@ -105,7 +108,8 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     in, their modules, stations and arguments, when each starts, and what is used up.
 
     The times are the drivers' nominal ones, for a run that has the bench to itself. Steps marked
-    with * are critical: together they take as long as the run.
+    with * are critical: together they take as long as the run. Of each window it is said whether it can
+    be kept if steps take up to a tenth longer or shorter.
 
     \b
     labos plan pcr --workcell rpl
@@ -116,6 +120,7 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     """
     from labos.bootstrap import descriptions
     from labos.cli._specs import spec_path
+    from labos.planning.certified import check_windows
     from labos.spec import compile_workflow, load_workcell, read_workflow
     from labos.spec.uses import read_uses
 
@@ -131,6 +136,7 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
         bench=loaded.bench,
         left_out=loaded.left_out,
     )
+    compiled = check_windows(compiled, loaded.workcell)
     for finding in compiled.findings:
         click.echo(f"labos: {finding}", err=True)
     outline = outline_of(compiled, loaded.workcell)
@@ -142,6 +148,7 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
 
 def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
     """A compiled workflow with its times."""
+    from labos.planning.certified import certify_all
     from labos.planning.timetable import consumption, count_taken, timetable
     from labos.spec.choices import list_choices
 
@@ -200,6 +207,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             for effect in step.effects
             if isinstance(effect, Claims)
         ],
+        certificate=certify_all(compiled, workcell),
     )
 
 
@@ -244,6 +252,7 @@ def _stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workcell) -
 
 
 def _tell(outline: Outline) -> None:
+    from labos.planning.certified import describe_certificate
     from labos.services.describe import short
     from labos.services.times import show_span
     from labos.spec.choices import describe_choices
@@ -271,6 +280,8 @@ def _tell(outline: Outline) -> None:
     for step in outline.steps:
         if step.late_s:
             click.echo(f"{step.key!r} starts {show_span(step.late_s)} later than its window allows.")
+    for line in describe_certificate(outline.certificate) if outline.certificate else ():
+        click.echo(line)
     for step in outline.steps:
         for line in _terms(outline, step):
             click.echo(line)

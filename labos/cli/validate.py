@@ -16,6 +16,7 @@ from labos.cli._specs import spec_path
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN
 from labos.errors import LabosError, NoAnswer, Refused, SpecError
+from labos.planning.certificate import Certificate
 from labos.services.capacity import Capacity, capacity
 from labos.spec import (
     Compiled,
@@ -36,12 +37,14 @@ READY = ("IDLE", "BUSY")
 
 
 class Verdict(msgspec.Struct):
-    """All that is to be said of a workflow on a workcell."""
+    """All that is to be said of a workflow on a workcell. ``certificate`` says which of its windows a run can
+    keep for all durations of its steps."""
 
     findings: list[Finding]
     inputs: tuple[StationName, ...] = ()
     outputs: tuple[StationName, ...] = ()
     copies: Capacity | None = None
+    certificate: Certificate | None = None
     modules: dict[str, str] = {}
     unreachable: list[str] = []
 
@@ -84,7 +87,9 @@ def command(
 
     Without --workcell, a workcell or labware file is checked by itself. Each finding names file,
     line and column, what is wrong, and what to do. Where modules have coordinates, footprints that
-    overlap and stations beyond an arm's reach are warnings.
+    overlap and stations beyond an arm's reach are warnings. So are windows (`within`) that a run can miss
+    though it is alone, if its steps take up to a tenth longer or shorter; with `windows: refuse` at the
+    top of the workflow they are errors.
     """
     if not workcell:
         _alone(workflow, as_json=as_json)
@@ -144,6 +149,7 @@ def examine(
 ) -> tuple[Verdict, Compiled | None]:
     """Compile, dry-run and try out. Raises NotFound for a file that is not there."""
     from labos.bootstrap import descriptions, shape_of
+    from labos.planning.certified import certify_all, check_windows
     from labos.spec.layout_check import check_layout
     from labos.spec.source import read
     from labos.spec.uses import read_uses
@@ -151,6 +157,7 @@ def examine(
     flow_path, cell_path = spec_path("workflows", workflow), spec_path("workcells", workcell)
     known = descriptions()
     findings: list[Finding] = []
+    verdict = Verdict(findings)
     try:
         source = read(cell_path, last_wins=True)
         cell = compile_workcell(source, known, uses=read_uses([read(flow_path, last_wins=True)]))
@@ -164,11 +171,16 @@ def examine(
             bench=cell.bench,
             left_out=cell.left_out,
         )
+        verdict.certificate = certify_all(compiled, cell.workcell)
+        compiled = check_windows(compiled, cell.workcell)
     except SpecErrors as errors:
-        return Verdict([*findings, *errors.findings]), None
+        verdict.findings = [*findings, *errors.findings]
+        return verdict, None
     except SpecError as error:
-        return Verdict([*findings, finding_of(error)]), None
-    verdict = Verdict([*findings, *compiled.findings], compiled.inputs, compiled.outputs)
+        verdict.findings = [*findings, finding_of(error)]
+        return verdict, None
+    verdict.findings = [*findings, *compiled.findings]
+    verdict.inputs, verdict.outputs = compiled.inputs, compiled.outputs
     verdict.copies = _copies(cell, compiled)
     return verdict, compiled
 
@@ -208,6 +220,8 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
 
 
 def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
+    from labos.planning.certified import describe_certificate
+
     for finding in verdict.findings:
         click.echo(f"{finding.severity}: {finding.as_error()}")
     if compiled is None:
@@ -221,6 +235,8 @@ def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
         click.echo(line)
     click.echo(f"Labware needed at the start: {_places(verdict.inputs) or 'none'}.")
     click.echo(f"Labware stands at the end: {_places(verdict.outputs) or 'nowhere'}.")
+    for line in describe_certificate(verdict.certificate) if verdict.certificate else ():
+        click.echo(line)
     if verdict.copies is not None:
         click.echo(_how_many(verdict.copies))
     if verdict.modules:

@@ -18,6 +18,7 @@ from labos.core.users import person_of
 from labos.errors import BadInput, KeyReused, SpecError
 from labos.http.bodies import Amendment, NewCampaign
 from labos.http.service import LabService, WorkflowText
+from labos.planning.certified import check_windows
 from labos.planning.lab_forecast import LabForecast
 from labos.services.times import parse_until
 from labos.spec import SpecErrors, compile_workflow, parse_workflow
@@ -241,6 +242,7 @@ def _plan_rows(
                 files=new.workflow.files,
                 bench=bench,
             )
+            compiled = check_windows(compiled, cell)
         except SpecErrors as errors:
             for finding in errors.findings:
                 if finding.severity == "error":

@@ -54,6 +54,7 @@ from labos.http.repeats import digest_of_request, expect_same_experiment, expect
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
 from labos.planning.booked import without_gap
+from labos.planning.certified import check_windows
 from labos.runtime.kernel import error_of
 from labos.runtime.marks import Marks
 from labos.runtime.stop import EVERYTHING, StopReport, resolve_target, stop_modules
@@ -244,6 +245,7 @@ class LabService:
             compiled = compile_workflow(
                 source, payload, cell, descriptions, simulate=simulated, files=workflow.files, bench=bench
             )
+            compiled = check_windows(compiled, cell)
             # Kept before any event speaks of them.
             for content in (*compiled.files.values(), workflow.text.encode()) if keep else ():
                 self.parts.blobs.put(content)

@@ -40,11 +40,11 @@ def timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
     are the workcell's. Steps for emergencies have no time."""
     slots: dict[int, Slot] = {}
     free: dict[str, int] = {}
-    needs = [_find_occupied(step, workcell) for step in plan.steps]
+    needs = [find_occupied(step, workcell) for step in plan.steps]
     busy: dict[ModuleName, float] = {}
     waiting = {index for index, step in enumerate(plan.steps) if step.part == MAIN}
     while waiting:
-        ready = [index for index in waiting if all(step in slots for step in _before(plan.steps[index]))]
+        ready = [index for index in waiting if all(step in slots for step in find_before(plan.steps[index]))]
         index = min(ready, key=lambda i: (_start(plan.steps[i], slots, free, needs[i])[0], i))
         step = plan.steps[index]
         start_s, held_by = _start(step, slots, free, needs[index])
@@ -87,11 +87,12 @@ def _anchors(step: PlanStep) -> list[tuple[int, float, float | None]]:
     return [(w.anchor, w.wait_s, w.within_s) for w in step.windows if w.anchor is not None]
 
 
-def _before(step: PlanStep) -> set[int]:
+def find_before(step: PlanStep) -> set[int]:
+    """The steps of the run that have to be done before a step."""
     return {*step.after, *(anchor for anchor, _, _ in _anchors(step))}
 
 
-def _find_occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
+def find_occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
     """The module and the zones that a step has to itself."""
     if not step.exclusive:
         return ()

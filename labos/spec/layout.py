@@ -8,13 +8,22 @@ or one of these for each element of ``for_each``; none if it was left out.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from labos.core.model import MAIN, AnyPart
 from labos.spec.findings import Assumed, Report, near
 from labos.spec.models import StepEntry
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
+
+
+class Origin(NamedTuple):
+    """File, line, column and field in which something was written."""
+
+    file: str
+    line: int
+    column: int
+    field: str
 
 
 class Written:
@@ -234,6 +243,11 @@ class UnrolledRemarks(Remarks):
         source, at, name = self._origin(path)
         place, field = source.place(at, key=key), source.field(at) + name
         self.report.warning(message, place, field=field, remedy=remedy, file=source.file, assumed=assumed)
+
+    def find_origin(self, path: Path_) -> Origin:
+        """Where what is found at a path was written."""
+        source, at, name = self._origin(path)
+        return Origin(source.file, *source.place(at), source.field(at) + name)
 
     def _origin(self, path: Path_) -> tuple[Source, Path_, str]:
         if len(path) > 1 and path[0] == "steps" and isinstance(path[1], int):

@@ -288,9 +288,15 @@ OnCancelEntry = Annotated[
 ]
 
 
+WhenBroken = Literal["refuse", "warn", "accept"]
+"""What follows where a run cannot keep a window for all durations of its steps: it is refused, there is a
+warning, nothing."""
+
+
 class WorkflowFile(Part):
     """Steps on modules. ``modules`` lists those the steps use; it may be left out. ``hold`` says
-    how long a module is kept from others, or ``none`` for no longer than it must be. ``on_cancel`` are
+    how long a module is kept from others, or ``none`` for no longer than it must be. ``windows`` says what
+    follows where a window cannot be kept for all durations of the steps (``warn``). ``on_cancel`` are
     the steps that bring labware out when a run is cancelled, or a file with such steps."""
 
     labos: Literal[1] = 1
@@ -301,6 +307,7 @@ class WorkflowFile(Part):
     modules: list[str] | None = None
     parameters: dict[str, Parameter] = {}
     hold: dict[str, Literal["none"] | HoldEntry] = {}
+    windows: WhenBroken | None = None
     steps: list[StepEntry] = Field(min_length=1, max_length=2000)
     on_cancel: OnCancelEntry | None = None
 

@@ -167,6 +167,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "modules": "modules it uses; one that the workcell lacks is a warning",
         "parameters": "values it takes from the payload, by name",
         "hold": "how long modules are kept from others, by module; `none` for no longer than they must be",
+        "windows": "what follows where a run can miss a window if its steps take shorter or longer",
         "steps": "the steps; each follows the one before it, if it does not say `after`",
         "on_cancel": "steps that bring labware out of the way when a run is cancelled, or a file with them",
     },

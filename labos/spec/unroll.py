@@ -355,7 +355,7 @@ class Unroller:
             source = parse_yaml(found.content, path, last_wins=True)
             form, dialect = workflow_form(source, report)
             file = validate(WorkflowFile, form, report)
-            for key in ("hold", "on_cancel") if file is not None else ():
+            for key in ("hold", "windows", "on_cancel") if file is not None else ():
                 if getattr(file, key):
                     report.error(
                         f"`{key}` counts in the workflow that is submitted, not in a file that it uses.",

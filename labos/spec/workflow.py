@@ -20,8 +20,8 @@ from labos.spec.dialects import workflow_form
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of
-from labos.spec.layout import UnrolledRemarks
-from labos.spec.models import WorkflowFile
+from labos.spec.layout import Origin, UnrolledRemarks
+from labos.spec.models import WhenBroken, WorkflowFile
 from labos.spec.paper import Piece
 from labos.spec.payloads import refuse_unused
 from labos.spec.planner import Planner
@@ -45,7 +45,8 @@ class Compiled(msgspec.Struct, frozen=True):
     """A plan, the stations where labware must stand at its start and those where it stands at
     its end (one entry a piece), the warnings, the content of pinned files by digest, and what a person
     must have ``brought`` before. ``others`` are plans of the same steps on other modules, where the workflow
-    leaves a choice; everything else is that of ``plan``."""
+    leaves a choice; everything else is that of ``plan``. ``windows`` is what the workflow says of windows
+    that cannot be kept for all durations, ``written`` where the steps with windows have them."""
 
     plan: Plan
     inputs: tuple[StationName, ...] = ()
@@ -54,6 +55,8 @@ class Compiled(msgspec.Struct, frozen=True):
     files: dict[str, bytes] = {}
     brought: tuple[StartingLabware, ...] = ()
     others: tuple[Plan, ...] = ()
+    windows: WhenBroken = "warn"
+    written: dict[int, Origin] = {}
 
     @property
     def plans(self) -> tuple[Plan, ...]:
@@ -166,12 +169,13 @@ def _compile(
     unroller = Unroller(report, finder, Defaults(workcell), Carriers(workcell, given.descriptions))
     layout = unroller.unroll(file, form, _payload(file, payload), foreign=given.foreign)
     report.raise_if_failed()
+    remarks = UnrolledRemarks(form, report, layout)
     planner = Planner(
         file=file,
         layout=layout,
         workcell=workcell,
         descriptions=given.descriptions,
-        remarks=UnrolledRemarks(form, report, layout),
+        remarks=remarks,
         finder=finder,
         simulate=simulate,
         bench=bench,
@@ -190,7 +194,20 @@ def _compile(
     brought += [
         _starting_labware(dry, stack, Piece(dry.stock.get(stack, ""), fresh=True)) for stack in dry.missing
     ]
-    return Compiled(plan, tuple(dry.inputs), dry.outputs(), report.sorted(), planner.contents, tuple(brought))
+    return Compiled(
+        plan,
+        tuple(dry.inputs),
+        dry.outputs(),
+        report.sorted(),
+        planner.contents,
+        tuple(brought),
+        windows=file.windows or "warn",
+        written={
+            index: remarks.find_origin(("steps", index, "within"))
+            for index, step in enumerate(plan.steps)
+            if any(window.within_s is not None for window in step.windows)
+        },
+    )
 
 
 def validate_workflow(

@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from labos.bootstrap import descriptions
 from labos.core.model import Description, StationKind
 from labos.errors import SpecError
+from labos.planning.certified import check_windows
 from labos.spec import (
     CompiledWorkcell,
     SpecErrors,
@@ -81,7 +82,7 @@ def compile_example(block: Block) -> list[str]:
         bench=cell.bench,
         files={b.title: b.text.encode() for b in blocks(WORKFLOW.read_text()) if used and b.title == used},
     )
-    return [str(finding) for finding in compiled.findings]
+    return [str(finding) for finding in check_windows(compiled, cell.workcell).findings]
 
 
 def check(block: Block, compiled: Callable[[], list[str]]) -> None:

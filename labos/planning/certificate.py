@@ -1,0 +1,396 @@
+"""Whether a run that is alone on the bench can keep its windows, however long its steps take.
+
+The lab decides when steps start; when they end is known only when they do. So this is dynamic controllability
+of a simple temporal network with uncertainty, checked as in P. Morris, "Dynamic controllability and
+dispatchability relationships", CPAIOR 2014 (O(n³)): from each node into which negative edges lead,
+distances are followed backwards, and a node that is met again while it is followed is on a negative cycle.
+Such a cycle goes through a window, which breaks by the cycle's length.
+
+Steps that need the same module or zone go one after the other, in the order of the plan: another order might
+keep a window that this one breaks. Nothing fails and nothing is left out; a start takes no time.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+
+import msgspec
+
+from labos.core.model import MAIN, Plan, Workcell
+from labos.planning.forecast import MARGIN
+from labos.planning.timetable import find_before, find_occupied
+
+SPREAD = round(MARGIN - 1, 9)
+"""By which part of its nominal duration a step may be shorter or longer."""
+
+US = 1_000_000
+"""Times are counted in whole microseconds, so that sums are exact."""
+
+MOST_CYCLES = 1_000
+"""After so many cycles, each further one takes its window out: what it breaks by is then the least."""
+
+MOST_STEPS = 500
+"""Of longer plans only that is said what each window breaks by for itself."""
+
+Range = tuple[float, float]
+"""The least and the greatest duration of a step, in seconds."""
+
+
+class Taken(msgspec.Struct, frozen=True):
+    """A step, and how long it takes where a window breaks (seconds)."""
+
+    step: str
+    takes_s: float
+
+
+class WindowVerdict(msgspec.Struct, frozen=True):
+    """A window of a run: ``step`` (``index`` in the plan) starts at least ``wait_s`` and at most ``within_s``
+    after the end of ``anchor``. It can be missed by ``breaks_by_s`` seconds (0: it can be kept) if the
+    steps of ``path`` take so long."""
+
+    index: int
+    step: str
+    anchor: str
+    wait_s: float
+    within_s: float | None
+    breaks_by_s: float = 0.0
+    path: tuple[Taken, ...] = ()
+
+    @property
+    def is_kept(self) -> bool:
+        return not self.breaks_by_s
+
+
+class Certificate(msgspec.Struct, frozen=True):
+    """What is to be said of each window of a plan. ``spread`` is the part by which durations scatter;
+    ``left_out`` are the steps with windows whose clock another run starts: of these nothing is said. Where a
+    plan is too long to look at all windows together, it is not ``is_whole``."""
+
+    spread: float
+    windows: tuple[WindowVerdict, ...] = ()
+    left_out: tuple[str, ...] = ()
+    is_whole: bool = True
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether all windows can be kept together."""
+        return self.is_whole and all(window.is_kept for window in self.windows)
+
+
+class _Edge(msgspec.Struct, frozen=True, eq=False):
+    """``end`` comes at most ``weight`` µs after ``start``. ``case`` is 1 where a step may take its longest
+    (upper case), -1 where it may take its shortest (lower case); ``step`` is that step, or the number of the
+    window (``is_window``). ``parts`` are the edges from which it was derived."""
+
+    start: int
+    end: int
+    weight: int
+    case: int = 0
+    step: int = -1
+    is_window: bool = False
+    parts: tuple[_Edge, ...] = ()
+
+    def expand(self) -> Iterator[_Edge]:
+        """The edges of the network that it stands for."""
+        open_ = [self]
+        while open_:
+            edge = open_.pop()
+            if edge.parts:
+                open_ += reversed(edge.parts)
+            else:
+                yield edge
+
+
+def certify(
+    plan: Plan,
+    workcell: Workcell | None = None,
+    *,
+    spread: float = SPREAD,
+    ranges: Sequence[Range] | None = None,
+) -> Certificate:
+    """Say of each window of a plan whether it can be kept for all durations of its steps, together with the
+    others. ``ranges`` are those of all steps, in place of the nominal durations ± ``spread``; the zones are
+    the workcell's. ``breaks_by_s`` is what a window has to be wider, all others being as wide as they have
+    to be; of several that cannot be kept together, the last one is broken."""
+    limits = ranges or [(s.duration_s * (1 - spread), s.duration_s * (1 + spread)) for s in plan.steps]
+    order = find_order(plan)
+    place = {step: position for position, step in enumerate(order)}
+    main = [index for index, step in enumerate(plan.steps) if step.part == MAIN]
+    known = [
+        (index, window.anchor, window)
+        for index in main
+        for window in plan.steps[index].windows
+        if window.anchor is not None and {index, window.anchor} <= place.keys()
+    ]
+    outer = [plan.steps[i].key for i in main if any(window.of for window in plan.steps[i].windows)]
+    fixed = _Fixed()
+    fixed.add_durations(order, limits)
+    for step in order:
+        for before in sorted(find_before(plan.steps[step])):
+            fixed.follow(step, before)
+    for sooner, later in _find_neighbours(plan, workcell, order):
+        fixed.follow(later, sooner)
+    for index, anchor, window in known:
+        fixed.follow(index, anchor, _us(window.wait_s))
+    width = {
+        number: _us(window.within_s)
+        for number, (_, _, window) in enumerate(known)
+        if window.within_s is not None
+    }
+    sources = [node for step in reversed(order) for node in (_end(step), _sure(step), _begin(step))]
+    broken: dict[int, int] = {}
+    paths: dict[int, tuple[Taken, ...]] = {}
+    for number, most in width.items():
+        index, anchor, _ = known[number]
+        between, path = _find_longest_path(fixed, order[place[anchor] : place[index] + 1])
+        if between > most:
+            broken[number] = between - most
+            paths[number] = tuple(Taken(plan.steps[step].key, limits[step][1]) for step in path)
+    width = {number: most + broken.get(number, 0) for number, most in width.items()}
+    cycles = 0
+    is_whole = len(main) <= MOST_STEPS or not width
+    while width and is_whole:
+        edges = [
+            _Edge(_end(known[n][1]), _begin(known[n][0]), most, step=n, is_window=True)
+            for n, most in width.items()
+        ]
+        ways = _find_negative_cycle([*fixed.edges, *edges], sources)
+        if not ways:
+            break
+        cycle = [part for way in ways for edge in way for part in edge.expand()]
+        through = [edge.step for edge in cycle if edge.is_window]
+        blamed = max(through, key=lambda n: (place[known[n][0]], n))
+        short = _find_shortfall(ways, blamed)
+        broken[blamed] = broken.get(blamed, 0) + short
+        paths[blamed] = _taken(plan, cycle, limits, place)
+        cycles += 1
+        if cycles < MOST_CYCLES:
+            width[blamed] += short
+        else:
+            del width[blamed]
+    verdicts = [
+        WindowVerdict(
+            index,
+            plan.steps[index].key,
+            plan.steps[anchor].key,
+            window.wait_s,
+            window.within_s,
+            broken.get(number, 0) / US,
+            paths.get(number, ()),
+        )
+        for number, (index, anchor, window) in enumerate(known)
+    ]
+    return Certificate(spread, tuple(verdicts), tuple(outer), is_whole)
+
+
+def find_order(plan: Plan) -> list[int]:
+    """The steps of the workflow itself, each behind those that it waits for, else as they are written."""
+    before = {index: find_before(step) for index, step in enumerate(plan.steps) if step.part == MAIN}
+    followers: dict[int, list[int]] = {index: [] for index in before}
+    for index, steps in before.items():
+        before[index] = {step for step in steps if step in before}
+        for step in before[index]:
+            followers[step].append(index)
+    count = {index: len(steps) for index, steps in before.items()}
+    ready = [index for index in before if not count[index]]
+    order: list[int] = []
+    while ready:
+        order.append(heapq.heappop(ready))
+        for follower in followers[order[-1]]:
+            count[follower] -= 1
+            if not count[follower]:
+                heapq.heappush(ready, follower)
+    return order
+
+
+# -- the network: of each step its start, the soonest at which it may end, and its end ----------------
+
+
+def _begin(step: int) -> int:
+    return 3 * step
+
+
+def _sure(step: int) -> int:
+    return 3 * step + 1
+
+
+def _end(step: int) -> int:
+    return 3 * step + 2
+
+
+def _us(seconds: float) -> int:
+    return round(seconds * US)
+
+
+class _Fixed:
+    """All but the windows: durations, and after which other steps each starts, with what wait (µs)."""
+
+    def __init__(self) -> None:
+        self.edges: list[_Edge] = []
+        self.longest: dict[int, int] = {}
+        self.before: dict[int, list[tuple[int, int]]] = {}
+
+    def add_durations(self, steps: Sequence[int], limits: Sequence[Range]) -> None:
+        for step in steps:
+            least, most = _us(limits[step][0]), _us(limits[step][1])
+            begin, sure, end = _begin(step), _sure(step), _end(step)
+            self.longest[step] = most
+            self.edges += (_Edge(begin, sure, least), _Edge(sure, begin, -least, step=step))
+            self.edges += (_Edge(sure, end, most - least), _Edge(end, sure, 0))
+            self.edges += (_Edge(sure, end, 0, -1, step), _Edge(end, sure, least - most, 1, step))
+
+    def follow(self, step: int, before: int, wait: int = 0) -> None:
+        """Let a step start no sooner than a time after the end of another."""
+        self.edges.append(_Edge(_begin(step), _end(before), -wait))
+        self.before.setdefault(step, []).append((before, wait))
+
+
+def _find_neighbours(
+    plan: Plan, workcell: Workcell | None, order: Sequence[int]
+) -> Iterator[tuple[int, int]]:
+    """The steps that follow one another on a module or in a zone."""
+    last: dict[str, int] = {}
+    for step in order:
+        for name in find_occupied(plan.steps[step], workcell):
+            if name in last:
+                yield last[name], step
+            last[name] = step
+
+
+def _find_longest_path(fixed: _Fixed, steps: Sequence[int]) -> tuple[int, list[int]]:
+    """How long it takes from the end of the first to the start of the last of these steps, which are in
+    order, if all take their longest (µs), and by way of which steps."""
+    first, last = steps[0], steps[-1]
+    ends: dict[int, tuple[int, int]] = {first: (0, first)}
+    starts: dict[int, tuple[int, int]] = {}
+    for step in steps[1:]:
+        known = [(ends[b][0] + wait, b) for b, wait in fixed.before.get(step, ()) if b in ends]
+        if known:
+            starts[step] = max(known)
+            ends[step] = (starts[step][0] + fixed.longest[step], step)
+    path = []
+    step = starts[last][1]
+    while step != first:
+        path.append(step)
+        step = starts[step][1]
+    return starts[last][0], path[::-1]
+
+
+def _taken(
+    plan: Plan, cycle: Sequence[_Edge], limits: Sequence[Range], place: dict[int, int]
+) -> tuple[Taken, ...]:
+    """The steps of a cycle, with how long each takes there, in the order of the plan. One that stands there
+    at its longest and at its shortest does not matter."""
+    cases: dict[int, set[int]] = {}
+    for edge in cycle:
+        if edge.case or (edge.step >= 0 and not edge.is_window):
+            cases.setdefault(edge.step, set()).add(edge.case)
+    times = {
+        step: limits[step][1 if 1 in found else 0] for step, found in cases.items() if not {1, -1} <= found
+    }
+    return tuple(Taken(plan.steps[step].key, times[step]) for step in sorted(times, key=place.__getitem__))
+
+
+def _find_shortfall(ways: Sequence[Sequence[_Edge]], window: int) -> int:
+    """By how much a window has to be wider so that a cycle through it is none any more (µs): its length, or
+    less where that lets a step take its shortest again. Less than this does not help."""
+    total = sum(edge.weight for way in ways for edge in way)
+    found = [-(total // sum(_passes(edge, window) for way in ways for edge in way))]
+    open_ = list(ways)
+    while open_:
+        sum_, passes = 0, 0
+        for edge in reversed(open_.pop()):
+            if edge.parts:
+                open_.append(edge.parts)
+            elif edge.case < 0 and passes:
+                found.append(-(sum_ // passes))
+            sum_ += edge.weight
+            passes += _passes(edge, window)
+    return min(found)
+
+
+def _passes(edge: _Edge, window: int) -> int:
+    return sum(part.is_window and part.step == window for part in edge.expand())
+
+
+# -- Morris 2014 ---------------------------------------------------------------------------------------
+
+
+class _Search:
+    """The edges by the node at which they end, and the nodes from which all has been followed."""
+
+    def __init__(self, edges: Sequence[_Edge]) -> None:
+        self.into: dict[int, list[_Edge]] = {}
+        for edge in edges:
+            self.into.setdefault(edge.end, []).append(edge)
+        self.negative = {edge.end for edge in edges if edge.weight < 0}
+        self.done: set[int] = set()
+
+    def follow(self, source: int) -> Iterator[tuple[int, list[_Edge]]]:
+        """Follow paths that lead to a node backwards as long as they are negative, and add those that end
+        to be so as edges. Yields the negative nodes on the way, with the path from there."""
+        least: dict[int, int] = {}
+        first: dict[int, _Edge] = {}
+        queue: list[tuple[int, int]] = []
+        own = -1
+        for edge in self.into.get(source, ()):
+            if edge.weight < 0 and edge.weight < least.get(edge.start, 0):
+                least[edge.start], first[edge.start] = edge.weight, edge
+                heapq.heappush(queue, (edge.weight, edge.start))
+                own = edge.step if edge.case > 0 else own
+        passed: set[int] = set()
+        while queue:
+            distance, node = heapq.heappop(queue)
+            if node in passed:
+                continue
+            passed.add(node)
+            if distance >= 0 and node == source:
+                continue
+            if distance >= 0:
+                parts = tuple(self._path(node, source, first))
+                self.into.setdefault(source, []).append(_Edge(node, source, distance, parts=parts))
+                continue
+            if node in self.negative and node not in self.done:
+                yield node, self._path(node, source, first)
+            for edge in self.into.get(node, ()):
+                is_own = edge.case < 0 and edge.step == own
+                if edge.weight < 0 or is_own or edge.start in passed:
+                    continue
+                if distance + edge.weight < least.get(edge.start, distance + edge.weight + 1):
+                    least[edge.start], first[edge.start] = distance + edge.weight, edge
+                    heapq.heappush(queue, (distance + edge.weight, edge.start))
+
+    def _path(self, node: int, source: int, first: dict[int, _Edge]) -> list[_Edge]:
+        path = [first[node]]
+        while path[-1].end != source:
+            path.append(first[path[-1].end])
+        return path
+
+
+def _find_negative_cycle(edges: Sequence[_Edge], sources: Sequence[int]) -> list[list[_Edge]]:
+    """The paths of a cycle that no strategy survives, each to the node from which it was followed; none if
+    the network is dynamically controllable. ``sources`` are nodes in the order in which to look at them."""
+    search = _Search(edges)
+    negative = [node for node in sources if node in search.negative]
+    negative += search.negative.difference(negative)
+    for source in negative:
+        if source in search.done:
+            continue
+        stack = [(source, search.follow(source))]
+        ways: list[list[_Edge]] = []
+        while stack:
+            node, steps = stack[-1]
+            met = next(steps, None)
+            if met is None:
+                search.done.add(node)
+                stack.pop()
+                ways = ways[: len(stack) - 1] if stack else []
+                continue
+            deeper, path = met
+            above = next((n for n, (other, _) in enumerate(stack) if other == deeper), None)
+            if above is not None:
+                return [path, *reversed(ways[above:])]
+            ways.append(path)
+            stack.append((deeper, search.follow(deeper)))
+    return []
