@@ -72,7 +72,7 @@ def command(
     expect_solver()
     asker, planner, watch = who(user), Planner(seconds=seconds), Watch()
     next_look: dict[str, float] = {}
-    with orderly(), need_lab_of(where) as client, open_log(where) as log:
+    with orderly(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # which it only reads
         try:
             while True:

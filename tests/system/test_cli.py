@@ -94,6 +94,7 @@ WITHOUT_JSON = {
         "labos export events",
         "labos node start",
         "labos notifications watch",
+        "labos planner",
         "labos witness",
     ),
     "labos mcp",  # an agent speaks to it, in a protocol of its own
