@@ -387,6 +387,7 @@ def test_at_the_end_the_log_is_whole_and_the_bench_agrees(working: Lab) -> None:
 def test_cancelling_says_what_is_true(working: Lab) -> None:
     lab = working
     assert labos("place", "sealer.default", "plate96", *lab.home).returncode == 0
+    until(lambda: lab.status("sealer") == "IDLE", "the sealer is at rest")
     lab.nodes["sealer"].send_signal(signal.SIGSTOP)
     try:
         run = lab.submit(seal("time: 1"))

@@ -262,7 +262,12 @@ def test_words_of_others_are_data(agent: Agent, lab: LabThread) -> None:
 
 
 @pytest.mark.slow
-def test_it_is_spoken_to_over_standard_input(lab: LabThread, mighty: str) -> None:
+def test_it_is_spoken_to_over_standard_input(
+    lab: LabThread, mighty: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # So long the client waits for the server's end before it leaves it behind.
+    monkeypatch.setattr("mcp.client.stdio.PROCESS_TERMINATION_TIMEOUT", 60.0)
+
     async def speak() -> Any:
         params = StdioServerParameters(
             command=sys.executable,
