@@ -11,6 +11,7 @@ from labos.core.ids import RunId
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http.bodies import RunSignature
 from labos.http.signing import expect_users
+from labos.services.shown import show_struct
 from labos.services.signatures import Kind, Signature, Signed, kind_of, record_of, signatures_of
 
 if TYPE_CHECKING:
@@ -30,7 +31,9 @@ async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Sig
     await call.kernel.written()
     record = await asyncio.to_thread(record_of, store, subject, kind)
     for known in await asyncio.to_thread(signatures_of, store, subject):
-        if (known.by, known.meaning, known.why) == (user, asked.meaning, asked.why) and known.holds:
+        if (known.by, known.meaning) != (user, asked.meaning) or not known.holds:
+            continue
+        if (await asyncio.to_thread(show_struct, store, known)).why == asked.why:
             return known
     await call.kernel.execute(_command(subject, record, user, asked), call.user)
     found = await asyncio.to_thread(signatures_of, store, subject)
