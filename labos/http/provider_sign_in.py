@@ -49,7 +49,7 @@ class FinishSignIn(msgspec.Struct, forbid_unknown_fields=True):
     days: Annotated[Days, says("how long the token is good; the lab may give less")] = 30.0
 
 
-class SignedIn(msgspec.Struct, frozen=True):
+class FinishedSignIn(msgspec.Struct, frozen=True):
     """``token`` is told this once; ``until`` is when it ends (UTC nanoseconds). With ``wait_s`` nobody has
     typed the code in yet, and the rest is empty."""
 
@@ -80,14 +80,14 @@ async def finish(call: Call, told: FinishSignIn) -> Response:
     try:
         claims = await way.finish({name: text for name, text in sent.items() if text}, told.key)
         if isinstance(claims, Wait):
-            return _answer(SignedIn(wait_s=claims.seconds))
+            return _answer(FinishedSignIn(wait_s=claims.seconds))
         user = await user_meant(call.api, way.provider, claims)
     except NotSignedIn:
         accounts.tell_try("wrong")
         raise
     accounts.tell_try("right")
     secret, token = await accounts.make_token(user, told.label, told.scope, min(told.days, way.most_days))
-    return _answer(SignedIn(user, token.expires_at, secret))
+    return _answer(FinishedSignIn(user, token.expires_at, secret))
 
 
 def _way(call: Call) -> CommandLineSignIn:
