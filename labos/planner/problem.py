@@ -1,9 +1,9 @@
 """What is still to be done in a workcell, as a problem of tasks and rooms, read from the lab's state.
 
-A task is a step that has not ended. It takes its module (if it is exclusive), the modules into whose places
-its hand reaches, and the place where it changes its grip. Labware takes room at a place from the start of
-the task that brings it to the end of the task that carries it away, and so it takes the deck (``claim``) to
-which the place belongs.
+A task is a step that has not ended. It takes its module (if it is exclusive) and its zones, the modules into
+whose places its hand reaches, and the place where it changes its grip. Labware takes room at a place from the
+start of the task that brings it to the end of the task that carries it away, and so it takes the deck
+(``claim``) to which the place belongs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from labos.core.model import MAIN, PlanStep
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import MOST_STEPS
-from labos.core.waits import module_key, station_key
+from labos.core.waits import station_key
+from labos.planning.suggested import list_taken
 
 MOST_WAITING = 30
 """So many runs that wait are looked at, those that go first."""
@@ -31,7 +32,7 @@ LEAST_S = 1.0
 """What takes longer than it should is expected to take so much longer still (lab seconds)."""
 
 
-class Clock(msgspec.Struct, frozen=True):
+class TimeLag(msgspec.Struct, frozen=True):
     """A task starts at least and at most so long (lab seconds) after another has ended. The other is a task
     (``anchor``), or ended so long ago (``ago_s``)."""
 
@@ -50,7 +51,7 @@ class Task(msgspec.Struct, frozen=True):
     duration_s: float
     takes: tuple[str, ...]
     after: tuple[int, ...]
-    clocks: tuple[Clock, ...] = ()
+    lags: tuple[TimeLag, ...] = ()
     runs: bool = False
 
 
@@ -65,7 +66,8 @@ class Stay(msgspec.Struct, frozen=True):
 
 class Problem(msgspec.Struct, frozen=True):
     """All tasks, those of a run together, and how many have room where. ``like`` are pairs of runs' first
-    tasks that are alike: the first goes first."""
+    tasks that are alike: the first goes first. Of each run ``ends`` are the tasks that no other follows, and
+    ``more`` says whether further runs follow that nobody knows yet: it is part of an experiment."""
 
     tasks: tuple[Task, ...]
     stays: tuple[Stay, ...]
@@ -118,9 +120,10 @@ class _Reader:
             step = plan.steps[index]
             after = tuple(numbers[before] for before in step.after if before in numbers)
             flying = run.has_started and run.steps[index].status == IN_FLIGHT
-            clocks = tuple(self._clocks(step, numbers, ended))
+            lags = tuple(self._lags(step, numbers, ended))
             duration_s = self._left_s(run, index, step) if flying else step.duration_s
-            self.tasks.append(Task(run.id, index, duration_s, self._takes(step), after, clocks, runs=flying))
+            taken = tuple(list_taken(self.state, step))
+            self.tasks.append(Task(run.id, index, duration_s, taken, after, lags, runs=flying))
             assert number == len(self.tasks) - 1
         self._carry(run, plan.steps, numbers)
         before = {number for task in self.tasks[base:] for number in task.after}
@@ -132,17 +135,17 @@ class _Reader:
                 self._like.append((self._looks[look], base))
             self._looks[look] = base
 
-    def _clocks(
+    def _lags(
         self, step: PlanStep, numbers: dict[int, int], ended: dict[int, int | None]
-    ) -> Iterator[Clock]:
+    ) -> Iterator[TimeLag]:
         for window in step.windows:
             if window.anchor is None:
                 continue
             if window.anchor in numbers:
-                yield Clock(numbers[window.anchor], 0.0, window.wait_s, window.within_s)
+                yield TimeLag(numbers[window.anchor], 0.0, window.wait_s, window.within_s)
             elif (ended_at := ended.get(window.anchor)) is not None:
                 gone_s = (self.now - ended_at) / 1e9 * self.state.lab.pace
-                yield Clock(None, gone_s, window.wait_s, window.within_s)
+                yield TimeLag(None, gone_s, window.wait_s, window.within_s)
 
     def _left_s(self, run: RunState, index: int, step: PlanStep) -> float:
         for action in self.state.actions.within(self.state.runs.plan_of(run).workcell):
@@ -150,19 +153,6 @@ class _Reader:
                 gone_s = (self.now - action.requested_at) / 1e9 * self.state.lab.pace
                 return max(step.duration_s - gone_s, LEAST_S)
         return LEAST_S
-
-    def _takes(self, step: PlanStep) -> tuple[str, ...]:
-        found: dict[str, bool] = {}
-        if step.exclusive:
-            found[module_key(step.module)] = True
-        for what in carried(step.effects):
-            if what.via:
-                found[station_key(what.via)] = True
-            for place in what.entered:
-                spec = self.state.bench.stations[place].spec
-                if spec.module and not spec.stands_apart:
-                    found[module_key(spec.module)] = True
-        return tuple(found)
 
     def _carry(self, run: RunState, steps: tuple[PlanStep, ...], numbers: dict[int, int]) -> None:
         standing: dict[str, list[int | None]] = {}

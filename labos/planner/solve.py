@@ -53,7 +53,7 @@ def solve(
     tasks = problem.tasks
     unit = _unit_of([task.duration_s for task in tasks])
     length = [max(1, math.ceil(task.duration_s / unit - 1e-9)) for task in tasks]
-    waits = [c.wait_s for task in tasks for c in task.clocks]
+    waits = [lag.wait_s for task in tasks for lag in task.lags]
     horizon = sum(length) + math.ceil(sum(waits) / unit) + 1
     model = cp_model.CpModel()
     begin = [model.new_int_var(0, 0 if task.runs else horizon, f"s{n}") for n, task in enumerate(tasks)]
@@ -70,13 +70,13 @@ def solve(
             using.setdefault(name, []).append(interval)
         for before in task.after:
             model.add(begin[number] >= end[before])
-        for clock in task.clocks:
-            anchor = end[clock.anchor] if clock.anchor is not None else -math.floor(clock.ago_s / unit)
-            model.add(begin[number] >= anchor + math.ceil(clock.wait_s / unit))
-            if clock.within_s is not None:
+        for lag in task.lags:
+            anchor = end[lag.anchor] if lag.anchor is not None else -math.floor(lag.ago_s / unit)
+            model.add(begin[number] >= anchor + math.ceil(lag.wait_s / unit))
+            if lag.within_s is not None:
                 missed = model.new_bool_var(f"late{number}")
                 late.append(missed)
-                latest = anchor + math.floor(clock.within_s / unit)
+                latest = anchor + math.floor(lag.within_s / unit)
                 model.add(begin[number] <= latest).only_enforce_if(~missed)
     for intervals in using.values():
         model.add_no_overlap(intervals)

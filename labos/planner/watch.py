@@ -19,10 +19,15 @@ from labos.planning.suggested import GRACE_S
 DRIFT_S = GRACE_S / 2
 """A step that has not started so long (lab seconds) after its time: things go otherwise than was planned."""
 
+MOST_DOUBLINGS = 7
+"""While the same runs are there, each further look waits twice as long as the one before, up to about an
+hour: what stands still over night (a module that is down, a question) is not suggested again and again."""
+
 
 class _Seen(msgspec.Struct):
     runs: tuple[tuple[RunId, bool], ...]
     order: SuggestOrder | None
+    repeated: int = 0
 
 
 class Watch:
@@ -36,16 +41,20 @@ class Watch:
         seen = self._seen.get(cell)
         if seen is None or seen.runs != _runs(state, cell, waiting):
             return True
+        patience = lab_ns(state, DRIFT_S * 2**seen.repeated)
         return seen.order is not None and any(
-            one.start + lab_ns(state, DRIFT_S) < now and _is_open(state, one.run, one.step)
-            for one in seen.order.steps
+            one.start + patience < now and _is_open(state, one.run, one.step) for one in seen.order.steps
         )
 
     def note(
         self, state: LabState, cell: str, waiting: Iterable[RunState], order: SuggestOrder | None
     ) -> None:
         """An order was looked for."""
-        self._seen[cell] = _Seen(_runs(state, cell, waiting), order)
+        before, runs = self._seen.get(cell), _runs(state, cell, waiting)
+        repeated = 0
+        if before is not None and before.runs == runs:
+            repeated = min(before.repeated + 1, MOST_DOUBLINGS)
+        self._seen[cell] = _Seen(runs, order, repeated)
 
 
 def waiting_in(state: LabState, cell: str) -> list[RunState]:

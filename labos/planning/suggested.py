@@ -22,7 +22,8 @@ from labos.core.rules import lab_ns
 from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.core.waits import Wait, module_key, station_key
+from labos.core.waits import Wait, module_key, station_key, zone_key
+from labos.core.zones import zones_of
 from labos.planning.forecast import is_pending
 from labos.planning.touch import cell_key
 from labos.planning.urgency import is_urgent
@@ -84,7 +85,7 @@ class Adviser:
             return None
         mine = advice.starts.get((run.id, step), LAST)
         urgent = is_urgent(state, run, now)
-        for resource in takes(state, plan.steps[step]):
+        for resource in _list_resources(state, plan.steps[step]):
             for one in advice.by_resource.get(resource, ()):
                 if one.start >= mine:
                     break
@@ -121,17 +122,18 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> Advice:
         advice.starts[one.run, one.step] = one.start
         if not run.has_started and one.step in state.runs.plans[run.plan].starts:
             advice.lines.setdefault(queue_key(state.runs.shape_of(run), run), []).append(one)
-        for resource in takes(state, state.runs.plan_of(run).steps[one.step]):
+        for resource in _list_resources(state, state.runs.plan_of(run).steps[one.step]):
             advice.by_resource.setdefault(resource, []).append(one)
     return advice
 
 
-def takes(state: LabState, step: PlanStep) -> list[str]:
-    """The keys of what one step at a time may have: its module, the modules that a hand reaches into, and the
-    places that it fills."""
+def list_taken(state: LabState, step: PlanStep) -> list[str]:
+    """The keys of what one step at a time may have, as long as it lasts: its module and zones, the modules
+    that a hand reaches into, and the place where it changes its grip."""
     found: dict[str, bool] = {}
     if step.exclusive:
         found[module_key(step.module)] = True
+        found.update(dict.fromkeys(map(zone_key, zones_of(state, step.module, step.effects)), True))
     for what in carried(step.effects):
         if what.via:
             found[station_key(what.via)] = True
@@ -139,9 +141,14 @@ def takes(state: LabState, step: PlanStep) -> list[str]:
             spec = state.bench.stations[place].spec
             if spec.module and not spec.stands_apart:
                 found[module_key(spec.module)] = True
-        if what.filled and state.bench.stations[what.filled].spec.kind not in ("stack", "waste"):
-            found[station_key(what.filled)] = True
     return list(found)
+
+
+def _list_resources(state: LabState, step: PlanStep) -> list[str]:
+    """The keys of what steps take in a suggested order: also the places that they fill."""
+    filled = (what.filled for what in carried(step.effects) if what.filled)
+    places = [p for p in filled if state.bench.stations[p].spec.kind not in ("stack", "waste")]
+    return list(dict.fromkeys([*list_taken(state, step), *map(station_key, places)]))
 
 
 def _is_moving(state: LabState, cell: str) -> bool:

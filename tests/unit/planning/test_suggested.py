@@ -66,11 +66,6 @@ def why(lab: Driver, run: str, index: int = 0) -> str:
     return sentence(waits[index]) if index in waits else ""
 
 
-def test_the_cell_is_called_cell() -> None:
-    lab, _ = made()
-    assert list(lab.state.lab.workcells) == ["cell"]
-
-
 def test_the_suggested_order_is_followed_and_explained() -> None:
     lab, (first, second) = made(visit("dev"), visit("other"))
     suggest(lab, (second, 0, 0.0), (first, 0, 20.0))

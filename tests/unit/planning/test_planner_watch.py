@@ -1,0 +1,56 @@
+"""When a planner looks again: when runs come or go, when steps are late, and ever more seldom at night."""
+
+from __future__ import annotations
+
+from labos.core.decide.suggestions import SuggestOrder
+from labos.core.suggestions import Suggested
+from labos.planner.problem import problem_of
+from labos.planner.watch import DRIFT_S, MOST_DOUBLINGS, Watch, waiting_in
+from tests.support.bench import Driver
+from tests.unit.planning.test_suggested import made, visit
+
+
+def look(watch: Watch, lab: Driver) -> bool:
+    """Whether it looks now; what it then suggests is that everybody starts at once."""
+    waiting = waiting_in(lab.state, "cell")
+    if not watch.is_due(lab.state, "cell", waiting, lab.now):
+        return False
+    steps = tuple(Suggested(run.id, 0, lab.now) for run in waiting)
+    watch.note(lab.state, "cell", waiting, SuggestOrder("cell", "planner", lab.now + 10**15, steps))
+    return True
+
+
+def test_it_looks_when_runs_come_and_not_without_a_reason() -> None:
+    lab, _ = made(visit("dev"), visit("other"))
+    watch = Watch()
+    assert look(watch, lab)
+    assert not look(watch, lab)
+    lab.submit(visit("dev"))
+    assert look(watch, lab)
+
+
+def test_what_stands_still_over_night_is_looked_at_ever_more_seldom() -> None:
+    lab, _ = made(visit("dev"), visit("other"))
+    watch = Watch()
+    looks = 0
+    for _ in range(12 * 3600 // 30):
+        looks += look(watch, lab)
+        lab.wait(30.0)
+    most = 2 + MOST_DOUBLINGS + 12 * 3600 / (DRIFT_S * 2**MOST_DOUBLINGS)
+    assert 2 + MOST_DOUBLINGS <= looks <= most
+    lab.submit(visit("dev"))
+    assert look(watch, lab)
+
+
+def test_a_problem_has_the_steps_to_come_with_what_they_take() -> None:
+    lab, (first, second) = made(visit("dev"), visit("other"))
+    problem = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    steps = [(task.run, task.step) for task in problem.tasks]
+    assert steps[1:] == [(run, step) for run in (first, second) for step in range(4)]
+    assert problem.tasks[0].runs, "the clock ticks"
+    reaches = next(task for task in problem.tasks if (task.run, task.step) == (first, 1))
+    assert [key.rpartition(".")[2].rpartition("/")[2] for key in reaches.takes] == ["arm", "dev"]
+    assert reaches.duration_s == 10.0
+    lab.wait(5.0)
+    again = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    assert again.tasks[0].duration_s == problem.tasks[0].duration_s - 5.0
