@@ -18,12 +18,15 @@ import html
 import io
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+import yaml
+
 from labos.client._experiment import Experiment
 from labos.client._lab import LabClient
-from labos.errors import LabosError
+from labos.errors import BadInput, LabosError
 
 PICTURE_DPI = 110
 MEDIA = {".png": "image/png", ".jpg": "image/jpeg"}
@@ -83,6 +86,25 @@ def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentPar
     parser.add_argument("--out", type=Path, help=f"a folder for the report ({out})")
     parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
     return parser
+
+
+def read_payload(path: Path, kind: type, needs: Mapping[str, str] = {}) -> dict[str, Any]:
+    """What a payload file (YAML) gives for the fields of a dataclass. ``needs`` are fields that must be
+    there, each with what to write. Raises BadInput."""
+    try:
+        given = yaml.safe_load(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise BadInput(f"{path} cannot be read: {error}") from None
+    names = sorted(field.name for field in fields(kind))
+    known = f"Known are {', '.join(names)}."
+    for name, remedy in needs.items():
+        if not isinstance(given, dict) or name not in given:
+            raise BadInput(f"{path} names no `{name}`.", remedy=remedy)
+    if not isinstance(given, dict):
+        raise BadInput(f"{path} is no table.", remedy=known)
+    if unknown := sorted(str(name) for name in given if name not in names):
+        raise BadInput(f"{path}: {unknown[0]!r} is unknown.", remedy=known)
+    return given
 
 
 def run_program(

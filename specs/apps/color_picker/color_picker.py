@@ -17,18 +17,17 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import yaml
 from color_report import Sample, write_picker_report
 from color_solvers import Mixture, distance, solver_of
 from plate_reading import BadPicture, Color, Reading, read_plate
 
 from labos.client import Experiment, LabClient, RunFailed, RunResult
-from labos.client.report import parser_for, run_program
+from labos.client.report import parser_for, read_payload, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -70,15 +69,7 @@ class Wanted:
 
 def read_wanted(path: Path) -> Wanted:
     """A payload file. Raises BadInput."""
-    try:
-        told = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(f"{path} cannot be read: {error}") from None
-    names = {known.name for known in fields(Wanted)}
-    if not isinstance(told, dict) or "target" not in told:
-        raise BadInput(f"{path} names no `target`.", remedy="Write `target: [120, 120, 120]`.")
-    if unknown := sorted(set(told) - names):
-        raise BadInput(f"{path}: {unknown[0]!r} is unknown.", remedy=f"Known are {', '.join(sorted(names))}.")
+    told = read_payload(path, Wanted, {"target": "Write `target: [120, 120, 120]`."})
     try:
         return Wanted(**told)
     except (TypeError, ValueError) as error:

@@ -13,15 +13,14 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from matplotlib.figure import Figure
 
 from labos.client import Experiment, LabClient, RunFailed, RunResult
-from labos.client.report import parser_for, run_program
+from labos.client.report import parser_for, read_payload, run_program
 from labos.client.report import write_report as write_page
 from labos.errors import BadInput
 
@@ -77,15 +76,10 @@ class Wanted:
 
 def read_wanted(path: Path) -> Wanted:
     """A payload file. Raises BadInput."""
-    try:
-        told = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(f"{path} cannot be read: {error}") from None
-    names = {known.name for known in fields(Wanted)}
-    if not isinstance(told, dict) or not isinstance(told.get("programme"), dict):
-        raise BadInput(f"{path} names no `programme`.", remedy="Say what the cycler does: see standard.yaml.")
-    if unknown := sorted(set(told) - names):
-        raise BadInput(f"{path}: {unknown[0]!r} is unknown.", remedy=f"Known are {', '.join(sorted(names))}.")
+    remedy = "Say what the cycler does: see standard.yaml."
+    told = read_payload(path, Wanted, {"programme": remedy})
+    if not isinstance(told["programme"], dict):
+        raise BadInput(f"{path}: `programme` is no table.", remedy=remedy)
     try:
         programme = Programme(**told["programme"])
         for step in programme.steps:

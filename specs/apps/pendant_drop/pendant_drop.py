@@ -13,17 +13,16 @@ import io
 import sys
 from argparse import Namespace
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from drop_dynamics import BadSeries, dynamics_of, series_of
 from drop_report import Drop, Summary, summary_of, write_drop_report
 
 from labos.client import Experiment, LabClient
-from labos.client.report import parser_for, run_program
+from labos.client.report import parser_for, read_payload, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -56,15 +55,7 @@ class Wanted:
 
 def read_wanted(path: Path) -> Wanted:
     """A payload file. Raises BadInput."""
-    try:
-        told = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(f"{path} cannot be read: {error}") from None
-    names = {known.name for known in fields(Wanted)}
-    if not isinstance(told, dict):
-        raise BadInput(f"{path} is no table.", remedy=f"Known are {', '.join(sorted(names))}.")
-    if unknown := sorted(set(told) - names):
-        raise BadInput(f"{path}: {unknown[0]!r} is unknown.", remedy=f"Known are {', '.join(sorted(names))}.")
+    told = read_payload(path, Wanted)
     try:
         return Wanted(**told)
     except TypeError as error:

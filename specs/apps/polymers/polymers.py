@@ -12,17 +12,16 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from polymer_colours import Lab, Spectra, chromaticity_of, difference, judge, lab_of, read_table
 from polymer_recommender import Recipe, Recommender
 from polymer_report import Sample, write_polymer_report
 
 from labos.client import Experiment, LabClient
-from labos.client.report import parser_for, run_program
+from labos.client.report import parser_for, read_payload, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -59,15 +58,7 @@ class Wanted:
 
 def read_wanted(path: Path) -> Wanted:
     """A payload file. Raises BadInput."""
-    try:
-        told = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(f"{path} cannot be read: {error}") from None
-    names = {field.name for field in fields(Wanted)}
-    if not isinstance(told, dict) or "target" not in told:
-        raise BadInput(f"{path} names no `target`.", remedy="Write `target: [44, 12, -55]`.")
-    if unknown := sorted(set(told) - names):
-        raise BadInput(f"{path}: {unknown[0]!r} is unknown.", remedy=f"Known are {', '.join(sorted(names))}.")
+    told = read_payload(path, Wanted, {"target": "Write `target: [44, 12, -55]`."})
     try:
         return Wanted(**told)
     except (TypeError, ValueError) as error:
