@@ -25,7 +25,7 @@ from labos.services.log import event_of
 from labos.services.shown import WordsBeside, show_text
 from labos.services.steps import Change, Step, plain, steps
 from labos.services.times import iso_time, show_time
-from labos.store import Standing, open_store, read_backup, read_segment, read_words_copy, records_of
+from labos.store import StoredWords, open_store, read_backup, read_segment, read_words_copy, records_of
 
 WIDEST = 100
 HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: its parts with WORD; q: end"
@@ -170,7 +170,7 @@ def _named(records: Iterator[Record], names: Catalogue) -> Iterator[Record]:
 class _Words:
     """Words that are not in a database."""
 
-    def __init__(self, words: Iterable[Standing] = ()) -> None:
+    def __init__(self, words: Iterable[StoredWords] = ()) -> None:
         self._known = {each.words.reference: each.words for each in words}
 
     def words_of(self, references: Iterable[str]) -> dict[str, Kept]:

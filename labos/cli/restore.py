@@ -22,7 +22,7 @@ from labos.store import (
     ERASURES,
     Blobs,
     FolderBlobs,
-    Standing,
+    StoredWords,
     first_damage,
     forget_end,
     key_of,
@@ -209,8 +209,8 @@ def _erased_since(lab: str, lists: Sequence[Path]) -> dict[str, int]:
     return {each.reference: each.position for each in known}
 
 
-def _without_erased(words: Iterable[Standing], gone: Mapping[str, int]) -> Iterator[Standing]:
+def _without_erased(words: Iterable[StoredWords], gone: Mapping[str, int]) -> Iterator[StoredWords]:
     for each in words:
         name = each.words.reference
         is_gone = name in gone
-        yield Standing(Kept(name, b"", ""), each.position, gone[name]) if is_gone else each
+        yield StoredWords(Kept(name, b"", ""), each.position, gone[name]) if is_gone else each

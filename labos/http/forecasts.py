@@ -14,7 +14,7 @@ from labos.core.state import picture
 from labos.http.campaign_rows import CampaignRows
 from labos.planning.durations import LEARNED_FROM, Drift, Durations
 from labos.planning.lab_forecast import ForecastRequest, LabForecast
-from labos.planning.newcomers import HEARD_OF, Comings, Newcomers
+from labos.planning.newcomers import HEARD_OF, Newcomers, SubmissionHistory
 from labos.ports import LogQuery
 from labos.runtime.forecasting import ForecastProcess
 from labos.services.log import Log, events
@@ -111,7 +111,7 @@ class Learned:
     def __init__(self, store: Log) -> None:
         self._store = store
         self._durations = Durations()
-        self._comings = Comings()
+        self._history = SubmissionHistory()
         self._position = 0
         self._turn = asyncio.Lock()
 
@@ -125,12 +125,12 @@ class Learned:
         """Who may come, as far as the log tells."""
         async with self._turn:
             await asyncio.to_thread(self._read)
-            return self._comings.newcomers()
+            return self._history.newcomers()
 
     def _read(self) -> None:
         first = None if self._position else LEARNED
         query = LogQuery(after=self._position, types=(*LEARNED_FROM, *HEARD_OF), last=first)
         for event, head in events(self._store.select(query)):
             self._durations.learn(event, head.recorded_at)
-            self._comings.learn(event, head.recorded_at)
+            self._history.learn(event, head.recorded_at)
             self._position = head.position

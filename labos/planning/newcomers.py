@@ -95,7 +95,7 @@ def _one(values: Sequence[T], level: float) -> T:
     return values[min(len(values) - 1, int(level * len(values)))]
 
 
-class Comings:
+class SubmissionHistory:
     """Learns who comes, from the events of a log in order."""
 
     def __init__(self) -> None:

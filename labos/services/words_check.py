@@ -12,7 +12,7 @@ from labos.services.log import Log
 from labos.services.verification import Part
 
 
-class Standing(Protocol):
+class StoredWords(Protocol):
     """Words beside the log, and the position of the first event that refers to them."""
 
     @property
@@ -36,7 +36,7 @@ def check_words(store: Store) -> Part:
     elsewhere = store.erasures()
     found: list[tuple[int, str]] = []
     whole = gone = apart = 0
-    standing: Standing
+    standing: StoredWords
     for standing in store.all_words():
         name, position = standing.words.reference, standing.position
         named.pop(name, None)

@@ -21,7 +21,7 @@ from labos.store._roles import grant_writer
 from labos.store._segment import chained, line_of, read_segment, write_segment
 from labos.store._url import display_name, parse_url, sqlite_path
 from labos.store._verify import Damage, Progress, first_damage
-from labos.store._words import Standing
+from labos.store._words import StoredWords
 from labos.store._words_copy import read_words_copy
 
 __all__ = [
@@ -43,7 +43,7 @@ __all__ = [
     "Segment",
     "SqlAccounts",
     "SqlEventStore",
-    "Standing",
+    "StoredWords",
     "add_erasures",
     "backup",
     "chained",

@@ -14,7 +14,7 @@ from labos.store._tables import head
 Row = tuple[Any, ...]
 
 
-class Beside(msgspec.Struct, frozen=True):
+class WordChanges(msgspec.Struct, frozen=True):
     """What records do to the words beside them: rows that are added, and parameters of ``ERASE_WORDS``."""
 
     added: Sequence[Row] = ()
@@ -79,14 +79,14 @@ class Backend(Protocol):
         """The names of those who stand by."""
 
     def append(
-        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: Beside
+        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: WordChanges
     ) -> bool:
         """In one exclusive transaction move the head from ``expected`` to ``after``, add rows
         of the event table, in the order of its columns, and do what follows for words. False, and nothing
         done, if the head is
         another. By plain statements: SQLAlchemy would take longer over each than the database."""
 
-    def insert(self, connection: Connection, rows: Sequence[Row], beside: Beside) -> None:
+    def insert(self, connection: Connection, rows: Sequence[Row], beside: WordChanges) -> None:
         """Add rows of the event table, and do what follows for words, inside the transaction that the caller
         began."""
 

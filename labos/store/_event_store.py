@@ -16,7 +16,7 @@ from labos.core.envelope import Record
 from labos.core.ids import LabId
 from labos.errors import BadInput, Fenced, Refused, StoreError, StoreUnavailable
 from labos.ports import Head
-from labos.store._backend import Backend, Beside, Holder, Row, holder
+from labos.store._backend import Backend, Holder, Row, WordChanges, holder
 from labos.store._home import HomeFiles
 from labos.store._reader import HASH, LogReader
 from labos.store._tables import head, snapshot
@@ -161,7 +161,7 @@ class SqlEventStore(LogReader):
             _log.warning("words_erased_again", number=len(back))
             rows = [(b"", known[name], name) for name in back]
             with self._door, self._transaction() as connection:
-                self._backend.insert(connection, (), Beside((), rows))
+                self._backend.insert(connection, (), WordChanges((), rows))
             with self._door, self._turn:
                 self._backend.scrub()
 

@@ -27,7 +27,7 @@ from sqlalchemy.pool import NullPool, QueuePool
 from labos.clock import Uuid7Ids
 from labos.errors import Refused, StoreUnavailable
 from labos.ports import Head
-from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Beside, Row, move
+from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Row, WordChanges, move
 from labos.store._lines import Lines
 from labos.store._tables import event as event_table
 from labos.store._url import display_name
@@ -215,7 +215,7 @@ class PostgresBackend:
     # -- rows ------------------------------------------------------------------------------
 
     def append(
-        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: Beside
+        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: WordChanges
     ) -> bool:
         driver: Any = connection.connection.driver_connection
         with connection.begin() as transaction, driver.cursor() as cursor:
@@ -226,7 +226,7 @@ class PostgresBackend:
             _insert(cursor, rows, beside)
         return True
 
-    def insert(self, connection: Connection, rows: Sequence[Row], beside: Beside) -> None:
+    def insert(self, connection: Connection, rows: Sequence[Row], beside: WordChanges) -> None:
         driver: Any = connection.connection.driver_connection
         with driver.cursor() as cursor:
             _insert(cursor, rows, beside)
@@ -291,7 +291,7 @@ class PostgresBackend:
             engine.dispose()
 
 
-def _insert(cursor: Any, rows: Sequence[Row], beside: Beside) -> None:
+def _insert(cursor: Any, rows: Sequence[Row], beside: WordChanges) -> None:
     if beside.added:
         cursor.executemany(_INSERT_WORDS, beside.added)
     if beside.erased:

@@ -22,7 +22,7 @@ from labos.store._home import SEAL, HomeFiles
 from labos.store._select import positions_of_last, selection
 from labos.store._tables import event, head, snapshot
 from labos.store._url import display_name
-from labos.store._words import Standing, read_all_words, read_words, read_words_by
+from labos.store._words import StoredWords, read_all_words, read_words, read_words_by
 
 _log = structlog.get_logger(__name__)
 
@@ -196,7 +196,7 @@ class LogReader:
         with self._door, self._backend.reading.connect() as connection:
             return read_words_by(connection, user)
 
-    def all_words(self) -> Iterator[Standing]:
+    def all_words(self) -> Iterator[StoredWords]:
         """All words, also those that were erased, in the order of their references. Raises
         StoreUnavailable."""
         after = ""

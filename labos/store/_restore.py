@@ -17,7 +17,7 @@ from labos.core.ids import LabId
 from labos.core.lab import LEAP
 from labos.errors import Refused
 from labos.ports import Head
-from labos.store._backend import Beside
+from labos.store._backend import WordChanges
 from labos.store._errors import Door
 from labos.store._event_store import rows_of
 from labos.store._lease import lease_holder
@@ -25,7 +25,7 @@ from labos.store._migrate import database_status, migrate
 from labos.store._open import backend_for
 from labos.store._tables import head
 from labos.store._url import display_name, parse_url
-from labos.store._words import Standing, beside, row_of
+from labos.store._words import StoredWords, beside, row_of
 
 _CHUNK = 2000
 _BEGAN_S = 1_767_225_600
@@ -39,7 +39,7 @@ def leapt_epoch(epoch: int, now_ns: int) -> int:
 
 
 def restore_log(
-    url: str, records: Iterable[Record], lab: str, epoch: int, words: Iterable[Standing] = ()
+    url: str, records: Iterable[Record], lab: str, epoch: int, words: Iterable[StoredWords] = ()
 ) -> Head:
     """Put records, and the words beside them, into a database that has no log, in one transaction, and return
     its head. The caller has checked them. Raises Refused if there is a log, StoreUnavailable; then nothing of
@@ -59,7 +59,7 @@ def restore_log(
                     raise _occupied(url, found)
                 rest = iter(words)
                 while some := list(islice(rest, _CHUNK)):  # before the events that erased some of them
-                    backend.insert(connection, (), Beside(list(map(row_of, some))))
+                    backend.insert(connection, (), WordChanges(list(map(row_of, some))))
                 while chunk := list(islice(source, _CHUNK)):
                     rows = rows_of(end, chunk)
                     backend.insert(connection, rows, beside(chunk))

@@ -29,7 +29,7 @@ from labos.errors import Refused, StoreUnavailable
 from labos.lockfile import FileLock
 from labos.ports import Head
 from labos.private import make_database_file
-from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Beside, Row, move
+from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Row, WordChanges, move
 from labos.store._url import sqlite_path
 
 BUSY_TIMEOUT_S = 5.0
@@ -86,7 +86,7 @@ class SqliteBackend:
         return []
 
     def append(
-        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: Beside
+        self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: WordChanges
     ) -> bool:
         driver: Any = connection.connection.driver_connection
         driver.execute("BEGIN IMMEDIATE")
@@ -102,7 +102,7 @@ class SqliteBackend:
             raise
         return moved
 
-    def insert(self, connection: Connection, rows: Sequence[Row], beside: Beside) -> None:
+    def insert(self, connection: Connection, rows: Sequence[Row], beside: WordChanges) -> None:
         _insert(connection.connection.driver_connection, rows, beside)
 
     def scrub(self) -> str:
@@ -159,7 +159,7 @@ class SqliteBackend:
         return why
 
 
-def _insert(driver: Any, rows: Sequence[Row], beside: Beside) -> None:
+def _insert(driver: Any, rows: Sequence[Row], beside: WordChanges) -> None:
     if rows:
         driver.executemany(_INSERT, rows)
     if beside.added:

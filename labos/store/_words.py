@@ -13,14 +13,14 @@ from labos.core.erasure import WordsErased
 from labos.core.registry import decode
 from labos.core.users import ON_BEHALF
 from labos.core.words import Kept
-from labos.store._backend import Beside, Row
+from labos.store._backend import Row, WordChanges
 from labos.store._tables import event, words
 
 _AT_ONCE = 500
 """References that are looked for by one statement."""
 
 
-class Standing(msgspec.Struct, frozen=True):
+class StoredWords(msgspec.Struct, frozen=True):
     """Words beside the log, the ``position`` of the first event that refers to them, and that of the event
     that erased them (0: none did). One behind the end of the log: they were erased in a log that this one
     is an older copy of."""
@@ -30,10 +30,10 @@ class Standing(msgspec.Struct, frozen=True):
     erased_at: int
 
 
-NOTHING = Beside()
+NOTHING = WordChanges()
 
 
-def beside(records: Sequence[Record]) -> Beside:
+def beside(records: Sequence[Record]) -> WordChanges:
     """What is to be written with records."""
     added = [
         (kept.reference, record.head.position, kept.salt, kept.text, 0)
@@ -42,7 +42,7 @@ def beside(records: Sequence[Record]) -> Beside:
         for kept in record.words
     ]
     erased = [row for record in records if record.head.type == WordsErased.TYPE for row in _erased_by(record)]
-    return Beside(added, erased) if added or erased else NOTHING
+    return WordChanges(added, erased) if added or erased else NOTHING
 
 
 def _erased_by(record: Record) -> Iterator[Row]:
@@ -63,7 +63,7 @@ def read_words(connection: Connection, references: Iterable[str]) -> dict[str, K
     return found
 
 
-def read_all_words(connection: Connection, after: str, limit: int) -> list[Standing]:
+def read_all_words(connection: Connection, after: str, limit: int) -> list[StoredWords]:
     """Some words in the order of their references, those behind one."""
     query = select(words).where(words.c.reference > after).order_by(words.c.reference).limit(limit)
     return [_standing(row) for row in connection.execute(query)]
@@ -87,13 +87,13 @@ def read_erased(connection: Connection) -> dict[str, int]:
     return {row.reference: row.erased_at for row in connection.execute(query)}
 
 
-def row_of(each: Standing) -> Row:
+def row_of(each: StoredWords) -> Row:
     """The row of words that are put back."""
     return each.words.reference, each.position, each.words.salt, each.words.text, each.erased_at
 
 
-def _standing(row: Any) -> Standing:
-    return Standing(_kept(row), row.position, row.erased_at)
+def _standing(row: Any) -> StoredWords:
+    return StoredWords(_kept(row), row.position, row.erased_at)
 
 
 def _kept(row: Any) -> Kept:

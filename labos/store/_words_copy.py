@@ -17,7 +17,7 @@ from labos.core.registry import decode
 from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.private import replace_file
-from labos.store._words import Standing
+from labos.store._words import StoredWords
 
 WORDS = "words.jsonl"
 
@@ -33,7 +33,7 @@ class _Line(msgspec.Struct, frozen=True):
 _decoder = msgspec.json.Decoder(_Line)
 
 
-def copy_words(words: Iterable[Standing], folder: Path, upto: int) -> int:
+def copy_words(words: Iterable[StoredWords], folder: Path, upto: int) -> int:
     """Write the words of events up to a position; returns how many texts there are."""
     number = 0
     lines = []
@@ -49,7 +49,7 @@ def copy_words(words: Iterable[Standing], folder: Path, upto: int) -> int:
     return number
 
 
-def read_words_copy(folder: Path) -> Iterator[Standing]:
+def read_words_copy(folder: Path) -> Iterator[StoredWords]:
     """The words in a backup. Raises LogDamaged."""
     path = folder / WORDS
     if not path.exists():
@@ -62,7 +62,7 @@ def read_words_copy(folder: Path) -> Iterator[Standing]:
             raise _damaged(0, f"{path}:{number}: this is no text of a backup ({error})") from None
         if not kept.is_genuine:
             raise _damaged(told.position, f"{path}:{number}: the text is not the one that was written")
-        yield Standing(kept, told.position, told.erased_at)
+        yield StoredWords(kept, told.position, told.erased_at)
 
 
 class WordsExpected:

@@ -22,7 +22,7 @@ from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
 from labos.core.state import LabState, from_picture, picture
 from labos.planning.durations import Durations, quantile
 from labos.planning.lab_forecast import ExpectedRun, ForecastRequest, forecast_lab
-from labos.planning.newcomers import Comings
+from labos.planning.newcomers import SubmissionHistory
 from labos.planning.virtual import VirtualLab
 from labos.services.log import events
 from labos.testing.faults import QUIET
@@ -100,11 +100,11 @@ def log_of(count: int, seed: int, *, batches: bool) -> list[Record]:
 def cases(
     records: Sequence[Record],
     durations: Durations | None = None,
-    comings: Comings | None = None,
+    history: SubmissionHistory | None = None,
     *,
     steps: int = STEPS,
 ) -> Iterator[Case]:
-    """Forecast each submission of a log whose run has completed, and learn ``durations`` and ``comings`` on
+    """Forecast each submission of a log whose run has completed, and learn ``durations`` and ``history`` on
     the way."""
     started: dict[str, int] = {}
     ended: dict[str, int] = {}
@@ -113,14 +113,14 @@ def cases(
             started[event.run] = head.recorded_at
         elif isinstance(event, RunCompleted):
             ended[event.run] = head.recorded_at
-    state, durations, comings = LabState(), durations or Durations(), comings or Comings()
+    state, durations, history = LabState(), durations or Durations(), history or SubmissionHistory()
     for event, head in events(records):
         evolve(state, event, head.position, head.recorded_at)
         durations.learn(event, head.recorded_at)
-        comings.learn(event, head.recorded_at)
+        history.learn(event, head.recorded_at)
         if isinstance(event, RunSubmitted) and event.run in ended:
             question = ForecastRequest(
-                picture(state), head.recorded_at, durations.spreads(), comings.newcomers(), steps=steps
+                picture(state), head.recorded_at, durations.spreads(), history.newcomers(), steps=steps
             )
             expected = next(run for run in forecast_lab(question).runs if run.run == event.run)
             yield Case(expected, head.recorded_at, started[event.run], ended[event.run])
@@ -257,10 +257,10 @@ def table(scenes: Mapping[str, Sequence[Case]]) -> str:
 
 def days(count: int, seed: int, *, batches: bool) -> list[Case]:
     """The cases of several labs with so many runs in all, whose durations are learned from one another."""
-    durations, comings, found = Durations(), Comings(), list[Case]()
+    durations, history, found = Durations(), SubmissionHistory(), list[Case]()
     for number in range(count // RUNS):
-        comings.pause()
-        found += cases(log_of(RUNS, seed + number, batches=batches), durations, comings)
+        history.pause()
+        found += cases(log_of(RUNS, seed + number, batches=batches), durations, history)
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.ids import ExperimentId
 from labos.planning.lab_forecast import draw
-from labos.planning.newcomers import ENOUGH, MOST, Comings, Newcomers
+from labos.planning.newcomers import ENOUGH, MOST, Newcomers, SubmissionHistory
 from tests.support.bench import SECOND, Driver, module, plan, route, station, step, workcell
 
 CELL = workcell([module("dev"), module("arm")], [station("stack", "stack", 40), station("a")])
@@ -21,10 +21,10 @@ def learned(pauses: list[float]) -> tuple[Newcomers, int]:
 
 
 def told(lab: Driver) -> Newcomers:
-    comings = Comings()
+    history = SubmissionHistory()
     for entry in lab.log:
-        comings.learn(entry.event, entry.at)
-    return comings.newcomers()
+        history.learn(entry.event, entry.at)
+    return history.newcomers()
 
 
 def test_who_comes_in_fours_comes_so_again() -> None:
