@@ -51,11 +51,11 @@ class Api:
         gate.accounts.on_end.append(self.ends.cut)
         self.arriving = BodyReader()
         self.idempotent = IdempotentAnswers()
-        self.state = Shared(partial(self._view, waits=True), self._written)
-        self.state_without_waits = Shared(partial(self._view, waits=False), self._written)
+        self.state = Shared(partial(self._view, waits=True), self._flush)
+        self.state_without_waits = Shared(partial(self._view, waits=False), self._flush)
 
-    async def _written(self) -> None:
-        await self.kernel.written()
+    async def _flush(self) -> None:
+        await self.kernel.flush()
 
     @property
     def _notes(self) -> Notes:

@@ -73,7 +73,7 @@ class Filter(msgspec.Struct, frozen=True):
     mentions: str = ""
 
     @classmethod
-    def of(cls, query: LogQuery) -> Filter:
+    def make(cls, query: LogQuery) -> Filter:
         return cls(query.types, query.streams, query.correlation, query.actor, query.mentions)
 
     def takes(self, line: Line) -> bool:
@@ -82,10 +82,10 @@ class Filter(msgspec.Struct, frozen=True):
             and (not self.streams or line.stream in self.streams)
             and (not self.correlation or line.correlation == self.correlation)
             and (not self.actor or line.actor == self.actor)
-            and (not self.mentions or self._mentioned(line))
+            and (not self.mentions or self._mentions(line))
         )
 
-    def _mentioned(self, line: Line) -> bool:
+    def _mentions(self, line: Line) -> bool:
         # In a payload the text stands as JSON writes it.
         return msgspec.json.encode(self.mentions)[1:-1] in line.payload or self.mentions in line.stream
 
@@ -96,7 +96,7 @@ class _Follower:
 
     def __init__(self, query: LogQuery) -> None:
         self.query, self.after = query, query.after
-        self.filter = Filter.of(query)
+        self.filter = Filter.make(query)
         self.live = self.dropped = False
         self._pieces: list[bytes] = []
         self._size = 0
@@ -151,7 +151,7 @@ class Tail:
 
     # -- what the kernel says ------------------------------------------------------------------
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         self.add([entry.record for entry in entries])
 
     def add(self, records: Sequence[Record]) -> None:
@@ -179,7 +179,7 @@ class Tail:
             gone = self._lines.popleft()
             self._begin, self._size = gone.position, self._size - len(gone.data)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """The log was read again: something may be in it of which nobody was told."""
         self._begin_at(self._durable())
 
@@ -197,7 +197,7 @@ class Tail:
         self._want()
         upto = self._durable()
         if _is_open(query) and self._covers(query.after) and self._end == upto:
-            mine = Filter.of(query)
+            mine = Filter.make(query)
             found, full = _cut(line for line in self._since(query.after) if mine.takes(line))
         else:
             upto = upto if query.upto is None else min(upto, query.upto)
@@ -245,14 +245,14 @@ class Tail:
     async def _catch_up(self, me: _Follower) -> bytes:
         """What a follower has missed, or a page of that; it is live if there is no more."""
         if me.query.last is None and (me.after > self._end or self._covers(me.after)):
-            piece = _sent(line for line in self._since(me.after) if me.filter.takes(line))
+            piece = _encode_lines(line for line in self._since(me.after) if me.filter.takes(line))
             me.after, me.live = max(me.after, self._end), True
             return piece
         upto = self._durable()
         found, full = await self._read(msgspec.structs.replace(me.query, after=me.after, upto=upto))
         me.query = msgspec.structs.replace(me.query, last=None)
         me.after = found[-1].position if full else max(upto, me.after)
-        return _sent(found)
+        return _encode_lines(found)
 
     async def _read(self, query: LogQuery) -> tuple[list[Line], bool]:
         """A page of the log, and whether there may be more. Readers take turns, and the more of them wait,
@@ -283,11 +283,13 @@ class Tail:
                 continue
             mine = follower.filter
             if new and follower.after >= new[0].position:
-                piece = _sent(line for line in new if line.position > follower.after and mine.takes(line))
+                piece = _encode_lines(
+                    line for line in new if line.position > follower.after and mine.takes(line)
+                )
             elif mine in pieces:
                 piece = pieces[mine]
             else:
-                piece = pieces[mine] = _sent(line for line in new if mine.takes(line))
+                piece = pieces[mine] = _encode_lines(line for line in new if mine.takes(line))
             follower.give(piece, self._end)
 
     def _since(self, after: int) -> list[Line]:
@@ -340,7 +342,7 @@ def _cut(lines: Iterable[Line]) -> tuple[list[Line], bool]:
     return found, False
 
 
-def _sent(lines: Iterable[Line]) -> bytes:
+def _encode_lines(lines: Iterable[Line]) -> bytes:
     return b"".join(b"id: %d\ndata: %b\n\n" % (line.position, line.data) for line in lines)
 
 

@@ -13,7 +13,15 @@ import msgspec
 
 from labos.core.envelope import GENESIS
 from labos.errors import BadInput
-from labos.store._backup import Backup, Segment, check_files, check_manifests, damaged, read_backup, stretch
+from labos.store._backup import (
+    Backup,
+    Segment,
+    check_files,
+    check_manifests,
+    read_backup,
+    report_damage,
+    stretch,
+)
 from labos.store._blobs import FolderBlobs
 
 
@@ -52,7 +60,7 @@ def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
     try:
         rests_on = bytes.fromhex(before) if after else GENESIS
     except ValueError:
-        raise damaged(segments[0], "names no hash that it rests on") from None
+        raise report_damage(segments[0], "names no hash that it rests on") from None
     for _ in stretch(folder, found.lab, segments, rests_on, after):
         pass
     check_files(folder, segments)

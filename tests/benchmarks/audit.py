@@ -93,7 +93,7 @@ def measure(events: int = 1_000_000, rounds: int = 3) -> Report:
         figures = [_projection(events, middle(limits), middle(ours))]
         with open_asker(f"sqlite:///{path}") as asker:
             for name, question in questions(asker, events).items():
-                took = [_timed(question) for _ in range(rounds)]
+                took = [_time(question) for _ in range(rounds)]
                 figures.append(_answer(name, events, median(took)))
     ratios = [took.cpu_s / limit.cpu_s for took, limit in zip(ours, limits, strict=True)]
     note = f"ratios of work in {rounds} rounds: {spread(ratios)}"
@@ -118,7 +118,7 @@ def _answer(name: str, events: int, took: float) -> Figure:
     return Figure(f"{name}, {events:,} events", milliseconds(took), must=must, ok=took <= MUST_ANSWER_S)
 
 
-def _timed(question: Callable[[], object]) -> float:
+def _time(question: Callable[[], object]) -> float:
     began = time.perf_counter()
     question()
     return time.perf_counter() - began

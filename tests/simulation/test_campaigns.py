@@ -41,7 +41,7 @@ class Facility(SimulatedLab):
     async def _user(self, job: Job) -> None:
         submit = SubmitCampaign("screen", job.user, "pcr", "rpl", ROWS, "d", "d", request=job.name)
         await self._insist(submit, lambda state: job.name in state.campaigns.requests)
-        name = self.folded().campaigns.requests[job.name]
+        name = self.fold_log().campaigns.requests[job.name]
         await self._until(lambda state: name not in state.campaigns.open)
         self.done_jobs.add(job.name)
 

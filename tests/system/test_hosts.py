@@ -53,12 +53,12 @@ def lab() -> Iterator[Spread]:
 def sound(lab: Spread) -> None:
     """Nothing was moved twice, or not at all, by the devices' own account; nobody had to be asked."""
     done = Counter(motion.verb for motion in lab.motions())
-    assert done == {verb: number * len(lab.runs) for verb, number in MOTIONS.items()}, lab.told()
+    assert done == {verb: number * len(lab.runs) for verb, number in MOTIONS.items()}, lab.describe_all()
     assert lab.disagreements() == []
-    assert lab.asked_twice() == []
+    assert lab.find_asked_twice() == []
     types = Counter(lab.types())
     assert types["run.completed"] == len(lab.runs)
-    assert not types.keys() & {"intervention.requested", "action.unknown"}, lab.told()
+    assert not types.keys() & {"intervention.requested", "action.unknown"}, lab.describe_all()
 
 
 def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
@@ -66,9 +66,9 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
     active, epoch = lab.active(), lab.epochs()[-1][0]
     (other,) = {"k1", "k2"} - {active}
     names = [{ACTIVE: active, STANDBY: other}.get(part, part) for part in parts]
-    before = lab.done()
+    before = lab.count_done()
     lab.submit(3)
-    until(lambda: lab.done() > before, "the lab is at work")
+    until(lambda: lab.count_done() > before, "the lab is at work")
     since = time.time()
     lab.hosts.cut(*names)
     try:
@@ -89,12 +89,12 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
             40.0,
         )
     except AssertionError as error:
-        raise AssertionError(f"{error}\n{lab.told()}") from None
+        raise AssertionError(f"{error}\n{lab.describe_all()}") from None
     back = time.time() - mended
     if ACTIVE in parts and "db" not in parts:
         assert lab.epochs()[-1][0] == epoch + 1
         assert lab.active() != active
-        assert took <= TAKEN_OVER_S, lab.told()
+        assert took <= TAKEN_OVER_S, lab.describe_all()
         over = f"taken over {took:.1f} s after the cut; "
     else:
         assert lab.epochs()[-1][0] - epoch <= 1

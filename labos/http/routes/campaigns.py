@@ -32,13 +32,13 @@ from labos.spec.shares import parse_shares
 async def list_campaigns(call: Call) -> Campaigns:
     state = call.kernel.state
     found = [view_of(state.lab.pace, campaign) for campaign in state.campaigns.open.values()]
-    await call.kernel.written()
+    await call.kernel.flush()
     return Campaigns(found)
 
 
 async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
     found = view_of(call.kernel.state.lab.pace, _open_campaign(call, path))
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
@@ -81,7 +81,7 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
 
 async def list_shares(call: Call) -> Shares:
     accounts = ledger(call.kernel.state, call.kernel.clock.now_ns())
-    await call.kernel.written()
+    await call.kernel.flush()
     return Shares(accounts)
 
 

@@ -63,7 +63,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
         others=compiled.others,
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
-    return RunForecast(await service.forecasts.of_run(command, body.user), compiled.findings)
+    return RunForecast(await service.forecasts.forecast_run(command, body.user), compiled.findings)
 
 
 async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:

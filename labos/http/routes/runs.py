@@ -44,18 +44,18 @@ async def list_runs(call: Call, query: RunsQuery) -> Runs:
     alive = sorted((*runs.active.values(), *runs.queued.values()), key=lambda run: run.position)
     left = [run for run in alive if run.position > query.after]
     shown = left[: query.limit]
-    await call.kernel.written()
-    over = await _ended(call, query) if query.ended else []
+    await call.kernel.flush()
+    over = await _read_ends(call, query) if query.ended else []
     names = [*(record.head.stream for record in over), *(str(run.id) for run in shown)]
     return Runs(
-        runs=[RunDetail.of(await call.service.story(name)) for name in names],
+        runs=[RunDetail.make(await call.service.story(name)) for name in names],
         position=shown[-1].position if shown else query.after,
         more=len(left) > len(shown),
         ended_position=over[0].head.position if over else 0,
     )
 
 
-async def _ended(call: Call, query: RunsQuery) -> list[Record]:
+async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
     """The last ends of runs before a position, in order."""
     upto = query.before - 1 if query.before else None
     wanted = LogQuery(types=RUN_ENDS, last=query.ended, upto=upto)
@@ -64,7 +64,7 @@ async def _ended(call: Call, query: RunsQuery) -> list[Record]:
 
 
 async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
-    return RunDetail.of(await call.service.story(path.run, query.wait))
+    return RunDetail.make(await call.service.story(path.run, query.wait))
 
 
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:

@@ -140,7 +140,7 @@ class Player:
 
     # -- what is listened to ------------------------------------------------------------------
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             event, now = entry.event, self.loop.time()
             if isinstance(event, RunSubmitted) and self.planner is not None and not self._asked:
@@ -156,7 +156,7 @@ class Player:
             elif isinstance(event, RunCompleted):
                 self._ends.setdefault(event.run, asyncio.Event()).set()
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         raise AssertionError("a log in memory is never read again")
 
     def _ask_planner(self) -> None:
