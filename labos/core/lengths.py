@@ -45,11 +45,11 @@ class Times(msgspec.Struct, array_like=True):
         return len(self.took) >= ENOUGH
 
     def add(self, took: int, planned: int | None = None) -> None:
-        for known, new in ((self.took, took), (self.planned, planned)):
-            if new is not None:
-                known.append(new)
-                if len(known) > KEPT:
-                    del known[0]
+        self.took.append(took)
+        if planned is not None:
+            self.planned.append(planned)
+        if len(self.took) > KEPT:
+            del self.took[0], self.planned[:-KEPT]
         ordered = sorted(self.took)
         self.usual = ordered[len(ordered) // 2]
         self.low, self.high = ordered[0], min(ordered[-1], int(OUTLIER * self.usual))
@@ -97,11 +97,12 @@ def learn(lengths: Lengths, action: Action, step: PlanStep, at: int, pace: float
     """An action of a step has succeeded. What a person did, or nobody knew of for a while, tells nothing."""
     if step.by_person or action.status == ActionStatus.UNKNOWN or action.attempt > 1:
         return
+    kind = kind_of(step)
     took, planned = max(0, at - action.requested_at), int(step.duration_s * 1e9 / pace)
     known = lengths.by_kind
-    times = known.pop(kind_of(step), Times())
+    times = known.pop(kind, Times())
     times.add(took)
-    known[kind_of(step)] = times
+    known[kind] = times
     if planned > 0:
         any_arguments = f"{step.module}\x1f{step.action}"
         times = known.pop(any_arguments, Times())
