@@ -71,16 +71,24 @@ class Lengths(msgspec.Struct):
     def of(self, step: PlanStep, pace: float) -> Length | None:
         """How long steps like this have taken, if there were enough: with the same arguments; else with
         others, as part of what was planned."""
-        if not self.by_kind:
+        times, is_part = self.times_of(step)
+        if times is None:
             return None
+        if not is_part:
+            return Length(times.low, times.usual, times.high)
+        planned = step.duration_s * 1e3 / pace  # ns of each millionth
+        return Length(*(int(part * planned) for part in (times.low, times.usual, times.high)))
+
+    def times_of(self, step: PlanStep) -> tuple[Times | None, bool]:
+        """The times of steps like this if there were enough, and whether they are parts of what was planned:
+        those of other arguments."""
+        if not self.by_kind:
+            return None, False
         fine = self.by_kind.get(kind_of(step))
         if fine is not None and fine.suffices:
-            return Length(fine.low, fine.usual, fine.high)
+            return fine, False
         coarse = self.by_kind.get(f"{step.module}\x1f{step.action}")
-        if coarse is None or not coarse.suffices:
-            return None
-        planned = step.duration_s * 1e3 / pace  # ns of each millionth
-        return Length(*(int(part * planned) for part in (coarse.low, coarse.usual, coarse.high)))
+        return (coarse, True) if coarse is not None and coarse.suffices else (None, False)
 
 
 class Drift(msgspec.Struct, frozen=True):
