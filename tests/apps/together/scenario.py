@@ -62,7 +62,7 @@ def run_together(
 ) -> Outcome:
     """Run applications at the same time, and kill what the plan says. Raises AssertionError if anything is
     not as it has to be afterwards."""
-    cells = [cell for cell in ("rpl", "bio", "cnm", "aps_8id") if any(app.cell == cell for app in apps)]
+    cells = list(dict.fromkeys(app.cell for app in apps))
     with ExitStack() as stack:
         bench = Bench(folder, cells, speed, detach=detach)
         stack.callback(bench.close)
@@ -79,6 +79,7 @@ def run_together(
         killer = Killer(bench, programs, sinks, kills)
         _watch(bench, programs, killer, operator)
         seconds = time.monotonic() - begun
+        not_killed = killer.finish()
         for program in programs:
             program.find()
         with bench.client("olga") as olga:
@@ -95,7 +96,7 @@ def run_together(
             seconds,
             len(records),
             killer.done,
-            [kill.what for kill in killer.left()],
+            not_killed,
             {program.app.name: program.lives for program in programs},
             dict(done),
             results,
