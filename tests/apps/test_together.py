@@ -18,8 +18,8 @@ from tests.support.foreign import java_libraries_of, python_of
 from tests.support.needed import need
 
 SPEED = 1500.0
-EVENTS = 1200
-"""About so many events five applications make, and two of them a third."""
+EVENTS = 600
+"""About so many events five applications make after the last of them has begun."""
 
 
 @pytest.mark.slow
@@ -28,7 +28,7 @@ def test_two_applications_of_two_users_go_on_when_the_kernel_and_one_of_them_are
     tmp_path: Path,
 ) -> None:
     apps = [TWO_PICKERS, POLYMERS._replace(payload={"saturated": "thinner"})]
-    kills = [Kill("application", 130, 0), Kill("kernel", 180)]
+    kills = [Kill("application", 20, 0), Kill("kernel", 60)]
     found = run_together(tmp_path, apps, speed=3000.0, kills=kills)
     assert found.not_killed == []
     assert found.lives == {"color_picker": 2, "polymers": 1}
@@ -49,6 +49,7 @@ def foreign() -> None:
 def test_five_applications_of_four_users_at_the_same_time(tmp_path: Path) -> None:
     found = run_together(tmp_path, FIVE, speed=SPEED, kafka=True)
     assert set(found.lives.values()) == {1}
+    assert found.together > 0
     assert (found.asked, found.sent_twice) == ([], {"file": 0, "topic": 0})
 
 
@@ -97,4 +98,4 @@ def test_a_plan_kills_each_in_the_middle_and_is_the_same_again() -> None:
     plan = plan_of(3, WHAT, 1000, times=2)
     assert plan == plan_of(3, WHAT, 1000, times=2)
     assert sorted(kill.what for kill in plan) == sorted([*WHAT, "kernel", "application", "broker"])
-    assert all(50 <= kill.at <= 700 for kill in plan)
+    assert all(50 <= kill.at <= 700 for kill in plan if kill.what != "worker")

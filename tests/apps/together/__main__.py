@@ -17,8 +17,8 @@ from tests.apps.together.kills import MORE, WHAT, plan_of
 from tests.apps.together.programs import FIVE
 from tests.apps.together.scenario import run_together
 
-EVENTS = 1200
-"""About so many events five applications make."""
+EVENTS = 600
+"""About so many events five applications make after the last of them has begun."""
 
 
 def main() -> int:

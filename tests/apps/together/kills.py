@@ -22,7 +22,8 @@ MORE = ("power", "node", "sink")
 
 
 class Kill(NamedTuple):
-    """``what`` is killed when the log has so many events. ``which`` chooses among applications."""
+    """``what`` is killed when the log has so many events more than when the last application had begun.
+    ``which`` chooses among applications."""
 
     what: str
     at: int
@@ -30,13 +31,13 @@ class Kill(NamedTuple):
 
 
 def plan_of(seed: int, what: Sequence[str], events: int, *, times: int = 1) -> list[Kill]:
-    """Each of them so many times in the middle of so many events: between 15 and 70 %. A worker is killed
-    once, in the midst of the first computation after a place between 5 and 25 %."""
+    """Each of them so many times in the middle of so many events: between 5 and 70 %. A worker is killed
+    once, in the midst of the first computation behind its place in the first 25 %."""
     choose = random.Random(seed)
     found = []
     again = [each for each in what if each != "worker"] * (times - 1)
     for each in (*what, *again):
-        low, high = (0.05, 0.25) if each == "worker" else (0.15, 0.7)
+        low, high = (0.0, 0.25) if each == "worker" else (0.05, 0.7)
         found.append(
             Kill(each, choose.randint(round(low * events), round(high * events)), choose.randrange(60))
         )
@@ -50,12 +51,17 @@ class Killer:
     def __init__(self, bench: Bench, programs: Sequence[Program], sinks: Sinks, plan: Sequence[Kill]) -> None:
         self._bench, self._programs, self._sinks = bench, programs, sinks
         self._left = list(plan)
+        self.begun_at = 0
         self._broker_back: threading.Thread | None = None
         self.done: list[str] = []
 
     def look(self, position: int) -> None:
-        """Kill what is due at this position of the log, and start it again."""
-        for kill in [kill for kill in self._left if kill.at <= position]:
+        """Kill what is due at this position of the log, and start it again: nothing before all programs
+        have begun, at ``begun_at``."""
+        if not self.begun_at and all(program.experiments or program.find() for program in self._programs):
+            self.begun_at = position
+        due = [kill for kill in self._left if self.begun_at and self.begun_at + kill.at <= position]
+        for kill in due:
             if self._carry_out(kill, position):
                 self._left.remove(kill)
 

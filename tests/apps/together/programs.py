@@ -34,6 +34,8 @@ class App(NamedTuple):
     words: tuple[str, ...] = ()
     packaged: str = ""
     payload: dict[str, Any] = {}
+    loads_much: bool = False
+    """Its libraries need so long to be loaded that others are started when it has begun."""
 
     @property
     def experiments(self) -> int:
@@ -50,6 +52,7 @@ COLOR_PICKER = App(
     ("--workcell", "rpl", "--seed", "3"),
     "color_picker/payloads/grey.yaml",
     {"samples": 24, "batch": 6, "close": 0.0, "bad_pictures": "leave_out"},
+    loads_much=True,
 )
 PCR = App(
     "pcr",
@@ -78,6 +81,7 @@ POLYMERS = App(
     ("--seed", "1"),
     "polymers/payloads/blue.yaml",
     {"saturated": "thinner"},
+    loads_much=True,
 )
 PENDANT_DROP = App(
     "pendant_drop",

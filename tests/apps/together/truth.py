@@ -20,6 +20,7 @@ from tests.apps.together.programs import Program
 from tests.support.lab_process import labos
 
 MIXED = ("pipette", "synthesise")
+EXPERIMENT_ENDS = ("experiment.started", "experiment.ended")
 NOT_APPLICATIONS = ("labos", "olga", "")
 
 
@@ -104,6 +105,13 @@ def check_owners(records: Sequence[Record], programs: Sequence[Program]) -> None
             continue
         # A node speaks for its module: it has to be one of the experiment's own workcell.
         assert workcell_of(head.actor) == cells[experiment], f"{head.actor} in {experiment}: {head.type}"
+
+
+def count_together(records: Sequence[Record]) -> int:
+    """How many events are in the log while all experiments were under way."""
+    at = {kind: [r.head.position for r in records if r.head.type == kind] for kind in EXPERIMENT_ENDS}
+    begun, ended = (at[kind] for kind in EXPERIMENT_ENDS)
+    return max(min(ended) - max(begun), 0)
 
 
 def check_log(bench: Bench, records: Sequence[Record], programs: Sequence[Program]) -> None:
