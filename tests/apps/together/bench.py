@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +20,6 @@ from tests.apps.beamline import Beamline
 from tests.apps.together.person import answer
 from tests.support.lab_process import Up, until
 
-CELLS = ("rpl", "bio", "cnm", "aps_8id")
 BEAMLINE_AT = "127.0.0.1:5064"
 PASSWORD = "four words of a user"
 START_S = 180.0
@@ -59,6 +59,11 @@ class Bench:
     def kill(self) -> None:
         """kill -9 of the kernel; its nodes end with it, unless they are detached."""
         self.up.kill()
+
+    def nodes(self) -> dict[str, int]:
+        """The processes of the nodes, by module."""
+        notes = (self.up.home / "nodes").glob("*.json")
+        return {note.stem: int(json.loads(note.read_text())["pid"]) for note in notes}
 
     def start_again(self) -> None:
         self._start()

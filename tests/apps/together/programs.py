@@ -34,6 +34,13 @@ class App(NamedTuple):
     words: tuple[str, ...] = ()
     packaged: str = ""
     payload: dict[str, Any] = {}
+    loads_much: bool = False
+    """Its libraries need so long to be loaded that others are started when it has begun."""
+
+    @property
+    def experiments(self) -> int:
+        """How many experiments it begins: one for each liquid handler."""
+        return len(self.payload.get("handlers", ["one"]))
 
 
 COLOR_PICKER = App(
@@ -45,6 +52,7 @@ COLOR_PICKER = App(
     ("--workcell", "rpl", "--seed", "3"),
     "color_picker/payloads/grey.yaml",
     {"samples": 24, "batch": 6, "close": 0.0, "bad_pictures": "leave_out"},
+    loads_much=True,
 )
 PCR = App(
     "pcr",
@@ -73,6 +81,7 @@ POLYMERS = App(
     ("--seed", "1"),
     "polymers/payloads/blue.yaml",
     {"saturated": "thinner"},
+    loads_much=True,
 )
 PENDANT_DROP = App(
     "pendant_drop",
@@ -83,6 +92,18 @@ PENDANT_DROP = App(
     (),
     "pendant_drop/payloads/silica_50.yaml",
 )
+TWO_PICKERS = COLOR_PICKER._replace(
+    cell="rpl_picker",
+    words=("--seed", "3"),
+    payload={
+        **COLOR_PICKER.payload,
+        "samples": 12,
+        "batch": 4,
+        "handlers": ["ot2_cp_gamma", "ot2_growth_beta"],
+        "solver": "bayesian",
+    },
+)
+"""The color picker with two liquid handlers, each with a plate and an experiment of its own."""
 FIVE = (COLOR_PICKER, PCR, GROWTH_ASSAY, POLYMERS, PENDANT_DROP)
 """Of four users: Bo has two of them."""
 
@@ -95,7 +116,7 @@ class Program:
         self.out = bench.folder / "out" / app.name
         self.log = bench.folder / f"{app.name}.log"
         self.lives = 0
-        self.experiment = ""
+        self.experiments: list[str] = []
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -109,7 +130,7 @@ class Program:
         argv += ["--user", self.app.user, "--out", str(self.out), "--patience", f"{PATIENCE_S:g}"]
         argv += [*self.app.words, *self._payload()]
         if self.lives and self.find():
-            argv += ["--resume", self.experiment]
+            argv += ["--resume", self.experiments[0]]
         self.lives += 1
         token = {TOKEN: self.bench.tokens[self.app.user]}
         with self.log.open("ab") as log:
@@ -117,12 +138,12 @@ class Program:
                 argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env={**os.environ, **token}
             )
 
-    def find(self) -> str:
-        """The id of its experiment, as its user reads it in the log; empty if it has not begun."""
-        if not self.experiment:
-            with self.bench.client(self.app.user) as client:
-                self.experiment = experiment_of(client, self.app)
-        return self.experiment
+    def find(self) -> list[str]:
+        """The ids of its experiments, as its user reads them in the log: the first is that of the program,
+        the others are part of it. Empty if it has not begun."""
+        with self.bench.client(self.app.user) as client:
+            self.experiments = experiments_of(client, self.app)
+        return self.experiments
 
     def kill(self) -> None:
         """kill -9."""
@@ -158,12 +179,14 @@ class Program:
         return ("--payload", str(file))
 
 
-def experiment_of(client: LabClient, app: App) -> str:
-    """The first experiment of that name and user; empty if there is none."""
-    for event in client.events(type="experiment.started"):
-        if (event["payload"]["name"], event["payload"]["user"]) == (app.experiment, app.user):
-            return str(event["payload"]["experiment"])
-    return ""
+def experiments_of(client: LabClient, app: App) -> list[str]:
+    """The experiments of that name and user, and those that are called after it."""
+    started = [event["payload"] for event in client.events(type="experiment.started")]
+    return [
+        str(told["experiment"])
+        for told in started
+        if told["name"].partition(", ")[0] == app.experiment and told["user"] == app.user
+    ]
 
 
 def children_of(parent: int) -> list[int]:

@@ -15,7 +15,7 @@ from tests.apps.together.kills import Kill, Killer
 from tests.apps.together.programs import App, Program
 from tests.apps.together.results import check_results
 from tests.apps.together.sinks import Sinks
-from tests.apps.together.truth import check_bench, check_log, check_owners
+from tests.apps.together.truth import check_bench, check_log, check_owners, count_together
 from tests.support.lab_process import until
 
 LOOK_S = 0.1
@@ -23,11 +23,13 @@ LONGEST_S = 900.0
 
 
 class Outcome(NamedTuple):
-    """What came of it: seconds, events, what was killed, how much was done, what each application found,
-    which events the sinks hold twice, and how often the operator was asked."""
+    """What came of it: seconds, events, how many of them while all experiments were open, what was killed,
+    how much was done, what each application found, which events the sinks hold twice, and what the operator
+    was asked."""
 
     seconds: float
     events: int
+    together: int
     killed: list[str]
     not_killed: list[str]
     lives: dict[str, int]
@@ -41,7 +43,7 @@ class Outcome(NamedTuple):
         did = ", ".join(f"{count} {what}" for what, count in self.done.items())
         twice = ", ".join(f"{name}: {count}" for name, count in self.sent_twice.items())
         return [
-            f"{self.seconds:.0f} s, {self.events} events, {did}",
+            f"{self.seconds:.0f} s, {self.events} events, {self.together} of them with all under way, {did}",
             *(f"killed: {each}" for each in self.killed),
             *(f"not killed: {each}" for each in self.not_killed),
             *(f"{name} ({self.lives[name]} lives): {told}" for name, told in self.results.items()),
@@ -62,7 +64,7 @@ def run_together(
 ) -> Outcome:
     """Run applications at the same time, and kill what the plan says. Raises AssertionError if anything is
     not as it has to be afterwards."""
-    cells = [cell for cell in ("rpl", "bio", "cnm", "aps_8id") if any(app.cell == cell for app in apps)]
+    cells = list(dict.fromkeys(app.cell for app in apps))
     with ExitStack() as stack:
         bench = Bench(folder, cells, speed, detach=detach)
         stack.callback(bench.close)
@@ -73,12 +75,15 @@ def run_together(
         operator = stack.enter_context(Operator(bench))
         programs = [Program(bench, app) for app in apps]
         begun = time.monotonic()
-        for program in programs:
+        for program in sorted(programs, key=lambda program: not program.app.loads_much):
+            if not program.app.loads_much:
+                _await_begun([other for other in programs if other.app.loads_much])
             stack.callback(program.kill)
             program.start()
         killer = Killer(bench, programs, sinks, kills)
         _watch(bench, programs, killer, operator)
         seconds = time.monotonic() - begun
+        not_killed = killer.finish()
         for program in programs:
             program.find()
         with bench.client("olga") as olga:
@@ -94,14 +99,20 @@ def run_together(
         return Outcome(
             seconds,
             len(records),
+            count_together(records),
             killer.done,
-            [kill.what for kill in killer.left()],
+            not_killed,
             {program.app.name: program.lives for program in programs},
             dict(done),
             results,
             twice,
             operator.answered,
         )
+
+
+def _await_begun(programs: Sequence[Program]) -> None:
+    for program in programs:
+        until(lambda p=program: p.find() or p.has_ended(), f"{program.app.name} begins", 240)  # type: ignore[misc]
 
 
 def _watch(bench: Bench, programs: Sequence[Program], killer: Killer, operator: Operator) -> None:

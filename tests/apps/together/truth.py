@@ -20,6 +20,7 @@ from tests.apps.together.programs import Program
 from tests.support.lab_process import labos
 
 MIXED = ("pipette", "synthesise")
+EXPERIMENT_ENDS = ("experiment.started", "experiment.ended")
 NOT_APPLICATIONS = ("labos", "olga", "")
 
 
@@ -88,8 +89,8 @@ def _is_between(place: str) -> bool:
 def check_owners(records: Sequence[Record], programs: Sequence[Program]) -> None:
     """Every event of an experiment was caused by its own user, by the lab, or by the operator; its runs are
     its user's."""
-    owners = {program.experiment: program.app.user for program in programs}
-    cells = {program.experiment: program.app.cell for program in programs}
+    owners = {name: program.app.user for program in programs for name in program.experiments}
+    cells = {name: program.app.cell for program in programs for name in program.experiments}
     runs: dict[str, str] = {}
     for record in records:
         if record.head.type == "run.submitted":
@@ -106,18 +107,27 @@ def check_owners(records: Sequence[Record], programs: Sequence[Program]) -> None
         assert workcell_of(head.actor) == cells[experiment], f"{head.actor} in {experiment}: {head.type}"
 
 
+def count_together(records: Sequence[Record]) -> int:
+    """How many events are in the log while all experiments were under way."""
+    at = {kind: [r.head.position for r in records if r.head.type == kind] for kind in EXPERIMENT_ENDS}
+    begun, ended = (at[kind] for kind in EXPERIMENT_ENDS)
+    return max(min(ended) - max(begun), 0)
+
+
 def check_log(bench: Bench, records: Sequence[Record], programs: Sequence[Program]) -> None:
-    """The chain is whole, each application has one experiment and has ended it, all runs have completed."""
+    """The chain is whole, each application has begun its experiments once and ended them, all runs have
+    completed."""
     done = labos("verify", "--home", str(bench.up.home), timeout_s=240)
     assert done.returncode == 0, done.stdout + done.stderr
     types = Counter(record.head.type for record in records)
     assert types["run.submitted"] == types["run.completed"], types
-    assert types["experiment.started"] == types["experiment.ended"] == len(programs), types
+    begun = sum(program.app.experiments for program in programs)
+    assert types["experiment.started"] == types["experiment.ended"] == begun, types
     assert [record.head.position for record in records] == list(range(1, len(records) + 1))
     for program in programs:
         resumed = [
             record
             for record in records
-            if record.head.type == "experiment.resumed" and record.head.correlation == program.experiment
+            if record.head.type == "experiment.resumed" and record.head.correlation == program.experiments[0]
         ]
         assert len(resumed) < program.lives, program.app.name
