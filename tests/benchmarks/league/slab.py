@@ -62,7 +62,8 @@ def _operations(text: str) -> tuple[tuple[str, int], ...]:
 SCREENING = Protocol(
     _operations(
         "carrier:2 reformatter:12 carrier:3 motoman:7 carrier:6 biomek_a3:24 carrier:2 carrier:3 "
-        "biomek_a4:16 carrier:2 carrier:5 reformatter:20 carrier:5 biomek_a3:19 carrier:2 carrier:5 reformatter:3"
+        "biomek_a4:16 carrier:2 carrier:5 reformatter:20 carrier:5 biomek_a3:19 carrier:2 carrier:5 "
+        "reformatter:3"
     ),
     (
         *[(1, 2), (3, 4), (5, 6), (2, 7), (4, 8), (4, 10), (6, 11), (7, 9), (8, 9), (2, 12)],
