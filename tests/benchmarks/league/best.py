@@ -109,11 +109,11 @@ def improve(case: Case, seconds: float) -> Known:
     found, bound = search(problem, hint, seconds)
     if found is None:
         return before or Known(
-            makespan(hint), missed(problem, hint), f"online, nothing found in {seconds:.0f} s"
+            makespan(hint) - case.rest_s, missed(problem, hint), f"online, nothing found in {seconds:.0f} s"
         )
     assert not faults(problem, found), faults(problem, found)
     assert not missed(problem, found)
-    length = makespan(found)
+    length, bound = makespan(found) - case.rest_s, bound - case.rest_s
     how = "proven" if length <= bound else f"found in {seconds:.0f} s, none is below {bound:,.0f} s"
     if before is not None and (before.makespan_s, "proven" not in before.how) <= (length, how != "proven"):
         return before
