@@ -59,6 +59,13 @@ def search(problem: Problem, hint: Times, seconds: float) -> tuple[Times | None,
             model.add_no_overlap(intervals)
         elif len(intervals) > room:
             model.add_cumulative(intervals, [1] * len(intervals), room)
+    going: dict[str, list[cp_model.IntervalVar]] = {}
+    for number, alone in enumerate(problem.alone):
+        size = model.new_int_var(0, horizon, f"work{number}")
+        interval = model.new_interval_var(begin[alone.first], size, end[alone.last], f"of{number}")
+        going.setdefault(alone.place, []).append(interval)
+    for intervals in going.values():
+        model.add_no_overlap(intervals)
     for one, other in _alike(problem):
         model.add(begin[one] <= begin[other])
     model.minimize(whole)

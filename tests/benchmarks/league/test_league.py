@@ -108,6 +108,16 @@ def test_all_at_once_is_a_fault_of_modules_and_places(played_once: tuple[Problem
     assert not any("starts before" in text for text in found)
 
 
+def test_two_that_wait_for_what_nobody_has_submitted_are_a_fault() -> None:
+    """One colour picker's plate is parked where the other's run would end."""
+    case = small("8 PCR + 2 picker × 5")
+    problem = problem_of(case.cell, case.works)
+    assert [one.place for one in problem.alone] == ["rpl/wc.parking"] * 2
+    together = {number: (0.0, task.duration_s) for number, task in enumerate(problem.tasks)}
+    wanted = "two works count on rpl/wc.parking at 0.0 s, and neither knows when it is free"
+    assert wanted in faults(problem, together)
+
+
 def test_windows_are_counted_by_the_checker_itself() -> None:
     case = small("one arm, 8 plates, within 120 s")
     problem, times = problem_of(case.cell, case.works), times_of(case, played(case))
