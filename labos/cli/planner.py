@@ -34,6 +34,15 @@ LOST_PAUSE_S = 5.0
     help="How long to look for an order each time.",
 )
 @click.option(
+    "--quantile",
+    "level",
+    type=click.FloatRange(0, 1),
+    default=0.5,
+    show_default=True,
+    metavar="0..1",
+    help="Plan with durations that so many of the last times have kept: 0.8 plans with long ones.",
+)
+@click.option(
     "--pause",
     "pause_s",
     type=click.FloatRange(0, 3600),
@@ -49,15 +58,22 @@ LOST_PAUSE_S = 5.0
 @user_option
 @log_options
 def command(
-    where: Where, seconds: float, pause_s: float, cells: tuple[str, ...], once: bool, user: str | None
+    where: Where,
+    seconds: float,
+    level: float,
+    pause_s: float,
+    cells: tuple[str, ...],
+    once: bool,
+    user: str | None,
 ) -> None:
     """Suggest to a running lab in which order to start the next steps, until Ctrl-C.
 
     It follows the log. Whenever runs come or go, or something takes longer than planned, it looks for the
-    order in which all that is known would be over soonest, and suggests it. The lab decides as before: rules,
-    windows and deadlock avoidance are the lab's own, and without a planner, or with a bad one, only the order
-    is another. `labos explain RUN` says where a run waits for this reason. It needs OR-tools:
-    python -m pip install "labos-sdl[plan]". See docs/scheduling.md.
+    order in which all that is known would be over soonest. It rehearses the lab with this order and without,
+    and suggests it if it is better. The lab decides as before: rules, windows and deadlock avoidance are its
+    own, and without a planner, or with a bad one, only the order is another. `labos explain RUN` says where a
+    run waits for this reason. It needs OR-tools: python -m pip install "labos-sdl[plan]". See
+    docs/scheduling.md.
 
     \b
     labos planner
@@ -70,7 +86,7 @@ def command(
     from labos.runtime.follower import Follower
 
     expect_solver()
-    asker, planner, watch = find_user(user), Planner(seconds=seconds), Watch()
+    asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), Watch()
     next_look: dict[str, float] = {}
     with orderly(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # which it only reads
@@ -110,5 +126,8 @@ def _suggest(
         return True
     steps = [{"run": one.run, "step": one.step, "start": one.start} for one in order.steps]
     taken = client.suggest_order(cell, steps, order.until, order.position, by=asker)
-    click.echo(f"{cell}: an order for {taken} steps of {len({one.run for one in order.steps})} runs.")
+    if not steps:
+        click.echo(f"{cell}: the last order is taken back. Without it all would be over sooner.")
+    else:
+        click.echo(f"{cell}: an order for {taken} steps of {len({one.run for one in order.steps})} runs.")
     return True

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from labos.client import _flows, _transfers
 from labos.client._files import workflow_text
 from labos.client._flows import Flow, FlowFailed, FlowResult
-from labos.client._lab import LabClient
+from labos.client._lab import LabClient, LabUnreachable
 from labos.client._logged import LoggedEvents
 from labos.client._progress import Progress
 from labos.client._record import Record
@@ -41,7 +41,10 @@ class Experiment(LoggedEvents):
     A program that was killed goes on where it was if it is started again with ``resume``, the id of its
     experiment: what it asks for a second time is answered from the log. Its calls are known by their order;
     a ``key`` names one wherever it stands. With ``keep_open`` an error of the program leaves the experiment
-    open, so that the program can be mended and goes on.
+    open, so that the program can be mended and goes on; a lab that does not answer always does.
+
+    A program with several experiments, as for several plates at once, resumes the first one only. The others
+    are ``part_of`` it: that one's log says which they are.
     """
 
     def __init__(
@@ -57,10 +60,12 @@ class Experiment(LoggedEvents):
         parking: Sequence[str] = (),
         resume: str = "",
         keep_open: bool = False,
+        part_of: Experiment | None = None,
     ) -> None:
         self.lab, self.name, self.user, self.workcell = lab, name, user, workcell
         self._closing, self._payload, self._priority = closing, closing_payload, priority
         self._parking, self._resume, self._keep_open = parking, resume, keep_open
+        self._part_of, self._is_resumed = part_of, False
         self._over = threading.Event()
         self._beating: threading.Thread | None = None
         self._random: Random | None = None
@@ -70,17 +75,11 @@ class Experiment(LoggedEvents):
 
     def __enter__(self) -> Experiment:
         if self._resume:
-            self._go_on()
+            self._go_on(self._resume)
+        elif self._part_of is not None:
+            self._go_on(self._part_of._start_part(self.name, self._start))
         else:
-            self.id = self.lab.start_experiment(
-                self.name,
-                self.user,
-                closing=self._closing,
-                payload=self._payload,
-                workcell=self.workcell,
-                priority=self._priority,
-                parking=self._parking,
-            )
+            self.id = self._start()
             self._record.begin(self.id)
         past = self._record.past
         self._random = Random(past.seed)
@@ -89,12 +88,30 @@ class Experiment(LoggedEvents):
             self._beating.start()
         return self
 
-    def _go_on(self) -> None:
+    def _start(self, request: str = "") -> str:
+        return self.lab.start_experiment(
+            self.name,
+            self.user,
+            closing=self._closing,
+            payload=self._payload,
+            workcell=self.workcell,
+            priority=self._priority,
+            parking=self._parking,
+            request=request,
+        )
+
+    def _start_part(self, name: str, start: Callable[[str], str]) -> str:
+        """The id of an experiment that is part of this one, which is started if the log has none."""
+        key = self._record.take("experiment", name)
+        return str(self._record.decide(key, name, lambda: start(self._record.request_of(key))))
+
+    def _go_on(self, experiment: str) -> None:
         """What has ended is only read again. Raises NotFound, Refused."""
-        past = self._record.begin(self._resume)
-        if past.status in ("open", "cancelled") or past.name != self.name:
-            self.lab.resume_experiment(self._resume, self.name, self.user)
-        self.id = self._resume
+        past = self._record.begin(experiment)
+        is_resumed = bool(self._resume) or bool(self._part_of and self._part_of._is_resumed)
+        if is_resumed and (past.status in ("open", "cancelled") or past.name != self.name):
+            self.lab.resume_experiment(experiment, self.name, self.user)
+        self.id, self._is_resumed = experiment, is_resumed
         self.lab.warnings = [
             f"{run} of {self.id} bears no key of its program, which would submit it again."
             for run in past.strays
@@ -106,8 +123,11 @@ class Experiment(LoggedEvents):
         try:
             interrupted = kind is not None and not issubclass(kind, Exception)
             self._computations.close(drop=kind is not None, wait=not interrupted)
-            stays_open = interrupted or isinstance(error, ReplayMismatch) or (self._keep_open and kind)
-            if not stays_open:
+            waits = isinstance(error, ReplayMismatch | LabUnreachable)
+            if error is not None and (interrupted or waits or self._keep_open):
+                if self._part_of is None:
+                    error.add_note(f"{self.id} stays open: start the program again with --resume {self.id}.")
+            else:
                 why = "ended" if error is None else _on_one_line(f"failed: {type(error).__name__}: {error}")
                 self.lab.end_experiment(self.id, why, self.user)
         except LabosError:

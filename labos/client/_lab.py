@@ -147,8 +147,10 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         priority: int = 0,
         parking: Sequence[str] = (),
         propose: bool = False,
+        request: str = "",
     ) -> str:
-        """Prefer ``Experiment``. An experiment that is not heard of for 30 s is asked about."""
+        """Prefer ``Experiment``. An experiment that is not heard of for 30 s is asked about. The same
+        ``request`` twice is one experiment."""
         answer = self._start_experiment(
             name,
             user,
@@ -158,6 +160,7 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
             priority=priority,
             parking=parking,
             propose=propose,
+            request=request,
         )
         self.warnings = []
         self._note_approval(answer)

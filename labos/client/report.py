@@ -4,9 +4,11 @@ and how it is started from a shell.
 ::
 
     def prepare(given):
-        return lambda lab: [measure(lab, given.user)]
+        return lambda lab: [measure(lab, given.user, resume=given.resume)]
 
     sys.exit(run_program("my application", parser_for("Measure something.", user="ada", out="mine"), prepare))
+
+An application gives ``given.resume`` to its experiment, which goes on where it was.
 """
 
 from __future__ import annotations
@@ -83,6 +85,12 @@ def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentPar
     parser.add_argument("--home", help="the lab's folder")
     parser.add_argument("--url", default="", help="the lab's address, instead of its folder")
     parser.add_argument("--user", default=user, help=f"whose experiment it is ({user})")
+    parser.add_argument(
+        "--resume",
+        default="",
+        metavar="E3",
+        help="go on where the program was killed: the experiment (labos experiments)",
+    )
     parser.add_argument("--out", type=Path, help=f"a folder for the report ({out})")
     parser.add_argument("--patience", type=float, default=30.0, help="how long the lab may be silent (s)")
     return parser
@@ -113,17 +121,18 @@ def run_program(
     prepare: Callable[[argparse.Namespace], Callable[[LabClient], Sequence[str]]],
 ) -> int:
     """Start an application; returns its exit code. ``prepare`` reads what it is given, before a lab is asked;
-    what it returns does the work and says what came of it, line by line. An error is one line."""
+    what it returns does the work and says what came of it, line by line. An error is one line, and another
+    one if the program can go on with ``--resume``."""
     given = parser.parse_args()
     try:
         work = prepare(given)
         with LabClient(given.url, home=given.home, patience_s=given.patience) as lab:
             lines = work(lab)
-    except LabosError as error:
-        sys.stderr.write(f"{name}: {error}\n")
-        return 1
-    except KeyboardInterrupt:
-        return 130
+    except (LabosError, KeyboardInterrupt) as error:
+        is_wrong = isinstance(error, LabosError)
+        said = [str(error)] if is_wrong else []
+        sys.stderr.writelines(f"{name}: {line}\n" for line in (*said, *getattr(error, "__notes__", ())))
+        return 1 if is_wrong else 130
     for line in lines:
         sys.stdout.write(f"{name}: {line}\n")
     return 0

@@ -45,11 +45,11 @@ class Times(msgspec.Struct, array_like=True):
         return len(self.took) >= ENOUGH
 
     def add(self, took: int, planned: int | None = None) -> None:
-        for known, new in ((self.took, took), (self.planned, planned)):
-            if new is not None:
-                known.append(new)
-                if len(known) > KEPT:
-                    del known[0]
+        self.took.append(took)
+        if planned is not None:
+            self.planned.append(planned)
+        if len(self.took) > KEPT:
+            del self.took[0], self.planned[:-KEPT]
         ordered = sorted(self.took)
         self.usual = ordered[len(ordered) // 2]
         self.low, self.high = ordered[0], min(ordered[-1], int(OUTLIER * self.usual))
@@ -71,16 +71,24 @@ class Lengths(msgspec.Struct):
     def estimate(self, step: PlanStep, pace: float) -> Length | None:
         """How long steps like this have taken, if there were enough: with the same arguments; else with
         others, as part of what was planned."""
-        if not self.by_kind:
+        times, is_part = self.times_of(step)
+        if times is None:
             return None
+        if not is_part:
+            return Length(times.low, times.usual, times.high)
+        planned = step.duration_s * 1e3 / pace  # ns of each millionth
+        return Length(*(int(part * planned) for part in (times.low, times.usual, times.high)))
+
+    def times_of(self, step: PlanStep) -> tuple[Times | None, bool]:
+        """The times of steps like this if there were enough, and whether they are parts of what was planned:
+        those of other arguments."""
+        if not self.by_kind:
+            return None, False
         fine = self.by_kind.get(kind_of(step))
         if fine is not None and fine.suffices:
-            return Length(fine.low, fine.usual, fine.high)
+            return fine, False
         coarse = self.by_kind.get(f"{step.module}\x1f{step.action}")
-        if coarse is None or not coarse.suffices:
-            return None
-        planned = step.duration_s * 1e3 / pace  # ns of each millionth
-        return Length(*(int(part * planned) for part in (coarse.low, coarse.usual, coarse.high)))
+        return (coarse, True) if coarse is not None and coarse.suffices else (None, False)
 
 
 class Drift(msgspec.Struct, frozen=True):
@@ -97,11 +105,12 @@ def learn(lengths: Lengths, action: Action, step: PlanStep, at: int, pace: float
     """An action of a step has succeeded. What a person did, or nobody knew of for a while, tells nothing."""
     if step.by_person or action.status == ActionStatus.UNKNOWN or action.attempt > 1:
         return
+    kind = kind_of(step)
     took, planned = max(0, at - action.requested_at), int(step.duration_s * 1e9 / pace)
     known = lengths.by_kind
-    times = known.pop(kind_of(step), Times())
+    times = known.pop(kind, Times())
     times.add(took)
-    known[kind_of(step)] = times
+    known[kind] = times
     if planned > 0:
         any_arguments = f"{step.module}\x1f{step.action}"
         times = known.pop(any_arguments, Times())

@@ -1,4 +1,8 @@
-"""Suggests an order for one workcell after the other, and remembers the last for the next search."""
+"""Suggests an order for one workcell after the other, and remembers the last for the next search.
+
+An order is suggested only if a rehearsal of the lab comes out better with it than without any, and better
+than with what was suggested before.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import Suggested
 from labos.planner.problem import Problem, problem_of
+from labos.planner.rehearsal import Rehearsal
 from labos.planner.solve import Schedule, solve
 
 Solver = Callable[[Problem, float, dict[int, float]], Schedule | None]
@@ -20,21 +25,34 @@ STAYS_GOOD_S = 3600.0
 
 
 class Planner:
-    """``seconds`` is how long it may look for an order each time."""
+    """``seconds`` is how long it may look for an order each time, ``level`` the quantile of durations with
+    which it plans, between 0 and 1."""
 
-    def __init__(self, name: str = "planner", seconds: float = 5.0, solver: Solver = solve) -> None:
-        self.name, self.seconds = name, seconds
+    def __init__(
+        self, name: str = "planner", seconds: float = 5.0, solver: Solver = solve, level: float = 0.5
+    ) -> None:
+        self.name, self.seconds, self.level = name, seconds, level
         self._solve = solver
         self._last: dict[str, dict[tuple[RunId, int], int]] = {}
 
     def suggest(
         self, state: LabState, cell: str, waiting: Iterable[RunState], now: int
     ) -> SuggestOrder | None:
-        """The order that it suggests for a workcell; None if there is nothing to put in order, or nothing was
-        found in time. ``waiting`` are the runs that wait, in the order in which they would go."""
-        problem = problem_of(state, cell, waiting, now)
+        """The order that it suggests for a workcell; None if there is nothing to put in order, or what counts
+        now is as good. An order without steps takes back what was suggested before. ``waiting`` are the runs
+        that wait, in the order in which they would go."""
+        problem = problem_of(state, cell, waiting, now, self.level)
         if len({task.run for task in problem.tasks}) < 2:
             return None
+        found = self._search(state, cell, problem, now)
+        rehearsal = Rehearsal(state, cell, now, self.level)
+        without = rehearsal.score(None)
+        before = rehearsal.score(rehearsal.order) if rehearsal.order is not None else without
+        if found is not None and rehearsal.score(found) < min(without, before):
+            return found
+        return None if before <= without else SuggestOrder(cell, self.name, now, (), state.position)
+
+    def _search(self, state: LabState, cell: str, problem: Problem, now: int) -> SuggestOrder | None:
         last, pace = self._last.get(cell, {}), state.lab.pace
         hint = {
             number: max(0.0, (last[task.run, task.step] - now) / 1e9 * pace)

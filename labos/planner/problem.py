@@ -21,12 +21,17 @@ from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, fi
 from labos.core.state import LabState
 from labos.core.suggestions import MOST_STEPS
 from labos.core.waits import station_key
+from labos.planner.lengths import at_level
 from labos.planning.suggested import list_taken
 
 MOST_WAITING = 30
 """So many runs that wait are looked at, those that go first."""
 
 DECK = "deck:"
+
+GOES_ON = 1
+"""An experiment's end of a run counts so many times the end of all that is known: more runs follow, which
+nobody knows yet. With more than that, experiments go before what takes longer by itself."""
 
 LEAST_S = 1.0
 """What takes longer than it should is expected to take so much longer still (lab seconds)."""
@@ -77,9 +82,12 @@ class Problem(msgspec.Struct, frozen=True):
     more: tuple[bool, ...]
 
 
-def problem_of(state: LabState, cell: str, waiting: Iterable[RunState], now: int) -> Problem:
-    """What is to be done in a workcell: by the runs inside, and the first of those that are ``waiting``."""
-    reader = _Reader(state, now)
+def problem_of(
+    state: LabState, cell: str, waiting: Iterable[RunState], now: int, level: float = 0.5
+) -> Problem:
+    """What is to be done in a workcell: by the runs inside, and the first of those that are ``waiting``.
+    ``level`` is the quantile of durations, between 0 and 1."""
+    reader = _Reader(state, now, level)
     inside = [run for run in state.runs.inside(cell) if _goes_on(run)]
     outside = [run for run in islice(waiting, MOST_WAITING) if not find_holds(run)]
     for run in [*inside, *outside]:
@@ -94,8 +102,8 @@ def _goes_on(run: RunState) -> bool:
 
 
 class _Reader:
-    def __init__(self, state: LabState, now: int) -> None:
-        self.state, self.now = state, now
+    def __init__(self, state: LabState, now: int, level: float) -> None:
+        self.state, self.now, self.level = state, now, level
         self.tasks: list[Task] = []
         self.stays: list[Stay] = []
         self.read_runs: dict[RunId, bool] = {}
@@ -121,7 +129,7 @@ class _Reader:
             after = tuple(numbers[before] for before in step.after if before in numbers)
             flying = run.has_started and run.steps[index].status == IN_FLIGHT
             lags = tuple(self._lags(step, numbers, ended))
-            duration_s = self._left_s(run, index, step) if flying else step.duration_s
+            duration_s = self._left_s(run, index, step) if flying else self._takes_s(step)
             taken = tuple(list_taken(self.state, step))
             self.tasks.append(Task(run.id, index, duration_s, taken, after, lags, runs=flying))
             assert number == len(self.tasks) - 1
@@ -151,8 +159,12 @@ class _Reader:
         for action in self.state.actions.within(self.state.runs.plan_of(run).workcell):
             if action.run == run.id and action.step == index and action.status != ActionStatus.UNKNOWN:
                 gone_s = (self.now - action.requested_at) / 1e9 * self.state.lab.pace
-                return max(step.duration_s - gone_s, LEAST_S)
+                return max(self._takes_s(step) - gone_s, LEAST_S)
         return LEAST_S
+
+    def _takes_s(self, step: PlanStep) -> float:
+        pace = self.state.lab.pace
+        return round(at_level(self.state.lengths, step, pace, self.level) / 1e9 * pace, 3)
 
     def _carry(self, run: RunState, steps: tuple[PlanStep, ...], numbers: dict[int, int]) -> None:
         standing: dict[str, list[int | None]] = {}

@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.errors import SystemFailed
-from labos.planner.problem import Problem
+from labos.planner.problem import GOES_ON, Problem
 
 if TYPE_CHECKING:
     from ortools.sat.python import cp_model
-
-GOES_ON = 4
-"""An experiment's end of a run counts so much more than the end of all that is known."""
 
 TIDY = 0.3
 """This part of the time is for ending each run sooner, once the whole is as short as was found."""

@@ -49,12 +49,13 @@ class Watch:
     def note(
         self, state: LabState, cell: str, waiting: Iterable[RunState], order: SuggestOrder | None
     ) -> None:
-        """An order was looked for."""
+        """An order was looked for; None: what was suggested before still counts."""
         before, runs = self._seen.get(cell), _runs(state, cell, waiting)
         repeated = 0
         if before is not None and before.runs == runs:
             repeated = min(before.repeated + 1, MOST_DOUBLINGS)
-        self._seen[cell] = _Seen(runs, order, repeated)
+        known = before.order if order is None and before is not None else order
+        self._seen[cell] = _Seen(runs, known, repeated)
 
 
 def waiting_in(state: LabState, cell: str) -> list[RunState]:

@@ -25,7 +25,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.decide.work import work_on
 from labos.core.effects import Draws, Transfers
 from labos.core.fold import evolve
-from labos.core.ids import ActionId, CampaignId, RunId, local
+from labos.core.ids import ActionId, CampaignId, ExperimentId, RunId, local
 from labos.core.interventions import InterventionRequested
 from labos.core.model import Plan, PlanStep
 from labos.core.modules import ModuleStatus
@@ -44,6 +44,7 @@ from labos.core.runs import (
     modules_chosen,
 )
 from labos.core.state import LabState
+from labos.core.steps import WindowBreached
 from labos.core.topics import PlannedWork
 from labos.core.users import LABOS
 from labos.core.waits import Wait
@@ -82,8 +83,9 @@ class Touch(msgspec.Struct, frozen=True):
 
 class Play(msgspec.Struct):
     """How it went: when runs started and ended (UTC ns), which of them failed, when a person was needed, and
-    why the runs that are left do not go on. ``steps`` were started. ``cut``: it was broken off. ``modules``
-    are those that runs have chosen, by the steps' keys."""
+    why the runs that are left do not go on. ``steps`` were started, and so many windows ``missed``. ``cut``:
+    it was broken off. ``modules`` are those that runs have chosen, by the steps' keys; ``experiments`` those
+    of which runs are parts."""
 
     starts: dict[RunId, int] = {}
     ends: dict[RunId, int] = {}
@@ -96,6 +98,8 @@ class Play(msgspec.Struct):
     steps: int = 0
     cut: bool = False
     modules: dict[RunId, dict[str, str]] = {}
+    missed: int = 0
+    experiments: dict[RunId, ExperimentId] = {}
 
 
 NEWCOMERS = 10**6
@@ -186,6 +190,8 @@ class VirtualLab:
             case RunFailed() | RunCancelled():
                 self.play.ends[event.run] = self.now
                 self.play.failed[event.run] = event.why
+            case WindowBreached():
+                self.play.missed += 1
             case InterventionRequested():
                 planned = isinstance(event.topic, PlannedWork)
                 remedy = f"labos resolve {event.intervention}"
@@ -347,6 +353,8 @@ class VirtualLab:
         self.play.users[run.id] = run.user
         if run.campaign:
             self.play.members[run.id] = run.campaign
+        if run.experiment:
+            self.play.experiments[run.id] = run.experiment
         if run.has_started:
             self.play.starts[run.id] = run.started_at
             chosen = modules_chosen(self.state.runs, run)

@@ -22,6 +22,9 @@ Mode = Literal["pass", "lose", "hold", "garble", "cut", "precede"]
 Write = Callable[[bytes], object]
 
 POLL_S = 0.05
+ANSWER_S = 0.5
+"""How long the answer to a last question is waited for: a device need not answer all that is said to it."""
+
 NOWHERE = ("", 0)
 
 MOST_KINDS, LONGEST_KIND = 500, 200
@@ -58,8 +61,8 @@ class Relay(Protocol):
         """The device answers there now; nowhere, if empty."""
 
     def wait_for_device(self) -> None:
-        """What the driver says from now on waits for the next device that is reached. Connections of a device
-        with a network of its own end with it."""
+        """What the driver says from now on waits for the next device that is reached; what it asked before
+        is answered first. Connections of a device with a network of its own end with it."""
 
     def close(self) -> None: ...
 
@@ -139,7 +142,8 @@ class LineRelay(Spoiler):
         self._front = PtyEnd(path)
         self.address = self._front.address
         self._back: SerialWire | None = None
-        self._waits = False
+        self._turn = threading.Condition()
+        self._waits = self._awaits_answer = False
         self._over = False
         self._turned = threading.Event()
         self.reach(address)
@@ -165,11 +169,15 @@ class LineRelay(Spoiler):
         if address:
             back = SerialWire(address)
             back.open()
-            self._back = back
-            self._waits = False
+            with self._turn:
+                self._back = back
+                self._waits = self._awaits_answer = False
+                self._turn.notify_all()
 
     def wait_for_device(self) -> None:
-        self._waits = True
+        with self._turn:
+            self._waits = True
+            self._turn.wait_for(lambda: not self._awaits_answer, ANSWER_S)
 
     def close(self) -> None:
         self._over = True
@@ -179,14 +187,17 @@ class LineRelay(Spoiler):
         self._front.close()
 
     def _up(self) -> None:
-        idle = threading.Event()
         while not self._over:
             data = self._front.read(POLL_S)
             self._turned.set()
-            while data and self._waits and not self._over:
-                idle.wait(POLL_S / 10)
-            back = self._back
-            if data and back is not None:
+            if not data:
+                continue
+            with self._turn:
+                while self._waits and not self._over:
+                    self._turn.wait(POLL_S)
+                back = self._back
+                self._awaits_answer = back is not None
+            if back is not None:
                 with contextlib.suppress(LinkError):
                     self.hear(data)
                     back.write(data, 1.0)
@@ -203,6 +214,9 @@ class LineRelay(Spoiler):
                 idle.wait(POLL_S)  # it is switched off
             elif data:
                 self.say(self._front.write, data)
+                with self._turn:
+                    self._awaits_answer = False
+                    self._turn.notify_all()
 
 
 class TcpRelay(Spoiler):

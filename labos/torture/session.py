@@ -8,6 +8,7 @@ import contextlib
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -187,12 +188,11 @@ class Session:
         if fault.mend is not None:
             fault.mend(self.device, self.bench.world)
 
-    def restart(self) -> None:
-        """The device begins afresh, so quickly that nothing that was said to it is lost."""
+    def switch_off_between_answers(self) -> None:
+        """The device loses its power when it has answered what it was asked, so that nothing is lost."""
         assert self.relay is not None
         self.relay.wait_for_device()
         self.switch_off()
-        self.switch_on()
 
     def strike(self, fault: Fault) -> None:
         """Make the device fail, in its own thread where it has one that can be asked."""
@@ -433,6 +433,19 @@ class Session:
                 return done
             await self.kernel.outcome(done.start, END_S)
             await self.at_rest()
+        raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
+
+    async def interrupt(self, case: Case, switch_off: Callable[[], None]) -> Done:
+        """Begin a motion, and switch its device off in its middle. It is begun again if it had just ended, as
+        it may on a busy computer: such an end says nothing of the driver. Raises Failed."""
+        for _ in range(TRIES):
+            done = await self.midway(case)
+            switch_off()
+            if not self._is_over(done):
+                return done
+            self.switch_on()
+            await self.end(done)
+            await self.recover()
         raise Failed(f"{case.action} is over before it can be interrupted: name a longer `motion`")
 
     def motion_of(self, case: Case) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from labos.client import RunResult, StepResult
+from labos.client._replay import as_json
 from labos.core.canonical import digest
 from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.runs import SubmitRun
@@ -196,6 +197,11 @@ class VirtualExperiment:
 
     def note(self, kind: str, name: str, **facts: Any) -> None:
         self.lab.execute(NoteExperiment(ExperimentId(self.id), kind, name, dict(facts)))
+
+    def decide(self, name: str, function: Callable[[], Any]) -> Any:
+        decided = as_json(function())
+        self.note("decision", name, value=decided)
+        return decided
 
     def keep_file(self, content: bytes) -> str:
         self.lab.kept[digest(content)] = content

@@ -123,6 +123,7 @@ def _experiment() -> str:
     _names["TracebackType"] = "types"
     signature, given = _signature(Experiment.__init__)
     given = re.sub(r"^lab\b", "lab.sync", given)
+    given = given.replace("part_of=part_of", "part_of=part_of.sync if part_of is not None else None")
     return f'''class AsyncExperiment:
     """As ``Experiment``, which stands behind it as ``sync``, with methods to be awaited::
 
@@ -132,7 +133,7 @@ def _experiment() -> str:
 
     def __init__({signature}) -> None:
         self.lab = lab
-        self.sync = Experiment({given})
+        self.sync: Experiment = Experiment({given})
         self.threads = lab.threads
 
     async def __aenter__(self) -> AsyncExperiment:

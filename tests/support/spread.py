@@ -233,6 +233,20 @@ class Spread:
 
         self.hosts["a1"].inside(ask)
 
+    def list_answering(self) -> set[str]:
+        """The modules whose nodes answer the kernel, as a user is told on the host of the API process; none
+        while the API process or the kernel does not answer."""
+
+        def ask() -> set[str]:
+            try:
+                with self.client(1.0) as client:
+                    found = client.check_nodes([])
+            except LabosError:
+                return set()
+            return {str(one["module"]) for one in found if one["answer"] in ("IDLE", "BUSY")}
+
+        return self.hosts["a1"].inside(ask)
+
     def count_done(self) -> int:
         """How many runs have ended, as the database has it."""
         return self.types().count("run.completed")

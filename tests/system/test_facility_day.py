@@ -174,7 +174,10 @@ def test_a_day_of_a_shared_facility(facility: Facility) -> None:
     book(facility)
     wanted = submit_all(facility)
     wanted["agent"] = [propose_and_approve(facility)]
-    refused = intrude(facility, wanted)
+    with facility.who("olga") as olga:  # so that no run ends before somebody has tried to cancel it
+        olga.take_out("sealer", "somebody intrudes", by="olga")
+        refused = intrude(facility, wanted)
+        olga.put_back("sealer", by="olga")
     until(lambda: "action.succeeded" in lab.types(), "something has happened")
     with facility.who("olga") as olga:
         olga.take_out("sealer", "wipe it", by="olga")

@@ -13,6 +13,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
@@ -23,13 +24,13 @@ from tests.support.hosts import Hosts, why_not
 from tests.support.lab_process import until
 from tests.support.postgres import find_binaries
 from tests.support.processes import running
-from tests.support.spread import HOSTS, MOTIONS, Spread
+from tests.support.spread import HOSTS, MOTIONS, NODES, Spread
 
 TAKEN_OVER_S = 10.0
 CUT_S = 14.0
-ACTIVE, STANDBY = "active", "standby"
-PARTS = ("n1", "r", "db", ACTIVE)
-"""Whom a cut takes: the host of a node, the router, the database, the kernel that has the lab."""
+ACTIVE, STANDBY, API = "active", "standby", "a1"
+PARTS = ("n1", "r", "db", ACTIVE, API)
+"""Whom a cut takes: the host of a node, the router, the database, the kernel that has the lab, the API."""
 
 
 @cache
@@ -71,13 +72,23 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
     until(lambda: lab.count_done() > before, "the lab is at work")
     since = time.time()
     lab.hosts.cut(*names)
-    try:
-        if ACTIVE in parts and "db" not in parts:
-            until(lambda: lab.epochs()[-1][0] > epoch, "the standby takes over", 30.0)
-        time.sleep(max(0.0, since + seconds - time.time()))
-    finally:
-        lab.hosts.heal()
-    mended = time.time()
+    with ThreadPoolExecutor(1) as user:
+        try:
+            # Whoever works on the host of the API process asks on, under one key, and is heard later.
+            asked = user.submit(lab.submit, 1) if API in parts else None
+            if ACTIVE in parts and "db" not in parts:
+                until(lambda: lab.epochs()[-1][0] > epoch, "the standby takes over", 30.0)
+            if parts == (API,):
+                until(lambda: lab.count_done() >= before + 3, "the lab works without its API process")
+            time.sleep(max(0.0, since + seconds - time.time()))
+            assert asked is None or not asked.done(), "nobody heard the request, but it was answered"
+        finally:
+            lab.hosts.heal()
+        mended = time.time()
+        if asked is not None:
+            asked.result(90.0)
+    until(lambda: len(lab.list_answering()) == len(NODES), "all nodes answer the API process", 40.0)
+    served = time.time() - mended
     lab.finish()
     took = lab.epochs()[-1][1] - since
     ended = time.time() - mended
@@ -99,7 +110,10 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
     else:
         assert lab.epochs()[-1][0] - epoch <= 1
         over = "the kernel stayed; " if lab.epochs()[-1][0] == epoch else "another kernel; "
-    return f"{over}all runs ended {ended:.1f} s, and somebody stands by {back:.1f} s after the cut was mended"
+    return (
+        f"{over}after the cut was mended all nodes answered the API process in {served:.1f} s, all runs "
+        f"ended in {ended:.1f} s, and somebody stood by in {back:.1f} s"
+    )
 
 
 MAKES = """
@@ -136,8 +150,19 @@ def test_the_kernels_host_is_cut_off(lab: Spread, capsys: pytest.CaptureFixture[
         print(f"\n{told}")
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_the_hosts_of_the_api_process_and_the_kernel_are_cut_off(
+    lab: Spread, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = cut_off(lab, (ACTIVE, API), 8.0)
+    sound(lab)
+    with capsys.disabled():
+        print(f"\n{told}")
+
+
 @pytest.mark.full
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(1800)
 def test_each_part_and_each_pair_is_cut_off(lab: Spread, capsys: pytest.CaptureFixture[str]) -> None:
     """One after the other, in one lab, and each of them joins again by itself."""
     cuts = [(part,) for part in (*PARTS, STANDBY)] + list(itertools.combinations(PARTS, 2))

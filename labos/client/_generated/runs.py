@@ -88,6 +88,7 @@ class GeneratedRuns(Calls):
         workcell: str = "",
         priority: int = 0,
         propose: bool = False,
+        request: str = "",
     ) -> dict[str, Any]:
         """Begin an experiment. An application begins. It must be heard of every 30 s from now on (a note, or
         a heartbeat), else a person is asked. A run of it that would leave labware elsewhere than at its
@@ -109,7 +110,7 @@ class GeneratedRuns(Calls):
                 "priority": priority,
                 "propose": propose,
             },
-            request=self._ids.new(),
+            request=request or self._ids.new(),
         )
 
     def resume_experiment(self, experiment: str, name: str, user: str = "") -> None:

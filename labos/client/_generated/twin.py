@@ -203,6 +203,7 @@ class AsyncLabClient(AsyncCalls):
         priority: int = 0,
         parking: Sequence[str] = (),
         propose: bool = False,
+        request: str = "",
     ) -> str:
         """Prefer ``Experiment``."""
         return await self.threads.call(
@@ -215,6 +216,7 @@ class AsyncLabClient(AsyncCalls):
             priority=priority,
             parking=parking,
             propose=propose,
+            request=request,
         )
 
     async def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
@@ -313,9 +315,10 @@ class AsyncExperiment:
         parking: Sequence[str] = (),
         resume: str = "",
         keep_open: bool = False,
+        part_of: AsyncExperiment | None = None,
     ) -> None:
         self.lab = lab
-        self.sync = Experiment(
+        self.sync: Experiment = Experiment(
             lab.sync,
             name,
             user,
@@ -326,6 +329,7 @@ class AsyncExperiment:
             parking=parking,
             resume=resume,
             keep_open=keep_open,
+            part_of=part_of.sync if part_of is not None else None,
         )
         self.threads = lab.threads
 

@@ -233,7 +233,7 @@ OPERATIONS = (
         method="POST",
         path="/experiments",
         handler=start_experiment,
-        client=Method("_start_experiment", "name, user", key="new"),
+        client=Method("_start_experiment", "name, user", key="given"),
         summary="Begin an experiment",
         tag="experiments",
         needs="submitter",

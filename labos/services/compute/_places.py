@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
@@ -19,7 +20,22 @@ def _open_local(configuration: Any) -> Executor:
 def _open_pool(configuration: Any) -> Executor:
     """Processes of this computer. They are started afresh and not forked: the application has threads."""
     workers = configuration or min(os.cpu_count() or 1, 61)
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    return ProcessPoolExecutor(
+        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_follow_parent
+    )
+
+
+def _follow_parent() -> None:
+    """A worker ends when its program does, however that ends: it holds an end of its own of the pipe by
+    which it would hear of it, and a program that is killed cannot say so."""
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, name="follow-parent", daemon=True).start()
 
 
 def _open_parsl(configuration: Any) -> Executor:

@@ -182,8 +182,9 @@ class Search:
         self._carry_out([(lane, lane.throw_away()) for lane in self.lanes])
 
     def _batch(self, count: int) -> None:
-        mixtures = self.solver.ask(count)
-        self.experiment.note("decision", "next mixtures", mixtures=[list(mixture) for mixture in mixtures])
+        proposed = self.solver.ask(count)
+        decided = self.experiment.decide("next mixtures", lambda: proposed)
+        mixtures = [Mixture(*amounts) for amounts in decided]
         share = -(-count // len(self.lanes))
         parts = [mixtures[n * share : (n + 1) * share] for n in range(len(self.lanes))]
         fresh = self._carry_out(
@@ -195,15 +196,16 @@ class Search:
         self._publish(fresh)
 
     def _carry_out(self, works: Sequence[tuple[Lane, Work]]) -> list[Sample]:
-        """All at once, each run after the one before it. Raises RunFailed."""
-        found: list[Sample] = []
+        """All at once, each run after the one before it; samples in the order of ``works``, whichever ends
+        first. Raises RunFailed."""
+        found: dict[Lane, list[Sample]] = {lane: [] for lane, _ in works}
         waiting: dict[str, tuple[Lane, Work]] = {}
 
         def go_on(lane: Lane, work: Work, ended: RunResult | None) -> None:
             try:
                 flow, payload = next(work) if ended is None else work.send(ended)
             except StopIteration as done:
-                found.extend(done.value)
+                found[lane] = done.value
                 return
             (run,) = lane.experiment.submit_all(FLOWS / f"{flow}.yaml", [payload])
             waiting[run] = lane, work
@@ -215,7 +217,7 @@ class Search:
             if not ended.succeeded:
                 raise RunFailed(ended)
             go_on(*waiting.pop(ended.id), ended)
-        return found
+        return [sample for samples in found.values() for sample in samples]
 
     def read(self, result: RunResult, wells: Sequence[str], then: str) -> Reading | None:
         """The colours in a run's picture; None, and an experiment error in the log with the picture and what
@@ -258,24 +260,25 @@ def pick_color(
     workcell: str = "rpl_picker",
     seed: int = 0,
     out: Path | None = None,
+    resume: str = "",
 ) -> str:
-    """Run the experiment and write its report; returns what was found and where the data is."""
-    closing = FLOWS / "trash_plate.yaml"
+    """Run the experiment and write its report; returns what was found and where the data is. With ``resume``,
+    which names the first liquid handler's experiment, all go on where they were."""
     with ExitStack() as stack:
-        experiments = [
-            stack.enter_context(
-                Experiment(
-                    lab,
-                    "color picker" if number == 0 else f"color picker, {handler}",
-                    user,
-                    closing=closing,
-                    closing_payload={"parking": PARKING[number]},
-                    workcell=workcell,
-                    parking=[PARKING[number]],
-                )
+        experiments: list[Experiment] = []
+        for number, handler in enumerate(wanted.handlers):
+            experiment = Experiment(
+                lab,
+                "color picker" if number == 0 else f"color picker, {handler}",
+                user,
+                closing=FLOWS / "trash_plate.yaml",
+                closing_payload={"parking": PARKING[number]},
+                workcell=workcell,
+                parking=[PARKING[number]],
+                resume=resume if number == 0 else "",
+                part_of=experiments[0] if experiments else None,
             )
-            for number, handler in enumerate(wanted.handlers)
-        ]
+            experiments.append(stack.enter_context(experiment))
         search = Search(lab, experiments, wanted, seed)
         experiment = search.experiment
         search.run()
@@ -292,9 +295,8 @@ def pick_color(
 
 def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
     wanted = read_wanted(given.payload)
-    return lambda lab: [
-        pick_color(lab, given.user, wanted, workcell=given.workcell, seed=given.seed, out=given.out)
-    ]
+    options = {"workcell": given.workcell, "seed": given.seed, "out": given.out, "resume": given.resume}
+    return lambda lab: [pick_color(lab, given.user, wanted, **options)]
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,17 +42,20 @@ class Outcome(NamedTuple):
     report: Report
 
 
-def assay(lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int = 1) -> Outcome:
-    """Run the experiment and write its data. Raises BadReading if no plate can be used."""
+def assay(
+    lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int = 1, resume: str = ""
+) -> Outcome:
+    """Run the experiment and write its data; with ``resume``, it goes on where it was. Raises BadReading if
+    no plate can be used."""
     flows = HERE / workcell
-    with Experiment(lab, "growth assay", user, workcell=workcell) as experiment:
+    with Experiment(lab, "growth assay", user, workcell=workcell, resume=resume) as experiment:
         experiment.note("loop_started", "plates", plates=plates, drug=DRUG)
-        made = [_submit(experiment, flows / "create_plate.yaml", {"slot": n}) for n in range(1, plates + 1)]
+        made = [experiment.submit(flows / "create_plate.yaml", {"slot": n}) for n in range(1, plates + 1)]
         firsts, lasts = dict[str, RunResult](), dict[str, str]()
         for slot, run in enumerate(made, 1):
             # Each is read twelve hours after its own incubation began; the next plates are made meanwhile.
             firsts[run] = _completed(lab, run)
-            lasts[run] = _submit(experiment, flows / "read_plate.yaml", {"slot": slot, "made_by": run})
+            lasts[run] = experiment.submit(flows / "read_plate.yaml", {"slot": slot, "made_by": run})
         tables = [
             (run, firsts[run].result("Read T0"), _completed(lab, last).result("Read T12"))
             for run, last in lasts.items()
@@ -70,12 +73,6 @@ def assay(lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int
         report = write_growth_report(experiment, folder / experiment.id, first, last_, curve)
         (folder / experiment.id / "readings.json").write_text(data, "utf-8")
     return Outcome(experiment.id, curve, len(good), bad, report)
-
-
-def _submit(experiment: Experiment, flow: Path, payload: Mapping[str, Any]) -> str:
-    return experiment.lab.submit(
-        flow, payload, user=experiment.user, workcell=experiment.workcell, experiment=experiment.id
-    )
 
 
 def _completed(lab: LabClient, run: str) -> RunResult:
@@ -113,7 +110,8 @@ def prepare(given: argparse.Namespace) -> Callable[[LabClient], list[str]]:
         raise BadInput(f"--plates is {given.plates}.", remedy=f"Give 1 to {MOST_PLATES}.")
 
     def work(lab: LabClient) -> list[str]:
-        found = assay(lab, given.user, given.workcell, given.out or Path("growth"), plates=given.plates)
+        folder, options = given.out or Path("growth"), {"plates": given.plates, "resume": given.resume}
+        found = assay(lab, given.user, given.workcell, folder, **options)
         ic50, error = found.curve.ic50, found.curve.ic50_error
         return [
             *(f"left out: {why}" for why in found.bad),

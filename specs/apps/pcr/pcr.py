@@ -102,11 +102,13 @@ def run_pcr(
     published: bool = False,
     workcell: str = "rpl",
     out: Path | None = None,
+    resume: str = "",
 ) -> str:
-    """Run so many plates, and write the report; returns what became of them and where the data is."""
+    """Run so many plates, and write the report; returns what became of them and where the data is. With
+    ``resume``, the experiment goes on where it was."""
     programme = wanted.programme
     flow = PUBLISHED if published else "pcr"
-    with Experiment(lab, "pcr", user, workcell=workcell) as experiment:
+    with Experiment(lab, "pcr", user, workcell=workcell, resume=resume) as experiment:
         experiment.note(
             "decision",
             "thermal programme",
@@ -161,9 +163,8 @@ def draw_programme(programme: Programme) -> Figure:
 
 def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
     wanted = read_wanted(given.payload)
-    return lambda lab: [
-        run_pcr(lab, given.user, wanted, published=given.published, workcell=given.workcell, out=given.out)
-    ]
+    options = {"published": given.published, "workcell": given.workcell, "out": given.out}
+    return lambda lab: [run_pcr(lab, given.user, wanted, **options, resume=given.resume)]
 
 
 def main() -> int:

@@ -108,6 +108,15 @@ def dynamics_of(series: Series) -> Dynamics:
     return Dynamics(diffusion, error, curves)
 
 
+def find_dynamics(told: dict[str, Any], content: np.ndarray) -> Dynamics | str:
+    """What the beamline told and the array that it left, analysed; or what is wrong with them. For
+    ``compute``: a series that tells nothing is a result, and comes again from the log."""
+    try:
+        return dynamics_of(series_of(told, content))
+    except BadSeries as bad:
+        return str(bad)
+
+
 def _curve(counts: np.ndarray, q: np.ndarray, period: float) -> Curve:
     """The rate is that of the mean q²; what pixels of other q do to the curve is in the fit."""
     lags = np.arange(1, min(LAGS, len(counts) // 4) + 1)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drop_dynamics import BadSeries, dynamics_of, series_of
+from drop_dynamics import BadSeries, find_dynamics, series_of
 from drop_report import Drop, Summary, summary_of, write_drop_report
 
 from labos.client import Experiment, LabClient
@@ -119,12 +119,12 @@ class Measurement:
         """What a series tells. Raises BadSeries."""
         if told["drop"] not in ("Yes", 1):
             raise BadSeries("no drop seen")
-        series = series_of(told, self._array(told["series"]))
-        picture = self._array(told["microscope"])
-        side = int(np.sqrt(picture.size))
-        return Drop(
-            well, dynamics_of(series), series.temperature, series.counts[0], picture.reshape(side, side)
-        )
+        content, picture = self._array(told["series"]), self._array(told["microscope"])
+        found = self.experiment.compute(find_dynamics, told, content)
+        if isinstance(found, str):
+            raise BadSeries(found)
+        series, side = series_of(told, content), int(np.sqrt(picture.size))
+        return Drop(well, found, series.temperature, series.counts[0], picture.reshape(side, side))
 
     def _array(self, file: Any) -> np.ndarray:
         try:
@@ -150,11 +150,12 @@ class Measurement:
 
 
 def measure_diffusion(
-    lab: LabClient, user: str, wanted: Wanted, *, out: Path | None = None
+    lab: LabClient, user: str, wanted: Wanted, *, out: Path | None = None, resume: str = ""
 ) -> tuple[Summary, str]:
     """Run the experiment and write its report; returns what was found, and a line about it that says where
-    the data is."""
-    with Experiment(lab, "pendant drop", user, workcell="aps_8id") as experiment:
+    the data is. With ``resume``, the experiment goes on where it was."""
+    with Experiment(lab, "pendant drop", user, workcell="aps_8id", resume=resume) as experiment:
+        experiment.configure_compute(pool=1)
         measurement = Measurement(lab, experiment, wanted)
         measurement.run()
         if not measurement.drops:
@@ -173,7 +174,7 @@ def measure_diffusion(
 
 def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
     wanted = read_wanted(given.payload)
-    return lambda lab: [measure_diffusion(lab, given.user, wanted, out=given.out)[1]]
+    return lambda lab: [measure_diffusion(lab, given.user, wanted, out=given.out, resume=given.resume)[1]]
 
 
 def main() -> int:

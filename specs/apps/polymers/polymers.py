@@ -95,10 +95,9 @@ class Search:
 
     def _batch(self, number: int) -> None:
         wells = well_names(number * self.wanted.wells, self.wanted.wells)
-        recipes = self.recommender.ask(len(wells))
-        self.experiment.note(
-            "decision", "next batch", wells=wells, recipes=[list(recipe) for recipe in recipes]
-        )
+        proposed = self.recommender.ask(len(wells))
+        decided = self.experiment.decide("next batch", lambda: dict(zip(wells, proposed, strict=True)))
+        recipes = [Recipe(*decided[well]) for well in wells]
         result = self.experiment.run(FLOWS / "make_and_measure.yaml", self._payload(number, wells, recipes))
         table = result.result("Measure spectra")
         spectra = read_table(self.lab.file(table))
@@ -174,11 +173,25 @@ def well_names(first: int, count: int) -> list[str]:
     return [f"{'ABCDEFGH'[well // 12]}{well % 12 + 1}" for well in range(first, first + count)]
 
 
-def find_polymer(lab: LabClient, user: str, wanted: Wanted, *, seed: int = 0, out: Path | None = None) -> str:
-    """Run the experiment and write its report; returns what was found and where the data is."""
-    closing = FLOWS / "plate_done.yaml"
+def find_polymer(
+    lab: LabClient,
+    user: str,
+    wanted: Wanted,
+    *,
+    seed: int = 0,
+    out: Path | None = None,
+    resume: str = "",
+) -> str:
+    """Run the experiment and write its report; returns what was found and where the data is. With ``resume``,
+    the experiment goes on where it was."""
     with Experiment(
-        lab, "electrochromic polymers", user, closing=closing, workcell="cnm", parking=["chemspeed.default"]
+        lab,
+        "electrochromic polymers",
+        user,
+        closing=FLOWS / "plate_done.yaml",
+        workcell="cnm",
+        parking=["chemspeed.default"],
+        resume=resume,
     ) as experiment:
         search = Search(lab, experiment, wanted, seed)
         search.run()
@@ -197,7 +210,8 @@ def find_polymer(lab: LabClient, user: str, wanted: Wanted, *, seed: int = 0, ou
 
 def prepare(given: Namespace) -> Callable[[LabClient], list[str]]:
     wanted = read_wanted(given.payload)
-    return lambda lab: [find_polymer(lab, given.user, wanted, seed=given.seed, out=given.out)]
+    options = {"seed": given.seed, "out": given.out, "resume": given.resume}
+    return lambda lab: [find_polymer(lab, given.user, wanted, **options)]
 
 
 def main() -> int:

@@ -14,6 +14,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.effects import Move
 from labos.core.ids import StationName
 from labos.core.model import Plan, PlanStep, Window, Workcell
+from tests.benchmarks.league import slab
 from tests.benchmarks.league.play import Work
 from tests.simulation.mixes import CELL, PLANS, stand
 from tests.support.bench import full, module, move, needs, plan, station, step, take, workcell
@@ -24,7 +25,8 @@ SEEDS = 3
 
 class Case(msgspec.Struct, frozen=True):
     """Work for one workcell. ``best`` names the case whose best known schedule is also this one's: in which
-    order the runs were submitted makes no difference to it."""
+    order the runs were submitted makes no difference to it. ``published_s`` is the shortest makespan that
+    others have published (0: none). The last ``rest_s`` of a schedule do not count as work."""
 
     name: str
     family: str
@@ -32,6 +34,8 @@ class Case(msgspec.Struct, frozen=True):
     stock: Mapping[StationName, tuple[str, int]]
     works: tuple[Work, ...]
     best: str = ""
+    published_s: float = 0.0
+    rest_s: float = 0.0
 
     @property
     def key(self) -> str:
@@ -40,7 +44,7 @@ class Case(msgspec.Struct, frozen=True):
 
 def cases(*, quick: bool = False) -> Iterator[Case]:
     """All of them, or one small case of each family."""
-    for family in (_mixes, _pcrs, _two_cyclers, _one_arm, _clocks, _job_shop):
+    for family in (_mixes, _pcrs, _two_cyclers, _one_arm, _clocks, _job_shop, _slab):
         made = family()
         yield from ([next(made)] if quick else made)
 
@@ -218,6 +222,20 @@ def _job_shop() -> Iterator[Case]:
                 works.append(Work((SubmitRun(_way(order, seconds, lambda: "arm0", 10.0), "ada"),)))
             name = f"{jobs} jobs on {machines} machines, seed {seed}"
             yield Case(name, "job shop", _machines(machines, 1, 40), _stack(40), tuple(works))
+
+
+def _slab() -> Iterator[Case]:
+    """What others have published, for comparison."""
+    for found in slab.INSTANCES:
+        yield Case(
+            found.name,
+            "S-LAB",
+            slab.cell_of(found),
+            slab.stock(),
+            slab.works_of(found),
+            published_s=found.published * slab.MINUTE_S,
+            rest_s=slab.MINUTE_S,
+        )
 
 
 __all__ = ["Case", "cases", "two_cyclers", "with_durations"]

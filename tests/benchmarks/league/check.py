@@ -23,7 +23,12 @@ def faults(problem: Problem, times: Times) -> list[str]:
     missing = [
         f"task {number} was not carried out" for number in range(len(problem.tasks)) if number not in times
     ]
-    return missing or [*_order(problem, times), *_taken_twice(problem, times), *_crowded(problem, times)]
+    return missing or [
+        *_order(problem, times),
+        *_taken_twice(problem, times),
+        *_crowded(problem, times),
+        *_together(problem, times),
+    ]
 
 
 def missed(problem: Problem, times: Times) -> int:
@@ -87,4 +92,14 @@ def _crowded(problem: Problem, times: Times) -> list[str]:
                 found.append(
                     f"{count} pieces of labware at {place} at {at} s; room for {problem.room[place]}"
                 )
+    return found
+
+
+def _together(problem: Problem, times: Times) -> list[str]:
+    found: list[str] = []
+    for place in dict.fromkeys(one.place for one in problem.alone):
+        spans = sorted((times[o.first][0], times[o.last][1]) for o in problem.alone if o.place == place)
+        for (_, end), (begin, _) in pairwise(spans):
+            if end > begin + SLACK_S:
+                found.append(f"two works count on {place} at {begin} s, and neither knows when it is free")
     return found

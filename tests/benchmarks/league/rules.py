@@ -48,19 +48,53 @@ class Stay(msgspec.Struct, frozen=True):
     last: int | None
 
 
+class Alone(msgspec.Struct, frozen=True):
+    """Of the works whose runs leave labware at ``place`` for their next run, one at a time has such runs,
+    from the start of task ``first`` to the end of ``last``. Whoever is let in must be able to come to the end
+    whatever is submitted later: two that end at this place could not, as no run that is known carries
+    anything away."""
+
+    place: str
+    first: int
+    last: int
+
+
 class Problem(msgspec.Struct, frozen=True):
-    """All tasks, numbered in the order of the works, their runs and steps; and how many have room where."""
+    """All tasks, numbered in the order of the works, their runs and steps; how many have room where; and
+    which works do not go together."""
 
     tasks: tuple[Task, ...]
     stays: tuple[Stay, ...]
     room: dict[str, int]
+    alone: tuple[Alone, ...] = ()
 
 
 def problem_of(cell: Workcell, works: Sequence[Work]) -> Problem:
     reader = _Reader(cell)
     for number, work in enumerate(works):
         reader.read(number, work)
-    return Problem(tuple(reader.tasks), tuple(reader.stays), reader.room)
+    tasks, stays = tuple(reader.tasks), tuple(reader.stays)
+    return Problem(tasks, stays, reader.room, tuple(_alone(tasks, stays, reader.room)))
+
+
+def _alone(tasks: tuple[Task, ...], stays: tuple[Stay, ...], room: dict[str, int]) -> Iterator[Alone]:
+    found: dict[tuple[str, int], Alone] = {}
+    for stay in stays:
+        left = stay.last is not None and tasks[stay.last].run != tasks[stay.first].run
+        if left and room[stay.place] == 1:
+            before = found.get((stay.place, stay.work))
+            first = before.first if before is not None else _first_of_run(tasks, stay.first)
+            last = max(n for n, task in enumerate(tasks) if _of(task) == _of(tasks[stay.first]))
+            found[stay.place, stay.work] = Alone(stay.place, first, last)
+    yield from found.values()
+
+
+def _first_of_run(tasks: tuple[Task, ...], number: int) -> int:
+    return min(n for n, task in enumerate(tasks) if _of(task) == _of(tasks[number]))
+
+
+def _of(task: Task) -> tuple[int, int]:
+    return task.work, task.run
 
 
 class _Reader:

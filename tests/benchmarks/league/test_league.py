@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import pytest
 
+from tests.benchmarks.league import slab
 from tests.benchmarks.league.cases import Case, cases
 from tests.benchmarks.league.check import Times, faults, makespan, missed
 from tests.benchmarks.league.play import Player
 from tests.benchmarks.league.rules import Problem, problem_of
 from tests.benchmarks.league.score import known, played, score, times_of
 
-SMALL = ("one arm, 8 plates, within 120 s", "2 PCR + 1 picker × 3", "4 jobs on 4 machines, seed 0")
+SMALL = (
+    "one arm, 8 plates, within 120 s",
+    "2 PCR + 1 picker × 3",
+    "4 jobs on 4 machines, seed 0",
+    "Gu2016 × 1",
+)
 
 
 def small(name: str) -> Case:
@@ -38,6 +44,31 @@ def test_one_arm_does_as_well_as_was_proven_possible() -> None:
 
 def test_every_case_has_a_best_known_schedule() -> None:
     assert {case.key for case in cases()} == set(known())
+
+
+def test_what_is_known_of_what_others_have_published_is_not_worse() -> None:
+    best = known()
+    for case in cases():
+        if case.published_s:
+            assert best[case.key].makespan_s <= case.published_s
+            assert best[case.key].missed == 0
+
+
+def test_an_operation_takes_its_place_until_a_minute_after_its_end() -> None:
+    """Two steps each: the place in the bank is free again only when the second has ended."""
+    instance = slab.INSTANCES[-1]
+    problem = problem_of(slab.cell_of(instance), slab.works_of(instance))
+    jobs = [operation for job in instance.jobs for operation in job.operations]
+    assert len(problem.tasks) == 2 * len(jobs)
+    stays = {stay.first: stay for stay in problem.stays if stay.last is not None}
+    for number, (kind, minutes) in enumerate(jobs):
+        operation, free = problem.tasks[2 * number : 2 * number + 2]
+        assert (operation.duration_s, free.duration_s) == (minutes * 60.0, 60.0)
+        assert free.after == (2 * number,)
+        assert (stays[2 * number].place, stays[2 * number].last) == (f"cell/{kind}_bank", 2 * number + 1)
+    assert {place: problem.room[f"cell/{place}_bank"] for place in instance.instruments} == dict(
+        instance.instruments
+    )
 
 
 def test_a_step_that_was_not_carried_out_is_a_fault(played_once: tuple[Problem, Times]) -> None:
@@ -75,6 +106,16 @@ def test_all_at_once_is_a_fault_of_modules_and_places(played_once: tuple[Problem
     assert any("rpl/sciclops is taken by" in text for text in found)
     assert any("pieces of labware at rpl/ot2_pcr_alpha.deck1_cooler" in text for text in found)
     assert not any("starts before" in text for text in found)
+
+
+def test_two_that_wait_for_what_nobody_has_submitted_are_a_fault() -> None:
+    """One colour picker's plate is parked where the other's run would end."""
+    case = small("8 PCR + 2 picker × 5")
+    problem = problem_of(case.cell, case.works)
+    assert [one.place for one in problem.alone] == ["rpl/wc.parking"] * 2
+    together = {number: (0.0, task.duration_s) for number, task in enumerate(problem.tasks)}
+    wanted = "two works count on rpl/wc.parking at 0.0 s, and neither knows when it is free"
+    assert wanted in faults(problem, together)
 
 
 def test_windows_are_counted_by_the_checker_itself() -> None:

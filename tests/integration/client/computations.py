@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+import time
 from pathlib import Path
+
+from labos.services.compute import Computing
 
 
 def square(number: float) -> float:
@@ -38,3 +42,26 @@ def die_once(folder: str) -> str:
 
 def die(_: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def process_after(seconds: float) -> int:
+    """The process in which it was computed."""
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def main() -> None:
+    """Says which two workers it has; one of them waits, the other computes until it is killed."""
+    computing = Computing({"pool": 2})
+    workers: set[int] = set()
+    while len(workers) < 2:
+        both = [computing.submit(process_after, (0.1,)) for _ in range(2)]
+        workers |= {each.result() for each in both}
+    computing.submit(process_after, (600.0,))
+    sys.stdout.write(f"{' '.join(map(str, workers))}\n")
+    sys.stdout.flush()
+    time.sleep(600)
+
+
+if __name__ == "__main__":
+    main()

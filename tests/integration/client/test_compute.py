@@ -21,6 +21,7 @@ from labos.services.compute import Attempts, ComputeFailed, code_digest, value_d
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from tests.integration.client import computations as work
+from tests.support.lab_process import until
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +83,20 @@ def test_a_worker_that_is_killed_is_followed_by_another(experiment: Experiment, 
     assert experiment.compute(work.die_once, str(tmp_path)) == "alive"
     (note,) = notes(experiment)
     assert note["facts"]["attempts"] == 2
+
+
+@pytest.mark.slow
+def test_workers_end_when_their_program_is_killed() -> None:
+    """One that computes, and one that waits for work."""
+    program = [sys.executable, "-m", work.__name__]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            workers = [int(word) for word in process.stdout.readline().split()]
+        finally:
+            process.kill()
+    assert len(workers) == 2
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers), "they end")
 
 
 def test_it_is_given_up_after_as_many_attempts_as_were_said(client: LabClient) -> None:

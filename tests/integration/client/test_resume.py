@@ -15,7 +15,15 @@ from typing import Any
 import numpy
 import pytest
 
-from labos.client import AsyncExperiment, AsyncLabClient, Experiment, LabClient, ReplayMismatch, RunFailed
+from labos.client import (
+    AsyncExperiment,
+    AsyncLabClient,
+    Experiment,
+    LabClient,
+    LabUnreachable,
+    ReplayMismatch,
+    RunFailed,
+)
 from labos.errors import BadInput, NotFound, Refused
 from labos.services.compute import ComputeFailed
 from tests.integration.client import computations as work
@@ -327,3 +335,54 @@ def test_with_asyncio_calls_are_known_by_the_order_in_which_they_are_made(lab: L
     name, found = stopped.value.args
     assert asyncio.run(work(name)) == (name, found)
     assert len(events(lab, name, "run.submitted")) == 6
+
+
+def test_what_was_interrupted_says_how_it_goes_on(lab: LabClient) -> None:
+    with pytest.raises(Stopped) as stopped, Experiment(lab, "plates", "ada") as experiment:
+        raise Stopped
+    how = f"{experiment.id} stays open: start the program again with --resume {experiment.id}."
+    assert stopped.value.__notes__ == [how]
+    with pytest.raises(LabUnreachable) as silent, again(lab, experiment.id):
+        raise LabUnreachable("The lab was away for a while.")
+    assert silent.value.__notes__ == [how]
+    with again(lab, experiment.id):  # it stayed open
+        pass
+    assert len(events(lab, experiment.id, "experiment.ended")) == 1
+
+
+def test_a_programs_other_experiments_go_on_with_its_first(lab: LabClient) -> None:
+    parts: list[list[str]] = []
+
+    def start_two(first: Experiment) -> None:
+        with (
+            Experiment(lab, "plates of another", "ada", part_of=first) as second,
+            Experiment(lab, "plates of another", "ada", part_of=first) as third,
+        ):
+            second.note("decision", "mine", well="A1")
+            parts.append([second.id, third.id])
+            raise Stopped
+
+    name = begin_program(lab, start_two)
+    for _ in range(2):
+        with contextlib.suppress(Stopped), again(lab, name) as first:
+            start_two(first)
+    assert parts[0] == parts[1] == parts[2]
+    second, third = parts[0]
+    assert len({name, second, third}) == 3
+    assert len(events(lab, second, "experiment.noted")) == 1
+    resumed = [len(events(lab, each, "experiment.resumed")) for each in (name, second, third)]
+    assert resumed == [2, 2, 2]
+    with again(lab, name) as first, Experiment(lab, "plates of another", "ada", part_of=first):
+        pass
+    ended = [len(events(lab, each, "experiment.ended")) for each in (name, second, third)]
+    assert ended == [1, 1, 0]
+    lab.end_experiment(third, "ended", "ada")
+
+
+def test_a_part_that_was_started_before_the_program_knew_is_the_same(lab: LabClient) -> None:
+    with contextlib.suppress(Stopped), Experiment(lab, "plates", "ada") as first:
+        key = f"{first.id}/experiment plates of another#1"
+        started = lab.start_experiment("plates of another", "ada", request=key)
+        raise Stopped
+    with again(lab, first.id) as first, Experiment(lab, "plates of another", "ada", part_of=first) as part:
+        assert part.id == started

@@ -30,7 +30,7 @@ async def run_torture(path: Path, *only: str) -> dict[str, Finding]:
 
 FEW = (
     *("says that nothing moved", "tells another level", "blocks the loop"),
-    "takes a restart for the end",
+    "takes a restart for the end after a long wait",
 )
 """Four of them are enough for every day."""
 

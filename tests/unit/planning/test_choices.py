@@ -252,7 +252,20 @@ def some_others(case: Case, what: Plan) -> tuple[Plan, ...]:
         for name, other in swaps.items():
             text = text.replace(f'"<{name}>"', f'"{full(other)}"')
         found[text] = msgspec.json.decode(text, type=Plan)
+    if not case.hands and len(case.arms) > 1:
+        late = by_other_arms(case, what)
+        found.setdefault(msgspec.json.encode(late).decode(), late)
     return tuple(other for other in found.values() if other != what)
+
+
+def by_other_arms(case: Case, what: Plan) -> Plan:
+    """The same, but from some step on each transfer is carried out by another arm: a run may change to it
+    when its own arm fails on the way."""
+    arms = [full(name) for name in case.arms]
+    swaps = dict(zip(arms, reversed(arms), strict=True))
+    cut = case.rng.randrange(1, len(what.steps))
+    late = tuple(msgspec.structs.replace(s, module=swaps.get(s.module, s.module)) for s in what.steps[cut:])
+    return msgspec.structs.replace(what, steps=(*what.steps[:cut], *late))
 
 
 def submit_all(case: Case) -> Driver:

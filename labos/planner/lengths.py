@@ -1,0 +1,21 @@
+"""How long a step takes at a quantile of what it has taken."""
+
+from __future__ import annotations
+
+from labos.core.lengths import Lengths
+from labos.core.model import PlanStep
+from labos.planning.durations import quantile
+
+SPREAD = 0.1
+"""What is assumed of a step that was not carried out often enough: its duration differs from what was planned
+by up to this part, each with the same likelihood."""
+
+
+def at_level(lengths: Lengths, step: PlanStep, pace: float, level: float) -> int:
+    """How long a step takes (ns of wall time) at a level between 0 and 1."""
+    planned = step.duration_s * 1e9 / pace
+    times, is_part = lengths.times_of(step)
+    if times is None:
+        return int(planned * (1 + SPREAD * (2 * level - 1)))
+    found = quantile(sorted(times.took), level)
+    return int(found * planned / 1e6 if is_part else found)

@@ -1,0 +1,94 @@
+"""A planner suggests only what a rehearsal of the lab finds better than nothing. No OR-tools are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+
+from labos.core.decide.suggestions import SuggestOrder
+from labos.core.ids import RunId
+from labos.core.lengths import Times, kind_of
+from labos.core.model import Plan
+from labos.planner.planner import Planner
+from labos.planner.problem import Problem, problem_of
+from labos.planner.solve import Schedule
+from labos.planner.watch import waiting_in
+from tests.support.bench import Driver, plan, step
+from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
+
+
+def cut(name: str) -> Plan:
+    return plan(step("dev", key="a", duration_s=600.0), step("dev", key="b", duration_s=600.0), name=name)
+
+
+def both(name: str) -> Plan:
+    return plan(step("dev", key="a", duration_s=600.0), step("other", key="b", duration_s=600.0), name=name)
+
+
+def waits() -> tuple[Driver, RunId, RunId]:
+    """In the order of submission `other` waits for `dev` twice: 2,400 s; the other way round 1,800 s."""
+    lab = Driver(CELL)
+    first, second = lab.submit(cut("cut")), lab.submit(both("both"))
+    return lab, first, second
+
+
+class Fixed:
+    """A search that finds that these runs should go in this order, a second apart."""
+
+    def __init__(self, *order: RunId) -> None:
+        self.order = order
+
+    def __call__(self, problem: Problem, seconds: float, hint: Mapping[int, float]) -> Schedule:
+        starts = [100.0 * self.order.index(task.run) + task.step for task in problem.tasks]
+        return Schedule(tuple(starts), 0.0, 0.0, False)
+
+
+def asked(planner: Planner, lab: Driver) -> SuggestOrder | None:
+    return planner.suggest(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+
+
+def test_a_better_order_is_suggested() -> None:
+    lab, first, second = waits()
+    order = asked(Planner(solver=Fixed(second, first)), lab)
+    assert order is not None
+    assert order.steps[0].run == second
+
+
+def test_an_order_that_is_no_better_is_not_suggested() -> None:
+    lab, first, second = waits()
+    assert asked(Planner(solver=Fixed(first, second)), lab) is None
+
+
+def test_an_order_that_came_out_worse_is_taken_back() -> None:
+    lab, first, second = waits()
+    lab.do(asked(Planner(solver=Fixed(second, first)), lab) or pytest.fail("it is better"))
+    assert asked(Planner(solver=Fixed(second, first)), lab) is None, "as good as what was suggested before"
+    lab = Driver(CELL)
+    second, first = lab.submit(both("both")), lab.submit(cut("cut"))
+    suggest(lab, (first, 0, 0.0), (first, 1, 1.0), (second, 0, 2.0))
+    order = asked(Planner(solver=Fixed(first, second)), lab)
+    assert order is not None
+    assert order.steps == ()
+
+
+def test_nothing_is_changed_by_looking() -> None:
+    lab, first, second = waits()
+    before = lab.state.position
+    asked(Planner(solver=Fixed(second, first)), lab)
+    assert lab.state.position == before
+    assert set(lab.state.runs.queued) == {first, second}
+    assert lab.state.suggestions.orders == {}
+
+
+@pytest.mark.parametrize(("level", "took_s"), [(0.0, 60.0), (0.5, 80.0), (1.0, 100.0)])
+def test_durations_are_those_of_a_quantile_of_the_last_times(level: float, took_s: float) -> None:
+    lab, (run, _) = make_lab(visit("dev"), visit("other"))
+    work = lab.state.runs.plan_of(lab.run(run)).steps[2]
+    times = lab.state.lengths.by_kind[kind_of(work)] = Times()
+    for seconds in (80, 60, 100):
+        times.add(int(seconds * 1e9))
+    problem = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now, level)
+    found = {(task.run, task.step): task.duration_s for task in problem.tasks}
+    assert found[run, 2] == took_s
+    assert found[run, 0] == pytest.approx(10.0 * (0.9 + 0.2 * level)), "of which nothing is known"
