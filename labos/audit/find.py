@@ -1,7 +1,7 @@
 """Finds experiments, runs, samples, images, files, results and publications by words, with facets.
 
-All words of a question must be there; ``colo*`` stands for all words that begin so. What bears the words as
-its name comes first, then what is newest. SQLite finds by its FTS5, PostgreSQL by its full text search; as
+All words of a question must be there; ``colo*`` stands for all words that begin so. Entries with the words in
+their name come first, then the newest. SQLite finds by its FTS5, PostgreSQL by its full text search; as
 words are cut by LabOS (``labos.audit.words``), both find the same.
 """
 

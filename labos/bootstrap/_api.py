@@ -40,7 +40,7 @@ from labos.telemetry.api import ApiMetrics, ApiReadings
 
 
 class ApiSettings(msgspec.Struct, frozen=True):
-    """Besides the lab's own: the ``name`` of this process, which no other one of this lab bears, and the
+    """Besides the lab's own: the ``name`` of this process, unique in this lab, and the
     database with the ``accounts`` (empty: that of the log)."""
 
     lab: Settings

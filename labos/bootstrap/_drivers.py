@@ -118,8 +118,8 @@ def source_of(entry: EntryPoint) -> str:
 
 
 def _only(name: str, entries: Sequence[EntryPoint]) -> type[Node]:
-    """The class that bears a name. If the lab planned with one and its node ran another, nobody would see
-    it: so neither is taken. Raises BadInput."""
+    """The only class with a name. If there are two, the lab might plan with one and its node run the other,
+    so neither is taken. Raises BadInput."""
     if len(entries) > 1:
         raise BadInput(
             f"{len(entries)} packages install a driver named {name!r}: "

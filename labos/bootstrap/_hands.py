@@ -69,7 +69,7 @@ class SimulatedHands:
             self._follow(fresh)
 
     def on_reopened(self) -> None:
-        """Something may be on disk that nobody was told of."""
+        """There may be events on disk that no listener has heard of."""
         records = self._log.read(after=self._state.position)
         self._follow([Entry(r, decode(r.head.type, r.head.schema, r.payload)) for r in records])
 

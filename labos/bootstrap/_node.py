@@ -303,7 +303,7 @@ async def _learn(bus: ZenohBus, lab: str, module: str, secure: bool = False) -> 
 
 
 class _Ends:
-    """Somebody wants the node to end: by a signal, or by closing its standard input."""
+    """A request that the node end: by a signal, or by closing its standard input."""
 
     def __init__(self, stop: asyncio.Event | None) -> None:
         self._first = stop or asyncio.Event()

@@ -76,8 +76,8 @@ def _own_certificate(settings: Settings, module: str, lab: str) -> Path:
 
 
 async def keep_certificate(bus: ZenohBus, security: Security, is_at_work: Callable[[], bool]) -> None:
-    """Use a certificate that takes the place of the present one, for as long as the node lives: as soon as
-    the device is at rest, unless the present one ends."""
+    """Replace the present certificate for the rest of the node's life: as soon as the device is at rest, or
+    when the present one expires."""
     credentials, clock = security.credentials, SystemClock()
     used, ends = credentials.stamp(), credentials.entry().not_after
     while True:

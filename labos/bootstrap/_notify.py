@@ -72,7 +72,7 @@ async def run_notifier(
 
 @contextmanager
 def make_notifier(settings: Settings, book: Book, clock: Clock) -> Iterator[Notifier | None]:
-    """A notifier that has not been started; None while another process tells people."""
+    """A notifier that has not been started; None while another process notifies people."""
     lock = FileLock(settings.notifications.with_suffix(".lock"))
     if not lock.acquire(f"pid {os.getpid()}"):
         _log.info("told_by_another_process", holder=lock.note())

@@ -166,7 +166,7 @@ class LabRuntime:
         return self.settings.bus or (self.bus_endpoint,)
 
     def note_unheard(self, unheard: Unheard) -> None:
-        """Say of modules that their nodes are connected and not heard; and no more of those that are."""
+        """Note which modules' nodes are connected but do not answer, and clear those that do."""
         found, rejected = explain_unheard(unheard, self.kernel.lab), self.registry.rejected
         for module, why in self._unheard.items():
             if module not in found and rejected.get(module) == why:
@@ -175,7 +175,7 @@ class LabRuntime:
         self._unheard = found
 
     async def on_setup(self, payload: bytes) -> bytes:
-        """A starting node asks what its module is. It is told of this module and of no other."""
+        """Answer a starting node that asks for its module's configuration; it gets no other module's."""
         try:
             request = read(payload, _setup_request)
             reply = self._setup(ModuleName(request.module))

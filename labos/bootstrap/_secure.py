@@ -89,7 +89,7 @@ class Guard:
         return ReceivedList(self._own) if self._own is not None else None
 
     def _read_signed_list(self) -> bytes:
-        """The list that is told to others. Blocks."""
+        """The list that is published to others. Blocks."""
         file = (self._own or self.authority.folder) / MEMBERS
         if not file.is_file():
             return b""
@@ -213,7 +213,7 @@ def list_addresses(settings: Settings) -> list[str]:
 
 
 def explain_unheard(unheard: Unheard, lab: str) -> dict[ModuleName, str]:
-    """What the operator is told of the modules of a lab whose nodes are connected and not heard."""
+    """A sentence for the operator about each module whose node is connected and does not answer."""
     return {
         ModuleName(entry.identity.name): "its node is connected to the bus with the certificate "
         f"{entry.common_name}, and has not shown itself there: does it run as this module? What does its log "

@@ -64,7 +64,7 @@ class UnattendedMeter:
                 _add(self.meter, entry)
 
     def on_reopened(self) -> None:
-        """Something may have been written of which nobody was told: read everything again."""
+        """There may be events that no listener has heard of: read everything again."""
         self.start()
 
     async def _catch_up(self) -> None:
@@ -86,7 +86,7 @@ class UnattendedMeter:
         self.meter = meter
 
     def _meets(self, after: int) -> bool:
-        """Whether nothing is missing between what was read and what was heard."""
+        """Whether no event is missing between those that were read and those that were heard."""
         first = self._recent[0].position if self._recent else self._durable() + 1
         return after + 1 >= first
 

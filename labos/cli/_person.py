@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
 @wait_option("Wait until what was cancelled has ended.", default=False)
 @click.option("--stay", is_flag=True, help="Leave labware where it is, even if there are `on_cancel` steps.")
-@why_option("The reason, for the log and for whoever asks later.")
+@why_option("The reason, for the log and for those who ask later.")
 @user_option
 @home_option
 @json_option

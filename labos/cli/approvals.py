@@ -99,8 +99,10 @@ def _plain(text: str) -> str:
 
 @click.command("approve")
 @_subject
-@click.option("--digest", metavar="SHA", help="What you looked at; refused if it was changed since.")
-@click.option("--priority", type=int, help="In place of what was asked.")
+@click.option(
+    "--digest", metavar="SHA", help="The digest of what you checked; refused if it was changed since."
+)
+@click.option("--priority", type=int, help="Instead of the requested one.")
 @click.option("--deadline", metavar="TIME", help="Of a campaign: 2026-05-04T10:30, 12h, or empty for none.")
 @click.option("--runs", type=click.IntRange(min=0), help="Of a campaign: so many rows at most.")
 @click.option("--lab-time", metavar="TIME", help="Of a campaign: so much module time at most, as `20 h`.")
@@ -165,7 +167,7 @@ def approve(
 
 @click.command("refuse")
 @_subject
-@why_option("A comment, for the log and for whoever asked.")
+@why_option("A comment, for the log and for the requester.")
 @user_option
 @home_option
 @json_option
@@ -202,8 +204,11 @@ def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "erases words", "an admin" + (", when a second one has agreed" if policy["erasure"] else "")
     yield "approves", "an operator, also what is their own" if policy["own"] else "another operator"
     if policy["priority"] is not None:
-        yield "highest priority", f"{policy['priority']}, of whoever is no operator and has no quota for it"
+        yield (
+            "highest priority",
+            f"{policy['priority']}, of users who are not operators and have no quota for it",
+        )
     booked = policy["bookings"]
     each = f"{booked['hours']:g} h each, " if booked["hours"] is not None else ""
     amount = f"{each}{booked['total_hours']:g} h to come, {booked['days_ahead']} days ahead"
-    yield "bookings", f"{amount}, of whoever is no operator"
+    yield "bookings", f"{amount}, of users who are not operators"

@@ -105,7 +105,7 @@ def reader(where: Where, role: str) -> None:
     with open_projector(where) as (_, database, projector):
         if database.dialect != "postgresql":
             raise BadInput(
-                "SQLite has no roles: whoever may read the file may read all of it.",
+                "SQLite has no roles: everybody who may read the file may read all of it.",
                 remedy="Let the dashboard's user read the file.",
             )
         projector.catch_up(tell_progress)

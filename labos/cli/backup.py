@@ -57,8 +57,8 @@ def command(
     labos backup /safe/lab --move-old /archive/lab --keep-days 400
 
     A segment is never changed again. accounts.json (who may sign in: names, addresses, and what passwords and
-    tokens are checked by) is written anew each time. The journals of the nodes are not copied: they are how
-    a log that was restored from an older copy is recognised.
+    tokens are checked against) is written again each time. The journals of the nodes are not copied: by
+    them LabOS recognises a log that was restored from an older copy.
     """
     key = key_of(key_file) if key_file else b""
     known = kernel_file(where.home)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import click
 
@@ -13,11 +14,13 @@ from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 _booking = click.argument("booking", metavar="BOOKING")
 _from = click.option("--from", "begins", metavar="TIME", help="When it begins: 'tomorrow 09:00', 'mon 9:00'.")
 _to = click.option("--to", "ends", metavar="TIME", help="When it ends: 17:00, +2h.")
 _for = click.option("--for", "whom", metavar="NAME", help="For this group or user; you if not given.")
-_maintenance = click.option("--maintenance", is_flag=True, help="For maintenance: nobody's runs.")
+_maintenance = click.option("--maintenance", is_flag=True, help="For maintenance: no runs start.")
 _every = click.option("--every", metavar="TIME", help="Again every day, week, weekday, month, '2 weeks'.")
 _rule = click.option("--rule", metavar="RULE", help="Again by a rule of iCalendar: FREQ=WEEKLY;BYDAY=MO,TH.")
 _last = click.option("--until", "last", metavar="TIME", help="The latest time that it comes again.")
@@ -26,6 +29,14 @@ _zone = click.option(
 )
 _force = click.option("--force", is_flag=True, help="Also where others have booked; only an admin can.")
 _why = click.option("--why", metavar="TEXT", help="What for.")
+
+
+def _booking_options(function: F) -> F:
+    """For whom and when, as ``add`` and ``change`` take it."""
+    times = (_from, _to, _for, _maintenance, _every, _rule, _last, _zone, _why, _force)
+    for option in reversed((*times, user_option, home_option, json_option)):
+        function = option(function)
+    return function
 
 
 class _Booking(Suggesting):
@@ -56,19 +67,7 @@ def command() -> None:
 
 @command.command("add", short_help="Book a module or a workcell.")
 @click.argument("target", shell_complete=completes("module"))
-@_from
-@_to
-@_for
-@_maintenance
-@_every
-@_rule
-@_last
-@_zone
-@_why
-@_force
-@user_option
-@home_option
-@json_option
+@_booking_options
 def add(
     target: str,
     begins: str | None,
@@ -123,19 +122,7 @@ def add(
 
 @command.command("change", short_help="Change when or for whom a booking is.")
 @_booking
-@_from
-@_to
-@_for
-@_maintenance
-@_every
-@_rule
-@_last
-@_zone
-@_why
-@_force
-@user_option
-@home_option
-@json_option
+@_booking_options
 def change(
     booking: str,
     begins: str | None,

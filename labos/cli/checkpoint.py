@@ -72,8 +72,8 @@ def command(
     seconds: float,
     as_json: bool,
 ) -> None:
-    """Sign the root of the Merkle tree over the log, and bring it to where whoever can write to the database
-    cannot change it. Reads the log by itself: the lab may run, and is not slowed. A log that was rewritten or
+    """Sign the root of the Merkle tree over the log, and store it where nobody who can write to the database
+    can change it. Reads the log by itself: the lab may run, and is not slowed. A log that was rewritten or
     cut since the last checkpoint is not signed. Exit code 1 if a place or a witness did not take it.
 
     \b

@@ -47,8 +47,8 @@ def command(
     labos erase                                  what waits for a second person
     labos erase --approve X1
 
-    Codes: request (the person who wrote it, or of whom it tells, asked for it), personal (it tells of a
-    person what does not belong there), secret (a password, or what is confidential), mistake (written in the
+    Codes: request (by the person who wrote it, or whom it is about), personal (personal data that does not
+    belong there), secret (a password, or what is confidential), mistake (written in the
     wrong place), retention (kept for as long as the rules say), order (a court or an authority ordered it).
 
     Names, tags and values that steps were given are no words: the log keeps them. Words that were written

@@ -41,7 +41,7 @@ BROKER_S = 60.0
 
 @click.group("export", cls=Suggesting, short_help="The lab's records in the formats of others.")
 def command() -> None:
-    """Write what the log tells in formats that other programs know.
+    """Write the log's contents in formats that other programs read.
 
     \b
     labos export crate R7 --to R7.zip    one run with its files, as an RO-Crate
@@ -89,8 +89,8 @@ def crate(
     It conforms to Process Run Crate 0.5, and to Provenance Run Crate 0.5 once something was carried out.
     That of an experiment also holds what its application did between the runs: decisions, computations
     with their results, publications with their files, and its program if you give it. Users are named
-    by their ids, as in the log. With --bundle, whoever gets it can check the events of the runs with the
-    lab's public key.
+    by their ids, as in the log. With --bundle, the recipient can check the events of the runs with the lab's
+    public key.
 
     \b
     labos export crate R7 --to R7.zip

@@ -20,7 +20,7 @@ KIND = ("experiment", "run", "sample", "image", "file", "result", "publication")
 @click.command("find", short_help="Find experiments, runs, samples, images and results by words.")
 @click.argument("words", nargs=-1)
 @click.option("--kind", "kinds", multiple=True, type=click.Choice(KIND), help="Only this kind.")
-@click.option("--user", "users", multiple=True, metavar="ID", help="Only what is this user's.")
+@click.option("--user", "users", multiple=True, metavar="ID", help="Only what belongs to this user.")
 @click.option("--workcell", "workcells", multiple=True, metavar="NAME", help="Only of this workcell.")
 @click.option(
     "--workflow", "workflows", multiple=True, metavar="NAME", help="Only of this workflow or application."
@@ -49,8 +49,8 @@ def command(where: Where, words: tuple[str, ...], as_json: bool, facets: bool, *
     """Find what has all these WORDS: experiments, runs, samples, images, files, results of steps, and what
     applications have published. Without words, everything that fits the options.
 
-    `colo*` stands for all words that begin so. Capital letters and accents do not matter. What bears
-    the words as its name comes first, then what is newest. An option given twice means either.
+    `colo*` stands for all words that begin so. Capital letters and accents do not matter. Entries with the
+    words in their name come first, then the newest. An option given twice means either.
 
     \b
     labos find color picker

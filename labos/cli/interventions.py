@@ -27,7 +27,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
 
     \b
     labos interventions
-    labos interventions --all      what was answered too
+    labos interventions --all      answered questions too
     labos resolve I2 done          answer one
     """
     with open_log(where) as store:

@@ -21,8 +21,8 @@ witness_option = click.option(
 def command() -> None:
     """The key pair that signs this lab's checkpoints (Ed25519).
 
-    The private key stays in the lab's folder, in keys/, for its owner only. Give the public key to whoever is
-    to check what the lab says, and not by the same way as what is to be checked.
+    The private key stays in the lab's folder, in keys/, for its owner only. Give the public key to those who
+    check the lab's records, and send it by another way than the records.
 
     \b
     labos key create    make the pair
@@ -51,7 +51,7 @@ def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None
 @json_option
 @log_options
 def show(where: Where, witness: bool, as_json: bool) -> None:
-    """The public key, for others. --json tells also those that it took the place of."""
+    """The public key, for others. --json also shows the keys that it replaced."""
     keys = Keys(where.home)
     if witness:
         text = keys.signing(witness=True).public.text

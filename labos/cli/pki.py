@@ -59,7 +59,7 @@ def command() -> None:
 @json_option
 @log_options
 def init(where: Where, ca: Path | None, days: int | None, pki: Path | None, as_json: bool) -> None:
-    """Make the authority, once. Its private key (ca.key) lets whoever reads it speak for everybody: it may
+    """Make the authority, once. Its private key (ca.key) lets those who read it act as everybody: it may
     be kept offline, and is only needed to issue, renew and revoke."""
     from socket import gethostname
 
@@ -139,7 +139,7 @@ def admit(
     pki: Path | None,
     as_json: bool,
 ) -> None:
-    """Take over a certificate that the site issued: whoever has it speaks for the KIND and NAME from now on.
+    """Take over a certificate that the site issued: its holder acts as the KIND and NAME from now on.
     The bus knows it by its common name (CN), which no other key may have.
 
     \b
@@ -192,8 +192,8 @@ def renew(
 @json_option
 @log_options
 def revoke(where: Where, name: str, why: str, pki: Path | None, as_json: bool) -> None:
-    """Let the certificate NAME speak for nobody any more. The lab or bus that runs opens its bus anew without
-    it, within two seconds; a bus on another computer needs its folder copied again. A revocation list is
+    """Make the certificate NAME invalid. A running lab or bus opens its bus again without it, in two seconds;
+    a bus on another computer needs its folder copied again. A revocation list is
     written too (crl.pem), for others: Zenoh reads none."""
     authority = _authority(where, pki)
     entry = authority.revoke(authority.find(name), why)

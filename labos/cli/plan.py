@@ -115,8 +115,8 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     labos plan pcr --workcell rpl
     labos plan my.yaml --workcell my_cell.yaml --payload seal.time=4 --json
 
-    Files that are needed on the real bench only may be missing. Warnings go to standard error: what
-    had to be assumed of what is used up is among them. Exit code 1 if the workflow has errors.
+    Files that are needed only on the real bench may be missing. Warnings go to standard error, also those
+    about assumed consumption. Exit code 1 if the workflow has errors.
     """
     from labos.bootstrap import descriptions
     from labos.cli._specs import spec_path

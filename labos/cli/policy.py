@@ -17,7 +17,7 @@ from labos.cli.shares import read_file
 @json_option
 def command(file: str | None, user: str | None, home: str | None, as_json: bool) -> None:
     """Which submissions wait for an operator's approval, who approves, how high a priority may be, and what
-    whoever is no operator may book.
+    users who are not operators may book.
 
     Without a policy of its own, a lab lets what programs submit wait, and nothing else.
 

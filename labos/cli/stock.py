@@ -109,7 +109,7 @@ def replenish(
 
     What is used up is charged to the oldest lot first. One that is past its date is not used, unless
     the workcell says `expired: warn`: take it out, and put another in with --instead. `labos
-    inventory` tells which resources there are, and which runs out when.
+    inventory` shows which resources there are, and which runs out when.
 
     \b
     labos replenish ot2_cp_gamma tips --amount 96 --lot T-0815 --expires 2027-05-31

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 NO_USERS = (
-    "labos: this lab has no users: whoever is on this computer commands it, under the name of their login. "
+    "labos: this lab has no users: everybody on this computer may command it, under the name of their login. "
     "The first user is added with `labos user add NAME`."
 )
 
@@ -45,8 +45,8 @@ NO_USERS = (
 @click.option(
     "--open-to-network",
     is_flag=True,
-    help="Allow a bus that asks for no certificates on a --host that other computers reach: whoever reaches "
-    "it can speak for a node.",
+    help="Allow a bus without certificates on a --host that other computers reach: everybody who "
+    "reaches it can act as a node.",
 )
 @web_options("the lab")
 @click.option(

@@ -19,7 +19,7 @@ _id = click.argument("name", metavar="ID")
 def command() -> None:
     """Who may use the lab.
 
-    A lab without users is open: whoever reaches it may do everything. The first user who is added becomes its
+    A lab without users is open: everybody who reaches it may do everything. The first user becomes its
     admin, and from then on nobody but users may do anything. A user may look; what else, roles say (labos
     role). An id is no name and no mail address: the log keeps it for ever.
 
@@ -90,7 +90,7 @@ def list_users(home: str | None, as_json: bool) -> None:
         return
     show_table(("id", "kind", "group", "roles", "since"), [_row(user) for user in found])
     if not found:
-        click.echo("There are no users: whoever reaches this lab may do everything.", err=True)
+        click.echo("There are no users: everybody who reaches this lab may do everything.", err=True)
 
 
 @command.command("show")

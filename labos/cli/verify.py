@@ -62,9 +62,7 @@ CAVEAT = (
     metavar="FILE|FOLDER",
     help="Compare with this checkpoint, or with a folder of signed ones; if there is no such file, write it.",
 )
-@click.option(
-    "--export", is_flag=True, help="Write the checkpoint anew once the log agrees with the old one."
-)
+@click.option("--export", is_flag=True, help="Write a new checkpoint if the log agrees with the old one.")
 @click.option(
     "--journals", is_flag=True, help="Check the journals of this home's nodes, and whether they know more."
 )
@@ -125,7 +123,7 @@ def command(
 ) -> None:
     """Check every record of the log against the chain of hashes, and the data beside the log: the snapshot
     (its seal, and whether the log folds to it), how far the log once reached, each blob that the log names,
-    and the records of simulated benches. Reports what was checked of each. Exit code 1 if anything is wrong.
+    and the records of simulated benches. Reports what was checked in each. Exit code 1 if anything is wrong.
 
     \b
     labos verify                               all of that
@@ -139,8 +137,8 @@ def command(
     labos verify --checkpoint /safe/checkpoints   signed ones, of labos checkpoint
     labos verify --bundle R7.zip --public-key lab.pub   a run, offline
 
-    Keep checkpoints where whoever can write to the database cannot: a chain alone does not show
-    that its tail was cut off.
+    Keep checkpoints where nobody who can write to the database can write: a chain alone does not show that
+    its tail was cut off.
     """
     if export and file is None:
         raise click.UsageError("--export needs --checkpoint FILE.")

@@ -24,8 +24,6 @@ fact or an id is data: others look it up, and a decision may depend on it."""
 PREFIX = "words:"
 """How a reference begins; 64 hexadecimal digits follow."""
 
-SALT_BYTES = 16
-
 ERASED = "(erased)"
 """What is shown in place of words that were erased."""
 
@@ -61,10 +59,6 @@ def keep(text: str, salt: bytes) -> Kept:
 def reference_of(salt: bytes, text: str) -> str:
     """What stands in an event in place of a text."""
     return PREFIX + hashlib.sha256(salt + text.encode()).hexdigest()
-
-
-def is_reference(text: str) -> bool:
-    return _REFERENCE.fullmatch(text.encode()) is not None
 
 
 def references_in(data: bytes) -> list[str]:

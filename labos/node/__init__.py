@@ -1,4 +1,4 @@
-"""The SDK for whoever adds an instrument."""
+"""The SDK for people who add an instrument."""
 
 from labos.core.counts import Count
 from labos.core.effects import (

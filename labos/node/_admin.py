@@ -1,7 +1,7 @@
-"""What a node is told beside its actions: nothing here moves the device, except to a stop.
+"""Requests to a node besides its actions: none of them moves the device, except to a stop.
 
 What moves is an action, journalled and carried out at most once. A stop is never fenced, waits
-for no journal and needs no log; who stopped the module and when is told until it is reset.
+for no journal and needs no log; who stopped the module and when is reported until it is reset.
 """
 
 from __future__ import annotations

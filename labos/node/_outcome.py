@@ -65,7 +65,7 @@ def text(error: BaseException) -> str:
 
 
 def _success(name: str, result: Any) -> Outcome:
-    """The outcome of an action that did all it should; a result that cannot be told is a failure."""
+    """The outcome of an action that did all it should; a result that cannot be encoded is a failure."""
     try:
         plain = msgspec.to_builtins(result, str_keys=True)
         flaw = flaw_of(plain)

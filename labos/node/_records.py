@@ -41,7 +41,7 @@ class EpochRaised(Record, frozen=True, tag="epoch"):
 
 
 class Restarted(Record, frozen=True, tag="restarted"):
-    """The node began anew; what ran before was interrupted."""
+    """The node started again; what ran before was interrupted."""
 
 
 class Accepted(Record, frozen=True, tag="accepted"):

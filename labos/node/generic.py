@@ -46,7 +46,7 @@ VERBS = {("sealed", True): "seal", ("sealed", False): "peel"}
 
 
 def attach_files(told: Any) -> Any:
-    """A result as a description tells it, with its files: there they are ``{file: name, text: content}``."""
+    """A result in the form of the description, with its files as ``{file: name, text: content}``."""
     if isinstance(told, dict) and told.keys() == {"file", "text"}:
         return Attachment(str(told["file"]), str(told["text"]).encode())
     if isinstance(told, dict):

@@ -286,7 +286,7 @@ class Journal:
             await asyncio.shield(self._writing)
 
     async def mend(self) -> None:
-        """After a failed write: write everything that is in memory anew. Raises JournalError."""
+        """After a failed write: write everything that is in memory again. Raises JournalError."""
         if not self.broken:
             return
         # Of two at once, the later one's picture would lack what was written after the earlier.
@@ -334,7 +334,7 @@ class Journal:
         self._recorded += 1
 
     async def _write(self) -> None:
-        """Write the queue as one line; when the file has grown, write it anew without its dead."""
+        """Write the queue as one line; when the file has grown, rewrite it without forgotten actions."""
         batch, self._queue = self._queue, []
         recorded = self._recorded
         written = False
@@ -363,8 +363,9 @@ class Journal:
 
 
 def knows_more(acknowledged: int, by: int, end: int, starts: Sequence[tuple[int, int]]) -> bool:
-    """Whether a node was told of more than a log holds: everything up to ``acknowledged``, by a kernel
-    of epoch ``by`` (0: not noted). The log ends at ``end``; ``starts`` are the epochs of its kernels and
-    the positions where they began. What a kernel acknowledged stands before the next one began."""
+    """Whether a node has been told of more events than a log holds: everything up to ``acknowledged``, by
+    a kernel of epoch ``by`` (0: not noted). The log ends at ``end``; ``starts`` are the epochs of its
+    kernels and the positions where they began. What a kernel acknowledged stands before the next one
+    began."""
     next_begins = next((position for epoch, position in starts if by and epoch > by), end + 1)
     return acknowledged >= next_begins

@@ -1,7 +1,7 @@
-"""How much a node takes from others and tells to others: texts, values, messages.
+"""Limits of what a node accepts and sends: texts, values, messages.
 
-What a device says ends up in the log, where an event has 64 KB. So it is cut here, at the first door,
-and the whole goes to the node's own log file.
+A device's messages end up in the log, where an event has at most 64 KB. So they are cut here, and the whole
+text goes to the node's own log file.
 """
 
 from __future__ import annotations
@@ -48,8 +48,9 @@ _encode = msgspec.json.Encoder().encode
 
 
 def cut(text: str, limit: int = TEXT_LIMIT) -> str:
-    """A text as it may be told and recorded: not longer than ``limit`` characters, without control
-    characters, and with nothing that has no UTF-8. The whole of what is cut goes to the node's log file."""
+    """A text in the form in which it is sent and recorded: not longer than ``limit`` characters, without
+    control characters, and with nothing that has no UTF-8. The whole of what is cut goes to the node's
+    log file."""
     clean = printable(text)
     if len(clean) <= limit:
         return clean

@@ -1,7 +1,7 @@
-"""For drivers whose actions follow from a table: what such tables are made of, and how they are read.
+"""For drivers whose actions are configured by a table: the parts of such tables, and how they are read.
 
 A driver gives its class a ``config_table``; the workcell file holds the table below that key of
-``config``, or names a file that does. What is wrong with it is told with file, line, column and remedy.
+``config``, or names a file that does. Errors in it are reported with file, line, column and remedy.
 """
 
 from __future__ import annotations

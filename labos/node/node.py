@@ -65,12 +65,12 @@ File = Annotated[str, Param(file=True)]
 
 
 class Setup(msgspec.Struct):
-    """What a node is told when it starts. ``poses`` are a manipulator's taught locations, ``poses_of``
-    those that differ for a labware type, by type, ``pace`` is how much faster than real time simulated
-    devices run, ``world`` is the simulated bench (None with a real device), ``wire`` whether its devices
-    are reached over simulated wires where the driver has them; ``unit_file`` keeps which unit the device is
-    (``labos.node.unit``), empty for one that is not kept. ``firmware`` is the version that the device tells
-    when it is recognised, empty if it tells none."""
+    """The configuration that a node gets when it starts. ``poses`` are a manipulator's taught locations,
+    ``poses_of`` those that differ for a labware type, by type, ``pace`` is how much faster than real time
+    simulated devices run, ``world`` is the simulated bench (None with a real device), ``wire`` whether
+    its devices are reached over simulated wires where the driver has them; ``unit_file`` keeps which unit
+    the device is (``labos.node.unit``), empty for one that is not kept. ``firmware`` is the version that
+    the device tells when it is recognised, empty if it tells none."""
 
     name: str
     workcell: str
@@ -216,8 +216,8 @@ class Node:
         raise OutcomeUnknown(INTERRUPTED)
 
     async def trouble(self) -> str:
-        """What is wrong with the device now, asked every few seconds; empty if nothing is. What is
-        told here ends by itself, without a reset."""
+        """The device's present error, asked for every few seconds; empty if there is none. It ends by itself,
+        without a reset."""
         return ""
 
     async def observe(self) -> dict[str, Any]:

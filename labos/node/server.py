@@ -170,8 +170,8 @@ class NodeServer:
             self._spawn(self._watch())
 
     async def retire(self) -> None:
-        """Leave the lab's sight and take no more actions; returns when what runs has ended and
-        its result is told. A person's work goes on without the node. Questions are answered until
+        """Withdraw from the bus and accept no more actions; returns when the running ones have ended and
+        their results are sent. A person's work goes on without the node. Questions are answered until
         ``close``."""
         self._retired = True
         if self._alive is not None:
@@ -460,8 +460,8 @@ class NodeServer:
         await self._conclude(attempt, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops)
 
     async def _give_up(self, attempt: Attempt, why: str) -> None:
-        """The device cannot say how an action ended: the lab is told so, and nothing exclusive begins
-        before the device stands still."""
+        """The device cannot report how an action ended: the lab is informed, and no exclusive action begins
+        before the device is at rest."""
         _log.warning("outcome_unknown", module=self.module, action=attempt.action, why=why)
         self.journal.give_up(attempt, cut(why))
         self._on_end(attempt.name, None)

@@ -1,4 +1,4 @@
-"""What a driver tells the torture suite beyond its description: one value, ``TORTURE``.
+"""A driver's declaration for the torture suite, beyond its description: one value, ``TORTURE``.
 
 It stands in the driver's module, or in a module ``torture`` beside it. All of it may be left out: then
 each action is tried with the arguments that follow from its description, on a simulated bench.
