@@ -137,15 +137,11 @@ def approve(
     labos approve C3 --runs 20 --lab-time "10 h"
     """
     from labos.cli._lab import need_lab
-    from labos.cli.campaign import amount_of
-    from labos.spec.durations import parse_duration
+    from labos.cli._terms import amount_of, seconds_of
 
     wanted = {name: value for name, value in changes.items() if value is not None}
     if lab_time is not None:
-        try:
-            wanted["lab_time_s"] = parse_duration(lab_time)
-        except ValueError as error:
-            raise click.BadParameter(f"{error}.", param_hint="--lab-time") from None
+        wanted["lab_time_s"] = seconds_of(lab_time)
     if consumables:
         wanted["consumables"] = dict(map(amount_of, consumables))
     if alike:

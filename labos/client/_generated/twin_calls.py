@@ -81,6 +81,10 @@ class AsyncCalls:
         """Agree, as the second person, that words are erased."""
         return await self.threads.call(self.sync.approve_erasure, erasure, by)
 
+    async def archive_campaign(self, campaign: str, by: str, *, undo: bool = False) -> None:
+        """Leave a campaign that has ended out of lists."""
+        await self.threads.call(self.sync.archive_campaign, campaign, by, undo=undo)
+
     async def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
         """Say which barcode labware bears."""
         await self.threads.call(self.sync.barcode, labware, barcode, by, replace=replace)

@@ -126,8 +126,8 @@ async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     """The oldest first, a page of them: ask again with `after` = the last `subject` while there are
     `more`."""
     state = call.kernel.state
-    names = list(state.approvals.open)
-    begin = names.index(query.after) + 1 if query.after in state.approvals.open else 0
+    names = [name for name in state.approvals.open if name not in call.hidden]
+    begin = names.index(query.after) + 1 if query.after in names else 0
     shown = names[begin : begin + query.limit]
     found = [_view(state, state.approvals.open[name]) for name in shown]
     await call.kernel.written()
@@ -204,7 +204,7 @@ async def apply_policy(call: Call, body: PolicyText) -> PolicyReference:
 def _proposal(call: Call, path: OfProposal) -> Proposal:
     """Raises NotFound."""
     found = call.kernel.state.approvals.open.get(path.subject)
-    if found is None:
+    if found is None or path.subject in call.hidden:
         raise NotFound(
             f"{path.subject} does not wait for an approval.", remedy="List what does: labos approvals"
         )
