@@ -330,13 +330,13 @@ def _estimate(service: LabService, told: CampaignSource, workcell: str, checked:
         bounds_s=modules[busiest],
         busiest=busiest,
         consumables={
-            kind: ConsumableEstimate(n, _remaining(service, workcell, kind)) for kind, n in needed.items()
+            kind: ConsumableEstimate(n, remaining(service, workcell, kind)) for kind, n in needed.items()
         },
         findings=tuple(checked.findings),
     )
 
 
-def _remaining(service: LabService, workcell: str, kind: str) -> float | None:
+def remaining(service: LabService, workcell: str, kind: str) -> float | None:
     """What is left of a consumable in all modules of a workcell."""
     levels = service.kernel.state.resources.levels
     found = [

@@ -44,6 +44,10 @@ class AsyncCalls:
         """Let weights and quotas be as a shares file says."""
         await self.threads.call(self.sync.apply_shares, text, file, by)
 
+    async def approval_forecast(self, subject: str) -> dict[str, Any]:
+        """What a submission that waits for an approval would bring."""
+        return await self.threads.call(self.sync.approval_forecast, subject)
+
     async def approval_of(self, subject: str) -> dict[str, Any]:
         """What waits for an approval, and how it differs from what was approved before."""
         return await self.threads.call(self.sync.approval_of, subject)

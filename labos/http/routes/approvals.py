@@ -15,11 +15,13 @@ from labos.core.ids import CampaignId
 from labos.core.policy import Policy
 from labos.core.state import LabState
 from labos.errors import NotFound
+from labos.http.approval_forecast import ProposalForecast, forecast_proposal
 from labos.http.bodies import Amendment, Amounts, Limit
 from labos.http.campaigns import amended
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
+from labos.http.routes.forecasts import FORECAST_S, shown
 from labos.http.tail import PAGE
 from labos.services.proposals import ChangedPart, differences, sentence
 from labos.spec.policy import parse_policy
@@ -144,6 +146,13 @@ async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     return ProposalDetail(view, changed)
 
 
+async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
+    """It is taken as approved now, as it is. Nothing is approved by that. Of an experiment nothing can be
+    forecast: its application decides as it goes."""
+    found = await forecast_proposal(call.service, _proposal(call, path))
+    return msgspec.structs.replace(found, forecast=shown(found.forecast, call))
+
+
 async def approve_proposal(call: Call, path: OfProposal, body: Approval) -> ProposalAnswer:
     """Only what bears this digest can be approved: what was changed since it was looked at is refused. An
     operator approves, who is not the user unless the policy says so, and never a program."""
@@ -245,6 +254,16 @@ OPERATIONS = (
         summary="What waits for an approval, and how it differs from what was approved before",
         tag="approvals",
         needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/approvals/{subject}/forecast",
+        handler=forecast_approval,
+        client=Method("approval_forecast", timeout_s=FORECAST_S),
+        summary="What a submission that waits for an approval would bring",
+        tag="approvals",
+        needs="viewer",
+        problems=("refused",),
     ),
     Operation(
         method="POST",
