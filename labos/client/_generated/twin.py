@@ -108,6 +108,12 @@ class AsyncLabClient(AsyncCalls):
         to, and what its device ``sees``, or ``sees_nothing``: why not."""
         return await self.threads.call(self.sync.check_nodes, modules)
 
+    async def clone_campaign(
+        self, campaign: str, by: str, *, request: str = "", **changes: Any
+    ) -> dict[str, Any]:
+        """Submit a campaign once more, also one that has ended; returns as ``submit_campaign``."""
+        return await self.threads.call(self.sync.clone_campaign, campaign, by, request=request, **changes)
+
     async def close(self) -> None:
         self.threads.give_up()
         await self.threads.call(self.sync.close)

@@ -229,6 +229,7 @@ RIGHTS: dict[type[Command], Right] = {
     campaigns.ResumeCampaign: Right("submitter", _OWN, targets.of_campaign),
     campaigns.AmendCampaign: Right("submitter", _OWN, targets.of_campaign),
     campaigns.CancelCampaign: Right("submitter", _OWN, targets.of_campaign),
+    campaigns.ArchiveCampaign: Right("submitter", _OWN, targets.of_campaign),
     control.PauseStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
     control.ResumeStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
     control.CancelRuns: Right("operator", _OPERATOR, targets.of_target),
