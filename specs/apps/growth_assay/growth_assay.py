@@ -25,6 +25,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [path for path in [str(HERE)] if path not in sys.path]
 
 from growth_analysis import BadReading, Curve, check, fit  # noqa: E402
+from growth_clearing import slots_left, throw_away  # noqa: E402
 from growth_layout import DRUG  # noqa: E402
 from growth_plots import write_growth_report  # noqa: E402
 
@@ -43,12 +44,35 @@ class Outcome(NamedTuple):
 
 
 def assay(lab: LabClient, user: str, workcell: str, folder: Path, *, plates: int = 1) -> Outcome:
-    """Run the experiment and write its data. Raises BadReading if no plate can be used."""
-    flows = HERE / workcell
-    with Experiment(lab, "growth assay", user, workcell=workcell) as experiment:
+    """Run the experiment and write its data. If it is cancelled, plates that grow are thrown away. Raises
+    BadReading if no plate can be used."""
+    flows, made, lasts = HERE / workcell, list[str](), dict[str, str]()
+    experiment = Experiment(lab, "growth assay", user, workcell=workcell)
+    try:
+        return _assay(lab, experiment, flows, folder, plates, made, lasts)
+    except LabosError:
+        ends = [(slot, lab.status(run), _status(lab, lasts.get(run))) for slot, run in enumerate(made, 1)]
+        if any(run.status == "cancelled" for _, *both in ends for run in both if run):
+            flow, left = flows / "throw_away.yaml", slots_left(ends)
+            throw_away(lab, experiment.id, user, workcell, flow, left)
+        raise
+
+
+def _assay(
+    lab: LabClient,
+    experiment: Experiment,
+    flows: Path,
+    folder: Path,
+    plates: int,
+    made: list[str],
+    lasts: dict[str, str],
+) -> Outcome:
+    """The same; ``made`` and ``lasts`` are the runs that make plates, and that read them the last time."""
+    with experiment:
         experiment.note("loop_started", "plates", plates=plates, drug=DRUG)
-        made = [_submit(experiment, flows / "create_plate.yaml", {"slot": n}) for n in range(1, plates + 1)]
-        firsts, lasts = dict[str, RunResult](), dict[str, str]()
+        for slot in range(1, plates + 1):
+            made.append(_submit(experiment, flows / "create_plate.yaml", {"slot": slot}))
+        firsts = dict[str, RunResult]()
         for slot, run in enumerate(made, 1):
             # Each is read twelve hours after its own incubation began; the next plates are made meanwhile.
             firsts[run] = _completed(lab, run)
@@ -76,6 +100,10 @@ def _submit(experiment: Experiment, flow: Path, payload: Mapping[str, Any]) -> s
     return experiment.lab.submit(
         flow, payload, user=experiment.user, workcell=experiment.workcell, experiment=experiment.id
     )
+
+
+def _status(lab: LabClient, run: str | None) -> RunResult | None:
+    return None if run is None else lab.status(run)
 
 
 def _completed(lab: LabClient, run: str) -> RunResult:
