@@ -57,17 +57,17 @@ class FileLock:
         self._file: int | None = None
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         return self._file is not None
 
     def acquire(self, note: str) -> bool:
         """Take the lock and leave ``note`` in the file; False if somebody holds it."""
-        if self.held:
+        if self.is_held:
             return True
         for look in range(LOOKS):
             if look:
                 time.sleep(LOOK_S)
-            file = self._locked()
+            file = self._open_locked()
             if file is not None:
                 break
         else:
@@ -84,7 +84,7 @@ class FileLock:
 
     def is_taken(self) -> bool:
         """Whether somebody holds the lock, this object among them. True if there is no telling."""
-        if self.held:
+        if self.is_held:
             return True
         try:
             file = os.open(self.path, os.O_RDONLY)
@@ -118,7 +118,7 @@ class FileLock:
             finally:
                 os.close(file)
 
-    def _locked(self) -> int | None:
+    def _open_locked(self) -> int | None:
         """The file, opened and locked; None if somebody else holds it."""
         while True:
             file = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o600)

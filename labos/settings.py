@@ -97,7 +97,7 @@ class Settings(msgspec.Struct, frozen=True):
     otlp: str = ""
 
     @classmethod
-    def of(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
+    def make(cls, home: str | Path | None = None, database: str | None = None, **more: object) -> Settings:
         """Settings from options; what is not given comes from LABOS_HOME and
         LABOS_DATABASE_URL, else it is ``./lab`` and the database used there before, else a
         SQLite file in that folder."""
@@ -309,10 +309,10 @@ def withdraw(home: Path) -> None:
 def lab_url() -> str:
     """The address of a lab on another computer, as LABOS_URL says; empty if it says none. Raises
     BadInput."""
-    return checked_url(os.environ.get(URL, ""), URL)
+    return check_url(os.environ.get(URL, ""), URL)
 
 
-def checked_url(url: str, what: str) -> str:
+def check_url(url: str, what: str) -> str:
     """An address of a lab without its last slash; empty if nothing is said. Raises BadInput, which calls it
     ``what``."""
     url = url.strip().rstrip("/")

@@ -39,11 +39,11 @@ class CaChannels:
         self._watched: list[Any] = []
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
-        def told(value: Any) -> None:
+        def pass_on(value: Any) -> None:
             changed(self._reading(name, value) if getattr(value, "ok", False) else None)
 
         options: dict[str, Any] = {"notify_disconnect": True, "connect_timeout": 1.0}
-        watched = self._ca.camonitor(name, told, format=self._ca.FORMAT_CTRL, **options)
+        watched = self._ca.camonitor(name, pass_on, format=self._ca.FORMAT_CTRL, **options)
         self._watched.append(watched)
 
     async def get(self, name: str, timeout_s: float) -> Reading:
@@ -58,7 +58,7 @@ class CaChannels:
             value = int(value)
         options: dict[str, Any] = {"wait": callback, "timeout": None}
         if isinstance(value, str):
-            value, kind = await self._sent(name, value)
+            value, kind = await self._prepare(name, value)
             options |= {"datatype": kind} if kind is not None else {}
         try:
             await self._ca.caput(name, value, **options)
@@ -72,7 +72,7 @@ class CaChannels:
         except (TypeError, ValueError) as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
 
-    async def _sent(self, name: str, text: str) -> tuple[Any, Any]:
+    async def _prepare(self, name: str, text: str) -> tuple[Any, Any]:
         """A text as this record takes it, and the type to send it in. Records of texts have 39 bytes, and the
         client library would cut off what is more. Raises DeviceError (``none``)."""
         try:

@@ -34,10 +34,10 @@ class PvaChannels:
         self._watched: list[Any] = []
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
-        async def told(value: Any) -> None:
+        async def pass_on(value: Any) -> None:
             changed(None if isinstance(value, Exception) else self._reading(name, value))
 
-        self._watched.append(self._context.monitor(name, told, notify_disconnect=True))
+        self._watched.append(self._context.monitor(name, pass_on, notify_disconnect=True))
 
     async def get(self, name: str, timeout_s: float) -> Reading:
         try:
@@ -48,7 +48,7 @@ class PvaChannels:
             ) from error
 
     async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
-        once = _Once(await self._sent(name, value))
+        once = _Once(await self._prepare(name, value))
         try:
             await self._context.put(name, once, wait=callback, get=False)
         except _Again as again:
@@ -60,7 +60,7 @@ class PvaChannels:
         except (TypeError, ValueError, KeyError) as error:
             raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
 
-    async def _sent(self, name: str, value: Any) -> Any:
+    async def _prepare(self, name: str, value: Any) -> Any:
         """What goes over the wire: an enumeration's label as its number, a text for an array as bytes.
         Raises DeviceError (``none``)."""
         if not isinstance(value, str):

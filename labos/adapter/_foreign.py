@@ -140,7 +140,7 @@ class ForeignNode(Node):
     async def carry_out(self, spec: ActionSpec, kwargs: dict[str, Any]) -> Any:
         """An action of ours, on the foreign node."""
         args = {arg.name: arg.default for arg in spec.args if not arg.required and arg.default is not None}
-        name, names = self._called(spec)
+        name, names = self._find_call(spec)
         await self.learn()
         if spec.name in self._absent:
             raise DeviceError(f"The foreign node has no action {name!r}.", effects="none")
@@ -157,9 +157,9 @@ class ForeignNode(Node):
         spec = self.described.action(name)
         if spec is None or name == "reset":
             raise OutcomeUnknown(INTERRUPTED)
-        return await self._unless_settled(spec, self.find_out(spec, self._called(spec)[0], handle))
+        return await self._unless_settled(spec, self.find_out(spec, self._find_call(spec)[0], handle))
 
-    async def settled(self, action: str, done: bool) -> None:
+    async def settle(self, action: str, done: bool) -> None:
         self._unseen.pop(action, None)
         told = self._settled.get(action)
         if told is not None:
@@ -209,7 +209,7 @@ class ForeignNode(Node):
                 return self.setup.poses[key]
         return local(station)
 
-    def placed(self, spec: ActionSpec, args: dict[str, Any]) -> dict[str, Any]:
+    def name_places(self, spec: ActionSpec, args: dict[str, Any]) -> dict[str, Any]:
         """Arguments with what the foreign node is told of stations in their place."""
         return {k: self.place(spec, str(v)) if self.is_station(spec, k) else v for k, v in args.items()}
 
@@ -224,7 +224,7 @@ class ForeignNode(Node):
         can be worked with. A driver may know more actions than the foreign node has: those are refused
         one by one; what was written for this very node must be there."""
         ours = [spec for spec in self.described.actions if not spec.recovers]
-        absent = [spec.name for spec in ours if not offered(self._called(spec)[0])]
+        absent = [spec.name for spec in ours if not offered(self._find_call(spec)[0])]
         self._absent = set(absent)
         if not absent or (self.described.version and len(absent) < len(ours)):
             return ""
@@ -234,10 +234,10 @@ class ForeignNode(Node):
         )
 
     def _type_of(self, spec: ActionSpec, foreign_arg: str) -> str:
-        names = self._called(spec)[1]
+        names = self._find_call(spec)[1]
         return next((arg.type for arg in spec.args if names.get(arg.name, arg.name) == foreign_arg), "")
 
-    def _called(self, spec: ActionSpec) -> tuple[str, dict[str, str]]:
+    def _find_call(self, spec: ActionSpec) -> tuple[str, dict[str, str]]:
         told = self._calls.get(spec.name) or {}
         return str(told.get("name", spec.name)), told.get("args") or {}
 

@@ -116,7 +116,7 @@ class UaChannels:
                 if await node.read_node_class() == self._ua.NodeClass.Method:
                     changed(Reading("a method"))
                     continue
-                self._kinds[name] = await types.of(node)
+                self._kinds[name] = await types.find(node)
                 changed(self._reading(name, await node.read_data_value(raise_on_bad_status=False)))
                 self._names[node.nodeid] = name
                 await subscription.subscribe_data_change(node)
@@ -153,7 +153,7 @@ class UaChannels:
         client = self._asyncua.Client(self._url, timeout=LONGEST_S)
         try:
             await asyncio.wait_for(self._open(client), READ_S)
-            send = await asyncio.wait_for(self._prepared(client, name, value, on), READ_S)
+            send = await asyncio.wait_for(self._prepare(client, name, value, on), READ_S)
         except (OSError, TimeoutError) as error:
             await _let_go(client)
             why = f"{self._url} does not answer ({_error_text(error, READ_S)}); {name} was sent nothing."
@@ -177,11 +177,11 @@ class UaChannels:
             leaving.add_done_callback(self._leaving.discard)
             await asyncio.shield(leaving)
 
-    async def _prepared(self, client: Any, name: str, value: Any, on: str) -> Callable[[], Any]:
+    async def _prepare(self, client: Any, name: str, value: Any, on: str) -> Callable[[], Any]:
         """The call of a method or the writing of a variable, its values in the types that are wanted."""
         node, types = await self._node(client, name), Types(client, self._ua, self._known)
         if await node.read_node_class() != self._ua.NodeClass.Method:
-            written = self._ua.DataValue(types.variant(await types.of(node), value))
+            written = self._ua.DataValue(types.variant(await types.find(node), value))
             return lambda: node.write_value(written)
         given = value if isinstance(value, list) else []
         inputs = []

@@ -41,7 +41,7 @@ class Types:
         self._known = {} if known is None else known
         self._loaded = False
 
-    async def of(self, node: Any) -> Kind:
+    async def find(self, node: Any) -> Kind:
         """The type of a variable. Raises UaError, OSError, TimeoutError."""
         kind = await self.kind(await node.read_data_type())
         if kind.variant is not None:
@@ -98,15 +98,15 @@ class Types:
 
     def variant(self, kind: Kind, value: Any) -> Any:
         """A value as it is sent. Raises ValueError, TypeError."""
-        return self._ua.Variant(self._encoded(kind, value), kind.variant)
+        return self._ua.Variant(self._encode(kind, value), kind.variant)
 
-    def _encoded(self, kind: Kind, value: Any) -> Any:
+    def _encode(self, kind: Kind, value: Any) -> Any:
         if isinstance(value, list | tuple):
-            return [self._encoded(kind, each) for each in value]
+            return [self._encode(kind, each) for each in value]
         if kind.labels:
             return _number(kind.labels, value)
         if kind.fields:
-            return self._filled(kind, value)
+            return self._fill(kind, value)
         name = kind.variant.name if kind.variant is not None else ""
         if name in INTEGERS and isinstance(value, float):
             if not value.is_integer():
@@ -118,7 +118,7 @@ class Types:
             return datetime.datetime.fromisoformat(value)
         return value
 
-    def _filled(self, kind: Kind, value: Any) -> Any:
+    def _fill(self, kind: Kind, value: Any) -> Any:
         if not isinstance(value, dict):
             raise ValueError(f"it is a structure, and wants a table of {', '.join(kind.fields)}")
         unknown = [name for name in value if name not in kind.fields]
@@ -131,7 +131,7 @@ class Types:
         made = self._ua.extension_objects_by_datatype[kind.data_type]()
         for name, each in value.items():
             part = kind.fields[name]
-            encoded = self._encoded(part, each)
+            encoded = self._encode(part, each)
             if choice := self._ua.enums_by_datatype.get(part.data_type):
                 encoded = [choice(one) for one in encoded] if isinstance(encoded, list) else choice(encoded)
             setattr(made, clean_name(name), encoded)

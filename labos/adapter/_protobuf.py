@@ -39,7 +39,7 @@ def schema() -> dict[str, Any]:
     return {name: message_factory.GetMessageClass(told) for name, told in found.items()}
 
 
-def framed(message: Any) -> bytes:
+def frame_message(message: Any) -> bytes:
     """A message as it goes over the wire: its length as a varint, then its bytes."""
     data: bytes = message.SerializeToString()
     length, head = len(data), bytearray()

@@ -113,18 +113,18 @@ class Bridge:
 
     async def ready(self, service: str, kind: str, limit_s: float = 5.0) -> bool:
         """Whether somebody offers a service. Raises DeviceError."""
-        async with self._asked(ready=service, type=kind) as answers:
+        async with self._ask(ready=service, type=kind) as answers:
             return bool(await asyncio.wait_for(_answer(service, answers), limit_s))
 
     async def call(self, service: str, kind: str, fields: dict[str, Any], *, wait_s: float) -> Any:
         """Call a service, once, and wait for its answer. Raises DeviceError (``none``) if it was not sent
         within ``wait_s``, Lost if the bridge ended meanwhile."""
-        async with self._asked(call=service, type=kind, fields=fields, wait_s=wait_s) as answers:
+        async with self._ask(call=service, type=kind, fields=fields, wait_s=wait_s) as answers:
             return await _answer(service, answers)
 
     async def frame(self, topic: str, file: Path, limit_s: float) -> dict[str, Any]:
         """The next picture of a topic, as raw bytes in a file; its shape. Raises DeviceError."""
-        async with self._asked(frame=topic, file=str(file)) as answers:
+        async with self._ask(frame=topic, file=str(file)) as answers:
             try:
                 found: dict[str, Any] = await asyncio.wait_for(_answer(topic, answers), limit_s)
             except (TimeoutError, NoResponse) as error:
@@ -143,7 +143,7 @@ class Bridge:
         process.stdin.write(json.dumps({"id": number, **command}).encode() + b"\n")
 
     @asynccontextmanager
-    async def _asked(self, **command: Any) -> AsyncIterator[asyncio.Queue[dict[str, Any] | None]]:
+    async def _ask(self, **command: Any) -> AsyncIterator[asyncio.Queue[dict[str, Any] | None]]:
         answers: asyncio.Queue[dict[str, Any] | None] = asyncio.Queue()
         number = self._listen(answers.put_nowait)
         try:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+from functools import partial
 from typing import Any, ClassVar
 
 import msgspec
@@ -62,9 +63,9 @@ class SignalNode(ForeignNode):
         self._losses = 0
 
     async def connect(self) -> None:
-        if flaw := flaw_in(SignalMapping, self.configured_mapping()):
+        if flaw := flaw_in(SignalMapping, self.read_mapping()):
             raise DeviceError(f"In `{self.table}:`, {flaw}.", effects="none")
-        self.mapping = SignalMapping.model_validate(self.configured_mapping())
+        self.mapping = SignalMapping.model_validate(self.read_mapping())
         for spec in self.described.actions:
             if not spec.recovers and spec.name not in self.mapping.actions:
                 raise DeviceError(
@@ -75,7 +76,7 @@ class SignalNode(ForeignNode):
             protocol, whole = self.mapping.find(name)
             if whole not in self._now:
                 self._now[whole] = None
-                self._by(protocol).watch(whole, lambda told, whole=whole: self._told(whole, told))  # type: ignore[misc]
+                self._find_client(protocol).watch(whole, partial(self._note_reading, whole))
         await self._until_connected(CONNECT_S)
 
     async def close(self) -> None:
@@ -83,7 +84,7 @@ class SignalNode(ForeignNode):
         for each in channels.values():
             await each.close()
 
-    def configured_mapping(self) -> dict[str, Any]:
+    def read_mapping(self) -> dict[str, Any]:
         """What the file says of the device."""
         return dict(self.setup.config.get(self.table) or {})
 
@@ -91,13 +92,13 @@ class SignalNode(ForeignNode):
         """A client for a protocol. Raises DeviceError."""
         raise NotImplementedError
 
-    def _by(self, protocol: Protocol) -> Channels:
+    def _find_client(self, protocol: Protocol) -> Channels:
         """The client for a protocol; loaded when it is first needed."""
         if protocol not in self._channels:
             self._channels[protocol] = self.client(protocol)
         return self._channels[protocol]
 
-    def _told(self, name: str, told: Reading | None) -> None:
+    def _note_reading(self, name: str, told: Reading | None) -> None:
         if told is None and self._now.get(name) is not None:
             self._losses += 1
         self._now[name] = told
@@ -184,7 +185,7 @@ class SignalNode(ForeignNode):
     async def _get(self, name: str) -> Reading:
         """The value now, not as it was last told. Raises DeviceError."""
         protocol, whole = self.mapping.find(name)
-        return await self._by(protocol).get(whole, CONNECT_S)
+        return await self._find_client(protocol).get(whole, CONNECT_S)
 
     async def _holds(self, condition: Condition) -> bool:
         return fits(condition, await self._get(condition.pv))
@@ -211,10 +212,10 @@ class SignalNode(ForeignNode):
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         told = self.mapping.actions[spec.name]
-        values = {**self.placed(spec, args), "id": current_action.get()}
+        values = {**self.name_places(spec, args), "id": current_action.get()}
         if absent := self._silent():
             raise DeviceError(f"Nobody answers for {absent} ({self.where}).", effects="none")
-        ends_by = [_filled_in(condition, values, self.table) for condition in told.done]
+        ends_by = [_fill_in(condition, values, self.table) for condition in told.done]
         start = told.start.model_copy(update={"value": fill(told.start.value, values, self.table)})
         try:
             for put in told.set:
@@ -255,7 +256,7 @@ class SignalNode(ForeignNode):
         losses, loop = self._losses, asyncio.get_running_loop()
         working = loop.time()
         sending = asyncio.ensure_future(
-            self._by(protocol).put(
+            self._find_client(protocol).put(
                 whole, fill(put.value, values, self.table), callback=put.callback, on=self._object(put)
             )
         )
@@ -289,7 +290,7 @@ class SignalNode(ForeignNode):
             if self._losses != losses and not told.is_proven:
                 losses = self._losses
                 await self._see_same_server(boot)
-            if await self._ended(spec, told, ends_by):
+            if await self._has_ended(spec, told, ends_by):
                 return
             if asyncio.get_running_loop().time() > until:
                 waited = ", ".join(condition.pv for condition in ends_by)
@@ -309,7 +310,7 @@ class SignalNode(ForeignNode):
                 RESTARTED if boot is not None else NOT_KEPT.format(why="the line was broken")
             )
 
-    async def _ended(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition]) -> bool:
+    async def _has_ended(self, spec: ActionSpec, told: Actuation, ends_by: list[Condition]) -> bool:
         """Raises DeviceError if it failed."""
         try:
             failed = [condition.pv for condition in told.failed if await self._holds(condition)]
@@ -359,7 +360,7 @@ class SignalNode(ForeignNode):
             # What was last told of its state may be older than the end.
             state = self.mapping.state
             for name in {*state.alarms, *(error.pv for error in state.error), state.why} - {""}:
-                self._told(self.mapping.find(name)[1], await self._get(name))
+                self._note_reading(self.mapping.find(name)[1], await self._get(name))
         except DeviceError as unread:
             words = f"It was done, but its result cannot be read: {unread}"
             raise DeviceError(words, effects="all") from unread
@@ -401,7 +402,7 @@ def _plain(told: Reading) -> Any:
     return told.label or told.value
 
 
-def _filled_in(condition: Condition, values: dict[str, Any], table: str) -> Condition:
+def _fill_in(condition: Condition, values: dict[str, Any], table: str) -> Condition:
     told = {"is_": fill(condition.is_, values, table), "near": fill(condition.near, values, table)}
     return condition.model_copy(update=told)
 

@@ -209,7 +209,7 @@ class MadsciRestNode(HttpNode):
                 lost_once = True
             await asyncio.sleep(min(self.poll_s, 0.5))
             try:
-                known = (await self._told(name, handle)).get("status") != "unknown"
+                known = (await self._read_result(name, handle)).get("status") != "unknown"
             except DeviceError:
                 known = False
             if known or loop.time() > until:
@@ -220,7 +220,7 @@ class MadsciRestNode(HttpNode):
         silence, pause_s = Silence(self.patience_s, self.where), min(self.poll_s, 0.2)
         while True:
             try:
-                told = await self._told(name, handle)
+                told = await self._read_result(name, handle)
                 silence.end()
             except DeviceError as error:
                 silence.go_on(error)
@@ -239,7 +239,7 @@ class MadsciRestNode(HttpNode):
             # Its nodes answer 100 questions a minute.
             pause_s = min(pause_s * 1.5, max(self.poll_s, 0.2))
 
-    async def _told(self, name: str, handle: str) -> dict[str, Any]:
+    async def _read_result(self, name: str, handle: str) -> dict[str, Any]:
         told = await self._table(f"/action/{handle}/result")
         if told.get("action_id") != handle and told.get("status") != "unknown":
             raise DeviceError(f"{name}: asked about {handle}, answered about {told.get('action_id')}.")

@@ -24,8 +24,8 @@ class OpcuaNode(SignalNode):
     def where(self) -> str:
         return str(self.setup.config.get("opcua_url") or "the server")
 
-    def configured_mapping(self) -> dict[str, Any]:
-        return {"boot": SERVER_START, **super().configured_mapping(), "protocol": "ua"}
+    def read_mapping(self) -> dict[str, Any]:
+        return {"boot": SERVER_START, **super().read_mapping(), "protocol": "ua"}
 
     def client(self, protocol: Protocol) -> Channels:
         from labos.adapter._opcua import UaChannels

@@ -14,7 +14,7 @@ from typing import Any
 from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import ForeignNode, Silence, read_file
 from labos.adapter._http import NoResponse
-from labos.adapter._protobuf import framed, read_message, schema
+from labos.adapter._protobuf import frame_message, read_message, schema
 from labos.adapter._tcp import Address
 from labos.adapter.wei import describe
 from labos.core.model import ActionSpec, Description
@@ -127,10 +127,10 @@ class TcpNode(ForeignNode):
             return await self._end(name, known)
         finally:
             self._starting -= 1
-        progress = _expected(told, "progress")
+        progress = _pick_answer(told, "progress")
         if progress.status == RUNNING:
             return await self._end(name, known)
-        return self._ended(name, progress)
+        return self._read_end(name, progress)
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
         return await self._end(name, handle)
@@ -141,7 +141,7 @@ class TcpNode(ForeignNode):
         while True:
             try:
                 asking = schema()["Request"](ask=schema()["Ask"](id=known))
-                progress = _expected(await self._exchange(asking, READ_S), "progress")
+                progress = _pick_answer(await self._exchange(asking, READ_S), "progress")
             except (NoResponse, DeviceError) as error:
                 silence.go_on(error)
             else:
@@ -149,10 +149,10 @@ class TcpNode(ForeignNode):
                 if progress.id != known:
                     raise OutcomeUnknown(f"asked about {known}, the node answers about {progress.id!r}")
                 if progress.status != RUNNING:
-                    return self._ended(name, progress)
+                    return self._read_end(name, progress)
             await asyncio.sleep(self.poll_s)
 
-    def _ended(self, name: str, progress: Any) -> Any:
+    def _read_end(self, name: str, progress: Any) -> Any:
         if progress.status == SUCCEEDED:
             return _result_with_files(progress)
         if progress.status == FAILED:
@@ -174,14 +174,14 @@ class TcpNode(ForeignNode):
         except NoResponse as lost:
             effects = "unknown" if what in ("reset", "stop") else "none"
             raise DeviceError(f"{what}: no answer came ({lost}).", effects=effects) from lost
-        return _expected(told, "done" if what in ("reset", "stop") else what)
+        return _pick_answer(told, "done" if what in ("reset", "stop") else what)
 
     async def _exchange(self, request: Any, limit_s: float | None) -> Any:
         """Send a request on a connection of its own; the response. Raises DeviceError (``none``) if it was
         not sent, Lost if it may have been carried out."""
         reader, writer = await self._address.open(self.patience_s)
         try:
-            writer.write(framed(request))
+            writer.write(frame_message(request))
             await writer.drain()
             return await asyncio.wait_for(read_message(reader, schema()["Response"]), limit_s)
         except TimeoutError as error:
@@ -192,7 +192,7 @@ class TcpNode(ForeignNode):
             writer.close()
 
 
-def _expected(told: Any, what: str) -> Any:
+def _pick_answer(told: Any, what: str) -> Any:
     """The part of a response that answers the request. Raises DeviceError."""
     found = told.WhichOneof("what")
     if found == "refused":

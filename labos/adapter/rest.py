@@ -142,7 +142,7 @@ class RestNode(HttpNode):
             raise OutcomeUnknown(f"the answer to its start was lost ({lost})") from lost
         refuse(answer)
         if job is not None and job.id:
-            await self.note_handle(handle := given_id(self.mapping.outcome, job.id, answer))
+            await self.note_handle(handle := read_given_id(self.mapping.outcome, job.id, answer))
             return await self._end(spec, handle)
         return await self._end(spec, action)
 
@@ -238,7 +238,7 @@ def read_end(reading: Reading, told: Any) -> End:
     raise DeviceError(f"The device says {status!r}{f': {error}' if error else ''}.", effects=effects)
 
 
-def given_id(reading: Reading, path: str, answer: httpx.Response) -> str:
+def read_given_id(reading: Reading, path: str, answer: httpx.Response) -> str:
     """The id that a device gave to a job. It may have begun one without telling, so an answer without an id
     is a failure only if it says that nothing was started. Raises DeviceError, OutcomeUnknown."""
     try:

@@ -60,7 +60,7 @@ class RosNode(ForeignNode):
         self._starting = asyncio.Lock()
         self._state, self._state_at = "", 0.0
 
-    def configured_mapping(self) -> dict[str, Any]:
+    def read_mapping(self) -> dict[str, Any]:
         """What the file says of the node's interface."""
         return dict(self.setup.config.get("ros") or {})
 
@@ -71,7 +71,7 @@ class RosNode(ForeignNode):
         return self._bridge
 
     async def connect(self) -> None:
-        written = self.configured_mapping()
+        written = self.read_mapping()
         if flaw := flaw_in(RosMapping, written):
             raise DeviceError(f"In `ros:`, {flaw}.", effects="none")
         self.mapping = RosMapping.model_validate(written)
@@ -188,7 +188,7 @@ class RosNode(ForeignNode):
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         call = self._call(spec)
-        args = self.placed(spec, args)
+        args = self.name_places(spec, args)
         if call.frame:
             return await self._picture(call)
         told = {"action_handle": name, "action_vars": args}
@@ -230,7 +230,7 @@ class RosNode(ForeignNode):
                 await asyncio.wait({waiting}, timeout=self.poll_s)
                 if waiting.done():
                     return waiting.result()
-                silent_s = 0.0 if await self._offered(call) else silent_s + self.poll_s
+                silent_s = 0.0 if await self._is_offered(call) else silent_s + self.poll_s
                 fresh = self._state_at > max(began, loop.time() - STALE_S)
                 if fresh and self._state:
                     idle_s = 0.0 if self._is_busy else idle_s + self.poll_s
@@ -246,7 +246,7 @@ class RosNode(ForeignNode):
         finally:
             waiting.cancel()
 
-    async def _offered(self, call: Call) -> bool:
+    async def _is_offered(self, call: Call) -> bool:
         try:
             return await self.bridge.ready(*_service_of(call))
         except (TimeoutError, NoResponse, DeviceError):
@@ -329,15 +329,15 @@ class RosNode(ForeignNode):
 class WeiRosNode(RosNode):
     """Config: ``ros_node_address``, the node's name; ``ros`` says what is called otherwise."""
 
-    def configured_mapping(self) -> dict[str, Any]:
-        return {**wei_mapping(_node_name(self.setup.config)), **super().configured_mapping()}
+    def read_mapping(self) -> dict[str, Any]:
+        return {**wei_mapping(_node_name(self.setup.config)), **super().read_mapping()}
 
 
 class WeiRosCamera(RosNode):
     """Config: ``ros_node_address``, the camera's name; any action takes a picture."""
 
-    def configured_mapping(self) -> dict[str, Any]:
-        return {**camera_mapping(_node_name(self.setup.config)), **super().configured_mapping()}
+    def read_mapping(self) -> dict[str, Any]:
+        return {**camera_mapping(_node_name(self.setup.config)), **super().read_mapping()}
 
 
 def _node_name(config: dict[str, Any]) -> str:

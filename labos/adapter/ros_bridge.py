@@ -151,15 +151,15 @@ class Bridge:
             self.say(id=known, refused=f"{type(error).__name__}: {error}")
 
     def watch(self, known: int, topic: str, kind: str) -> None:
-        def told(message: Any) -> None:
+        def pass_on(message: Any) -> None:
             self.say(id=known, told=plain(message))
 
-        self.watched[known] = self.node.create_subscription(find_type(kind), topic, told, 10)
+        self.watched[known] = self.node.create_subscription(find_type(kind), topic, pass_on, 10)
 
     def frame(self, known: int, topic: str, path: str) -> None:
         taken: list[bool] = []
 
-        def told(message: Any) -> None:
+        def save_image(message: Any) -> None:
             if taken:
                 return
             taken.append(True)
@@ -169,7 +169,7 @@ class Bridge:
             self.say(id=known, answer=shape)
 
         kind = find_type("sensor_msgs/msg/Image")
-        self.watched[known] = self.node.create_subscription(kind, topic, told, qos_profile_sensor_data)
+        self.watched[known] = self.node.create_subscription(kind, topic, save_image, qos_profile_sensor_data)
 
 
 def main() -> None:

@@ -65,7 +65,7 @@ class WeiJsonNode(ForeignNode):
         raise DeviceError("The protocol of WEI's TCP and ZeroMQ nodes has no stop.", effects="none")
 
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
-        message = {"action_handle": name, "action_vars": self.placed(spec, args)}
+        message = {"action_handle": name, "action_vars": self.name_places(spec, args)}
         limit_s = self.limit_s(spec)
         self._exchanging = True
         try:

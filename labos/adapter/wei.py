@@ -224,7 +224,7 @@ class WeiRestNode(HttpNode):
         kept = {}
         for label, name in files.items():
             bare = str(name).replace("\\", "/").rpartition("/")[2]
-            content = answer.content if len(files) == 1 else _unzipped(answer.content, bare)
+            content = answer.content if len(files) == 1 else _unzip(answer.content, bare)
             kept[label] = Attachment(bare, content)
         return {**(data if isinstance(data, dict) else {} if data is None else {"data": data}), "files": kept}
 
@@ -319,7 +319,7 @@ def levels_in(told: dict[str, Any]) -> dict[str, float]:
     return levels
 
 
-def _unzipped(content: bytes, name: str) -> bytes:
+def _unzip(content: bytes, name: str) -> bytes:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             found = next(n for n in archive.namelist() if n.rpartition("/")[2] == name)

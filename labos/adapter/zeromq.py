@@ -52,11 +52,11 @@ class WeiZmqNode(WeiJsonNode):
         return str(self._address)
 
     async def knock(self) -> None:
-        async with self._connected():
+        async with self._connect():
             pass
 
     async def exchange(self, message: bytes, limit_s: float) -> dict[str, Any]:
-        async with self._connected() as (socket, monitor):
+        async with self._connect() as (socket, monitor):
             await self.note_handle(SENT)
             try:
                 await socket.send(message, flags=self._zmq.NOBLOCK)
@@ -80,7 +80,7 @@ class WeiZmqNode(WeiJsonNode):
                 broken.cancel()
 
     @contextlib.asynccontextmanager
-    async def _connected(self) -> AsyncGenerator[tuple[Any, Any], None]:
+    async def _connect(self) -> AsyncGenerator[tuple[Any, Any], None]:
         """A socket with a connection, and what tells of its end. Raises DeviceError (``none``)."""
         zmq = self._zmq
         if self._context is None:

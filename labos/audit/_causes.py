@@ -23,7 +23,7 @@ _APPROVED = (
 )
 
 
-def of_run(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_run_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     for user, experiment, campaign, plan, position in asker.fetch(
         "SELECT user_id, experiment, campaign, plan, submitted_position FROM runs WHERE run = ?", entity.name
     ):
@@ -35,14 +35,14 @@ def of_run(asker: Asker, entity: Entity, upto: int) -> Found:
             yield Link(entity, "approved by", Entity("user", who), at), at
 
 
-def of_experiment(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_experiment_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     for user, position in asker.fetch(
         "SELECT user_id, started_position FROM experiments WHERE experiment = ?", entity.name
     ):
         yield Link(entity, "started by", Entity("user", user), position), position
 
 
-def of_action(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_action_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     for run, module, driver, version, labware, position, ended in asker.fetch(
         "SELECT run, module, driver, driver_version, labware, requested_position, ended_position "
         "FROM actions WHERE action = ?",
@@ -74,7 +74,7 @@ def of_action(asker: Asker, entity: Entity, upto: int) -> Found:
             yield Link(entity, "used", Entity("lot", lot), at), at
 
 
-def of_result(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_result_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     ended = asker.fetch("SELECT ended_position, plate FROM actions WHERE action = ?", entity.name)
     for position, plate in ended:
         position = position or upto
@@ -88,7 +88,7 @@ def of_result(asker: Asker, entity: Entity, upto: int) -> Found:
             yield Link(entity, "is of", Entity("labware", plate), position), position - 1
 
 
-def of_labware(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_labware_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     for lot, position in asker.fetch(
         "SELECT lot, placed_position FROM labware WHERE labware = ? AND lot <> ''", entity.name
     ):
@@ -102,7 +102,7 @@ def of_labware(asker: Asker, entity: Entity, upto: int) -> Found:
         yield Link(entity, "was in the hands of", Entity("action", action), position), position
 
 
-def of_well(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_well_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     labware, well = well_of(entity.name)
     for kind, liquid, lots, action, position in asker.fetch(
         "SELECT kind, liquid, lots, action, position FROM transfers WHERE labware = ? AND well = ? "
@@ -123,7 +123,7 @@ def of_well(asker: Asker, entity: Entity, upto: int) -> Found:
             yield Link(entity, "holds", Entity("lot", lot), position), position
 
 
-def of_sample(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_sample_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     for user, sheet, position in asker.fetch(
         "SELECT DISTINCT actor, sheet, position FROM samples WHERE sample = ? AND position <= ?",
         entity.name,
@@ -133,7 +133,7 @@ def of_sample(asker: Asker, entity: Entity, upto: int) -> Found:
         yield Link(entity, "named in", Entity("file", sheet), position), position
 
 
-def of_file(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_file_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     for action, position in asker.fetch(
         "SELECT action, position FROM files WHERE digest = ? AND kind = 'returned' AND position <= ?",
         entity.name,
@@ -142,7 +142,7 @@ def of_file(asker: Asker, entity: Entity, upto: int) -> Found:
         yield Link(entity, "was returned by", Entity("action", action), position), position
 
 
-def of_lot(asker: Asker, entity: Entity, upto: int) -> Found:
+def find_lot_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     for user, position in asker.fetch(
         "SELECT e.actor, u.position FROM lot_uses u JOIN events e ON e.position = u.position "
         "WHERE u.lot = ? AND u.position <= ? AND u.kind IN ('counted', 'replenished', 'loaded') "
@@ -154,13 +154,13 @@ def of_lot(asker: Asker, entity: Entity, upto: int) -> Found:
 
 
 CAUSES: dict[EntityKind, Rule] = {
-    "run": of_run,
-    "experiment": of_experiment,
-    "action": of_action,
-    "result": of_result,
-    "labware": of_labware,
-    "well": of_well,
-    "sample": of_sample,
-    "file": of_file,
-    "lot": of_lot,
+    "run": find_run_causes,
+    "experiment": find_experiment_causes,
+    "action": find_action_causes,
+    "result": find_result_causes,
+    "labware": find_labware_causes,
+    "well": find_well_causes,
+    "sample": find_sample_causes,
+    "file": find_file_causes,
+    "lot": find_lot_causes,
 }

@@ -44,12 +44,12 @@ class Table(msgspec.Struct, frozen=True):
         return tuple(column.stored for column in self.columns)
 
 
-def _of(kind: Kind) -> Callable[[str, str], Column]:
+def _make_kind(kind: Kind) -> Callable[[str, str], Column]:
     return lambda name, about: Column(name, kind, about)
 
 
-text, whole, number = _of("text"), _of("integer"), _of("number")
-flag, json, time = _of("flag"), _of("json"), _of("time")
+text, whole, number = _make_kind("text"), _make_kind("integer"), _make_kind("number")
+flag, json, time = _make_kind("flag"), _make_kind("json"), _make_kind("time")
 
 
 def by_people(name: str, about: str) -> Column:

@@ -22,7 +22,7 @@ _POURED = "SELECT 1 FROM lot_uses WHERE action = ? AND lot = ? AND kind = 'liqui
 """Whether an action put a lot into wells: then it is known into which."""
 
 
-def of_lot(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+def find_lot_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
     for kind, labware, action, position in asker.fetch(
         "SELECT kind, labware, action, position FROM lot_uses WHERE lot = ? AND position BETWEEN ? AND ? "
         "ORDER BY position, number",
@@ -39,7 +39,7 @@ def of_lot(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
             yield Link(Entity("action", action), "used", entity, position), position
 
 
-def of_well(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+def find_well_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
     labware, well = well_of(entity.name)
     for action, position in asker.fetch(
         "SELECT DISTINCT action, position FROM results WHERE labware = ? AND well = ? "
@@ -65,7 +65,7 @@ def of_well(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
         yield Link(Entity("well", f"{into}/{target}"), "was filled from", entity, position), position
 
 
-def of_labware(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+def find_labware_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
     for action, position in asker.fetch(
         "SELECT e.action, t.position FROM labware_touches t JOIN events e ON e.position = t.position "
         "WHERE t.labware = ? AND t.position BETWEEN ? AND ? AND e.type = 'action.requested' "
@@ -75,7 +75,7 @@ def of_labware(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
         yield Link(Entity("action", action), "worked on", entity, position), position
 
 
-def of_action(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+def find_action_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
     for labware, returned, requested, ended in asker.fetch(
         "SELECT labware, result IS NOT NULL, requested_position, ended_position "
         "FROM actions WHERE action = ?",
@@ -98,7 +98,7 @@ def of_action(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
         yield Link(Entity("well", f"{labware}/{well}"), "was filled by", entity, position), position
 
 
-def _named(kind: EntityKind, relation: str, table: str, position: str, column: str) -> Rule:
+def _find_rows(kind: EntityKind, relation: str, table: str, position: str, column: str) -> Rule:
     """The rows of a table that name the thing in a column, each a thing of its own kind."""
     query = (
         f"SELECT {kind}, {position} FROM {table} WHERE {column} = ? AND {position} <= ? ORDER BY {position}"
@@ -111,7 +111,7 @@ def _named(kind: EntityKind, relation: str, table: str, position: str, column: s
     return links
 
 
-def of_driver(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+def find_driver_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
     module, driver, version = entity.name.split(" ", 2)
     for action, position in asker.fetch(
         "SELECT action, requested_position FROM actions WHERE module = ? AND driver = ? "
@@ -121,7 +121,7 @@ def of_driver(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
         yield Link(Entity("action", action), "carried out by", entity, position), position
 
 
-def of_sample(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+def find_sample_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
     for labware, well, position in asker.fetch(
         "SELECT labware, well, position FROM samples WHERE sample = ? AND position <= ? "
         "ORDER BY position, well",
@@ -130,7 +130,7 @@ def of_sample(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
         yield Link(Entity("well", f"{labware}/{well}"), "holds", entity, position), position
 
 
-def of_file(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+def find_file_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
     for action, position in asker.fetch(
         "SELECT action, position FROM files WHERE digest = ? AND kind = 'given' AND position BETWEEN ? AND ?",
         *(entity.name, since, upto),
@@ -139,15 +139,15 @@ def of_file(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
 
 
 EFFECTS: dict[EntityKind, Rule] = {
-    "lot": of_lot,
-    "well": of_well,
-    "labware": of_labware,
-    "action": of_action,
-    "run": _named("action", "step of", "actions", "requested_position", "run"),
-    "experiment": _named("run", "part of", "runs", "submitted_position", "experiment"),
-    "user": _named("run", "asked for by", "runs", "submitted_position", "user_id"),
-    "workflow": _named("run", "follows", "runs", "submitted_position", "plan"),
-    "driver": of_driver,
-    "sample": of_sample,
-    "file": of_file,
+    "lot": find_lot_effects,
+    "well": find_well_effects,
+    "labware": find_labware_effects,
+    "action": find_action_effects,
+    "run": _find_rows("action", "step of", "actions", "requested_position", "run"),
+    "experiment": _find_rows("run", "part of", "runs", "submitted_position", "experiment"),
+    "user": _find_rows("run", "asked for by", "runs", "submitted_position", "user_id"),
+    "workflow": _find_rows("run", "follows", "runs", "submitted_position", "plan"),
+    "driver": find_driver_effects,
+    "sample": find_sample_effects,
+    "file": find_file_effects,
 }

@@ -35,7 +35,7 @@ def encode_values(table: Table, rows: list[Key], *, nul: bool) -> list[Sequence[
     made: list[Sequence[Any]] = list(rows)
     if at:
         made = [_with_json(values, at) for values in rows]
-    return [[_shown(value) for value in values] for values in made] if nul else made
+    return [[_show(value) for value in values] for values in made] if nul else made
 
 
 def decode_row(table: Table, values: Any) -> Row:
@@ -54,5 +54,5 @@ def _with_json(values: Key, at: list[int]) -> list[Any]:
     return made
 
 
-def _shown(value: Any) -> Any:
+def _show(value: Any) -> Any:
     return value.replace(_NUL, _SHOWN).replace("\\u0000", _SHOWN) if isinstance(value, str) else value

@@ -150,7 +150,7 @@ def on_result(rows: Rows, event: a.ActionSucceeded | a.ActionReconciled, head: E
             *(rows, head.position, place, _kind_of(name), digest, at),
             **about,
             title=f"{name}{on_plate}",
-            files=_listed([(name, digest, size)]),
+            files=_list_readings([(name, digest, size)]),
             also=(key, action["name"], step, plate),
         )
 
@@ -159,7 +159,7 @@ def _kind_of(name: str) -> str:
     return "image" if (mimetypes.guess_type(name)[0] or "").startswith("image/") else "file"
 
 
-def _listed(files: Iterable[tuple[str, str, int]]) -> list[dict[str, Any]]:
+def _list_readings(files: Iterable[tuple[str, str, int]]) -> list[dict[str, Any]]:
     return [{"file": name, "sha256": digest, "bytes": size} for name, digest, size in files][:MOST_LISTED]
 
 
@@ -234,7 +234,7 @@ def on_noted(rows: Rows, event: x.ExperimentNoted, head: Envelope, at: float) ->
         status="published",
         keywords=_texts(facts.get("keywords")),
         creators=_texts(facts.get("creators")),
-        files=_listed(files_in(facts)),
+        files=_list_readings(files_in(facts)),
         also=(event.name, facts.get("runs")),
     )
 

@@ -90,7 +90,7 @@ def _change(
         held.levels[key] = s.Level(row["level"], row["capacity"], lots)
     if key in held.levels or isinstance(event, s.LevelSet):
         fold(held, event, 0)
-    level = held.of(ModuleName(event.module), event.resource)
+    level = held.find(ModuleName(event.module), event.resource)
     if row is None:
         row = rows.put(
             RESOURCES,

@@ -89,7 +89,7 @@ class PostgresAudit(AuditDatabase):
     def _execute(self, statement: str, values: Sequence[Any] | None = None) -> psycopg.Cursor[Any]:
         return self._connection.execute(statement.encode(), values)
 
-    def _locked_mark(self) -> Mark:
+    def _lock_mark(self) -> Mark:
         self._execute(f"SELECT 1 FROM {_STATE} FOR UPDATE")
         return self._mark()
 

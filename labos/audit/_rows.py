@@ -60,17 +60,17 @@ class Rows:
             self._changed[table.name][key] = row
         return row
 
-    def added(self) -> Iterator[tuple[Table, list[Key]]]:
+    def list_added(self) -> Iterator[tuple[Table, list[Key]]]:
         for table in TABLES:
             if self._added[table.name]:
                 yield table, self._added[table.name]
 
-    def changed(self) -> Iterator[tuple[Table, list[Row]]]:
+    def list_changed(self) -> Iterator[tuple[Table, list[Row]]]:
         for table in TABLES:
             if self._changed[table.name]:
                 yield table, list(self._changed[table.name].values())
 
-    def written(self) -> None:
+    def mark_written(self) -> None:
         """All of it is in the database now."""
         self.may_have_nul = False
         for name in self._known:

@@ -13,7 +13,7 @@ from labos.core.labware import LabwareEvent, StationObserved
 from labos.core.registry import Event
 
 
-def touched_by(rows: Rows, event: Event) -> Iterable[str]:
+def list_touched(rows: Rows, event: Event) -> Iterable[str]:
     """Ids of labware, each once. What became of an action concerns the labware of its request."""
     if isinstance(event, LabwareEvent):
         on = getattr(event, "on", "")

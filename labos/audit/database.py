@@ -83,12 +83,12 @@ class AuditDatabase(ABC):
     def write(self, before: Mark, after: Mark, rows: Rows) -> bool:
         """Write what is new and changed, all or nothing; False if the tables are not at ``before``."""
         with self._writing():
-            if self._locked_mark() != before:
+            if self._lock_mark() != before:
                 return False
             nul = rows.may_have_nul
-            for table, added in rows.added():
+            for table, added in rows.list_added():
                 self._insert(table, encode_values(table, added, nul=nul))
-            for table, changed in rows.changed():
+            for table, changed in rows.list_changed():
                 self._replace(table, encode_rows(table, changed, nul=nul))
             self._note(after)
         return True
@@ -103,7 +103,7 @@ class AuditDatabase(ABC):
             self._execute(statement)
         self._note(Mark())
 
-    def _locked_mark(self) -> Mark:
+    def _lock_mark(self) -> Mark:
         """The mark, which nobody else changes before this transaction ends."""
         return self._mark()
 

@@ -220,7 +220,7 @@ def _facets(asker: Asker, where: str, values: list[Any]) -> dict[str, list[Facet
 # -- between the kernel's process and the one that answers (labos.audit.find_process) ------------
 
 
-class Begin(msgspec.Struct, frozen=True):
+class LogPlace(msgspec.Struct, frozen=True):
     """Where the log and its blobs are. A URL may hold a password, so it stands in no command line."""
 
     database: str

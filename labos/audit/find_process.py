@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from labos.audit.database import open_audit
-from labos.audit.find import Begin, Found, Question, Refusal, Reply, find
+from labos.audit.find import Found, LogPlace, Question, Refusal, Reply, find
 from labos.audit.projector import Projector
 from labos.audit.query import open_asker
 from labos.clock import SystemClock
@@ -35,7 +35,7 @@ class _Enough(Exception):
 class Index:
     """The search index beside a log, opened."""
 
-    def __init__(self, begin: Begin) -> None:
+    def __init__(self, begin: LogPlace) -> None:
         """Raises LabosError."""
         self._url = begin.database
         self._store = open_store(begin.database, create=False, read_only=True, home=Path(begin.home))
@@ -62,7 +62,7 @@ def main() -> None:
     if hasattr(os, "nice"):
         os.nice(NICE)
     lines = iter(sys.stdin.buffer.readline, b"")
-    begin = msgspec.json.decode(next(lines), type=Begin)
+    begin = msgspec.json.decode(next(lines), type=LogPlace)
     index: Index | None = None
     for line in lines:
         try:

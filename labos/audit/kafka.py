@@ -62,7 +62,7 @@ class Topic(msgspec.Struct, frozen=True):
     name: str
 
     @classmethod
-    def of(cls, url: str) -> Topic:
+    def parse(cls, url: str) -> Topic:
         """``kafka://broker:9092,other:9092/topic``. Raises BadInput."""
         found = _URL.fullmatch(url)
         if found is None or "@" in found[1]:
@@ -146,7 +146,7 @@ class KafkaSink:
             self.position = self._find_position()
         except _BeginAnew as why:
             self._lock.release()
-            raise self._failed(str(why)) from None
+            raise self._describe_failure(str(why)) from None
         except BaseException:
             self._lock.release()
             raise
@@ -155,7 +155,7 @@ class KafkaSink:
         """Send records. On return all are in the topic, or fewer if the broker made us begin anew: see
         ``position``. Raises SystemFailed."""
         written = self.position
-        producer = self._connected()
+        producer = self._connect()
         try:
             for record in records:
                 self._send(producer, record)
@@ -197,7 +197,7 @@ class KafkaSink:
         self._failure = ""
         self.position = self._find_position()
         if self.position <= self._begun_anew_at:
-            raise self._failed(why)
+            raise self._describe_failure(why)
         self._begun_anew_at = self.position
 
     def _drop_producer(self) -> None:
@@ -205,7 +205,7 @@ class KafkaSink:
             self._producer.purge()
             self._producer = None
 
-    def _connected(self) -> Any:
+    def _connect(self) -> Any:
         if self._producer is None:
             from confluent_kafka import Producer
 
@@ -246,11 +246,11 @@ class KafkaSink:
         began = time.monotonic()
         while not is_done() and not self._failure:
             if self._patience_s is not None and time.monotonic() - began > self._patience_s:
-                raise self._failed(f"no answer in {self._patience_s:g} s")
+                raise self._describe_failure(f"no answer in {self._patience_s:g} s")
         if self._failure:
             raise _BeginAnew(self._failure)
 
-    def _failed(self, why: str) -> SystemFailed:
+    def _describe_failure(self, why: str) -> SystemFailed:
         return SystemFailed(
             f"Kafka at {self._topic.brokers} does not take the events: {why}.",
             remedy="See to the broker, then start this again: it goes on where the topic ends.",
@@ -299,7 +299,7 @@ class KafkaSink:
 
             self._wait(look)
             self._is_away = False
-            return found[-1] if found else self._stored()
+            return found[-1] if found else self._count_stored()
         finally:
             consumer.close()
 
@@ -324,7 +324,7 @@ class KafkaSink:
         except (msgspec.MsgspecError, KeyError, TypeError, ValueError):
             return 0
 
-    def _stored(self) -> int:
+    def _count_stored(self) -> int:
         try:
             known = msgspec.json.decode(self._file.read_bytes(), type=Stored)
         except FileNotFoundError:

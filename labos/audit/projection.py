@@ -8,7 +8,7 @@ from typing import Any
 from labos.audit import _approvals, _bench, _campaigns, _entries, _liquids, _people, _signatures, _work
 from labos.audit._bench_tables import TOUCHES
 from labos.audit._rows import Rows, seconds
-from labos.audit._touches import touched_by
+from labos.audit._touches import list_touched
 from labos.audit._work_tables import EVENTS
 from labos.core import fold
 from labos.core.envelope import Record
@@ -65,5 +65,5 @@ class Projection:
             _liquids.on_samples_registered(rows, event, head, at, self.blobs)
             _entries.on_samples_registered(rows, event, head, at, before)  # type: ignore[arg-type]
         _people.note_actor(rows, head, at)
-        for name in touched_by(rows, event):
+        for name in list_touched(rows, event):
             rows.add(TOUCHES, name, head.position)

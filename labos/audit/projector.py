@@ -82,7 +82,7 @@ class Projector:
             self._rows.forget()
             raise
         if written:
-            self._rows.written()
+            self._rows.mark_written()
             self._remembered = after
             return after
         self._rows.forget()

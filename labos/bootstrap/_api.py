@@ -35,7 +35,7 @@ from labos.runtime.log_check import LogCheck
 from labos.runtime.marks import Marks
 from labos.runtime.registry import Registry
 from labos.settings import Settings, is_alive, last_kernel
-from labos.store import SqlEventStore, is_replica, open_blobs, open_store, shown_url
+from labos.store import SqlEventStore, is_replica, open_blobs, open_store, show_url
 from labos.telemetry.api import ApiMetrics, ApiReadings
 
 
@@ -141,7 +141,7 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
     expect_tls(settings)
     if await asyncio.to_thread(is_replica, accounts):
         raise BadInput(
-            f"{shown_url(accounts)} only follows another database, and who signs in is written down.",
+            f"{show_url(accounts)} only follows another database, and who signs in is written down.",
             remedy="Name the database that it follows with --accounts (LABOS_ACCOUNTS_URL): it is asked for "
             "tokens and sessions alone.",
         )
@@ -154,7 +154,7 @@ async def open_api(told: ApiSettings) -> AsyncIterator[ApiRuntime]:
         await kernel.open()
         if not kernel.state.lab.id:
             raise BadInput(
-                f"There is no lab yet in {shown_url(settings.database)}.", remedy="Start its kernel: labos up"
+                f"There is no lab yet in {show_url(settings.database)}.", remedy="Start its kernel: labos up"
             )
         expect_users(settings, kernel)
         api = ApiRuntime(msgspec.structs.replace(told, lab=settings), kernel, store)

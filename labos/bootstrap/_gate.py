@@ -177,10 +177,10 @@ class _Disabled:
     def __init__(self, accounts: Accounts) -> None:
         self._accounts = accounts
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             if isinstance(entry.event, UserDisabled):
                 self._accounts.end_of_user(entry.event.user)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         pass

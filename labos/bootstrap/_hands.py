@@ -11,7 +11,7 @@ import copy
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
-from labos.core.effects import Move, Replaces, moved
+from labos.core.effects import Move, Replaces, list_moved
 from labos.core.fold import evolve_slices
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import Intervention, InterventionResolved
@@ -61,14 +61,14 @@ class SimulatedHands:
         for cell in self._state.lab.workcells:
             _furnish(self._world(cell), self._state, cell)
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         fresh = [entry for entry in entries if entry.position > self._state.position]
         if fresh and fresh[0].position > self._state.position + 1:
-            self.reopened()  # it has all of them
+            self.on_reopened()  # it has all of them
         else:
             self._follow(fresh)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """Something may be on disk that nobody was told of."""
         records = self._log.read(after=self._state.position)
         self._follow([Entry(r, decode(r.head.type, r.head.schema, r.payload)) for r in records])
@@ -84,44 +84,46 @@ class SimulatedHands:
                     evolve_slices(
                         self._state, SLICES, entry.event, entry.position, entry.record.head.recorded_at
                     )
-            for applied in _of(events, WorkcellApplied):
+            for applied in _list_events(events, WorkcellApplied):
                 _furnish(self._world(applied.name), self._state, applied.name)
 
     def _do(self, events: Sequence[Event]) -> None:
         """What somebody did, by the events of one command."""
-        answers = [event for event in _of(events, InterventionResolved) if event.choice != "withdrawn"]
+        answers = [
+            event for event in _list_events(events, InterventionResolved) if event.choice != "withdrawn"
+        ]
         if answers:
             for answer in answers:
                 self._put_right(answer, events)
-        elif any(True for _ in _of(events, AccessEnded)):
+        elif any(True for _ in _list_events(events, AccessEnded)):
             self._change_stations(events)
         elif not any(isinstance(event, StationObserved | StationsChecked) for event in events):
             # Who has only looked, or counted, has moved nothing.
             self._unload(events)
             self._load(events)
-            for event in _of(events, ResourceReplenished):
+            for event in _list_events(events, ResourceReplenished):
                 self._supply(event)
 
-    def _at(self, station: StationName) -> World:
+    def _find_world(self, station: StationName) -> World:
         return self._world(workcell_of(station))
 
     # -- bringing and taking away ------------------------------------------------------------
 
     def _load(self, events: Sequence[Event]) -> None:
-        lids = {event.on: event.type for event in _of(events, LabwarePlaced) if event.on}
-        declared = {event.station for event in _of(events, StationDeclared)}
+        lids = {event.on: event.type for event in _list_events(events, LabwarePlaced) if event.on}
+        declared = {event.station for event in _list_events(events, StationDeclared)}
         places: dict[LabwareId, StationName] = {}
         for event in events:
             match event:
                 case StationDeclared():
-                    world, place = self._at(event.station), local(event.station)
+                    world, place = self._find_world(event.station), local(event.station)
                     for kind in event.contents[len(world.at(place)) :]:
                         world.stock(place, kind)
                 case StationLoaded():
-                    self._at(event.station).stock(local(event.station), event.type, event.count)
+                    self._find_world(event.station).stock(local(event.station), event.type, event.count)
                 case LabwarePlaced() if not (event.run or event.on or event.action):
                     places[event.labware] = event.station
-                    world, place = self._at(event.station), local(event.station)
+                    world, place = self._find_world(event.station), local(event.station)
                     brought = sum(where == event.station for where in places.values())
                     if event.station in declared and len(world.at(place)) >= brought:
                         continue  # it stood there, and is spoken of now
@@ -129,7 +131,7 @@ class SimulatedHands:
                     world.stock(place, f"{event.type}+{lid}" if lid else event.type)
                 case LabwareChanged(variable="sealed", value=True) if event.labware in places:
                     station = places[event.labware]
-                    self._at(station).work("person", "seal", local(station))
+                    self._find_world(station).work("person", "seal", local(station))
 
     def _unload(self, events: Sequence[Event]) -> None:
         plates: list[tuple[World, str]] = []
@@ -138,10 +140,13 @@ class SimulatedHands:
                 case LabwareRemoved() if not (event.run or event.action):
                     place = self._state.bench.labware[event.labware].station
                     if place:
-                        world = self._at(place)
+                        world = self._find_world(place)
                         plates.append((world, _plate_of(world, self._state, event.labware)))
                 case StationUnloaded():
-                    world, station = self._at(event.station), self._state.bench.stations[event.station]
+                    world, station = (
+                        self._find_world(event.station),
+                        self._state.bench.stations[event.station],
+                    )
                     if station.spec.kind != "waste":
                         top = len(station.stock)
                         nameless = world.at(local(event.station))[top - event.count : top]
@@ -161,17 +166,17 @@ class SimulatedHands:
         """What somebody who reached in has changed is so now, unless it is so already."""
         state = self._state
         plates = {
-            event.labware: _plate_of(self._at(event.station), state, event.labware)
-            for event in _of(events, LabwareObserved)
+            event.labware: _plate_of(self._find_world(event.station), state, event.labware)
+            for event in _list_events(events, LabwareObserved)
         }
-        for cleared in _of(events, StationDeclared):
-            world = self._at(cleared.station)
+        for cleared in _list_events(events, StationDeclared):
+            world = self._find_world(cleared.station)
             standing = world.at(bench_name(state.bench.stations[cleared.station].spec))
             _carry_away([(world, plate) for plate in standing if plate not in plates.values()])
         for event in events:
             if not isinstance(event, LabwareObserved | LabwarePlaced):
                 continue
-            station, world = state.bench.stations[event.station], self._at(event.station)
+            station, world = state.bench.stations[event.station], self._find_world(event.station)
             place = bench_name(station.spec)
             if isinstance(event, LabwarePlaced):
                 if len(world.at(place)) <= len(station.labware):
@@ -188,11 +193,11 @@ class SimulatedHands:
         state, choice = self._state, answer.choice
         question = state.interventions.open[answer.intervention]
         if choice in AWAY.get(question.kind, ()):
-            self._clear_away(question, list(_of(events, LabwareRemoved)))
+            self._clear_away(question, list(_list_events(events, LabwareRemoved)))
         if choice not in ENDS:
             return
         for effect in _motions(state, question):
-            world = self._at(effect.source)
+            world = self._find_world(effect.source)
             plate = _astray(world, state, question, effect)
             end = {"source": effect.source, "target": effect.target}.get(ENDS[choice])
             if plate:
@@ -208,11 +213,11 @@ class SimulatedHands:
         for event in removed:
             item = state.bench.labware[event.labware]
             if item.station:
-                world = self._at(item.station)
+                world = self._find_world(item.station)
                 plates.append((world, _plate_of(world, state, item.id)))
         station = state.bench.stations.get(StationName(question.subject))
         if station is not None and station.spec.capacity == 1:
-            world = self._at(station.spec.name)
+            world = self._find_world(station.spec.name)
             recorded = 0 if removed else station.count
             plates += [(world, plate) for plate in world.at(bench_name(station.spec))[recorded:]]
         _carry_away(plates)
@@ -224,7 +229,7 @@ class SimulatedHands:
             if not isinstance(effect, Replaces):
                 continue
             module = ModuleName(effect.module)
-            level = self._state.resources.of(module, effect.resource)
+            level = self._state.resources.find(module, effect.resource)
             if level is not None:
                 world, device = self._world(workcell_of(module)), local(module)
                 left = world.left(device, effect.resource) or 0.0
@@ -245,7 +250,7 @@ def _by_command(entries: Sequence[Entry]) -> Iterator[list[Entry]]:
         yield command
 
 
-def _of(events: Sequence[Event], kind: type[E]) -> Iterator[E]:
+def _list_events(events: Sequence[Event], kind: type[E]) -> Iterator[E]:
     return (event for event in events if isinstance(event, kind))
 
 
@@ -291,7 +296,7 @@ def _motions(state: LabState, question: Intervention) -> list[Move]:
         effects = question.motions
     else:
         effects = action.effects if isinstance(question.topic, UnknownAction) and action is not None else ()
-    moves = [move for move in moved(effects) if not move.lid]
+    moves = [move for move in list_moved(effects) if not move.lid]
     return [e for e in moves if isinstance(question.topic, LostLabware) or _is_held(state, e.labware)]
 
 

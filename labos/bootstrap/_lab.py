@@ -53,7 +53,7 @@ from labos.runtime.ledger import Entry
 from labos.runtime.log_check import LogCheck
 from labos.runtime.marks import Marks
 from labos.runtime.writer import ThreadWriter
-from labos.services.journals import refuse_lost_log, untold
+from labos.services.journals import find_untold, refuse_lost_log
 from labos.settings import (
     KernelInfo,
     Ports,
@@ -65,7 +65,7 @@ from labos.settings import (
     withdraw,
 )
 from labos.spec import CompiledWorkcell
-from labos.store import Damage, SqlEventStore, first_damage, open_store, shown_url
+from labos.store import Damage, SqlEventStore, first_damage, open_store, show_url
 from labos.telemetry.otlp import check_receiver
 
 Nodes = Literal["processes", "none"]
@@ -105,7 +105,7 @@ async def open_lab(
         with _folder(settings.home):  # where the lab cannot be opened, nothing is left behind
             store = open_store(settings.database, home=settings.home)
             stack.callback(store.close)
-            refuse_lost_log(store, settings.journals, shown_url(settings.database))
+            refuse_lost_log(store, settings.journals, show_url(settings.database))
             known, ended = store.known_position, store.head().position
             with _folder(settings.worlds if simulated else settings.home):
                 kernel, writer = await _open_kernel(settings, store, follower)
@@ -274,17 +274,17 @@ class _LogEndListener:
     def __init__(self, store: SqlEventStore) -> None:
         self._store = store
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         if any(isinstance(entry.event, BenchCompared) for entry in entries):
             self._store.accept_end()
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         pass
 
 
 def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:
     """What the journals in the lab's folder know more than the log is known before anything can start."""
-    for module, found, beyond in untold(store, settings.journals):
+    for module, found, beyond in find_untold(store, settings.journals):
         kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
 
 

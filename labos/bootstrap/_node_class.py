@@ -61,6 +61,6 @@ def _describe(told: SetupReply) -> Description:
 def _extend(description: Description, told: SetupReply) -> Description:
     if not told.extends:
         return description
-    from labos.spec.about import Extends, extended
+    from labos.spec.about import Extends, extend
 
-    return extended(description, Extends.model_validate(told.extends))
+    return extend(description, Extends.model_validate(told.extends))

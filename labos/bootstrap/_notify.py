@@ -27,11 +27,11 @@ class _NotifierWaker:
     def __init__(self, notifier: Notifier) -> None:
         self._notifier, self._types = notifier, frozenset(TYPES)
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         if any(entry.record.head.type in self._types for entry in entries):
             self._notifier.wake()
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """What was not written was never read."""
 
 

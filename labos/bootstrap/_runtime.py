@@ -11,7 +11,7 @@ import structlog
 
 from labos.bootstrap._drivers import load_drivers
 from labos.bootstrap._metrics import LabMetrics
-from labos.bootstrap._secure import Guard, unheard_by_name
+from labos.bootstrap._secure import Guard, explain_unheard
 from labos.bus import Unheard, ZenohBus
 from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.model import Description
@@ -153,7 +153,7 @@ class LabRuntime:
             *("--name", local(module), "--workcell", workcell_of(module)),
             *("--home", str(self.settings.home)),
             *(word for endpoint in self._endpoints for word in ("--connect", endpoint)),
-            *(["--cert", str(self.guard.of_node(module))] if self.guard is not None else []),
+            *(["--cert", str(self.guard.find_node_folder(module))] if self.guard is not None else []),
             *(["--simulate"] if self.simulated else []),
             *(["--wire"] if self.simulated and self.settings.wire else []),
             *(["--trace", str(self.settings.trace(module))] if self.settings.trace_wires else []),
@@ -167,7 +167,7 @@ class LabRuntime:
 
     def note_unheard(self, unheard: Unheard) -> None:
         """Say of modules that their nodes are connected and not heard; and no more of those that are."""
-        found, rejected = unheard_by_name(unheard, self.kernel.lab), self.registry.rejected
+        found, rejected = explain_unheard(unheard, self.kernel.lab), self.registry.rejected
         for module, why in self._unheard.items():
             if module not in found and rejected.get(module) == why:
                 del rejected[module]

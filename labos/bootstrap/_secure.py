@@ -78,17 +78,17 @@ class Guard:
 
     def members(self) -> Members:
         """Who may speak on the bus that it runs. Raises NotFound, BadInput."""
-        received = self._received
+        received = self.received_list
         if received is not None and received.file.is_file():
             return received.read()
         return self.authority.members()
 
     @property
-    def _received(self) -> ReceivedList | None:
+    def received_list(self) -> ReceivedList | None:
         """The list of members where the authority is elsewhere."""
         return ReceivedList(self._own) if self._own is not None else None
 
-    def _signed_list(self) -> bytes:
+    def _read_signed_list(self) -> bytes:
         """The list that is told to others. Blocks."""
         file = (self._own or self.authority.folder) / MEMBERS
         if not file.is_file():
@@ -96,7 +96,7 @@ class Guard:
         members = self.members()  # one that is not believed here is told to nobody
         return msgspec.json.encode(members) if members.signature else b""
 
-    def of_node(self, module: str) -> Path:
+    def find_node_folder(self, module: str) -> Path:
         """Where the certificate of a node is that runs here."""
         return self.authority.credentials(Identity("node", module, self.who.lab)).folder
 
@@ -147,7 +147,7 @@ class Guard:
         if self._runs_bus:
             self._onlooker = Onlooker(bus)
             await self._onlooker.start()
-        self._exchange = MembersExchange(bus, self._signed_list, self._received)
+        self._exchange = MembersExchange(bus, self._read_signed_list, self.received_list)
         await self._exchange.start()
         self._task = asyncio.get_running_loop().create_task(self._watch(bus))
 
@@ -212,7 +212,7 @@ def list_addresses(settings: Settings) -> list[str]:
     return sorted(here)
 
 
-def unheard_by_name(unheard: Unheard, lab: str) -> dict[ModuleName, str]:
+def explain_unheard(unheard: Unheard, lab: str) -> dict[ModuleName, str]:
     """What the operator is told of the modules of a lab whose nodes are connected and not heard."""
     return {
         ModuleName(entry.identity.name): "its node is connected to the bus with the certificate "

@@ -56,14 +56,14 @@ class UnattendedMeter:
         if self._task is not None:
             self._task.cancel()
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         if self.meter is None:
             self._recent.extend(entries)
         else:
             for entry in entries:
                 _add(self.meter, entry)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """Something may have been written of which nobody was told: read everything again."""
         self.start()
 

@@ -80,9 +80,9 @@ def _rules(who: Identity) -> Iterator[Rule]:
     yield (IN,), ("liveliness_query",), (ROUND_TRIP,)
     match who.kind:
         case "node":
-            yield from _of_node(keys, who.name)
+            yield from _list_node_rules(keys, who.name)
         case "kernel":
-            yield from _of_kernel(keys)
+            yield from _list_kernel_rules(keys)
         case "api" if PROCESS_NAME.fullmatch(who.name):
             yield from _sees(keys.kernel)
             yield from _asks(keys.requests_of(who.name, "*"))
@@ -94,7 +94,7 @@ def _rules(who: Identity) -> Iterator[Rule]:
             yield from _sees(keys.all_alive, ANY_KERNEL)
 
 
-def _of_node(keys: Keys, module: str) -> Iterator[Rule]:
+def _list_node_rules(keys: Keys, module: str) -> Iterator[Rule]:
     own = keys.operation(module, "**")
     alive, named = keys.alive(module, "*"), keys.name(module, "*", "*")
     yield from _answers(own)
@@ -104,7 +104,7 @@ def _of_node(keys: Keys, module: str) -> Iterator[Rule]:
     yield from _asks(keys.setup_of(module), keys.files)
 
 
-def _of_kernel(keys: Keys) -> Iterator[Rule]:
+def _list_kernel_rules(keys: Keys) -> Iterator[Rule]:
     yield from _asks(keys.operation("*/*", "*"))
     yield from _answers(keys.all_setups, keys.files, keys.requests_of("*", "*"))
     yield (IN,), ("put",), (keys.events("*"),)

@@ -44,7 +44,7 @@ class Onlooker:
         """Who has been connected for a while and is not heard."""
         known = {entry.common_name: entry for entry in admitted}
         now = asyncio.get_running_loop().time()
-        here = set(self._bus.connected())
+        here = set(self._bus.list_connected())
         self._since = {name: self._since.get(name, now) for name in here}
         long_here = [name for name, since in self._since.items() if now - since >= self._patience_s]
         return Unheard(

@@ -134,7 +134,7 @@ class ZenohBus:
 
         waiting = Waiting()
 
-        def done(task: asyncio.Task[None]) -> None:
+        def finish(task: asyncio.Task[None]) -> None:
             waiting.taken += 1
             self._answering.discard(task)
 
@@ -144,7 +144,7 @@ class ZenohBus:
                 return
             task = self._loop.create_task(self._answer(key, query, handler))
             self._answering.add(task)
-            task.add_done_callback(done)
+            task.add_done_callback(finish)
 
         def on_query(query: Any) -> None:
             if waiting.takes_more():
@@ -220,7 +220,7 @@ class ZenohBus:
         self._reopening = self._loop.create_task(self._reopen(security))
         await asyncio.shield(self._reopening)  # half a session would be left behind
 
-    def connected(self) -> list[str]:
+    def list_connected(self) -> list[str]:
         """The common names of the certificates whose owners are connected, where this session runs a secure
         bus; one name for each connection."""
         if self._closed or not self._ready.is_set():

@@ -26,7 +26,7 @@ def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase,
     with open_database(where) as store:
         database = open_audit(where.url)
         try:
-            blobs = open_blobs(Settings.of(where.home, where.url).blobs)
+            blobs = open_blobs(Settings.make(where.home, where.url).blobs)
             yield store, database, Projector(ShownLog(store), database, blobs)
         finally:
             database.close()

@@ -5,7 +5,14 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, json_option, json_option_saying, user_option, who, why_option
+from labos.cli._options import (
+    find_user,
+    home_option,
+    json_option,
+    json_option_saying,
+    user_option,
+    why_option,
+)
 from labos.cli._out import show_json, tell
 
 
@@ -33,7 +40,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
     from labos.core.ids import local
 
     with need_lab(home) as client:
-        follows = client.observe(station, what, who(user))
+        follows = client.observe(station, what, find_user(user))
     if as_json:
         show_json(follows)
         return
@@ -93,6 +100,6 @@ def give(
         raise click.UsageError("Say --to user NAME, --to experiment ID, or --to shared.")
     with need_lab(home) as client:
         owner = f"{to}:{name}" if name else to
-        client.give(labware, owner, who(user), force=force, note=why)
+        client.give(labware, owner, find_user(user), force=force, note=why)
     told = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
     tell(told, {"labware": labware, "owner": owner}, as_json=as_json)

@@ -78,7 +78,7 @@ def say(
     """Say it all to the lab. ``rest`` as a station's name stands for all that need not be said one by one and
     was not; ``finish`` answers the question if nothing is left. Raises BadInput for a name that is not on the
     round."""
-    stations = {_known(view, name)["station"]: told for name, told in words.items() if name != REST}
+    stations = {_find_station(view, name)["station"]: told for name, told in words.items() if name != REST}
     if REST in words and words[REST] is not None:
         raise BadInput(f"`{REST}` can only be `{AS_RECORDED}`.", remedy="Say other stations one by one.")
     as_recorded: list[str] = []
@@ -97,7 +97,7 @@ def say(
     return client.say(by, ordered, as_recorded, finish=finish)
 
 
-def _known(view: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def _find_station(view: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     found = [s for s in view["stations"] if name in (s["station"], f"{s['workcell']}/{s['station']}")]
     if not found:
         raise BadInput(f"There is no station {name!r} on this round.", remedy="See: labos bench round --json")
@@ -142,10 +142,10 @@ def show_not_known(view: Mapping[str, Any]) -> None:
 def _line(station: Mapping[str, Any]) -> str:
     mark = "" if station["must_be_said"] else f"   (`{AS_RECORDED}` is enough)"
     perhaps = f"; perhaps {', '.join(station['perhaps'])}" if station["perhaps"] else ""
-    return f"{station['station']}: recorded {recorded_contents(station)}{perhaps}{mark}"
+    return f"{station['station']}: recorded {describe_recorded(station)}{perhaps}{mark}"
 
 
-def recorded_contents(station: Mapping[str, Any]) -> str:
+def describe_recorded(station: Mapping[str, Any]) -> str:
     """What the log believes of a station, in words."""
     if station["kind"] == "waste":
         return f"{len(station['recorded'])} thrown away"
@@ -192,7 +192,7 @@ def _ask_others(client: LabClient, cell: str, by: str) -> None:
         return
     click.echo(f"In {cell} nothing is known to have been at work at:")
     for station in left:
-        click.echo(f"  {station['station']}: recorded {recorded_contents(station)}")
+        click.echo(f"  {station['station']}: recorded {describe_recorded(station)}")
     names = {station["station"]: station for station in left}
     text = click.prompt("Which of these are NOT as recorded? (Enter: none)", default="", show_default=False)
     for name in filter(None, (part.strip() for part in text.replace(",", " ").split())):

@@ -63,7 +63,7 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
     plates = plates_by_labware(world, records)
     known = {plate: labware for labware, plate in plates.items()}
 
-    def called(plate: str) -> str:
+    def name_plate(plate: str) -> str:
         kind = world.kind(plate)
         return f"{known[plate]} ({kind})" if plate in known else kind
 
@@ -75,8 +75,8 @@ def _compare(world: World, workcell: str, state: LabState, records: list[Record]
     return BenchView(
         workcell=workcell,
         position=state.position,
-        places={place: tuple(map(called, plates)) for place, plates in there.items() if place != FLOOR},
-        fallen=tuple(map(called, there.get(FLOOR, []))),
+        places={place: tuple(map(name_plate, plates)) for place, plates in there.items() if place != FLOOR},
+        fallen=tuple(map(name_plate, there.get(FLOOR, []))),
         differs=tuple(found for found in differs if not found.startswith(tuple(expected))),
         asked=tuple(question.id for question in state.interventions.open.values()),
     )
@@ -96,8 +96,8 @@ def _possible(state: LabState, plates: dict[str, str], there: dict[str, list[str
 
 def show(sight: BenchView) -> None:
     """The bench as a table, and whether the log says the same."""
-    rows = [(_place(place), _counted(plates)) for place, plates in sight.places.items()]
-    rows += [("on the floor", _counted(sight.fallen))] if sight.fallen else []
+    rows = [(_place(place), _count_kinds(plates)) for place, plates in sight.places.items()]
+    rows += [("on the floor", _count_kinds(sight.fallen))] if sight.fallen else []
     show_table(("place", "what is there"), rows, title=f"The simulated bench of {sight.workcell}")
     if sight.agrees:
         click.echo(f"The log says the same (after event {sight.position}).")
@@ -115,6 +115,6 @@ def _place(place: str) -> str:
     return f"on {place.removeprefix(LID)}" if place.startswith(LID) else place
 
 
-def _counted(plates: tuple[str, ...]) -> str:
+def _count_kinds(plates: tuple[str, ...]) -> str:
     counts = {kind: plates.count(kind) for kind in plates}
     return ", ".join(kind if number == 1 else f"{number} × {kind}" for kind, number in counts.items())

@@ -18,7 +18,7 @@ DAY = 11
 HOURS = "0     6     12    18    "
 
 
-def whom(booking: Mapping[str, Any]) -> str:
+def describe_owner(booking: Mapping[str, Any]) -> str:
     """For whom it is."""
     if booking["maintenance"]:
         return "maintenance"
@@ -30,7 +30,7 @@ def in_words(booking: Mapping[str, Any]) -> str:
     zone = booking["zone"]
     begins, ends = in_zone(booking["begins_at"], zone), in_zone(booking["ends_at"], zone)
     again = f", {booking['rule']}" if booking["rule"] else ""
-    return f"{booking['target']} is booked for {whom(booking)} from {begins} until {ends}{again}"
+    return f"{booking['target']} is booked for {describe_owner(booking)} from {begins} until {ends}{again}"
 
 
 def show_bookings(bookings: Sequence[Mapping[str, Any]]) -> None:
@@ -39,7 +39,7 @@ def show_bookings(bookings: Sequence[Mapping[str, Any]]) -> None:
         (
             str(booking["id"]),
             local(booking["target"]),
-            whom(booking),
+            describe_owner(booking),
             in_zone(booking["next_begins_at"] or booking["begins_at"], booking["zone"]),
             in_zone(booking["next_ends_at"] or booking["ends_at"], booking["zone"]),
             "now" if booking["now"] else "",
@@ -76,7 +76,7 @@ def _line(name: str, time: Mapping[str, Any], begin: int, end: int, zone: str) -
     target = local(time["target"])
     target = target if len(target) < NAME else f"{target[: NAME - 2]}…"
     bar = _bar(time, begin, end)
-    return f"{name:<{DAY}}{target:<{NAME}}{bar} {clock} {time['booking']} {whom(time)}"
+    return f"{name:<{DAY}}{target:<{NAME}}{bar} {clock} {time['booking']} {describe_owner(time)}"
 
 
 def _bar(time: Mapping[str, Any], begin: int, end: int) -> str:

@@ -63,9 +63,9 @@ def _names(kinds: Iterable[str], context: click.Context) -> Iterator[str]:
 
                 yield from sorted(descriptions())
             case "run" | "experiment":
-                yield from lab.begun(kind)
+                yield from lab.list_begun(kind)
             case _:
-                yield from lab.known(kind)
+                yield from lab.list_known(kind)
 
 
 class _Lab:
@@ -81,11 +81,11 @@ class _Lab:
         from labos.settings import Settings, lab_url
 
         given = self._context.params
-        settings = Settings.of(given.get("home"), given.get("database"))
+        settings = Settings.make(given.get("home"), given.get("database"))
         lab = "" if given.get("home") or given.get("database") else lab_url()
         return Where(Path(settings.home), settings.database, lab)
 
-    def begun(self, kind: str) -> list[str]:
+    def list_begun(self, kind: str) -> list[str]:
         """Runs or experiments, the newest first."""
         from labos.cli._query import open_log
         from labos.core.experiments import ExperimentStarted
@@ -98,7 +98,7 @@ class _Lab:
             found = list(events(store.select(LogQuery(types=(type_,), last=RUNS_OFFERED))))
         return [str(getattr(event, kind)) for event, _ in reversed(found)]
 
-    def known(self, kind: str) -> list[str]:
+    def list_known(self, kind: str) -> list[str]:
         if self._known is None:
             self._known = self._ask_kernel() or self._read()
         return self._known[kind]

@@ -116,7 +116,14 @@ def _show_stations(file: DescriptionFile) -> None:
 
     at = places_at(file)
     rows = [
-        (_numbered(name, entry), entry.kind, _where(name, entry, at), entry.approach, entry.basis, entry.note)
+        (
+            _show_range(name, entry),
+            entry.kind,
+            _where(name, entry, at),
+            entry.approach,
+            entry.basis,
+            entry.note,
+        )
         for name, entry in file.stations.items()
     ]
     click.echo()
@@ -130,7 +137,7 @@ def _where(name: str, entry: PlaceEntry, at: Mapping[str, Frame]) -> str:
     return _three(at[name].at)
 
 
-def _numbered(name: str, entry: PlaceEntry) -> str:
+def _show_range(name: str, entry: PlaceEntry) -> str:
     for key, each in entry.each.items():
         name = name.replace(f"{{{key}}}", f"{each.from_to[0]}…{each.from_to[1]}")
     return name

@@ -114,7 +114,7 @@ def need_lab(home: str | None, token: str = "") -> LabClient:
     not that which somebody has kept. Raises NotFound if none runs."""
     if url := lab_of(home):
         return LabClient(url, token=token)
-    settings = Settings.of(home)
+    settings = Settings.make(home)
     if find_kernel(settings.home) is None:
         raise NotFound(
             f"No lab runs in {settings.home}.", remedy="Start one with `labos up`, or name its --home."

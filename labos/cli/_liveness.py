@@ -42,7 +42,7 @@ def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
 def open_questions(home: str | None) -> list[dict[str, Any]]:
     """The questions that the running lab asks; where none runs, those that its log last knew. Raises NotFound
     where there is no log either."""
-    settings = Settings.of(home)
+    settings = Settings.make(home)
     if lab_of(home) or find_kernel(settings.home) is not None:
         from labos.cli._lab import need_lab
 

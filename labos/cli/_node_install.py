@@ -77,7 +77,7 @@ def install(
     workcell, slash, name = module.partition("/")
     if not slash or not name:
         raise BadInput(f"{module!r} names no workcell.", remedy="Name WORKCELL/MODULE, such as rpl/sealer.")
-    settings = Settings.of(home, authority=pki)
+    settings = Settings.make(home, authority=pki)
     folder = cert.absolute() if cert is not None else _certificate(settings, module, connect)
     requirement = f"labos-sdl[drivers]=={VERSION}"
     data = pack_node(NodePackage(workcell, name, connect, requirement, options, folder, wheels))

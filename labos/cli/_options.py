@@ -144,7 +144,7 @@ def web_options(about: str) -> Callable[[F], F]:
     return add
 
 
-def who(user: str | None) -> str:
+def find_user(user: str | None) -> str:
     """The user's name: as given, else the login."""
     if user:
         return user

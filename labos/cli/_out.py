@@ -61,7 +61,7 @@ def _is_one_word(cell: str) -> bool:
 
 def show_json(value: Any) -> None:
     """One JSON document, indented; moments in it as ISO 8601 in UTC."""
-    click.echo(msgspec.json.format(_encoded(value), indent=2))
+    click.echo(msgspec.json.format(_encode(value), indent=2))
 
 
 def tell(sentence: str, facts: Any, *, as_json: bool) -> None:
@@ -74,9 +74,9 @@ def tell(sentence: str, facts: Any, *, as_json: bool) -> None:
 
 def show_line(value: Any) -> None:
     """The same on one line."""
-    click.echo(_encoded(value))
+    click.echo(_encode(value))
 
 
-def _encoded(value: Any) -> bytes:
+def _encode(value: Any) -> bytes:
     plain = with_iso_times(msgspec.to_builtins(value))
     return msgspec.json.encode(by_well(plain, others_sorted=True))

@@ -29,7 +29,7 @@ def lab_or_its_folder(home: str | None) -> Iterator[LabClient]:
     from labos.cli._remote import lab_of
     from labos.settings import Settings, find_kernel, keep_private, last_kernel
 
-    settings = Settings.of(home)
+    settings = Settings.make(home)
     if lab_of(home) or find_kernel(settings.home) is not None or last_kernel(settings.home) is None:
         with need_lab(home) as client:
             yield client

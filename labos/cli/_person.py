@@ -8,12 +8,12 @@ import click
 
 from labos.cli._complete import completes
 from labos.cli._options import (
+    find_user,
     home_option,
     json_option,
     read_result,
     user_option,
     wait_option,
-    who,
     why_option,
 )
 from labos.cli._out import show_json, tell
@@ -51,7 +51,7 @@ def cancel(
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        done = client.control("cancel", target, who(user), why=why, stay=stay)
+        done = client.control("cancel", target, find_user(user), why=why, stay=stay)
         runs = done["runs"] or ([target] if done["kind"] == "run" else [])
         ends = (client.wait(run) if wait else client.status(run) for run in runs)
         if as_json:
@@ -62,7 +62,7 @@ def cancel(
         if done["already"]:
             is_one = done["kind"] in ("run", "experiment")
             what = "is being cancelled already" if is_one else "has nothing to cancel"
-            click.echo(f"{_capital(_target_name(done))} {what}.{_noted(done)}")
+            click.echo(f"{_capital(_target_name(done))} {what}.{_describe_reason(done)}")
         elif done["kind"] != "run":
             click.echo(f"{_target_name(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
         for end in ends:
@@ -136,18 +136,18 @@ def _change(
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        done = client.control(verb, target, who(user), why=why)
+        done = client.control(verb, target, find_user(user), why=why)
     was = " already" if done["already"] else ""
     state = f"is paused{was}" if verb == "pause" else f"goes on{was}"
     facts = {"kind": done["kind"], "target": done["target"], "paused": verb == "pause"}
-    tell(f"{_capital(_target_name(done))} {state}.{_noted(done)}", facts, as_json=as_json)
+    tell(f"{_capital(_target_name(done))} {state}.{_describe_reason(done)}", facts, as_json=as_json)
 
 
 def _capital(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
-def _noted(done: dict[str, Any]) -> str:
+def _describe_reason(done: dict[str, Any]) -> str:
     """What became of the reason for something that was so already."""
     return " Your reason is in the log." if done["noted"] else ""
 
@@ -181,7 +181,7 @@ def resolve(
 
     if intervention and choice:
         with need_lab(home) as client:
-            client.resolve(intervention, choice, who(user), why, read_result(result))
+            client.resolve(intervention, choice, find_user(user), why, read_result(result))
         facts = {"id": intervention, "choice": choice}
         tell(f"{intervention} is answered: {choice}.", facts, as_json=as_json)
         return
@@ -214,7 +214,7 @@ def place(station: str, labware: str, user: str | None, home: str | None, as_jso
     from labos.cli._lab import need_lab, stands_at
 
     with need_lab(home) as client:
-        name = client.place(station, labware, who(user))
+        name = client.place(station, labware, find_user(user))
         where = stands_at(client, [name]).get(name, station)
     facts = {"labware": name, "type": labware, "station": where}
     tell(f"{name or labware} stands at {where}.", facts, as_json=as_json)
@@ -238,7 +238,7 @@ def barcode(
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        client.barcode(labware, barcode, who(user), replace=replace)
+        client.barcode(labware, barcode, find_user(user), replace=replace)
     tell(f"{labware} bears {barcode}.", {"labware": labware, "barcode": barcode}, as_json=as_json)
 
 
@@ -263,7 +263,7 @@ def out_of_service(
 
     back_at = parse_until(until, now_ns()) if until else 0
     with need_lab(home) as client:
-        client.take_out(module, why, who(user), back_at)
+        client.take_out(module, why, find_user(user), back_at)
     told = f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}."
     tell(told, {"module": module, "in_service": False, "back_at": back_at}, as_json=as_json)
 
@@ -282,5 +282,5 @@ def in_service(module: str, user: str | None, home: str | None, as_json: bool) -
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        client.put_back(module, who(user))
+        client.put_back(module, find_user(user))
     tell(f"{module} is in service.", {"module": module, "in_service": True}, as_json=as_json)

@@ -51,7 +51,7 @@ def sign_in(client: LabClient, way: Way, port: int, **token: Any) -> dict[str, A
             "Its last page cannot be shown. Copy the address of that page, and paste it here.",
             err=True,
         )
-        return _finish(client, begun, _pasted(begun, expected), **token)
+        return _finish(client, begun, _read_pasted(begun, expected), **token)
     with _Listener(port) as listener:
         begun = client.begin_sign_in(listener.server_port)
         listener.expect(_way_back(client, begun), begun["state"])
@@ -89,7 +89,7 @@ def _with_device(client: LabClient, **token: Any) -> dict[str, Any]:
             return found
         wait_s = found["wait_s"]
         if time.monotonic() > deadline:
-            raise _given_up()
+            raise _give_up()
 
 
 def _way_back(client: LabClient, begun: Mapping[str, Any]) -> str:
@@ -133,14 +133,14 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
-def _pasted(begun: Mapping[str, Any], expected: str) -> dict[str, str]:
+def _read_pasted(begun: Mapping[str, Any], expected: str) -> dict[str, str]:
     """What stands in the address that somebody pastes. Raises NotSignedIn."""
     if sys.stdin.isatty():
         text = str(click.prompt("Address", err=True)).strip()
     else:
         text = sys.stdin.readline().strip()
     address, _, query = text.partition("?")
-    sent = _sent_in(query)
+    sent = _parse_answer(query)
     if address != expected or sent.pop("state", "") != begun["state"]:
         raise NotSignedIn(
             "This is not the address of the page to which this sign-in leads.",
@@ -149,12 +149,12 @@ def _pasted(begun: Mapping[str, Any], expected: str) -> dict[str, str]:
     return sent
 
 
-def _sent_in(query: str) -> dict[str, str]:
+def _parse_answer(query: str) -> dict[str, str]:
     found = parse_qs(query)
     return {name: found[name][0] for name in (*SENT, "state") if name in found}
 
 
-def _given_up() -> NotSignedIn:
+def _give_up() -> NotSignedIn:
     return NotSignedIn("Nobody has signed in.", remedy="Begin again with `labos login`.")
 
 
@@ -178,7 +178,7 @@ class _Listener(HTTPServer):
         while self.answer is None:
             self.timeout = deadline - time.monotonic()
             if self.timeout <= 0:
-                raise _given_up()
+                raise _give_up()
             self.handle_request()
         return self.answer
 
@@ -186,7 +186,7 @@ class _Listener(HTTPServer):
         """Whether a request is the one that is waited for. Any program here can send others: they end
         nothing."""
         path, _, query = target.partition("?")
-        sent = _sent_in(query)
+        sent = _parse_answer(query)
         if path != self._path or not self._state or sent.pop("state", "") != self._state:
             return False
         if "code" not in sent and "error" not in sent:

@@ -110,7 +110,7 @@ def contents(where: Where) -> Iterator[BlobReader]:
         with LabClient(where.lab) as client:
             yield LabFiles(client)
     else:
-        yield open_blobs(Settings.of(where.home, where.url).blobs)
+        yield open_blobs(Settings.make(where.home, where.url).blobs)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from labos.cli._out import show_json
 from labos.errors import BadInput
 from labos.services.log import Log
 from labos.services.trust.compare import CheckpointComparison, compare, read_tree_heads
-from labos.services.trust.keys import Keys, TrustedKeys, given_keys
+from labos.services.trust.keys import Keys, TrustedKeys, read_given_keys
 from labos.services.trust.proof import Trust, prove_bundle
 
 
@@ -19,13 +19,13 @@ def trust_of(
     home: Path, public_keys: Sequence[str], witnesses: Sequence[str] = (), tsa: Path | None = None
 ) -> Trust:
     """The keys that were given, else the lab's own. Raises BadInput if there are none."""
-    keys = given_keys(public_keys) or Keys(home).public()
+    keys = read_given_keys(public_keys) or Keys(home).public()
     if not keys:
         raise BadInput(
             "No public key was given to check signatures with.",
             remedy="Say --public-key FILE: the lab tells it with labos key show.",
         )
-    return Trust(tuple(keys), tuple(given_keys(witnesses)), tsa)
+    return Trust(tuple(keys), tuple(read_given_keys(witnesses)), tsa)
 
 
 def compare_signed(log: Log, path: Path, home: Path, public_keys: Sequence[str]) -> CheckpointComparison:

@@ -65,11 +65,11 @@ def parse_when(text: str, now: int, zone: str, *, after: int = 0) -> int:
     at = _clock(clock)
     today = datetime.fromtimestamp((after or now) // SECOND_NS, where)
     if at is not None and not day:
-        found = _at(today.date(), at, zone)
-        return found if found > (after or now) else _at(today.date() + timedelta(days=1), at, zone)
+        found = _to_ns(today.date(), at, zone)
+        return found if found > (after or now) else _to_ns(today.date() + timedelta(days=1), at, zone)
     named = _day(day or said, datetime.fromtimestamp(now // SECOND_NS, where).date())
     if named is not None and (at is not None or not day):
-        return _at(named, at or time(), zone)
+        return _to_ns(named, at or time(), zone)
     try:
         return parse_time(text, now, where)
     except BadInput as error:
@@ -91,7 +91,7 @@ def _day(text: str, today: date) -> date | None:
     return today + timedelta(days=(meant[0] - today.weekday() - 1) % 7 + 1) if meant else None
 
 
-def _at(day: date, clock: time, zone: str) -> int:
+def _to_ns(day: date, clock: time, zone: str) -> int:
     local = datetime.combine(day, clock, zone_of(zone))
     return int(local.astimezone(UTC).timestamp()) * SECOND_NS
 

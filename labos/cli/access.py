@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, json_option, user_option, who, why_option
+from labos.cli._options import find_user, home_option, json_option, user_option, why_option
 from labos.cli._out import tell
 from labos.errors import BadInput, NotFound, Refused
 
@@ -69,14 +69,14 @@ def command(
         if done:
             told = [_change(text) for text in changed]
             if not (changed or unchanged or as_json) and sys.stdin.isatty() and sys.stdout.isatty():
-                _leave_asked(client, workcell, who(user), why)
+                _leave_asked(client, workcell, find_user(user), why)
                 return
-            client.leave(workcell, who(user), told, why)
+            client.leave(workcell, find_user(user), told, why)
             changes = [{"station": station, "what": what} for station, what in told]
             facts = {"workcell": workcell, "granted": False, "changed": changes}
             tell(_goes_on(workcell, told), facts, as_json=as_json)
             return
-        parking = client.enter(workcell, who(user), why, park=not no_park)
+        parking = client.enter(workcell, find_user(user), why, park=not no_park)
         if not as_json:
             click.echo(f"Nothing more starts in {workcell}.")
             if parking:
@@ -94,7 +94,7 @@ def command(
                 "granted": True,
                 "perhaps_moving": doubtful,
                 "parking": parking,
-                "stations": _recorded_contents(state, workcell),
+                "stations": _list_recorded(state, workcell),
             }
         )
         return
@@ -128,7 +128,7 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
         told: list[tuple[str, str]] = []
         if access is not None and access["granted"]:  # else nobody was inside
             try:
-                told = ask(state, workcell, _recorded_contents(state, workcell))
+                told = ask(state, workcell, _list_recorded(state, workcell))
             except (click.Abort, KeyboardInterrupt):
                 click.echo(
                     f"\nNothing was told: {workcell} stays held. Say it again: labos access {workcell} --done"
@@ -166,7 +166,7 @@ def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
         time.sleep(LOOK_S)
 
 
-def _recorded_contents(state: dict[str, Any], workcell: str) -> dict[str, list[str]]:
+def _list_recorded(state: dict[str, Any], workcell: str) -> dict[str, list[str]]:
     """What the log believes of each station that holds something."""
     types = {item["id"]: item["type"] for item in state["labware"]}
     found: dict[str, list[str]] = {}
@@ -183,7 +183,7 @@ def _recorded_contents(state: dict[str, Any], workcell: str) -> dict[str, list[s
 
 def _guide(state: dict[str, Any], workcell: str) -> None:
     click.echo("The lab believes that here stands:")
-    for name, standing in _recorded_contents(state, workcell).items():
+    for name, standing in _list_recorded(state, workcell).items():
         click.echo(f"  {name}: {', '.join(standing)}")
     click.echo(
         "All other stations are empty, or nobody has spoken of them.\n"

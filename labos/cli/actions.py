@@ -55,7 +55,7 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
     """
     offers = list(_offers(where, file, drivers=drivers))
     if name:
-        offers = _find_offers(offers, list(_of_drivers()), name)
+        offers = _find_offers(offers, list(_list_drivers()), name)
     if action:
         offers = [_only(offer, action) for offer in offers]
     if as_json:
@@ -73,15 +73,15 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
 
 def _offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[Offer]:
     from labos.core.ids import local
-    from labos.spec.about import described
+    from labos.spec.about import find_description
 
     modules = [] if drivers else _modules(where, file)
     if not modules:
-        yield from _of_drivers()
+        yield from _list_drivers()
         return
     known = _descriptions()
     for module in modules:
-        found = described(module, known)
+        found = find_description(module, known)
         if found is not None:
             yield Offer(local(module.name), module.driver, found.description, _sort_actions(found))
 
@@ -108,7 +108,7 @@ def _modules(where: Where, file: str | None) -> list[ModuleSpec]:
         return []
 
 
-def _of_drivers() -> Iterator[Offer]:
+def _list_drivers() -> Iterator[Offer]:
     for name, found in sorted(_descriptions().items()):
         yield Offer(name, name, found.description, _sort_actions(found))
 

@@ -83,7 +83,7 @@ def command(
 
     configure_logs("warning")
     keep_private()
-    settings = Settings.of(
+    settings = Settings.make(
         home,
         database,
         http_port=http_port,

@@ -223,7 +223,7 @@ def main(argv: list[str] | None = None) -> int:
     except (OSError, LabosError) as error:
         if os.environ.get("LABOS_DEBUG") == "1":
             raise
-        known = error if isinstance(error, LabosError) else _of_the_system(error)
+        known = error if isinstance(error, LabosError) else _describe_system_error(error)
         if "--json" in (sys.argv[1:] if argv is None else argv):
             _show_error(known)
         click.echo(f"labos: {known}", err=True)
@@ -246,7 +246,7 @@ def _show_misuse(error: click.ClickException) -> None:
     show_json({"error": error.format_message(), "remedy": remedy, "code": "misused", "details": []})
 
 
-def _of_the_system(error: OSError) -> SystemFailed:
+def _describe_system_error(error: OSError) -> SystemFailed:
     """What a file, a folder or the network refuses, in the shape of our own errors."""
     what = f"{error.filename}: " if error.filename else ""
     reason = error.strerror or str(error) or type(error).__name__

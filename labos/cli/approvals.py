@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who, why_option
+from labos.cli._options import find_user, home_option, json_option, user_option, why_option
 from labos.cli._out import show_json, show_table, tell
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
@@ -193,7 +193,7 @@ def approve(
                 _show(told)
             if not yes and sys.stdin.isatty():
                 click.confirm(f"Approve {subject}?", abort=True)
-        approved = client.approve(subject, who(user), digest, comment=why, **wanted)
+        approved = client.approve(subject, find_user(user), digest, comment=why, **wanted)
     facts = {"subject": subject, "approved": True, "digest": approved}
     tell(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts, as_json=as_json)
 
@@ -210,7 +210,7 @@ def refuse(subject: str, why: str, user: str | None, home: str | None, as_json: 
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        refused = client.refuse(subject, who(user), comment=why)
+        refused = client.refuse(subject, find_user(user), comment=why)
     facts = {"subject": subject, "approved": False, "digest": refused}
     tell(f"{subject} is refused.", facts, as_json=as_json)
 

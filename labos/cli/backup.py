@@ -65,7 +65,7 @@ def command(
     with open_database(where) as store:
         made = backup(
             store,
-            open_blobs(Settings.of(where.home, where.url).blobs),
+            open_blobs(Settings.make(where.home, where.url).blobs),
             folder,
             key=key,
             simulated=bool(known.get("simulated", (where.home / "world").is_dir())),

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.cli._query import Where, log_options, open_database, open_log
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
@@ -55,12 +55,12 @@ def declare(
     if not told and not empty:
         raise click.UsageError("Name stations (STATION=TYPE), a file, or say --empty.")
     with need_lab(home) as client:
-        found = client.declare(told, who(user), workcell=workcell, empty=empty)
+        found = client.declare(told, find_user(user), workcell=workcell, empty=empty)
     if as_json:
         show_json(found)
         return
     for name, types in found.items():
-        click.echo(f"{name}: {_counted(types)}")
+        click.echo(f"{name}: {_count_types(types)}")
     if not found:
         click.echo("Everything was declared before.")
 
@@ -153,12 +153,12 @@ def round_(
         if not words and not as_json:
             show(view)
             if sys.stdin.isatty() and sys.stdout.isatty():
-                ask(client, who(user))
+                ask(client, find_user(user))
                 only_say = only_say or not click.confirm("Is that all, and is everybody out?")
         finish = not (only_say or (as_json and not words))
         found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}
         if words or finish:
-            found = say(client, view, words, who(user), finish=finish)
+            found = say(client, view, words, find_user(user), finish=finish)
         answered = found["answered"]
         if answered:  # nothing is asked any more
             view = {**view, "stations": [{**station, "said": True} for station in view["stations"]]}
@@ -234,6 +234,6 @@ def _in_file(path: str) -> list[tuple[str, list[str]]]:
     return found
 
 
-def _counted(types: Sequence[str]) -> str:
+def _count_types(types: Sequence[str]) -> str:
     counts = {kind: types.count(kind) for kind in types}
     return ", ".join(f"{number} × {kind}" for kind, number in counts.items()) or "empty"

@@ -9,7 +9,7 @@ import click
 from labos.cli._bookings import in_words, show_bookings
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput
 
@@ -109,7 +109,7 @@ def add(
             target,
             begin,
             parse_when(ends, now, where, after=begin),
-            who(user),
+            find_user(user),
             whom=whom or "",
             maintenance=maintenance,
             why=why or "",
@@ -179,7 +179,7 @@ def change(
         if last is not None:
             changes["last_at"] = parse_when(last, now, where)
         told = {name: value for name, value in changes.items() if value is not None}
-        found = client.change_booking(booking, who(user), **told)
+        found = client.change_booking(booking, find_user(user), **told)
     _tell(found, as_json)
 
 
@@ -204,7 +204,7 @@ def cancel(
 
     with need_lab(home) as client:
         begins_at = _time_on(client, booking, on) if on else 0
-        client.cancel_booking(booking, who(user), begins_at=begins_at, why=why or "")
+        client.cancel_booking(booking, find_user(user), begins_at=begins_at, why=why or "")
     told = f"{booking} is cancelled{f' on {on}' if on else ''}."
     tell(told, {"booking": booking, "begins_at": begins_at, "cancelled": True}, as_json=as_json)
 

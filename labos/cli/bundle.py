@@ -82,4 +82,4 @@ def make_bundle_of(
         ) from None
     beside = Attachments(parse_note(note), stamp, Keys(where.home).rotations(), words)
     with open_database(where) as store:
-        return make_bundle(store, open_blobs(Settings.of(where.home, where.url).blobs), subject, beside)
+        return make_bundle(store, open_blobs(Settings.make(where.home, where.url).blobs), subject, beside)

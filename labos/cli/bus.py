@@ -67,7 +67,7 @@ def command(
     guard = None
     if secure or cert is not None:
         keep_private()
-        settings = Settings.of(home, addresses=address, authority=pki)
+        settings = Settings.make(home, addresses=address, authority=pki)
         own = cert.absolute() if cert is not None else None
         guard = Guard(Identity("bus"), settings, runs_bus=True, own=own)
     where = listen or (f"{'tls' if guard is not None else 'tcp'}/{LISTEN}",)

@@ -14,11 +14,11 @@ from labos.cli._liveness import say_if_dead
 from labos.cli._options import (
     ENDED_SHOWN,
     all_option,
+    find_user,
     home_option,
     json_option,
     propose_option,
     user_option,
-    who,
     why_option,
 )
 from labos.cli._out import show_json, show_table, tell
@@ -63,7 +63,7 @@ def submit(file: str, user: str | None, request: str, propose: bool, home: str |
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        told = client.submit_campaign(file, user=who(user), request=request, propose=propose)
+        told = client.submit_campaign(file, user=find_user(user), request=request, propose=propose)
     if as_json:
         show_json(told)
         return
@@ -88,7 +88,7 @@ def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        answer = client.forecast_campaign(file, user=who(user))
+        answer = client.forecast_campaign(file, user=find_user(user))
     told, forecast = answer["estimate"], answer["forecast"]
     if as_json:
         show_json({**told, "forecast": forecast})
@@ -169,7 +169,7 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
         "seen by": {"lab": "", "group": "the group of its user", "private": "its user"}[story.visibility],
         "clone of": found.cloned_from,
         "archived": "yes" if story.archived else "",
-        **_expected(where, story),
+        **_find_expected(where, story),
     }
     show_table(("what", found.id), [(what, text) for what, text in lines.items() if text])
 
@@ -212,7 +212,7 @@ def pause(campaign: str, user: str | None, why: str, home: str | None, as_json: 
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        client.pause_campaign(campaign, who(user), why=why)
+        client.pause_campaign(campaign, find_user(user), why=why)
     tell(f"{campaign} is paused.", {"campaign": campaign, "paused": True}, as_json=as_json)
 
 
@@ -226,7 +226,7 @@ def resume(campaign: str, user: str | None, home: str | None, as_json: bool) -> 
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        client.resume_campaign(campaign, who(user))
+        client.resume_campaign(campaign, find_user(user))
     tell(f"{campaign} goes on.", {"campaign": campaign, "paused": False}, as_json=as_json)
 
 
@@ -242,7 +242,7 @@ def archive(campaign: str, user: str | None, undo: bool, home: str | None, as_js
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        client.archive_campaign(campaign, who(user), undo=undo)
+        client.archive_campaign(campaign, find_user(user), undo=undo)
     told = f"{campaign} stands in lists again." if undo else f"{campaign} is archived."
     tell(told, {"campaign": campaign, "archived": not undo}, as_json=as_json)
 
@@ -259,7 +259,7 @@ def cancel(campaign: str, user: str | None, why: str, stay: bool, home: str | No
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        client.cancel_campaign(campaign, who(user), why=why, stay=stay)
+        client.cancel_campaign(campaign, find_user(user), why=why, stay=stay)
     tell(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True}, as_json=as_json)
 
 
@@ -277,7 +277,7 @@ def amend(
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        terms = client.amend_campaign(campaign, who(user), **terms_wanted)
+        terms = client.amend_campaign(campaign, find_user(user), **terms_wanted)
         if client.approval:
             click.echo(f"labos: {client.approval}", err=True)
     if as_json:
@@ -324,7 +324,7 @@ def clone(
     with need_lab(home) as client:
         told = client.clone_campaign(
             campaign,
-            who(user),
+            find_user(user),
             request=request,
             name=name,
             visibility=visibility,
@@ -341,7 +341,7 @@ def clone(
     click.echo(told["campaign"] or f"{estimate['rows']} rows of {estimate['workflow']} can be carried out.")
 
 
-def _expected(where: Where, story: CampaignHistory) -> dict[str, str]:
+def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
     """When a campaign that goes on starts and ends, if a lab runs that can say so."""
     from labos.cli._forecast import show_campaign
     from labos.cli._lab import need_lab_of

@@ -10,7 +10,7 @@ from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_database
 from labos.errors import StoreUnavailable
 from labos.services.times import show_time
-from labos.services.trust.keys import given_keys
+from labos.services.trust.keys import read_given_keys
 from labos.services.trust.publish import PublishResult, Targets, publish
 from labos.services.trust.tree import read_tree
 
@@ -85,7 +85,7 @@ def command(
     Each is a signed note in the form of C2SP tlog-checkpoint; a copy stays in checkpoints/ of the lab's
     folder.
     """
-    targets = Targets(places, witnesses, tuple(given_keys(witness_keys)), stamp)
+    targets = Targets(places, witnesses, tuple(read_given_keys(witness_keys)), stamp)
     if follow:
         _follow(where, targets, every, seconds, as_json)
         return

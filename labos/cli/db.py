@@ -21,7 +21,7 @@ from labos.store import (
     migrate,
     raise_epoch,
     scrub_words,
-    shown_url,
+    show_url,
 )
 
 
@@ -91,7 +91,7 @@ def upgrade(where: Where, as_json: bool) -> None:
 @command.command("restored")
 @json_option
 @log_options
-def restored(where: Where, as_json: bool) -> None:
+def record_restored(where: Where, as_json: bool) -> None:
     """Record that this database was restored from a copy made by other means than labos backup. Its next
     kernel has a greater epoch than any that the nodes have seen, and starts nothing before a person has
     checked the bench (labos bench round). How far the log reached before no longer counts. Refused while
@@ -114,7 +114,7 @@ def writer(where: Where, role: str) -> None:
     then connects as the role."""
     grant_writer(where.url, role)
     click.echo(
-        f"{role} may write the log in {shown_url(where.url)}: add records, move the head, keep snapshots."
+        f"{role} may write the log in {show_url(where.url)}: add records, move the head, keep snapshots."
     )
     click.echo("It may not change, delete or truncate records, nor upgrade the tables: the owner does that.")
 
@@ -143,13 +143,13 @@ def scrub(where: Where, as_json: bool) -> None:
 def url(where: Where, as_json: bool) -> None:
     """Which database is used, its password hidden: --database, LABOS_DATABASE_URL, the one of
     the lab's kernel, or labos.db in the lab's folder, the first of these that there is."""
-    tell(shown_url(where.url), {"url": shown_url(where.url)}, as_json=as_json)
+    tell(show_url(where.url), {"url": show_url(where.url)}, as_json=as_json)
 
 
 def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "name": found.name,
-        "url": shown_url(where.url),
+        "url": show_url(where.url),
         "state": found.state,
         "revision": found.revision,
         "expected": found.expected,
@@ -185,4 +185,4 @@ def _meaning(found: DatabaseStatus) -> str:
 
 
 def _advise_backup(where: Where) -> None:
-    click.echo(f"Have a backup first: labos backup FOLDER --database {shown_url(where.url)}", err=True)
+    click.echo(f"Have a backup first: labos backup FOLDER --database {show_url(where.url)}", err=True)

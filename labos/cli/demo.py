@@ -54,7 +54,7 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
 
     folder = Path(home) if home else _fresh_folder()
     keep_private()
-    settings = Settings.of(folder, database, name="demo", speed=speed, simulate=True, seed=seed)
+    settings = Settings.make(folder, database, name="demo", speed=speed, simulate=True, seed=seed)
     _expect_new(settings, given=database is not None)
     cell = read_workcell("rpl")
     what = {name: _first_sentence(known.description) for name, known in descriptions().items()}
@@ -202,7 +202,7 @@ def _short_path(folder: Path) -> str:
 def _fresh_folder() -> Path:
     from labos.settings import Settings
 
-    base = Settings.of().home
+    base = Settings.make().home
     number = 1
     while (folder := base / ("demo" if number == 1 else f"demo-{number}")).exists():
         number += 1

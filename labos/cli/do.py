@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import json_option, lab_options, user_option, wait_option, who
+from labos.cli._options import find_user, json_option, lab_options, user_option, wait_option
 from labos.errors import BadInput
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -131,10 +131,10 @@ def _carry_out(
     from labos.client import step_text
     from labos.settings import Settings
 
-    settings = Settings.of(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
+    settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     job = Job(
         step_text(module, action, arguments),
-        user=who(user),
+        user=find_user(user),
         workcell=workcell or module.rpartition("/")[0],
         placed=placed,
         priority=priority,

@@ -31,7 +31,7 @@ from labos.services.times import show_time
 from labos.services.trust.places import newest_in
 from labos.services.trust.publish import FOLDER
 from labos.settings import KernelInfo, Settings, find_kernel, is_free, last_kernel, last_ports
-from labos.store import database_file, database_status, lease_holder, shown_url
+from labos.store import database_file, database_status, lease_holder, show_url
 from labos.version import VERSION
 
 MARKS = {"ok": "ok     ", "warning": "WARNING", "fault": "FAULT  "}
@@ -83,7 +83,7 @@ def _examine(where: Where) -> Iterator[Finding]:
     disk = file.parent if file is not None and file.parent.is_dir() else where.home
     yield from _examine_safely("disk space", lambda: check_space(disk))
     yield from _examine_safely("disk sync", lambda: check_sync(disk))
-    authority = Authority(Settings.of(where.home).pki)
+    authority = Authority(Settings.make(where.home).pki)
     private = [where.home, *(where.home / name for name in PRIVATE), *authority.private_files()]
     yield from _examine_safely("permissions", lambda: check_permissions(private))
     yield from _certificates(authority)
@@ -109,14 +109,14 @@ def _database(where: Where) -> Finding:
     try:
         found = database_status(where.url)
     except LabosError as error:
-        told = f"The database {shown_url(where.url)} cannot be used: {error.message}"
+        told = f"The database {show_url(where.url)} cannot be used: {error.message}"
         return Finding("database", "fault", told, error.remedy)
     told = f"The {found.name} is at revision {found.revision or 'none'}; this LabOS needs {found.expected}."
     match found.state:
         case "current":
             return Finding("database", "ok", told)
         case "missing" | "empty":
-            told = f"There is no log in {shown_url(where.url)} yet."
+            told = f"There is no log in {show_url(where.url)} yet."
             return Finding("database", "warning", told, "labos up makes one. Or is another --home meant?")
         case "older":
             return Finding("database", "fault", told, "Take a backup, then: labos db upgrade")

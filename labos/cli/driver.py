@@ -154,13 +154,13 @@ def _skeleton(folder: Path, name: str) -> dict[Path, str]:
         "NAME": name,
     }
 
-    def filled(text: str) -> str:
+    def fill(text: str) -> str:
         for word, value in words.items():
             text = text.replace(word, value)
         return text
 
     return {
-        folder / _rename(path, words): filled(path.read_text(encoding="utf-8"))
+        folder / _rename(path, words): fill(path.read_text(encoding="utf-8"))
         for path in sorted(SKELETON.rglob("*"))
         if path.suffix in (".py", ".md", ".toml", ".yaml")
     }

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._query import Where
 from labos.cli._remote import lab_of
@@ -66,19 +66,19 @@ def command(
         raise click.UsageError("--because CODE belongs to positions or to --for USER, which need it.")
     with need_lab(home) as client:
         if refuse:
-            client.refuse_erasure(refuse, who(user))
+            client.refuse_erasure(refuse, find_user(user))
             tell(f"{refuse} is not done.", {"erasure": refuse}, as_json=as_json)
             return
         if not asks:
             _show(client.erasures(), as_json=as_json)
             return
         if approve:
-            done = client.approve_erasure(approve, who(user))
+            done = client.approve_erasure(approve, find_user(user))
         else:
             assert because is not None
-            done = client.erase_words(because, who(user), records=list(records), user=author or "")
+            done = client.erase_words(because, find_user(user), records=list(records), user=author or "")
     if done["erased"] and not lab_of(home):
-        forget_erased(Where(Settings.of(home).home))
+        forget_erased(Where(Settings.make(home).home))
     tell(_sentence(done), done, as_json=as_json)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import cert_option, home_option, json_option, user_option, who
+from labos.cli._options import cert_option, find_user, home_option, json_option, user_option
 
 PATIENCE_S = 2.0
 """How long a kernel may take to be found before the nodes are told without it."""
@@ -54,7 +54,7 @@ def command(
 
     if (target is None) is not everything:
         raise click.UsageError("Name one module or workcell, or say --all.")
-    report = _stop(target or "*", connect, cert, who(user), home)
+    report = _stop(target or "*", connect, cert, find_user(user), home)
     stopped, silent = sorted(report["stopped"]), report["silent"]
     if as_json:
         show_json(report)
@@ -82,7 +82,7 @@ def _stop(
     if not connect and (url := lab_of(home)):
         with LabClient(url, patience_s=PATIENCE_S) as client:
             return client.emergency_stop(target, by)
-    folder = Settings.of(home).home
+    folder = Settings.make(home).home
     last = last_kernel(folder)
     if not connect and find_kernel(folder) is not None:
         try:
@@ -95,7 +95,7 @@ def _stop(
     if connect or last is None:
         return _past_the_kernel(connect, cert, target, by)
     if cert is None and last.bus.startswith("tls/"):
-        cert = Authority(Settings.of(home).pki).credentials(Identity("kernel", lab=last.lab)).folder
+        cert = Authority(Settings.make(home).pki).credentials(Identity("kernel", lab=last.lab)).folder
     return _past_the_kernel((last.bus,), cert, target, by, last.lab)
 
 

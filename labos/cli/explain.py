@@ -109,7 +109,7 @@ def _usual(state: LabState, story: RunHistory, index: int) -> str:
     """How long a step takes as a rule, where that is not what was planned."""
     run = state.runs.get(RunId(story.id))
     steps = state.runs.plan_of(run).steps if run is not None else ()
-    known = state.lengths.of(steps[index], state.lab.pace) if index < len(steps) else None
+    known = state.lengths.estimate(steps[index], state.lab.pace) if index < len(steps) else None
     if known is None:
         return ""
     usual_s, planned_s = known.usual * state.lab.pace / 1e9, steps[index].duration_s

@@ -284,7 +284,7 @@ def _open_sink(
         if "://" in to:
             raise BadInput(f"{to} is no target for events.", remedy="Name a file, or kafka://BROKER/TOPIC.")
         return JsonLines(Path(to))
-    topic = Topic.of(to)
+    topic = Topic.parse(to)
     if position_file is None and where.lab:
         raise BadInput(
             "The position of the topic has no place here: the lab is on another computer.",

@@ -123,7 +123,7 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
             "Unused files are looked for in the lab's folder, on its own computer.",
             remedy="Use --home there.",
         )
-    blobs = open_blobs(Settings.of(where.home, where.url).blobs)
+    blobs = open_blobs(Settings.make(where.home, where.url).blobs)
     if keep_days is not None and not isinstance(blobs, FolderBlobs):
         raise BadInput(
             "Files in an object store are not removed by LabOS.",

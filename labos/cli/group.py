@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, show_table
 from labos.cli._people import in_words, lab_at
 
@@ -37,7 +37,7 @@ def command() -> None:
 def add(name: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Add a group, without members and of weight 1."""
     with lab_at(home) as client:
-        client.add_group(name, who(user))
+        client.add_group(name, find_user(user))
         _tell(client.groups(), name, as_json)
 
 
@@ -49,7 +49,7 @@ def add(name: str, user: str | None, home: str | None, as_json: bool) -> None:
 def remove(name: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Remove a group and its roles. Its members are in no group then."""
     with lab_at(home) as client:
-        client.remove_group(name, who(user))
+        client.remove_group(name, find_user(user))
     if as_json:
         show_json({"group": name, "removed": True})
 
@@ -90,7 +90,7 @@ def members() -> None:
 def add_member(name: str, member: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Add a user to a group: its share of the lab, and its roles."""
     with lab_at(home) as client:
-        client.add_member(name, member, who(user))
+        client.add_member(name, member, find_user(user))
         _tell(client.groups(), name, as_json)
 
 
@@ -103,7 +103,7 @@ def add_member(name: str, member: str, user: str | None, home: str | None, as_js
 def remove_member(name: str, member: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Take a user out of a group."""
     with lab_at(home) as client:
-        client.remove_member(name, member, who(user))
+        client.remove_member(name, member, find_user(user))
         _tell(client.groups(), name, as_json)
 
 

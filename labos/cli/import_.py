@@ -96,7 +96,7 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
     outcome = read_all(Path(path), Path(output), descriptions())
     _write(outcome, force=force)
     if as_json:
-        show_json(_shown(outcome))
+        show_json(_show(outcome))
     else:
         _tell(outcome)
     if outcome.refused:
@@ -155,7 +155,7 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
             )
         )  # fmt: skip
         if found.kind == "workflow" and path.is_dir():
-            outcome.copied += _named_files(source, path.resolve(), output)
+            outcome.copied += _find_named_files(source, path.resolve(), output)
     read_too = {Path(file.source).resolve() for file in outcome.written}
     read_too |= {Path(left.source).resolve() for left in outcome.refused}
     copies = {file.target: file for file in outcome.copied if Path(file.source) not in read_too}
@@ -163,7 +163,7 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
     return outcome
 
 
-def _named_files(workflow: Source, root: Path, output: Path) -> Iterator[CopiedFile]:
+def _find_named_files(workflow: Source, root: Path, output: Path) -> Iterator[CopiedFile]:
     """The files of the folder that a workflow names in its arguments."""
     here = Path(workflow.file).resolve().parent
     for text in sorted(set(texts_in(workflow.data))):
@@ -219,7 +219,7 @@ def _write(outcome: ImportOutcome, *, force: bool) -> None:
             raise BadInput(f"{target} cannot be written: {error.strerror or error}.") from None
 
 
-def _shown(outcome: ImportOutcome) -> dict[str, Any]:
+def _show(outcome: ImportOutcome) -> dict[str, Any]:
     shown: dict[str, Any] = msgspec.to_builtins(outcome)
     for file in shown["written"]:
         del file["text"]

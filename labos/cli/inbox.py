@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, json_option, read_result, user_option, who, why_option
+from labos.cli._options import find_user, home_option, json_option, read_result, user_option, why_option
 from labos.cli._query import Where, log_options, open_log
 from labos.core.topics import PlannedWork
 
@@ -114,6 +114,6 @@ def confirm(
                 remedy=f"Answer it with `labos resolve {intervention} CHOICE`.",
             )
         choice = "not_done" if not_done else "done"
-        client.resolve(intervention, choice, who(user), why, read_result(result))
+        client.resolve(intervention, choice, find_user(user), why, read_result(result))
     told = f"{intervention} is confirmed{' as not done' if not_done else ''}."
     tell(told, {"id": intervention, "choice": choice}, as_json=as_json)

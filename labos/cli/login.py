@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import home_option, json_option, who
+from labos.cli._options import find_user, home_option, json_option
 from labos.cli._out import show_json, tell
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def login(
         except NotFound:
             if device or code:
                 raise
-            found = _by_password(client, who(user or os.environ.get("LABOS_USER")), label, scope, days)
+            found = _by_password(client, find_user(user or os.environ.get("LABOS_USER")), label, scope, days)
         keep_token(place, found["token"])
     until = iso_time(found["until"])[:16]
     facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
@@ -134,13 +134,13 @@ def _lab(url: str, home: str | None, token: str = "") -> LabClient:
     """The lab at an address, or the one that other commands would ask. Raises BadInput for what is none."""
     from labos.cli._lab import need_lab
     from labos.client import LabClient
-    from labos.settings import checked_url
+    from labos.settings import check_url
 
     if not url:
         return need_lab(home, token)
     if home:
         raise click.UsageError("Name the lab by its URL or by --home.")
-    return LabClient(checked_url(url, "What you say"), token=token)
+    return LabClient(check_url(url, "What you say"), token=token)
 
 
 @click.command("whoami")
@@ -157,7 +157,7 @@ def whoami(home: str | None, as_json: bool) -> None:
         show_json(found)
         return
     if found["how"] == "open":
-        click.echo(f"{who(None)} (by your login: {HOW['open']}, and everybody may do everything)")
+        click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and everybody may do everything)")
         return
     until = f", until {iso_time(found['until'])[:16]}" if found["until"] else ""
     name = f" ({found['name']})" if found["name"] else ""

@@ -13,7 +13,7 @@ import click
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
-from labos.cli._options import cert_option, home_option, json_option, user_option, who, why_option
+from labos.cli._options import cert_option, find_user, home_option, json_option, user_option, why_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
@@ -90,7 +90,7 @@ def start(
 
     configure_logs("info")
     keep_private()
-    settings = Settings.of(home)
+    settings = Settings.make(home)
     if not simulate:
         _expect_home(settings, home)
     asyncio.run(
@@ -156,10 +156,10 @@ def reset_epoch(
 
     if epoch is None and position is None:
         raise click.UsageError("Say what is wrong: --epoch, --position or both.")
-    path = Settings.of(home).journal(module)
+    path = Settings.make(home).journal(module)
     if not path.exists():
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    was, now = asyncio.run(_correct(path, epoch, position, cut_name(who(user)), cut(why)))
+    was, now = asyncio.run(_correct(path, epoch, position, cut_name(find_user(user)), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
     tell(f"{path}: {now} (it was {was}).", facts, as_json=as_json)
 
@@ -181,7 +181,7 @@ def trace_command(module: str, off: bool, user: str | None, home: str | None, as
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        file = client.trace(module, who(user), on=not off)
+        file = client.trace(module, find_user(user), on=not off)
     told = f"{module}: {'written to' if not off else 'no more is written to'} {file}"
     tell(told, {"module": module, "file": file, "on": not off}, as_json=as_json)
 
@@ -204,7 +204,7 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
     """
     from labos.node.unit import forget_unit, keep_unit, read_known_unit
 
-    settings = Settings.of(home)
+    settings = Settings.make(home)
     journal, file = settings.journal(module), settings.unit(module)
     if not journal.exists():
         raise NotFound(f"There is no journal {journal}.", remedy="Name WORKCELL/MODULE, and its --home.")
@@ -250,7 +250,7 @@ async def _correct(
             at_ns=clock.now_ns(),
             why=why,
         )
-        await journal.synced()
+        await journal.sync()
         return was, JournalFacts(journal.epoch, journal.pruned)
     finally:
         await journal.close()

@@ -59,7 +59,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
         known = _last_known(where)
     else:
         with need_lab_of(where) as client:
-            known = [_named(one) for one in client.state(waits=False)["modules"]]
+            known = [_drop_old_name(one) for one in client.state(waits=False)["modules"]]
     if as_json:
         show_json(known)
         return
@@ -71,13 +71,13 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
     from labos.cli._out import show_json, show_table
 
     with need_lab_of(where) as client:
-        found = [_named(one) for one in client.check_nodes(names)]
+        found = [_drop_old_name(one) for one in client.check_nodes(names)]
     if as_json:
         show_json(found)
     else:
         show_table(
             ("module", "answers", "driver", "labos", "unit", "firmware", "sees"),
-            [_checked(one) for one in found],
+            [_list_columns(one) for one in found],
         )
         for one in found:
             if one["answer"] not in ("IDLE", "BUSY"):
@@ -87,12 +87,12 @@ def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
         raise SystemExit(FAILED)
 
 
-def _named(one: dict[str, Any]) -> dict[str, Any]:
+def _drop_old_name(one: dict[str, Any]) -> dict[str, Any]:
     """What the API tells of a module, without the field that was replaced by `module`."""
     return {key: value for key, value in one.items() if key != "name"}
 
 
-def _checked(one: dict[str, Any]) -> tuple[str, ...]:
+def _list_columns(one: dict[str, Any]) -> tuple[str, ...]:
     checked = one["checked"]
     if checked is None:
         return (one["module"], one["answer"], "", "", "", "", "")

@@ -153,7 +153,7 @@ def _look(where: Where, notifier: Notifier) -> None:
 
 
 def _settings(where: Where) -> Settings:
-    return Settings.of(where.home, where.url)
+    return Settings.make(where.home, where.url)
 
 
 def _lab_id(where: Where) -> str:

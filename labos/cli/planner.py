@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import click
 
-from labos.cli._options import user_option, who
+from labos.cli._options import find_user, user_option
 from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.errors import LabosError
 
@@ -86,7 +86,7 @@ def command(
     from labos.runtime.follower import Follower
 
     expect_solver()
-    asker, planner, watch = who(user), Planner(seconds=seconds, level=level), Watch()
+    asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), Watch()
     next_look: dict[str, float] = {}
     with orderly(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # which it only reads

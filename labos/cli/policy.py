@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, show_table
 from labos.cli.approvals import policy_lines
 from labos.cli.shares import read_file
@@ -30,7 +30,7 @@ def command(file: str | None, user: str | None, home: str | None, as_json: bool)
 
     with need_lab(home) as client:
         if file is not None:
-            client.apply_policy(read_file(file), file, who(user))
+            client.apply_policy(read_file(file), file, find_user(user))
         told = client.policy()
     if as_json:
         show_json(told)

@@ -70,7 +70,7 @@ def command(
             _walk(steps(records, state, 1, None), state, beside)
         else:
             names = Catalogue()
-            for step in steps(_named(records, names), state, first or 1, last):
+            for step in steps(_learn_names(records, names), state, first or 1, last):
                 _show(step, names, beside, as_json)
             _expect(log, state, first)
 
@@ -161,7 +161,7 @@ def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-def _named(records: Iterator[Record], names: Catalogue) -> Iterator[Record]:
+def _learn_names(records: Iterator[Record], names: Catalogue) -> Iterator[Record]:
     for record in records:
         names.learn(event_of(record))
         yield record

@@ -26,7 +26,7 @@ from labos.store import (
     first_damage,
     forget_end,
     key_of,
-    leapt_epoch,
+    leap_epoch,
     open_accounts,
     open_blobs,
     put_accounts_back,
@@ -36,7 +36,7 @@ from labos.store import (
     records_of,
     refuse_to_overwrite,
     restore_log,
-    shown_url,
+    show_url,
     verify_backup,
 )
 
@@ -147,13 +147,13 @@ def put_back(
     found, state = verify_backup(folder, key=key)
     people = read_accounts_copy(folder, found.lab, key)
     target, source = (
-        blobs or open_blobs(Settings.of(where.home, where.url).blobs),
+        blobs or open_blobs(Settings.make(where.home, where.url).blobs),
         FolderBlobs(folder / "blobs"),
     )
     for name in found.blobs:
         target.put(source.get(name))
-    epoch = leapt_epoch(found.epoch, now_ns())
-    gone = _erased_since(found.lab, _with_own(lists, where))
+    epoch = leap_epoch(found.epoch, now_ns())
+    gone = _read_erased(found.lab, _with_own(lists, where))
     words = _without_erased(read_words_copy(folder), gone)
     head = restore_log(where.url, records_of(folder, found), found.lab, epoch, words)
     forget_end(where.home)  # it was put back on purpose
@@ -181,7 +181,7 @@ def put_back(
         finally:
             accounts.close()
     if not kernel_file(where.home):
-        place = str(Settings.of(where.home, where.url).blobs)
+        place = str(Settings.make(where.home, where.url).blobs)
         info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)
         announce(where.home, info)
     return Restored(
@@ -191,7 +191,7 @@ def put_back(
         state=written,
         epoch=epoch,
         blobs=len(found.blobs),
-        database=shown_url(where.url),
+        database=show_url(where.url),
         recorded_at=head.recorded_at,
         users=people.users if people is not None else 0,
     )
@@ -203,7 +203,7 @@ def _with_own(lists: Sequence[Path], where: Where) -> Sequence[Path]:
     return (*lists, own) if own.exists() else lists
 
 
-def _erased_since(lab: str, lists: Sequence[Path]) -> dict[str, int]:
+def _read_erased(lab: str, lists: Sequence[Path]) -> dict[str, int]:
     """The references that lists of erasures name, and the positions of the events. Raises BadInput."""
     known = [each for file in lists for each in read_erasures(file) if each.lab == lab]
     return {each.reference: each.position for each in known}

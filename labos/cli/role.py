@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, show_table
 from labos.cli._people import lab_at, role_choice, scope_of, subject_of, workcell_option
 from labos.core.lab import WHOLE_LAB
@@ -44,7 +44,7 @@ def grant(
 ) -> None:
     """Give a user, or a group, a role. It takes the place of the role that they have there."""
     with lab_at(home) as client:
-        client.grant_role(subject_of(subject), role, who(user), scope=scope_of(workcell))
+        client.grant_role(subject_of(subject), role, find_user(user), scope=scope_of(workcell))
     if as_json:
         show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": role})
 
@@ -58,7 +58,7 @@ def grant(
 def revoke(subject: str, workcell: str | None, user: str | None, home: str | None, as_json: bool) -> None:
     """Take a role away that was granted, in a workcell or in the whole lab."""
     with lab_at(home) as client:
-        client.revoke_role(subject_of(subject), who(user), scope=scope_of(workcell))
+        client.revoke_role(subject_of(subject), find_user(user), scope=scope_of(workcell))
     if as_json:
         show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": ""})
 

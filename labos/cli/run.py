@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from labos.cli._complete import completes
-from labos.cli._options import json_option, lab_options, user_option, who
+from labos.cli._options import find_user, json_option, lab_options, user_option
 from labos.cli._payload import payload_option
 from labos.core.ids import local
 
@@ -80,9 +80,9 @@ def command(
     from labos.settings import Settings
 
     values = read_payload(payloads)
-    settings = Settings.of(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
+    settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     text = workflow_text(workflow, values)
-    job = Job(text, values, who(user), workcell or "", placed, priority, simulate, workflow)
+    job = Job(text, values, find_user(user), workcell or "", placed, priority, simulate, workflow)
     url = "" if database else lab_of(home)
     if dry_run:
         forecast(job, home, as_json=as_json)

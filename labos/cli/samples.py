@@ -11,7 +11,7 @@ import click
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
-from labos.cli._options import home_option, user_option, who
+from labos.cli._options import find_user, home_option, user_option
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
 from labos.core.wells import well_index
@@ -61,7 +61,7 @@ def load(
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        found = client.load_samples(sheet, who(user), labware=plate, station=station, replace=replace)
+        found = client.load_samples(sheet, find_user(user), labware=plate, station=station, replace=replace)
     if as_json:
         show_json(found)
         return

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from labos.cli._options import json_option, user_option, who
+from labos.cli._options import find_user, json_option, user_option
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.core.shares import Quota
@@ -33,7 +33,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
         from labos.cli._lab import need_lab_of
 
         with need_lab_of(where) as client:
-            client.apply_shares(read_file(file), file, who(user))
+            client.apply_shares(read_file(file), file, find_user(user))
     with open_log(where) as store:
         accounts = ledger(fold_to(store, store.head().position), now_ns())
     if as_json:

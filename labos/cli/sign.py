@@ -70,10 +70,11 @@ def _line(signature: dict[str, object]) -> str:
     comment = f": {signature['why']}" if signature["why"] else ""
     broken = "" if signature["holds"] else " - THE RECORD IS ANOTHER NOW"
     when = str(signature["time"])[:19].replace("T", " ")
-    return f"{when} UTC  {signature['by']} signed {_what(signature)}: {signature['meaning']}{comment}{broken}"
+    what = _describe_subject(signature)
+    return f"{when} UTC  {signature['by']} signed {what}: {signature['meaning']}{comment}{broken}"
 
 
-def _what(signature: dict[str, object]) -> str:
+def _describe_subject(signature: dict[str, object]) -> str:
     """``R7``; ``E3 with 4 runs``."""
     if signature["kind"] == "run":
         return str(signature["subject"])

@@ -80,9 +80,9 @@ def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place
     """The stations of a state; of modules or stations with these names only, if there are any.
     Raises click.UsageError for a name that no station bears."""
     stories = labware_histories(log, state.position) if state.bench.labware else {}
-    found = [(name, station) for name, station in stations_of(state) if not names or _named(name, names)]
+    found = [(name, station) for name, station in stations_of(state) if not names or _is_named(name, names)]
     for wanted in names:
-        if not any(_named(name, (wanted,)) for name, _ in found):
+        if not any(_is_named(name, (wanted,)) for name, _ in found):
             raise click.UsageError(f"No station or module of this lab is called {wanted!r}.")
     return [_place(state, name, station, stories) for name, station in found]
 
@@ -94,7 +94,7 @@ def _is_bare(place: Place, names: tuple[str, ...]) -> bool:
     return bare and not any(name in (known, local(StationName(known))) for name in names for known in own)
 
 
-def _named(station: StationName, names: tuple[str, ...]) -> bool:
+def _is_named(station: StationName, names: tuple[str, ...]) -> bool:
     owners = [StationName(station[:dot]) for dot, letter in enumerate(station) if letter == "."]
     known = (station, *owners, *map(local, (station, *owners)), workcell_of(station))
     return any(name in known for name in names)

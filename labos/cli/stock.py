@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, user_option, who
+from labos.cli._options import find_user, home_option, user_option
 from labos.cli._out import show_json
 from labos.cli._query import json_option
 
@@ -32,7 +32,7 @@ def load(
     from labos.cli._lab import need_lab, stands_at
 
     with need_lab(home) as client:
-        names = client.load(station, labware, who(user), count=count, lot=lot)
+        names = client.load(station, labware, find_user(user), count=count, lot=lot)
         where = stands_at(client, names)
     if as_json:
         show_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
@@ -75,7 +75,7 @@ def unload(
     if sum((labware is not None, count is not None, everything)) != 1:
         raise click.UsageError("Name one piece of labware, or --count N, or --all.")
     with need_lab(home) as client:
-        gone = client.unload(station, who(user), labware=labware or "", count=count)
+        gone = client.unload(station, find_user(user), labware=labware or "", count=count)
     if as_json:
         show_json({"station": station, **gone})
         return
@@ -121,7 +121,7 @@ def replenish(
     with need_lab(home) as client:
         number, unit = _amount(amount)
         pack = {"amount": number, "unit": unit, "lot": lot, "expires": expires, "instead": instead}
-        added = client.replenish(module, resource, who(user), **pack)  # type: ignore[arg-type]
+        added = client.replenish(module, resource, find_user(user), **pack)  # type: ignore[arg-type]
     if as_json:
         show_json({"module": module, "resource": resource, "amount": added, "lot": lot, "expires": expires})
         return

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, json_option, propose_option, user_option, wait_option, who
+from labos.cli._options import find_user, home_option, json_option, propose_option, user_option, wait_option
 from labos.cli._payload import payload_option
 
 
@@ -55,7 +55,7 @@ def command(
         run = client.submit(
             workflow,
             values,
-            user=who(user),
+            user=find_user(user),
             workcell=workcell,
             priority=priority,
             experiment=experiment,

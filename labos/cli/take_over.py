@@ -47,7 +47,7 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
     from labos.settings import Settings, find_kernel
     from labos.store import open_store
 
-    settings = Settings.of(home)
+    settings = Settings.make(home)
     running = find_kernel(settings.home)
     if running is None:
         raise NotFound(

@@ -8,7 +8,7 @@ import click
 import msgspec
 
 from labos.cli._complete import completes
-from labos.cli._options import home_option, json_option, user_option, who, why_option
+from labos.cli._options import find_user, home_option, json_option, user_option, why_option
 
 
 @click.command("teach")
@@ -50,7 +50,7 @@ def teach(
     except ValueError:
         raise click.BadParameter(f"{pose!r} is no list of numbers.", param_hint="--pose") from None
     with need_lab(home) as client:
-        version = client.teach(module, station, numbers, who(user), why, labware_type=kind)
+        version = client.teach(module, station, numbers, find_user(user), why, labware_type=kind)
     what = f"{station} with a {kind}" if kind else station
     facts = {"module": module, "station": station, "type": kind, "version": version}
     tell(f"{module} finds {what} by version {version}.", facts, as_json=as_json)
@@ -93,7 +93,7 @@ def _locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
     from labos.cli._remote import lab_of
     from labos.settings import Settings, find_kernel
 
-    settings = Settings.of(home)
+    settings = Settings.make(home)
     if lab_of(home) or find_kernel(settings.home) is not None:
         with need_lab(home) as client:
             return client.locations(module)

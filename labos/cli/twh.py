@@ -49,7 +49,7 @@ def command(where: Where, run: str, experiment: str, workcell: str, losses: bool
         now = lab_now(where.url, store.head())
         found = account(store.read(), now) if losses else None
         report = found.twh if found is not None else measure(store.read(), now)
-    shown = chosen(report, run, experiment, workcell)
+    shown = choose_scopes(report, run, experiment, workcell)
     if found is not None:
         (why_as_json if as_json else show_why)(found, shown)
     elif as_json:
@@ -66,7 +66,7 @@ def _show(report: Report, shown: list[Twh]) -> None:
     show_table(columns, [_row(twh, report.pace) for twh in shown])
 
 
-def chosen(report: Report, run: str, experiment: str, workcell: str) -> list[Twh]:
+def choose_scopes(report: Report, run: str, experiment: str, workcell: str) -> list[Twh]:
     """The scopes asked for; without a choice the lab, all workcells and experiments, and the
     last runs. Raises NotFound."""
     found: list[Twh] = []

@@ -186,7 +186,7 @@ def command(
 
     configure_logs("warning")
     keep_private()
-    settings = Settings.of(
+    settings = Settings.make(
         home,
         database,
         speed=speed,
@@ -253,9 +253,9 @@ def command(
 
 
 def _stand_by(settings: Settings) -> None:
-    from labos.store import shown_url
+    from labos.store import show_url
 
-    click.echo(f"Standing by for the lab in {shown_url(settings.database)}. Ctrl-C ends it.")
+    click.echo(f"Standing by for the lab in {show_url(settings.database)}. Ctrl-C ends it.")
 
 
 def _runs_elsewhere(settings: Settings) -> bool:

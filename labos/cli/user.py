@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._people import in_words, lab_at, lab_or_its_folder, role_choice, scope_of, workcell_option
 from labos.services.times import show_time
@@ -58,7 +58,7 @@ def add(
     if workcell and not role:
         raise click.UsageError("--workcell says where a --role counts.")
     with lab_or_its_folder(home) as client:
-        by = who(user)
+        by = find_user(user)
         is_first = not client.users()
         client.add_user(
             name, by, kind="service" if service else "person", role=role, scope=scope_of(workcell)
@@ -127,7 +127,7 @@ def disable(name: str, user: str | None, home: str | None, as_json: bool) -> Non
     """Let a user do nothing any more. Runs under way and runs that wait go on, campaigns are paused. Users
     are never removed, because the log speaks of them."""
     with lab_at(home) as client:
-        client.disable_user(name, who(user))
+        client.disable_user(name, find_user(user))
         found = client.user(name) if as_json else {}
     if as_json:
         show_json(found)
@@ -141,7 +141,7 @@ def disable(name: str, user: str | None, home: str | None, as_json: bool) -> Non
 def enable(name: str, user: str | None, home: str | None, as_json: bool) -> None:
     """Let a user who was disabled act again."""
     with lab_at(home) as client:
-        client.enable_user(name, who(user))
+        client.enable_user(name, find_user(user))
         found = client.user(name) if as_json else {}
     if as_json:
         show_json(found)

@@ -15,7 +15,7 @@ from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import key_option
-from labos.core.seals import broken_seal, sealed
+from labos.core.seals import add_seal, check_seal
 from labos.core.state import state_hash
 from labos.errors import BadInput, LabosError, LogDamaged, Refused
 from labos.services.checkpoint import Checkpoint, checkpoint_of, contradiction, read_checkpoint
@@ -160,7 +160,7 @@ def command(
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
     with open_database(where) as store:
         seen = read_checkpoint(file) if file is not None and not signed and file.exists() else None
-        end = sealed(checkpoint_of(store), key)
+        end = add_seal(checkpoint_of(store), key)
         with _progress(as_json) as progress:
             damage = first_damage(store, progress)
         against = contradiction(store, seen) if seen is not None else ""
@@ -174,7 +174,7 @@ def command(
         fault = f"Position {damage.position}: {damage.reason}." if damage else ""
         if against and not fault:
             fault = f"The log contradicts the checkpoint: {against}."
-        if seen is not None and (broken := broken_seal(seen, key)):
+        if seen is not None and (broken := check_seal(seen, key)):
             fault = f"The checkpoint cannot be trusted: {broken}."
         more = surplus(store, nodes) if nodes and not fault else []
         if more and not fault:
@@ -193,7 +193,7 @@ def command(
                 "head": end,
                 "compared_with": seen or compared,
                 "parts": [
-                    Part("log", damage.position if damage else end.position, _of_log(fault, end)),
+                    Part("log", damage.position if damage else end.position, _describe_log(fault, end)),
                     *parts,
                 ],
                 "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
@@ -233,7 +233,7 @@ def _first_position(
 
 def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
     """What there is beside the chain; what cannot be looked at is a fault too."""
-    settings = Settings.of(where.home, where.url)
+    settings = Settings.make(where.home, where.url)
     looks: tuple[tuple[str, Callable[[], Part]], ...] = (
         ("database", lambda: check_database(store)),
         ("end", lambda: check_end(store)),
@@ -252,7 +252,7 @@ def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
     return found
 
 
-def _of_log(fault: str, end: Checkpoint) -> str:
+def _describe_log(fault: str, end: Checkpoint) -> str:
     return fault or f"{end.position} records, each follows from the one before."
 
 

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import home_option, json_option, user_option, who
+from labos.cli._options import find_user, home_option, json_option, user_option
 from labos.spec import Finding
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
@@ -52,13 +52,15 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
     with need_lab(home) as client:
         source = read(path, last_wins=True)
         labware, files = labware_files(source), table_files(source, descriptions())
-        found = client.apply_workcell(text, str(path), who(user), dry_run=True, labware=labware, files=files)
+        found = client.apply_workcell(
+            text, str(path), find_user(user), dry_run=True, labware=labware, files=files
+        )
         if not as_json:
             _show(found)
         if not dry_run and _changes(found):
             if not (yes or as_json or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
-            found = client.apply_workcell(text, str(path), who(user), labware=labware, files=files)
+            found = client.apply_workcell(text, str(path), find_user(user), labware=labware, files=files)
             if not as_json:
                 click.echo(f"{found['workcell']} is changed.")
     if as_json:

@@ -170,7 +170,7 @@ class Experiment(LoggedEvents):
         taken, record = self._take("run", workflow, key), self._record
         request, told = record.request_of(taken), workflow_text(workflow, payload)
         with record.asking(taken):
-            run = record.known_run(taken, request, told, payload)
+            run = record.find_run(taken, request, told, payload)
             if run:
                 result = self.lab.wait(run, progress=progress)
             else:
@@ -362,7 +362,7 @@ class Experiment(LoggedEvents):
         options: Mapping[str, Any],
     ) -> str:
         told, record = workflow_text(workflow, payload), self._record
-        known = record.known_run(key, request, told, payload)
+        known = record.find_run(key, request, told, payload)
         if known:
             self.lab.warnings = []
             return known

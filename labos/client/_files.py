@@ -119,12 +119,12 @@ def _files_beside(path: Path, text: str, payload: Mapping[str, Any]) -> Iterator
 
 
 def _files_in(folder: Path, names: set[str]) -> Iterator[tuple[str, bytes]]:
-    from labos.spec.files import is_within, named_by
+    from labos.spec.files import find_logical, is_within
 
     for told in sorted(names):
         if "\n" in told or len(told) > 255:
             continue
-        name = named_by(told, folder)
+        name = find_logical(told, folder)
         try:
             file = (folder / name).resolve()
             if file.is_file() and file.stat().st_size <= LARGEST_FILE and is_within(file, folder):

@@ -123,7 +123,7 @@ def _carry_out(
             }
             said["error"] = _one_line(error.error)
             record.keep(f"{this} failed", "flow", flow.name, said)
-            if record.known(f"{key}/{step.name}#{attempt + 1}") is None:
+            if record.find_note(f"{key}/{step.name}#{attempt + 1}") is None:
                 time.sleep(min(pause, LONGEST_WAIT_S))
             pause *= 2
         else:

@@ -30,7 +30,7 @@ def run_flow(record: Record, key: Key, flow: GlobusFlow, given: Mapping[str, Any
     before = record.keep(f"{key} started", "flow", flow.name, begun)["facts"]
     if {name: before.get(name) for name in now} != now:
         raise ReplayMismatch(record.experiment, key, before, begun)
-    ended = record.known(f"{key} ended")
+    ended = record.find_note(f"{key} ended")
     for attempt in range(1, flow.attempts + 1):
         if ended is not None:
             break
@@ -78,7 +78,7 @@ def transfer(
             remedy="Give configure_transfer(globus=labos.services.globus.GlobusCarrier(…)) before.",
         )
     said = {"source": str(source), "target": str(target)}
-    known = record.known(key)
+    known = record.find_note(key)
     if known is None:
         begun = perf_counter()
         places = GlobusPlace.of(said["source"]), GlobusPlace.of(said["target"])
@@ -110,7 +110,7 @@ def ingest(record: Record, key: Key, index: GlobusIndex, content: Mapping[str, A
     """Put a publication into an index. Raises GlobusError."""
     from labos.services.globus import ingest_once
 
-    if record.known(f"{key} indexed") is not None:
+    if record.find_note(f"{key} indexed") is not None:
         return
     subject = f"labos:{record.past.seed}/{key}"
     task = attempts_of(record, key, "Globus Search", lambda sent: ingest_once(index, sent, subject, content))
@@ -124,7 +124,7 @@ def attempts_of(record: Record, key: Key, service: str, once: Callable[[SentToSe
     from labos.services.globus import GlobusFailed
 
     attempt = 1
-    while record.known(f"{key} attempt {attempt} failed") is not None:
+    while record.find_note(f"{key} attempt {attempt} failed") is not None:
         attempt += 1
     sent = record.sent(f"{key} attempt {attempt}", service)
     try:

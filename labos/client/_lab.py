@@ -85,7 +85,7 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
             image = Image.open(io.BytesIO(content))
             image.load()
         except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
-            raise BadInput(f"{_shown(file)} is no picture ({error}).", remedy="Use file(…).") from None
+            raise BadInput(f"{_show_file(file)} is no picture ({error}).", remedy="Use file(…).") from None
         return image
 
     def table(self, file: str | Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -95,7 +95,7 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         try:
             return rows_of(self.file(file).decode("utf-8-sig"))
         except (UnicodeDecodeError, ValueError) as error:
-            raise BadInput(f"{_shown(file)} is no table ({error}).", remedy="Use file(…).") from None
+            raise BadInput(f"{_show_file(file)} is no table ({error}).", remedy="Use file(…).") from None
 
     def events(
         self, after: int = 0, *, follow: bool = False, wait_s: float | None = None, **filters: Any
@@ -167,5 +167,5 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         return str(answer["experiment"])
 
 
-def _shown(file: str | Mapping[str, Any]) -> str:
+def _show_file(file: str | Mapping[str, Any]) -> str:
     return str(file.get("file", file.get("sha256", ""))) if isinstance(file, Mapping) else file

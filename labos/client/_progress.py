@@ -34,7 +34,9 @@ def _console() -> Console:
 
 
 @contextmanager
-def shown(progress: Progress, planned_s: Mapping[str, float]) -> Iterator[Callable[[RunResult], None] | None]:
+def show_progress(
+    progress: Progress, planned_s: Mapping[str, float]
+) -> Iterator[Callable[[RunResult], None] | None]:
     """What shows how far a run is, each time that it is called; None if nothing is to be shown. ``planned_s``
     are the nominal durations of steps by key, by which they are weighed."""
     if not can_show(progress):

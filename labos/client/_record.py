@@ -95,7 +95,7 @@ class Record:
         """The key of the request for a run."""
         return request_of(self.experiment, key)
 
-    def known_run(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> str:
+    def find_run(self, key: Key, request: str, told: Mapping[str, Any], payload: Any) -> str:
         """The run that the log has for a request; empty if it has none. Raises ReplayMismatch."""
         recorded = self.past.runs.get(request)
         if recorded is None:
@@ -110,7 +110,7 @@ class Record:
             yield
         except KeyReused:
             self._past_again()
-            self.known_run(key, request, told, payload)
+            self.find_run(key, request, told, payload)
             raise
 
     # -- notes -------------------------------------------------------------------------------
@@ -121,14 +121,14 @@ class Record:
         with self.asking(key):
             check_note(self.experiment, self.keep(key, kind, name, facts), facts)
 
-    def known(self, key: str) -> dict[str, Any] | None:
+    def find_note(self, key: str) -> dict[str, Any] | None:
         """What the log has under the key of a note, as far as it has been read."""
         return self.past.notes.get(key)
 
     def keep(self, key: str, kind: str, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
         """Log a note under its key, once; returns what the log has under it."""
         lab, user = self._of.lab, self._of.user
-        while (known := self.known(key)) is None:
+        while (known := self.find_note(key)) is None:
             try:
                 lab.note(self.experiment, kind, name, facts, user, key=str(key))
             except (LabUnreachable, CommitInDoubt):
@@ -143,7 +143,7 @@ class Record:
     def decide(self, key: Key, name: str, function: Callable[[], Any]) -> Any:
         """What a function returns, or has returned."""
         with self.asking(key):
-            known = self.known(key)
+            known = self.find_note(key)
             if known is None:
                 known = self.keep(key, "decision", name, self.json_as_facts(as_json(function())))
             return self.json_of(known["facts"])
@@ -214,7 +214,7 @@ class SentToService:
         }
 
     def _facts(self, key: str) -> dict[str, Any] | None:
-        note = self._record.known(key)
+        note = self._record.find_note(key)
         return None if note is None else note["facts"]
 
     def _keep(self, key: str, facts: Mapping[str, Any]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ class ReplayMismatch(LabosError):
     def __init__(self, experiment: str, key: str, recorded: Any, now: Any) -> None:
         super().__init__(
             f"{experiment} has another {key!r} in the log than the program asks for now. "
-            f"In the log: {_shown(recorded)}. Now: {_shown(now)}.",
+            f"In the log: {_shorten(recorded)}. Now: {_shorten(now)}.",
             remedy="Ask for clocks, files and chance by experiment.decide or experiment.random, so that they "
             "are the same again; give calls that change places a key of their own.",
         )
@@ -205,6 +205,6 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]
 
 
-def _shown(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = value if isinstance(value, str) else msgspec.json.encode(value).decode()
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"

@@ -13,7 +13,7 @@ from labos import errors
 from labos.client._calls import LONG_POLL_S
 from labos.client._files import step_text, workflow_text
 from labos.client._generated import GeneratedCalls
-from labos.client._progress import SHOWN_S, Progress, can_show, shown
+from labos.client._progress import SHOWN_S, Progress, can_show, show_progress
 from labos.client._results import RunResult
 from labos.errors import BadInput
 
@@ -162,7 +162,7 @@ class RunCalls(GeneratedCalls):
         self, run: str, timeout_s: float | None, progress: Progress, planned_s: Mapping[str, float]
     ) -> RunResult:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        with shown(progress, planned_s) as show:
+        with show_progress(progress, planned_s) as show:
             while True:
                 left_s = LONG_POLL_S if deadline is None else max(deadline - time.monotonic(), 0.0)
                 result = self.status(run, wait_s=min(left_s, SHOWN_S if show else LONG_POLL_S))

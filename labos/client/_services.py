@@ -49,7 +49,7 @@ class Computations:
         from labos.services.compute import Computing
 
         what = plain_digest({"args": args, "named": named})
-        known = self._record.known(key)
+        known = self._record.find_note(key)
         if known is not None:
             return self._replay(known, function, args, named, what)
         if self._computing is None:
@@ -91,7 +91,7 @@ class Computations:
                 self._record.experiment,
                 known["key"],
                 f"{known['name']} of arguments {told[:12]}",
-                f"{function_name(function)} of arguments {what[:12]}, {_shown_arguments(args, named)}",
+                f"{function_name(function)} of arguments {what[:12]}, {_show_arguments(args, named)}",
             )
         done: Future[Any] = Future()
         if "error" in facts:
@@ -114,10 +114,10 @@ class Computations:
 
     def _tell(self, key: str, kind: str, computed: Computed, what: str) -> Any:
         """The event is in the log before the application has the result."""
-        from labos.services.compute._work import encoded
+        from labos.services.compute._work import encode
 
         measured = computed.measured
-        form, content = encoded(measured.value)
+        form, content = encode(measured.value)
         facts: dict[str, Any] = {
             "code": computed.code,
             "arguments": computed.arguments,
@@ -168,6 +168,6 @@ def _failure(name: str, facts: Mapping[str, Any]) -> ComputeFailed:
     return ComputeFailed(name, facts["where"], facts["attempts"], error, code=code, arguments=arguments)
 
 
-def _shown_arguments(args: tuple[Any, ...], named: Mapping[str, Any]) -> str:
+def _show_arguments(args: tuple[Any, ...], named: Mapping[str, Any]) -> str:
     shown = [*map(repr, args), *(f"{name}={value!r}" for name, value in named.items())]
     return f"({', '.join(shown)})"[:LONGEST_SHOWN]

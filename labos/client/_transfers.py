@@ -43,8 +43,8 @@ class TransferFailed(LabosError):
 def transfer(record: Record, key: Key, source: Place, target: str | Path) -> Transferred:
     """Copy a file, read it again where it is now, and log both; or what the log has. Raises TransferFailed,
     ReplayMismatch."""
-    said = {"source": shown(source), "target": shown(target)}
-    known = record.known(key)
+    said = {"source": show_place(source), "target": show_place(target)}
+    known = record.find_note(key)
     if known is None:
         begun = perf_counter()
         digest, size = _copy(record, source, str(target))
@@ -57,7 +57,7 @@ def transfer(record: Record, key: Key, source: Place, target: str | Path) -> Tra
     return Transferred(**said, sha256=facts["sha256"], bytes=facts["bytes"])
 
 
-def shown(place: Place) -> str:
+def show_place(place: Place) -> str:
     """A place as it stands in the log: without passwords, and without what signs a URL."""
     if isinstance(place, Mapping):
         return f"lab:{place.get('sha256', '')}"
@@ -94,12 +94,14 @@ def _copy(record: Record, source: Place, target: str) -> tuple[str, int]:
             filesystem.mv(written, path)
     except (OSError, ImportError, ValueError) as error:
         raise TransferFailed(
-            f"{shown(source)} was not transferred to {shown(target)}: {type(error).__name__}: {error}.",
+            f"{show_place(source)} was not transferred to {show_place(target)}: "
+            f"{type(error).__name__}: {error}.",
             remedy="Nothing is in the log; transfer it again.",
         ) from error
     if arrived != digest:
         raise TransferFailed(
-            f"{shown(target)} is not what {shown(source)} is: its SHA-256 is {arrived}, not {digest}.",
+            f"{show_place(target)} is not what {show_place(source)} is: "
+            f"its SHA-256 is {arrived}, not {digest}.",
             remedy="Transfer it again.",
         )
     return digest, size

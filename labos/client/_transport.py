@@ -38,7 +38,7 @@ class Transport(Calls):
         token: str = "",
         behalf: str = "",
     ) -> None:
-        self._home = None if url else Settings.of(home).home
+        self._home = None if url else Settings.make(home).home
         self._url = url.rstrip("/")
         self._patience_s = patience_s
         self._token, self._behalf = token, behalf
@@ -121,7 +121,7 @@ class Transport(Calls):
             asked = time.monotonic()
             try:
                 base = self._base()
-                headers = {**own, **self._shown(base)}
+                headers = {**own, **self._make_headers(base)}
                 response = self._http.request(method, base + API + path, headers=headers, **options)
             except (httpx.ConnectError, httpx.ConnectTimeout) as error:
                 why: Exception = error
@@ -152,7 +152,7 @@ class Transport(Calls):
             time.sleep(pause)
             pause = min(pause * 2, 1.0)
 
-    def _shown(self, base: str) -> dict[str, str]:
+    def _make_headers(self, base: str) -> dict[str, str]:
         """The headers that say who asks. Raises BadInput for a file of tokens that others can read."""
         token = self._token or find_token(base, self._home)
         shown = {"authorization": f"Bearer {token}"} if token else {}

@@ -89,7 +89,7 @@ class Experiment:
 
     def _info(self, result: RunResult) -> RunInfo:
         folder = self.experiment_path / "runs" / result.id
-        told = {step.key: self._told(step.result, folder) for step in result.steps}
+        told = {step.key: self._describe_result(step.result, folder) for step in result.steps}
         return {
             "run_id": result.id,
             "run_dir": folder,
@@ -105,7 +105,7 @@ class Experiment:
             },
         }
 
-    def _told(self, result: Any, folder: Path) -> str:
+    def _describe_result(self, result: Any, folder: Path) -> str:
         if result is None:
             return ""
         if isinstance(result, Mapping) and isinstance(result.get("sha256"), str):

@@ -170,7 +170,7 @@ def _page(
         )
     if table:
         head = "".join(f"<th>{html.escape(str(name))}</th>" for name in table[0])
-        rows = ("".join(f"<td>{html.escape(_shown(value))}</td>" for value in row.values()) for row in table)
+        rows = ("".join(f"<td>{html.escape(_show(value))}</td>" for value in row.values()) for row in table)
         body.append(f"<table><tr>{head}</tr>" + "".join(f"<tr>{row}</tr>\n" for row in rows) + "</table>")
         body.append('<p>The numbers: <a href="data.csv">data.csv</a>.</p>')
     body.append(f"<p>The data: {html.escape(where)}.</p>")
@@ -182,5 +182,5 @@ def _page(
     )
 
 
-def _shown(value: Any) -> str:
+def _show(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)

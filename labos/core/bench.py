@@ -15,7 +15,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionSucceeded,
 )
-from labos.core.effects import AnyEffect, Carrying, carried, find_labware_used, hand_of, turn
+from labos.core.effects import AnyEffect, Carrying, find_labware_used, hand_of, list_carried, turn
 from labos.core.ids import (
     NOBODY,
     ActionId,
@@ -129,7 +129,7 @@ class Bench(msgspec.Struct):
     in_cell: dict[str, dict[StationName, bool]] = {}
     lost: dict[LabwareId, bool] = {}
 
-    def planned(self, place: StationName) -> StationName:
+    def as_planned(self, place: StationName) -> StationName:
         """A place as plans name it: a shelf's hotel, else the place itself."""
         station = self.stations.get(place)
         return station.spec.hotel or place if station is not None else place
@@ -139,7 +139,7 @@ class Bench(msgspec.Struct):
         """The id of the next labware that gets one."""
         return LabwareId(f"P{self.named + 1}")
 
-    def owned(self, owner: Owner) -> list[Labware]:
+    def list_owned(self, owner: Owner) -> list[Labware]:
         """Labware of an owner, oldest first."""
         return [self.labware[name] for name in self.by_owner.get(owner, ())]
 
@@ -363,7 +363,7 @@ def fold_intervention_requested(bench: Bench, event: InterventionRequested, at: 
     hand, places = hand_of(event.module), []
     match event.topic:
         case LostLabware():
-            takes = [effect for effect in carried(event.topic.motions) if effect.stock]
+            takes = [effect for effect in list_carried(event.topic.motions) if effect.stock]
             places = [place for take in takes for place in (take.source, hand, take.target)]
         case Unexpected():
             places = [event.topic.station]
@@ -380,7 +380,7 @@ def fold_action_requested(bench: Bench, event: ActionRequested, at: int) -> None
     if event.action in bench.reserved:
         return  # another attempt at the same action
     bench.reserved[event.action] = event.effects
-    for what in carried(event.effects):
+    for what in list_carried(event.effects):
         _expect(bench, what, 1)
         if what.stock:
             bench.named = max(bench.named, _number(what.labware))
@@ -402,7 +402,7 @@ def fold_action_ended(
 ) -> None:
     """What the action had reserved is free; its effects follow as events of their own."""
     effects = bench.reserved.pop(event.action, ())
-    for what in carried(effects):
+    for what in list_carried(effects):
         _expect(bench, what, -1)
     for name in find_labware_used(effects):
         labware = bench.labware.get(name)

@@ -26,8 +26,8 @@ from labos.core.effects import (
     Transfers,
     Unlid,
     arrivals,
-    carried,
     hand_of,
+    list_carried,
 )
 from labos.core.holding import find_other_holder, find_other_keeper
 from labos.core.ids import LabwareId, ModuleName, RunId, StationName, run_owner
@@ -194,7 +194,7 @@ class Start:
             if together or place in bench.shelves:  # for this one no shelf was left
                 names = (place, f"{number} arrivals at once")
                 return Wait(reasons.Occupied(*names), until_left_alone(self.state, place))
-        for stack, number in Counter(effect.stock for effect in carried(self.bound)).items():
+        for stack, number in Counter(effect.stock for effect in list_carried(self.bound)).items():
             if stack and number > len(bench.stations[stack].stock) - taking(bench, stack):
                 return Wait(reasons.StackEmpty(stack), (station_key(stack),))
         return None
@@ -243,7 +243,7 @@ class Start:
 def find_unreserved(state: LabState, module: ModuleName, resource: str) -> float | None:
     """What is left of a resource when everything in flight has used what it needs; None if
     nobody ever said how much there is."""
-    left = state.resources.left(module, resource)
+    left = state.resources.find_left(module, resource)
     if left is None:
         return None
     flying = map(state.actions.open.__getitem__, state.modules.by_name[module].in_flight)
@@ -342,7 +342,7 @@ def explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
 
 def _missing(state: LabState, run: RunState, place: StationName) -> Wait:
     """Nothing stands at a place; labware of this run that is being carried may yet come there."""
-    on_its_way = any(item.moving for item in state.bench.owned(run_owner(run.id)))
+    on_its_way = any(item.moving for item in state.bench.list_owned(run_owner(run.id)))
     why = reasons.StillToCome(place) if on_its_way else reasons.NothingThere(place)
     return Wait(why, (station_key(place),))
 

@@ -14,7 +14,7 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.bookings import Booking, Span
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, workcell_of
 from labos.core.model import PlanStep
 from labos.core.recurrence import DAY_NS, in_zone
@@ -38,7 +38,7 @@ def contacts(state: LabState, step: PlanStep) -> dict[ModuleName, bool]:
     found: dict[ModuleName, bool] = {}
     if step.exclusive:
         found[step.module] = False
-    for what in carried(step.effects):
+    for what in list_carried(step.effects):
         for place in what.entered:
             station = state.bench.stations.get(place)
             if station is None or not station.spec.module or station.spec.stands_apart:
@@ -60,7 +60,7 @@ def theirs(state: LabState, user: str, module: ModuleName, *, clears: bool = Fal
     if not state.bookings.open:
         return []
     group = state.shares.group_of.get(user, "")
-    found = (booking for booking in state.bookings.of(module) if not booking.is_for(user, group))
+    found = (booking for booking in state.bookings.list_for(module) if not booking.is_for(user, group))
     return [booking for booking in found if booking.maintenance or not clears]
 
 
@@ -77,7 +77,7 @@ def find_blocked(
 
 def _own(state: LabState, user: str, module: ModuleName) -> list[Booking]:
     group = state.shares.group_of.get(user, "")
-    return [booking for booking in state.bookings.of(module) if booking.is_for(user, group)]
+    return [booking for booking in state.bookings.list_for(module) if booking.is_for(user, group)]
 
 
 def _spans(others: Iterable[Booking], own: Iterable[Booking], since: int, until: int) -> list[Span]:
@@ -87,12 +87,12 @@ def _spans(others: Iterable[Booking], own: Iterable[Booking], since: int, until:
         for span in booking.spans(since, until):
             parts = [span]
             for cut in (cut for mine in later for cut in mine.spans(span.begins, span.ends)):
-                parts = [rest for part in parts for rest in _without(part, cut)]
+                parts = [rest for part in parts for rest in _cut_out(part, cut)]
             found += [part for part in parts if part.begins < until and part.ends > since]
     return sorted(found)
 
 
-def _without(span: Span, cut: Span) -> Iterator[Span]:
+def _cut_out(span: Span, cut: Span) -> Iterator[Span]:
     """What is left of a time when another is cut out."""
     if cut.ends <= span.begins or cut.begins >= span.ends:
         yield span

@@ -215,7 +215,7 @@ class Bookings(msgspec.Struct):
     def next_id(self) -> str:
         return f"B{self.named + 1}"
 
-    def of(self, module: ModuleName) -> list[Booking]:
+    def list_for(self, module: ModuleName) -> list[Booking]:
         """Those of a module and of its workcell."""
         places = (module, workcell_of(module))
         return [self.open[name] for place in places for name in self.on.get(place, ())]

@@ -258,7 +258,7 @@ class Campaigns(msgspec.Struct):
         known = self.restricted.get(campaign)
         return known.visibility if known is not None else "lab"
 
-    def of_run(self, run: str) -> Campaign | None:
+    def find_by_run(self, run: str) -> Campaign | None:
         """The campaign of a run that is alive."""
         member = self.members.get(RunId(run))
         return self.open[member] if member is not None else None
@@ -372,14 +372,14 @@ def fold_run_submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> No
 
 
 def fold_run_started(campaigns: Campaigns, event: RunStarted, at: int) -> None:
-    campaign = campaigns.of_run(event.run)
+    campaign = campaigns.find_by_run(event.run)
     if campaign is not None:
         campaign.runs[event.run] = True
         campaign.first_started_at = campaign.first_started_at or at
 
 
 def fold_run_ended(campaigns: Campaigns, event: RunCompleted | RunFailed | RunCancelled, at: int) -> None:
-    campaign = campaigns.of_run(event.run)
+    campaign = campaigns.find_by_run(event.run)
     if campaign is None:
         return
     del campaigns.members[event.run], campaign.runs[event.run]
@@ -418,7 +418,7 @@ def fold_action_ended(
     campaigns: Campaigns, event: ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled, at: int
 ) -> None:
     began = campaigns.clocks.pop(event.action, None)
-    campaign = campaigns.of_run(event.run)
+    campaign = campaigns.find_by_run(event.run)
     if campaign is None:
         return
     if began is not None:
@@ -433,7 +433,7 @@ def fold_action_ended(
 
 
 def fold_step_unexpected(campaigns: Campaigns, event: StepUnexpected, at: int) -> None:
-    campaign = campaigns.of_run(event.run)
+    campaign = campaigns.find_by_run(event.run)
     if campaign is not None:
         for key, step in campaign.reads.get(event.run, {}).items():
             if step == event.step:
@@ -441,7 +441,7 @@ def fold_step_unexpected(campaigns: Campaigns, event: StepUnexpected, at: int) -
 
 
 def fold_resource_consumed(campaigns: Campaigns, event: ResourceConsumed, at: int) -> None:
-    campaign = campaigns.of_run(event.run)
+    campaign = campaigns.find_by_run(event.run)
     if campaign is not None:
         campaign.used[event.resource] = campaign.used.get(event.resource, 0.0) + event.amount
 

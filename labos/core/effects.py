@@ -296,12 +296,12 @@ _PLACES = {
 """The fields of each kind of effect that name stations."""
 
 
-def carried(effects: Iterable[AnyEffect]) -> list[Move | Take]:
+def list_carried(effects: Iterable[AnyEffect]) -> list[Move | Take]:
     """Those of some effects by which something is carried."""
     return [effect for effect in effects if type(effect) in _CARRYING]  # type: ignore[misc]
 
 
-def moved(effects: Iterable[AnyEffect]) -> list[Move]:
+def list_moved(effects: Iterable[AnyEffect]) -> list[Move]:
     """Those of some effects by which labware is carried that had a name before."""
     return [effect for effect in effects if type(effect) in _MOVES]  # type: ignore[misc]
 
@@ -331,7 +331,7 @@ def types_at(effects: Iterable[AnyEffect], kind: str, plate: str) -> dict[Statio
     """Of what type the labware is that an arm meets at each station: ``kind``, which it carries, but where a
     lid is on its plate, ``plate``."""
     found: dict[StationName, str] = {}
-    for effect in carried(effects):
+    for effect in list_carried(effects):
         found |= dict.fromkeys(effect.entered, kind)
         if effect.lid:
             found[effect.plate_at] = plate
@@ -358,7 +358,7 @@ def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str],
     """Fill ``{argument}`` place-holders from ``args``; ``station`` turns a written place into
     a station's full name. Raises KeyError for an argument that is not there."""
 
-    def written(value: Any) -> Any:
+    def fill_in(value: Any) -> Any:
         if isinstance(value, str) and "{" in value and not is_reported(value):
             whole = value[1:-1]
             if value.startswith("{") and value.endswith("}") and "{" not in whole:
@@ -368,7 +368,7 @@ def resolve(effect: AnyEffect, args: Mapping[str, Any], station: Callable[[str],
 
     changes: dict[str, Any] = {}
     for field in effect.__struct_fields__:
-        value = written(getattr(effect, field))
+        value = fill_in(getattr(effect, field))
         if field in ("source", "target", "via", "stack", "station") and value:
             value = station(str(value))
         changes[field] = value
@@ -387,7 +387,7 @@ def arrivals(effects: Iterable[Effect]) -> list[StationName]:
 
 def changes_labware(effects: Iterable[AnyEffect]) -> bool:
     """Whether labware that is worked on is not as it was afterwards."""
-    return any(map(_changed, effects))
+    return any(map(_changes_labware, effects))
 
 
 def find_labware_changed(effects: Iterable[AnyEffect]) -> set[LabwareId]:
@@ -397,12 +397,12 @@ def find_labware_changed(effects: Iterable[AnyEffect]) -> set[LabwareId]:
     for effect in effects:
         if isinstance(effect, Carrying):
             found |= {effect.labware, effect.plate}
-        elif _changed(effect):
+        elif _changes_labware(effect):
             found.add(effect.labware)
     return found - {LabwareId("")}
 
 
-def _changed(effect: AnyEffect) -> TypeGuard[Sets | Transfers]:
+def _changes_labware(effect: AnyEffect) -> TypeGuard[Sets | Transfers]:
     return isinstance(effect, Transfers) or (isinstance(effect, Sets) and effect.of == "labware")
 
 

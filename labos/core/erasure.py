@@ -97,17 +97,17 @@ class Erasures(msgspec.Struct):
         return f"X{self.asked + 1}"
 
 
-def asked(erasures: Erasures, event: ErasureAsked, at: int) -> None:
+def fold_asked(erasures: Erasures, event: ErasureAsked, at: int) -> None:
     erasures.asked += 1
     erasures.open[event.erasure] = Erasure(event.because, event.by, event.records, event.user, at)
 
 
-def ended(erasures: Erasures, event: ErasureEvent, at: int) -> None:
+def fold_ended(erasures: Erasures, event: ErasureEvent, at: int) -> None:
     erasures.open.pop(event.erasure, None)
 
 
 HANDLERS: dict[Any, Callable[..., None]] = {
-    ErasureAsked: asked,
-    ErasureRefused: ended,
-    WordsErased: ended,
+    ErasureAsked: fold_asked,
+    ErasureRefused: fold_ended,
+    WordsErased: fold_ended,
 }

@@ -38,7 +38,7 @@ def in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | 
         for _, module, resource, amount in state.runs.plans[run.plan].uses_up:
             amounts[module, resource] = amounts.get((module, resource), 0.0) + amount
     for (module, resource), amount in amounts.items():
-        level = state.resources.of(module, resource)
+        level = state.resources.find(module, resource)
         if level is None or not any(lot.expires for lot in level.lots):
             continue
         known = state.modules.by_name.get(module)

@@ -117,7 +117,7 @@ class Interventions(msgspec.Struct):
         """The open questions about a subject, oldest first."""
         return [self.open[name] for name in self.by_subject.get(subject, ())]
 
-    def of_run(self, run: str) -> list[Intervention]:
+    def find_by_run(self, run: str) -> list[Intervention]:
         """The open questions that name a run, oldest first."""
         return [self.open[name] for name in self.by_run.get(run, ())]
 

@@ -10,7 +10,7 @@ from typing import Any
 from labos.core.actions import Action
 from labos.core.bench import Labware, Station
 from labos.core.campaigns import Campaign
-from labos.core.effects import arrivals, carried
+from labos.core.effects import arrivals, list_carried
 from labos.core.ids import ActionId, CampaignId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.modules import Module
 from labos.core.registry import Event
@@ -99,7 +99,7 @@ def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:
             return f"{name} holds {station.count} of {station.spec.capacity}"
         for labware in station.labware:
             known = state.bench.labware.get(labware)
-            if known is None or name not in (known.station, state.bench.planned(known.station)):
+            if known is None or name not in (known.station, state.bench.as_planned(known.station)):
                 return f"{labware} stands at {name} but knows nothing of it"
     return ""
 
@@ -108,7 +108,7 @@ def _count_seen_on_the_way(state: LabState, name: StationName, station: Station)
     """What was seen here while nobody knows how its motion ended, and is expected here too: it is one."""
     moving = [state.bench.labware[item].moving for item in station.labware if item in state.bench.labware]
     ways = [arrivals(state.bench.reserved.get(ActionId(action), ())) for action in moving if action]
-    return sum(name in way or name in map(state.bench.planned, way) for way in ways)
+    return sum(name in way or name in map(state.bench.as_planned, way) for way in ways)
 
 
 def _labware(state: LabState, labware: Mapping[LabwareId, Labware]) -> str:
@@ -190,7 +190,7 @@ def _indexes(state: LabState) -> str:
         return f"{', '.join(bench.lost)} count as lost, others are"
     if runs.ending.keys() != {n for n, run in runs.active.items() if run.is_ending}:
         return f"{', '.join(runs.ending)} count as ending, others are"
-    takes = Counter(e.stock for es in bench.reserved.values() for e in carried(es) if e.stock)
+    takes = Counter(e.stock for es in bench.reserved.values() for e in list_carried(es) if e.stock)
     for name, station in bench.stations.items():
         if station.taking != takes[name]:
             return f"{name} counts {station.taking} items being taken, not {takes[name]}"

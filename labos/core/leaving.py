@@ -15,7 +15,7 @@ import msgspec
 
 from labos.core.algebra import away_from_rest, carry, settings_after
 from labos.core.branches import order_of
-from labos.core.effects import Needs, Requires, Sets, carried
+from labos.core.effects import Needs, Requires, Sets, list_carried
 from labos.core.ids import ModuleName, StationName, run_owner
 from labos.core.model import ON_CANCEL, Plan, PlanStep
 from labos.core.runs import RunState, RunStatus
@@ -62,7 +62,7 @@ def way_out(plan: Plan, scene: Scene) -> tuple[int, ...]:
 
 
 def _is_needed(step: PlanStep, scene: Scene) -> bool:
-    for what in carried(step.effects):
+    for what in list_carried(step.effects):
         if what.stands:
             return all(scene.standing[place] > 0 for place in what.stands)
     needs = [effect for effect in step.effects if isinstance(effect, Needs)]
@@ -82,7 +82,7 @@ def _is_needed(step: PlanStep, scene: Scene) -> bool:
 
 
 def _carry_out(step: PlanStep, scene: Scene) -> None:
-    for what in carried(step.effects):
+    for what in list_carried(step.effects):
         carry(scene, what)
     doors = settings_after(step.effects).variables
     if doors:
@@ -94,7 +94,7 @@ def _carry_out(step: PlanStep, scene: Scene) -> None:
 
 def scene_of(state: LabState, run: RunState) -> Scene:
     """What a run finds on the bench."""
-    own = state.bench.owned(run_owner(run.id))
+    own = state.bench.list_owned(run_owner(run.id))
     cell = state.runs.plan_of(run).workcell
     modules = state.modules.within(cell)
     left = {
@@ -113,4 +113,4 @@ def scene_of(state: LabState, run: RunState) -> Scene:
 
 def has_lost_labware(state: LabState, run: RunState) -> bool:
     """Whether nobody knows where some of a run's labware is."""
-    return any(item.maybe for item in state.bench.owned(run_owner(run.id)))
+    return any(item.maybe for item in state.bench.list_owned(run_owner(run.id)))

@@ -68,7 +68,7 @@ class Lengths(msgspec.Struct):
 
     by_kind: dict[str, Times] = {}
 
-    def of(self, step: PlanStep, pace: float) -> Length | None:
+    def estimate(self, step: PlanStep, pace: float) -> Length | None:
         """How long steps like this have taken, if there were enough: with the same arguments; else with
         others, as part of what was planned."""
         times, is_part = self.times_of(step)

@@ -265,7 +265,7 @@ class Module(msgspec.Struct):
     def pose_of(self, station: StationName, labware_type: str = "") -> tuple[float, ...] | None:
         """Where the module finds a station with labware of a type (the type's own pose, or None), or
         without."""
-        known = self.taught_for(station, labware_type)
+        known = self.find_taught(station, labware_type)
         if known is not None:
             return known.pose
         written = self.spec.config
@@ -287,7 +287,7 @@ class Module(msgspec.Struct):
                 found.setdefault(kind, {})[local(station)] = list(taught.pose)
         return found
 
-    def taught_for(self, station: StationName, labware_type: str = "") -> Taught | None:
+    def find_taught(self, station: StationName, labware_type: str = "") -> Taught | None:
         """What it was taught since the workcell file, of just this station and type."""
         lessons = self.taught.get(station)
         if lessons is None:
@@ -415,7 +415,7 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
             reached.add(StationName(event.module))
         module.reached = tuple(sorted(reached))
     if event.args.get("slow") is True:
-        flight.proving = unproven(module, event.effects, event.args)
+        flight.proving = find_unproven(module, event.effects, event.args)
 
 
 def fold_action_reported(modules: Modules, event: ActionReported, at: int) -> None:
@@ -441,7 +441,7 @@ def fold_action_ended(
     elif isinstance(event, ActionSucceeded) and event.action == module.watched:
         module.doubted = False
     for station, labware_type in flight.proving:
-        taught = module.taught_for(station, labware_type)
+        taught = module.find_taught(station, labware_type)
         if isinstance(event, ActionSucceeded) and taught is not None:
             taught.proven = True
 
@@ -458,7 +458,7 @@ def fold_location_taught(modules: Modules, event: LocationTaught, at: int) -> No
         flight.proving = ()  # what is under way tries the pose before
 
 
-def unproven(
+def find_unproven(
     module: Module, effects: tuple[AnyEffect, ...], args: Mapping[str, Any]
 ) -> tuple[tuple[StationName, str], ...]:
     """The stations of effects whose newly taught pose no move has tried, each with the labware type if
@@ -469,7 +469,7 @@ def unproven(
     for name in sorted(places(effects)):
         kind = types.get(name, "")
         kind = kind if module.pose_of(name, kind) is not None else ""
-        taught = module.taught_for(name, kind)
+        taught = module.find_taught(name, kind)
         if taught is not None and not taught.proven:
             found.append((name, kind))
     return tuple(found)

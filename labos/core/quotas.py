@@ -59,7 +59,7 @@ def within_quota(state: LabState, run: RunState, now: int) -> Wait | None:
                 for index, _, resource, amount in uses_up(state.runs.plan_of(run).steps)
                 if resource == kind and state.runs.plan_of(run).steps[index].part == MAIN
             )
-            if needed and had.week.of(kind, now) + planned.amounts.get(kind, 0.0) + needed > most:
+            if needed and had.week.count_used(kind, now) + planned.amounts.get(kind, 0.0) + needed > most:
                 return Wait(reasons.Quota(whose, f"{most:g} {kind} a week"), (QUOTA_KEY,), tomorrow)
     return None
 

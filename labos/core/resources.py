@@ -72,13 +72,13 @@ class Resources(msgspec.Struct):
 
     levels: dict[str, Level] = {}
 
-    def of(self, module: ModuleName, resource: str) -> Level | None:
+    def find(self, module: ModuleName, resource: str) -> Level | None:
         """None if nobody ever said how much there is."""
         return self.levels.get(f"{module}:{resource}")
 
-    def left(self, module: ModuleName, resource: str) -> float | None:
+    def find_left(self, module: ModuleName, resource: str) -> float | None:
         """What is left, or None if nobody ever said."""
-        level = self.of(module, resource)
+        level = self.find(module, resource)
         return None if level is None else level.level
 
 
@@ -104,7 +104,7 @@ def charges(
     resources: Resources, module: ModuleName, resource: str, amount: float
 ) -> list[tuple[str, float]]:
     """Which lots an amount comes from, the oldest first. What no lot covers is charged to the youngest."""
-    level = resources.of(module, resource)
+    level = resources.find(module, resource)
     lots = level.lots if level is not None else []
     parts: list[tuple[str, float]] = []
     for lot in lots:
@@ -133,7 +133,7 @@ def fold_resource_replenished(resources: Resources, event: ResourceReplenished, 
 
 
 def fold_resource_consumed(resources: Resources, event: ResourceConsumed, at: int) -> None:
-    level = resources.of(event.module, event.resource)
+    level = resources.find(event.module, event.resource)
     if level is None:
         return
     level.level -= event.amount

@@ -255,7 +255,7 @@ def _check_supplies(state: LabState, run: RunState) -> Wait | None:
     for _, module, resource, amount in state.runs.plans[run.plan].uses_up:
         total[module, resource] = total.get((module, resource), 0.0) + amount
     for (module, resource), amount in total.items():
-        level = state.resources.of(module, resource)
+        level = state.resources.find(module, resource)
         if level is None:
             continue
         left = find_unreserved(state, module, resource)

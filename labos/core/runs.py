@@ -304,7 +304,7 @@ class Runs(msgspec.Struct):
                     break
         return found
 
-    def planned_by(self, plan: str) -> str:
+    def find_plan_stream(self, plan: str) -> str:
         """In whose stream a plan stands; empty if it is not known now."""
         known = self.plans.get(plan)
         return known.by if known is not None else ""
@@ -559,7 +559,7 @@ def _lets_go(runs: Runs, module: ModuleName, run: RunId) -> None:
 def _remember(runs: Runs, run: RunState) -> None:
     steps = runs.plan_of(run).steps
     past = runs.past.setdefault(run.experiment, {})
-    past[run.id] = Past(run.workflow, _ended_at(steps, run.steps))
+    past[run.id] = Past(run.workflow, _list_ends(steps, run.steps))
     if len(past) > PAST_KEPT:
         last = {known.workflow: name for name, known in past.items()}
         name = next((name for name, known in past.items() if last[known.workflow] != name), None)
@@ -567,7 +567,7 @@ def _remember(runs: Runs, run: RunState) -> None:
             del past[name]
 
 
-def _ended_at(plan: Sequence[PlanStep], steps: Sequence[StepState]) -> dict[str, int]:
+def _list_ends(plan: Sequence[PlanStep], steps: Sequence[StepState]) -> dict[str, int]:
     return {p.key: s.ended_at for p, s in zip(plan, steps, strict=True) if s.ended_at is not None}
 
 

@@ -17,12 +17,12 @@ from labos.core.canonical import canonical
 S = TypeVar("S", bound=msgspec.Struct)
 
 
-def sealed(document: S, key: bytes) -> S:
+def add_seal(document: S, key: bytes) -> S:
     """The document with its ``seal``; without a key, as it is."""
     return msgspec.structs.replace(document, seal=_digest(document, key)) if key else document
 
 
-def broken_seal(document: msgspec.Struct, key: bytes) -> str:
+def check_seal(document: msgspec.Struct, key: bytes) -> str:
     """What is wrong with a document's seal, in a few words; empty if nothing is, or if no key is given."""
     if not key:
         return ""

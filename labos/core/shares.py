@@ -98,7 +98,7 @@ class Week(msgspec.Struct):
         """Module time of the last seven days."""
         return sum(spent for day, spent in self.spent_ns.items() if day > now // DAY_NS - WEEK_DAYS)
 
-    def of(self, kind: str, now: int) -> float:
+    def count_used(self, kind: str, now: int) -> float:
         """What was used of a consumable in the last seven days."""
         days = [day for day in self.consumed if day > now // DAY_NS - WEEK_DAYS]
         return sum(self.consumed[day].get(kind, 0.0) for day in days)
@@ -233,7 +233,7 @@ def _had(shares: Shares, user: str) -> list[Had]:
     return [own, shares.group_had.get(group) or shares.group_had.setdefault(group, Had())]
 
 
-def _used(table: dict[str, Usage], name: str, at: int) -> Usage:
+def _find_usage(table: dict[str, Usage], name: str, at: int) -> Usage:
     """What somebody has used, to be added to."""
     return table.get(name) or table.setdefault(name, Usage(at=at))
 
@@ -274,10 +274,10 @@ def fold_action_ended(
     user = shares.users.get(event.run)
     if user is None:
         return
-    _used(shares.usage, user, at).add(at - began, at)
+    _find_usage(shares.usage, user, at).add(at - began, at)
     group = shares.group_of.get(user)
     if group is not None:
-        _used(shares.group_usage, group, at).add(at - began, at)
+        _find_usage(shares.group_usage, group, at).add(at - began, at)
     day = at // DAY_NS
     for had in _had(shares, user):
         had.week.forget_before(day)

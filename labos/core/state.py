@@ -85,16 +85,16 @@ def picture_with(data: bytes, change: Callable[[str], str]) -> bytes:
     """A picture with each of its texts changed. It is of no event any more, and is only to be shown."""
     codec: Any = msgspec.json if data[:1] == _WIDE else msgspec.msgpack
 
-    def changed(value: Any) -> Any:
+    def change_value(value: Any) -> Any:
         if isinstance(value, str):
             return change(value)
         if isinstance(value, list):
-            return [changed(item) for item in value]
+            return [change_value(item) for item in value]
         if isinstance(value, dict):
-            return {key: changed(item) for key, item in value.items()}
+            return {key: change_value(item) for key, item in value.items()}
         return value
 
-    return bytes(codec.encode(changed(codec.decode(data))))
+    return bytes(codec.encode(change_value(codec.decode(data))))
 
 
 def state_hash(state: LabState) -> str:

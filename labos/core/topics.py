@@ -11,7 +11,7 @@ from typing import ClassVar, TypeVar
 
 import msgspec
 
-from labos.core.effects import AnyEffect, Move, Needs, Reads, carried
+from labos.core.effects import AnyEffect, Move, Needs, Reads, list_carried
 from labos.core.ids import ActionId, ExperimentId, LabwareId, StationName, local
 
 NAMED = 8
@@ -109,7 +109,7 @@ class LostLabware(Topic, frozen=True, tag="lost_labware"):
     @property
     def choices(self) -> tuple[Choice, ...]:
         choices = [Choice("gone", "It was taken off the bench.")]
-        for effect in carried(self.motions):
+        for effect in list_carried(self.motions):
             choices.append(Choice("source", f"It stands at {local(effect.source)}."))
             choices.append(Choice("target", f"It stands at {local(effect.target)}."))
         return tuple(choices)

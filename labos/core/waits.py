@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.bench import Station
-from labos.core.effects import arrivals, carried
+from labos.core.effects import arrivals, list_carried
 from labos.core.ids import (
     SHARED,
     ModuleName,
@@ -84,8 +84,8 @@ def until_left_alone(state: LabState, place: StationName) -> tuple[str, ...]:
         for action in state.actions.within(workcell_of(place))
         if action.id in standing
         or place in arrivals(action.effects)
-        or (place in bench.shelves and any(bench.planned(p) == place for p in arrivals(action.effects)))
-        or any(what.stock == place for what in carried(action.effects))
+        or (place in bench.shelves and any(bench.as_planned(p) == place for p in arrivals(action.effects)))
+        or any(what.stock == place for what in list_carried(action.effects))
     ]
     return (station_key(place), *(module_key(module) for module in modules))
 

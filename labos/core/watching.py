@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 from labos.core import reasons
 from labos.core.actions import Action
-from labos.core.effects import AnyEffect, carried
+from labos.core.effects import AnyEffect, list_carried
 from labos.core.ids import StationName
 from labos.core.model import PlanStep
 from labos.core.modules import ModuleStatus
@@ -21,7 +21,7 @@ from labos.core.waits import Wait, module_key
 
 def ends(effects: Iterable[AnyEffect]) -> tuple[StationName, ...]:
     """The stations from which labware is taken, and where it is put down for good."""
-    places = [place for what in carried(effects) for place in (what.emptied, what.filled)]
+    places = [place for what in list_carried(effects) for place in (what.emptied, what.filled)]
     return tuple(dict.fromkeys(filter(None, places)))
 
 

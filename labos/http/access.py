@@ -17,7 +17,7 @@ from labos.errors import LabosError
 from labos.http.limits import Name
 from labos.http.service import LabService, WorkflowText
 from labos.http.stock import check
-from labos.spec.about import described
+from labos.spec.about import find_description
 
 PARKED_FIRST = 1_000_000
 """The priority of parking: somebody stands there and waits."""
@@ -69,7 +69,7 @@ def _parkable(service: LabService, state: LabState, cell: str) -> list[str]:
     """The manipulators of a workcell that can go home now, by their local names."""
     found = []
     for name, module in state.modules.by_name.items():
-        about = described(module.spec, service.parts.descriptions)
+        about = find_description(module.spec, service.parts.descriptions)
         if workcell_of(name) != cell or about is None or not about.manipulator:
             continue
         if (

@@ -75,7 +75,7 @@ class RunDetail(msgspec.Struct, frozen=True):
     busy: list[tuple[int, int]]
 
     @classmethod
-    def of(cls, story: RunHistory) -> RunDetail:
+    def make(cls, story: RunHistory) -> RunDetail:
         return cls(**{name: getattr(story, name) for name in cls.__struct_fields__})
 
 

@@ -59,7 +59,7 @@ def _other_routes(api: Api) -> list[Route]:
     async def describe(request: Request) -> Response:
         """The description of the API (OpenAPI 3.1)."""
         await api.gate.admit(request, "viewer", by_home=True)
-        return wire.encoded(_document())
+        return wire.answer_encoded(_document())
 
     async def probe(request: Request) -> Response:
         """Whether this process works: the kernel's, or one that serves the API for it. Probes show nothing,

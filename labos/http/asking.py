@@ -143,7 +143,7 @@ async def _ask(service: LabService, asked: str) -> NodeAnswer:
     except Unreadable as error:
         return NodeAnswer(name, "refused", error.message.rstrip("."))
     except NoAnswer:
-        return _unanswered(service, name)
+        return _explain_silence(service, name)
     if name in registry.rejected:
         return NodeAnswer(name, "refused", registry.rejected[name])
     if state.status == "ERROR":
@@ -153,7 +153,7 @@ async def _ask(service: LabService, asked: str) -> NodeAnswer:
     return NodeAnswer(name, "BUSY" if module.busy else state.status)
 
 
-def _unanswered(service: LabService, name: ModuleName) -> NodeAnswer:
+def _explain_silence(service: LabService, name: ModuleName) -> NodeAnswer:
     """A node that is gone, or one that is there and does not answer."""
     supervised = service.parts.supervised
     process = supervised.nodes.get(name) if supervised is not None else None

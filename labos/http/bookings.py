@@ -188,7 +188,7 @@ def bookings_of(service: LabService, target: str) -> list[Booking]:
         return list(state.bookings.open.values())
     if target in state.lab.workcells:
         return state.bookings.in_cell(target)
-    return state.bookings.of(service.module(target))
+    return state.bookings.list_for(service.module(target))
 
 
 def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarView:
@@ -228,7 +228,7 @@ def target_of(service: LabService, name: str) -> str:
 
 
 def terms_of(state: LabState, body: NewBooking) -> NewTerms:
-    user, group = _whom(state, body.whom, body.by)
+    user, group = _find_owner(state, body.whom, body.by)
     if body.maintenance and body.whom:
         raise BadInput("Maintenance is for nobody's runs.", remedy="Leave out for whom it is.")
     if body.maintenance:
@@ -246,15 +246,15 @@ def terms_of(state: LabState, body: NewBooking) -> NewTerms:
     )
 
 
-def changed_terms(state: LabState, booking: Booking, body: BookingChange) -> NewTerms:
+def change_terms(state: LabState, booking: Booking, body: BookingChange) -> NewTerms:
     """The terms of a booking with what somebody wants to change. Who moves its begin alone moves its end
     along."""
     user, group, maintenance = booking.user, booking.group, booking.maintenance
     if body.maintenance is not None:
         maintenance = body.maintenance
-        user, group = ("", "") if maintenance else _whom(state, "", body.by)
+        user, group = ("", "") if maintenance else _find_owner(state, "", body.by)
     if body.whom is not None:
-        user, group = _whom(state, body.whom, body.by)
+        user, group = _find_owner(state, body.whom, body.by)
         maintenance = False
     begins = booking.begins if body.begins_at is None else body.begins_at
     ends = begins + booking.ends - booking.begins if body.begins_at is not None else booking.ends
@@ -273,7 +273,7 @@ def changed_terms(state: LabState, booking: Booking, body: BookingChange) -> New
     )
 
 
-def _whom(state: LabState, said: str, by: str) -> tuple[str, str]:
+def _find_owner(state: LabState, said: str, by: str) -> tuple[str, str]:
     """The user or the group that is meant; whoever asks if nobody is named. Raises BadInput."""
     kind, colon, name = said.partition(":")
     if not said:

@@ -137,7 +137,7 @@ async def keep_campaign(
         _expect_same(service, known[request], command)
     events = await service.kernel.execute(command, new.user)
     if not events:
-        await service.kernel.written()
+        await service.kernel.flush()
     campaign = known[request] if request else getattr(events[0], "campaign", "")
     return str(campaign), estimate
 
@@ -147,7 +147,7 @@ async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Esti
     told, deadline, workcell, checked = await _read(service, new)
     estimate = _estimate(service, told, workcell, checked)
     command = _command(new, told, estimate, checked, deadline)
-    return estimate, await service.forecasts.of_campaign(command, checked.rows, new.user)
+    return estimate, await service.forecasts.forecast_campaign(command, checked.rows, new.user)
 
 
 async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, Checked]:

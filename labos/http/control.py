@@ -48,7 +48,7 @@ class ControlResult(msgspec.Struct):
 
 async def control(kernel: LabKernel, verb: str, asked: ControlRequest) -> ControlResult:
     """Raises NotFound if the target names nothing, Refused if it names several modules."""
-    kind, target = meant(kernel.state, asked.target)
+    kind, target = find_meant(kernel.state, asked.target)
     events = await kernel.execute(_command(verb, kind, target, asked), asked.by)
     ended = [str(event.run) for event in events if isinstance(event, RunCancelled | RunCancelling)]
     again = [isinstance(event, RequestRepeated) for event in events]
@@ -61,7 +61,7 @@ async def control(kernel: LabKernel, verb: str, asked: ControlRequest) -> Contro
     )
 
 
-def meant(state: LabState, text: str) -> tuple[Kind, str]:
+def find_meant(state: LabState, text: str) -> tuple[Kind, str]:
     """What a name means; modules may be named without their workcell."""
     if state.runs.get(text) is not None:
         return "run", text

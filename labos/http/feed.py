@@ -28,11 +28,11 @@ class Feed:
         self._look_at: asyncio.TimerHandle | None = None
         self._looked = 0.0
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         if entries:
             self._ring()
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         self._ring()
 
     def close(self) -> None:

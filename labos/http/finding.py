@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from labos.audit.find import Begin, Found, Question, Reply
+from labos.audit.find import Found, LogPlace, Question, Reply
 from labos.errors import BadInput, Refused
 
 PROGRAM = "labos.audit.find_process"
@@ -30,7 +30,7 @@ class Finder:
     """Asks the process, which is started with the first question; one question at a time."""
 
     def __init__(self, database: str, blobs: Path | str, home: Path) -> None:
-        self._begin = Begin(database, str(blobs), str(home))
+        self._begin = LogPlace(database, str(blobs), str(home))
         self._process: asyncio.subprocess.Process | None = None
         self._turn = asyncio.Lock()
         self._asked = 0
@@ -63,7 +63,7 @@ class Finder:
     async def _ask(self, question: Question) -> Reply:
         try:
             async with asyncio.timeout(GIVE_UP_S):
-                process = await self._started()
+                process = await self._start()
                 assert process.stdin is not None
                 assert process.stdout is not None
                 process.stdin.write(_encode(question) + b"\n")
@@ -87,7 +87,7 @@ class Finder:
             )
         return _decode(line)
 
-    async def _started(self) -> asyncio.subprocess.Process:
+    async def _start(self) -> asyncio.subprocess.Process:
         if self._process is None or self._process.returncode is not None:
             self._process = await asyncio.create_subprocess_exec(
                 sys.executable,

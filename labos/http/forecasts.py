@@ -55,11 +55,11 @@ class Forecasts:
                 self._queue_at = (position, clock.monotonic())
             return self._queue
 
-    async def of_run(self, command: SubmitRun | SubmitWithLabware, actor: str) -> LabForecast:
+    async def forecast_run(self, command: SubmitRun | SubmitWithLabware, actor: str) -> LabForecast:
         """What a run would bring. Raises Refused."""
         return await self._ask(command, actor)
 
-    async def of_campaign(
+    async def forecast_campaign(
         self, command: SubmitCampaign, rows: list[tuple[Plan, ...]], actor: str
     ) -> LabForecast:
         """What a campaign would bring whose rows have such plans to choose from. Raises Refused."""
@@ -82,7 +82,7 @@ class Forecasts:
     ) -> LabForecast:
         spreads = (await self._learned.durations()).spreads()
         newcomers = await self._learned.newcomers()
-        rows = await self._known_rows()
+        rows = await self._plan_rows()
         kernel = self._service.kernel
 
         def request() -> ForecastRequest:
@@ -100,7 +100,7 @@ class Forecasts:
 
         return await self._process.forecast_lab(request)
 
-    async def _known_rows(self) -> dict[CampaignId, list[tuple[Plan, ...]]]:
+    async def _plan_rows(self) -> dict[CampaignId, list[tuple[Plan, ...]]]:
         """Plans of the next rows of the campaigns that go on."""
         found: dict[CampaignId, list[tuple[Plan, ...]]] = {}
         for campaign in list(self._service.kernel.state.campaigns.open.values()):

@@ -91,7 +91,7 @@ class IdempotentAnswers:
                     await asyncio.wait([known.answer])
                     return await self.once(key, path, asked, work, user=user, logs_key=logs_key)
                 await work()  # the log says best what differs
-            raise _reused(key, _find_answer(known))
+            raise _refuse_reused(key, _find_answer(known))
         return (await asyncio.shield(known.answer)).response()
 
     def _keep(self, key: tuple[str, str], request: _Request) -> None:
@@ -130,9 +130,9 @@ class LoggedRequest(msgspec.Struct, frozen=True):
         request."""
         if not await self.marks.find(self.mark):
             return False
-        asked = self.marks.asked(self.mark)
+        asked = self.marks.find_digest(self.mark)
         if asked and asked != self.asked[: len(asked)]:
-            raise _reused(self.key)
+            raise _refuse_reused(self.key)
         return True
 
     async def tell(self) -> Response:
@@ -148,7 +148,7 @@ async def _carry_out_marked(logged: LoggedRequest, work: Callable[[], Awaitable[
     return await work()
 
 
-def _reused(key: str, more: str = "") -> KeyReused:
+def _refuse_reused(key: str, more: str = "") -> KeyReused:
     return KeyReused(
         f"The key {key!r} belongs to another request.{more}",
         remedy="Give each request a key of its own, and the same one only to say the same again.",

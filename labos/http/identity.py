@@ -108,7 +108,7 @@ class Gate:
         ``by_link``: a token may stand in the address, if it is good for looking only. Raises NotSignedIn,
         Forbidden."""
         try:
-            who = await (self._by_link(request) if by_link else self.who(request))
+            who = await (self._by_link(request) if by_link else self.identify(request))
             self._check(who, need, by_home)
         except LabosError as error:
             if isinstance(error, NotSignedIn | Forbidden):
@@ -133,15 +133,15 @@ class Gate:
         NotSignedIn, Forbidden."""
         shown = request.query_params.get("token", "")[:200]
         if not shown or request.headers.get("authorization"):
-            return await self.who(request)
+            return await self.identify(request)
         if shown.startswith(HOME):
             raise NotSignedIn("The key in the lab's folder does not belong into an address.", remedy=IN_LINK)
-        credential = await self.accounts.of(shown)
+        credential = await self.accounts.find(shown)
         if credential.how != "token" or credential.scope != "viewer":
             raise Forbidden("Only a token of scope viewer may stand in an address.", remedy=IN_LINK)
         return Who("token", credential.user, "", credential)
 
-    async def who(self, request: Request) -> Who:
+    async def identify(self, request: Request) -> Who:
         """Whoever asks, whatever for. Raises NotSignedIn, Forbidden."""
         shown = _bearer(request)
         if shown.startswith(HOME):
@@ -155,7 +155,7 @@ class Gate:
             raise NotSignedIn("This lab has users, and the request does not say whose it is.", remedy=SIGN_IN)
         if cookie and request.method not in ("GET", "HEAD"):
             _expect_own_page(request)
-        credential = await self.accounts.of(shown or cookie)
+        credential = await self.accounts.find(shown or cookie)
         if credential.how != ("token" if shown else "session"):
             raise NotSignedIn("A token is shown in the header Authorization.", remedy=SIGN_IN)
         return Who(credential.how, credential.user, self._behalf(request, credential.user), credential)

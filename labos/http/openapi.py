@@ -76,7 +76,7 @@ def document(operations: Iterable[Operation]) -> dict[str, Any]:
     types = {
         kind
         for operation in operations
-        for kind in (*_asked(operation), operation.shape.answer)
+        for kind in (*_list_inputs(operation), operation.shape.answer)
         if kind is not None and kind not in (str, bytes)
     }
     ordered = sorted(types, key=lambda kind: kind.__name__)
@@ -145,7 +145,7 @@ def about(operation: Operation) -> str:
     return inspect.cleandoc(operation.handler.__doc__ or "")
 
 
-def _asked(operation: Operation) -> tuple[Any, ...]:
+def _list_inputs(operation: Operation) -> tuple[Any, ...]:
     return operation.shape.path, operation.shape.query, operation.shape.body
 
 

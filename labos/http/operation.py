@@ -68,10 +68,10 @@ class Api:
         if (waits, sight) not in self._states and len(self._states) >= MOST_SIGHTS:
             del self._states[next(iter(self._states))]
         work = partial(self._view, waits=waits, sight=sight)
-        return self._states.setdefault((waits, sight), Shared(work, self._written))
+        return self._states.setdefault((waits, sight), Shared(work, self._flush))
 
-    async def _written(self) -> None:
-        await self.kernel.written()
+    async def _flush(self) -> None:
+        await self.kernel.flush()
 
     @property
     def _notes(self) -> Notes:

@@ -15,7 +15,7 @@ from labos.errors import BadInput
 from labos.http.limits import Name, Variables
 from labos.http.stock import expect
 from labos.spec import Bench, Stock
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.bench import DEFAULT_LID
 from labos.spec.findings import near
 
@@ -68,7 +68,7 @@ def _in_full(service: LabService, placing: Placing) -> tuple[str, dict[str, bool
         raise BadInput(f"{labware} has a lid, and is said not to be lidded.", remedy="Leave one of them out.")
     if is_lidded and not parts(labware)[1]:
         labware = f"{labware}+{DEFAULT_LID}"
-    known = {*_asked_about(service), *FOLLOWS}
+    known = {*_list_variables(service), *FOLLOWS}
     for name in variables:
         if name not in known:
             raise BadInput(
@@ -77,10 +77,10 @@ def _in_full(service: LabService, placing: Placing) -> tuple[str, dict[str, bool
     return labware, variables
 
 
-def _asked_about(service: LabService) -> set[str]:
+def _list_variables(service: LabService) -> set[str]:
     """The variables of labware that the lab's actions need or set."""
     modules = service.kernel.state.modules.by_name.values()
-    known = (described(module.spec, service.parts.descriptions) for module in modules)
+    known = (find_description(module.spec, service.parts.descriptions) for module in modules)
     effects = (effect for about in known if about for spec in about.actions for effect in spec.effects)
     return {e.variable for e in effects if isinstance(e, Requires | Sets) and e.of == "labware"}
 

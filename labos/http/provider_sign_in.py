@@ -26,7 +26,7 @@ class BeginSignIn(msgspec.Struct, forbid_unknown_fields=True):
     device: Annotated[bool, says("there is no browser: a code for one elsewhere")] = False
 
 
-class Begun(msgspec.Struct, frozen=True):
+class ProviderSignIn(msgspec.Struct, frozen=True):
     """``address`` is for a browser. ``state`` and ``key`` are shown to finish; the key to nobody else.
     ``code`` is what is typed in there, if no browser comes back, and ``wait_s`` how long to wait before it is
     asked for."""
@@ -64,10 +64,12 @@ async def begin(call: Call, told: BeginSignIn) -> Response:
     way = _way(call)
     if told.device:
         begun, shown = await way.begin_device()
-        found = Begun(begun.address, begun.state, begun.browser, shown.user_code, max(shown.interval, 1.0))
+        found = ProviderSignIn(
+            begun.address, begun.state, begun.browser, shown.user_code, max(shown.interval, 1.0)
+        )
     else:
         begun = await way.begin(told.port)
-        found = Begun(begun.address, begun.state, begun.browser)
+        found = ProviderSignIn(begun.address, begun.state, begun.browser)
     return _answer(found)
 
 

@@ -112,7 +112,7 @@ async def user_meant(api: Api, provider: Provider, claims: Claims) -> str:
         answer = api.kernel.submit(command, LABOS)
         if isinstance(answer, Rejection):  # the file names a group or workcell that is not there
             _log.warning("claim_not_followed", user=user, why=answer.message)
-    await api.kernel.written()
+    await api.kernel.flush()
     return user
 
 

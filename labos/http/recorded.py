@@ -88,7 +88,7 @@ class RecordedKernel:
     def epoch(self) -> int:
         return self.state.lab.epoch
 
-    async def written(self) -> None:
+    async def flush(self) -> None:
         """All of it is on disk."""
 
     async def scrub(self) -> str:

@@ -214,7 +214,7 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
 programs (``labos.client``)."""
 
 
-def needed_by(operation: str) -> Role | Literal["nobody"]:
+def find_least_role(operation: str) -> Role | Literal["nobody"]:
     """The least role with which an operation may succeed."""
     if operation in BY_ITSELF:
         return BY_ITSELF[operation]

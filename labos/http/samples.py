@@ -43,7 +43,7 @@ async def register_samples(
     if not rows and not report.errors:
         report.error("The sheet has no rows.", remedy="Write one for each sample.")
     if report.errors:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     blobs = service.parts.blobs
     # Kept before any event speaks of them.
     await asyncio.to_thread(blobs.put, text.encode())
@@ -78,7 +78,7 @@ def _by_plate(
             break
         plate = only
         if row.plate:
-            told = named.get(row.plate) or named.setdefault(row.plate, _named(service, row.plate))
+            told = named.get(row.plate) or named.setdefault(row.plate, _find_labware(service, row.plate))
             if isinstance(told, BadInput):
                 report.error(told.message, row.plate_at, field="plate", remedy=told.remedy)
                 continue
@@ -96,7 +96,7 @@ def _by_plate(
     return found
 
 
-def _named(service: LabService, name: str) -> Labware | BadInput:
+def _find_labware(service: LabService, name: str) -> Labware | BadInput:
     try:
         return service.labware(name)
     except BadInput as error:

@@ -87,7 +87,7 @@ class _Protocol(StrictProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._head_came()
-        self._taken_up()
+        self._take_up()
         super().connection_lost(exc)
         self._gone.set()
 
@@ -122,9 +122,9 @@ class _Protocol(StrictProtocol):
 
     def resume_writing(self) -> None:
         super().resume_writing()
-        self._taken_up()
+        self._take_up()
 
-    def _taken_up(self) -> None:
+    def _take_up(self) -> None:
         if self._stalled is not None:
             self._stalled.cancel()
             self._stalled = None

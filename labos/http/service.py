@@ -28,7 +28,7 @@ from labos.core.decide.experiments import (
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import PutBack, RecordStops, TakeOut
-from labos.core.decide.rights import denied, lacking
+from labos.core.decide.rights import check_rights, lacking
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import (
@@ -58,7 +58,7 @@ from labos.planning.certified import check_windows
 from labos.runtime.kernel import error_of
 from labos.runtime.marks import Marks
 from labos.runtime.stop import EVERYTHING, StopReport, resolve_target, stop_modules
-from labos.services.interventions import answered
+from labos.services.interventions import describe_answer
 from labos.services.runs import RunHistory, run_history
 from labos.spec import (
     Bench,
@@ -69,7 +69,7 @@ from labos.spec import (
     parse_workflow,
 )
 from labos.spec.findings import Finding, near
-from labos.spec.labware import packaged_labware, spec_of
+from labos.spec.labware import load_packaged_labware, spec_of
 from labos.spec.stations import Stations
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ class LabService:
         """What may be placed: the packaged types and the lab's own, what stations accept, what is on the
         bench."""
         bench = self.kernel.state.bench
-        known = {item.type for item in bench.labware.values()} | set(_packaged_labware())
+        known = {item.type for item in bench.labware.values()} | set(_load_packaged_labware())
         for own in self.kernel.state.lab.labware.values():
             known.update(own)
         for station in bench.stations.values():
@@ -220,7 +220,9 @@ class LabService:
         own = self.kernel.state.lab.labware
         here = workcell_of(item.station) if item.station else ""
         cells = [own[name] for name in sorted(own, key=lambda name: (name != here, name))]
-        return next((cell[item.type] for cell in (*cells, _packaged_labware()) if item.type in cell), None)
+        return next(
+            (cell[item.type] for cell in (*cells, _load_packaged_labware()) if item.type in cell), None
+        )
 
     # -- runs --------------------------------------------------------------------------------
 
@@ -293,7 +295,7 @@ class LabService:
         )
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
-            await self.kernel.written()
+            await self.kernel.flush()
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
             return str(known), ()
         workcell = await self.workcell_for(workflow, workcell)
@@ -368,7 +370,7 @@ class LabService:
         NotFound."""
         if wait_s > 0:
             await self.feed.until(lambda: self.kernel.state.runs.get(run) is None, wait_s)
-        await self.kernel.written()
+        await self.kernel.flush()
         if run in self._stories:
             return self._stories[run]
         story = await asyncio.to_thread(run_history, self.parts.store, run)
@@ -408,7 +410,7 @@ class LabService:
         )
         requests = self.kernel.state.experiments.requests
         if command.request in requests or not await self.kernel.execute(command, user):
-            await self.kernel.written()
+            await self.kernel.flush()
             known = self.kernel.state.experiments.requests[command.request]
             await asyncio.to_thread(expect_same_experiment, self.parts.store, command, known)
         experiment = self.kernel.state.experiments.requests[command.request]
@@ -429,7 +431,7 @@ class LabService:
 
     def check_noting(self, experiment: str, actor: str) -> None:
         """Raises Forbidden for who may not add to an experiment."""
-        wrong = denied(self.kernel.state, NoteExperiment(ExperimentId(experiment), "", ""), actor)
+        wrong = check_rights(self.kernel.state, NoteExperiment(ExperimentId(experiment), "", ""), actor)
         if wrong is not None:
             raise error_of(wrong)
 
@@ -450,7 +452,7 @@ class LabService:
         known = self.kernel.state.experiments.open
         given_out = {f"E{number + 1}" for number in range(self.kernel.state.experiments.named)}
         if name in given_out and name not in known:
-            await self.kernel.written()
+            await self.kernel.flush()
             return
         await self.kernel.execute(EndExperiment(name, why), actor)
         self._heard.pop(name, None)
@@ -475,8 +477,8 @@ class LabService:
     async def resolve(self, intervention: str, choice: str, by: str, note: str, result: Any) -> None:
         answer = ResolveIntervention(InterventionId(intervention), choice, by, note, result)
         if answer.intervention not in self.kernel.state.interventions.open:
-            await self.kernel.written()
-            if said := await asyncio.to_thread(answered, self.parts.store, intervention):
+            await self.kernel.flush()
+            if said := await asyncio.to_thread(describe_answer, self.parts.store, intervention):
                 raise Refused(said, remedy="See its consequences: labos interventions --all")
         await self.kernel.execute(answer, by)
 
@@ -554,6 +556,6 @@ def _digests(files: Mapping[str, bytes]) -> dict[str, str]:
 
 
 @cache
-def _packaged_labware() -> Mapping[str, LabwareSpec]:
+def _load_packaged_labware() -> Mapping[str, LabwareSpec]:
     """The labware types that come with LabOS."""
-    return {name: spec_of(name, kind) for name, kind in packaged_labware().items()}
+    return {name: spec_of(name, kind) for name, kind in load_packaged_labware().items()}

@@ -29,7 +29,7 @@ async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Sig
     if not call.is_sent_on:
         await _expect_password(call, user, asked.password)
         asked.password = ""  # an API process sends the request on to the kernel, over the bus, without it
-    await call.kernel.written()
+    await call.kernel.flush()
     record = await asyncio.to_thread(record_of, store, subject, kind)
     for known in await asyncio.to_thread(signatures_of, store, subject):
         if (known.by, known.meaning) != (user, asked.meaning) or not known.holds:
@@ -45,7 +45,7 @@ async def list_signatures_under(call: Call, subject: str, kind: Kind) -> list[Si
     """Raises NotFound."""
     await _expect_seen(call, subject, kind)
     store = call.service.parts.store
-    await call.kernel.written()
+    await call.kernel.flush()
     if await asyncio.to_thread(kind_of, store, subject) != kind:
         raise NotFound(f"There is no {kind} {subject!r}.", remedy="Check its name.")
     return await asyncio.to_thread(signatures_of, store, subject)

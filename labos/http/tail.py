@@ -76,7 +76,7 @@ class Filter(msgspec.Struct, frozen=True):
     sight: Sight | None = None
 
     @classmethod
-    def of(cls, query: LogQuery, sight: Sight | None = None) -> Filter:
+    def make(cls, query: LogQuery, sight: Sight | None = None) -> Filter:
         return cls(query.types, query.streams, query.correlation, query.actor, query.mentions, sight)
 
     def takes(self, line: Line) -> bool:
@@ -85,10 +85,10 @@ class Filter(msgspec.Struct, frozen=True):
             and (not self.streams or line.stream in self.streams)
             and (not self.correlation or line.correlation == self.correlation)
             and (not self.actor or line.actor == self.actor)
-            and (not self.mentions or self._mentioned(line))
+            and (not self.mentions or self._mentions(line))
         )
 
-    def _mentioned(self, line: Line) -> bool:
+    def _mentions(self, line: Line) -> bool:
         # In a payload the text stands as JSON writes it.
         return msgspec.json.encode(self.mentions)[1:-1] in line.payload or self.mentions in line.stream
 
@@ -99,7 +99,7 @@ class _Follower:
 
     def __init__(self, query: LogQuery, sight: Sight | None) -> None:
         self.query, self.after = query, query.after
-        self.filter = Filter.of(query, sight)
+        self.filter = Filter.make(query, sight)
         self.live = self.dropped = False
         self._pieces: list[bytes] = []
         self._size = 0
@@ -155,7 +155,7 @@ class Tail:
 
     # -- what the kernel says ------------------------------------------------------------------
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         self.add([entry.record for entry in entries])
 
     def add(self, records: Sequence[Record]) -> None:
@@ -184,7 +184,7 @@ class Tail:
             gone = self._lines.popleft()
             self._begin, self._size = gone.position, self._size - len(gone.data)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """The log was read again: something may be in it of which nobody was told."""
         self._veil.forget()
         self._begin_at(self._durable())
@@ -204,7 +204,7 @@ class Tail:
         self._want()
         if sight is not None:
             await self._veil.read()
-        mine = Filter.of(query, sight)
+        mine = Filter.make(query, sight)
         upto = self._durable()
         if _is_open(query) and self._covers(query.after) and self._end == upto:
             found, full = _cut(line for line in self._since(query.after) if self._takes(mine, line))
@@ -267,7 +267,7 @@ class Tail:
     async def _catch_up(self, me: _Follower) -> bytes:
         """What a follower has missed, or a page of that; it is live if there is no more."""
         if me.query.last is None and (me.after > self._end or self._covers(me.after)):
-            piece = _sent(line for line in self._since(me.after) if self._takes(me.filter, line))
+            piece = _encode_lines(line for line in self._since(me.after) if self._takes(me.filter, line))
             me.after, me.live = max(me.after, self._end), True
             return piece
         upto = self._durable()
@@ -276,7 +276,7 @@ class Tail:
         )
         me.query = msgspec.structs.replace(me.query, last=None)
         me.after = found[-1].position if full else max(upto, me.after)
-        return _sent(found)
+        return _encode_lines(found)
 
     async def _read(self, query: LogQuery, wanted: Filter) -> tuple[list[Line], bool]:
         """A page of the log, and whether there may be more. Readers take turns, and the more of them wait,
@@ -312,11 +312,11 @@ class Tail:
             mine = follower.filter
             if new and follower.after >= new[0].position:
                 later = (line for line in new if line.position > follower.after)
-                piece = _sent(line for line in later if self._takes(mine, line))
+                piece = _encode_lines(line for line in later if self._takes(mine, line))
             elif mine in pieces:
                 piece = pieces[mine]
             else:
-                piece = pieces[mine] = _sent(line for line in new if self._takes(mine, line))
+                piece = pieces[mine] = _encode_lines(line for line in new if self._takes(mine, line))
             follower.give(piece, self._end)
 
     def _since(self, after: int) -> list[Line]:
@@ -365,7 +365,7 @@ def _cut(lines: Iterable[Line]) -> tuple[list[Line], bool]:
     return found, False
 
 
-def _sent(lines: Iterable[Line]) -> bytes:
+def _encode_lines(lines: Iterable[Line]) -> bytes:
     return b"".join(b"id: %d\ndata: %b\n\n" % (line.position, line.data) for line in lines)
 
 

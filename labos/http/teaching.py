@@ -22,7 +22,7 @@ async def teach(service: LabService, name: str, told: NewPose, by: str) -> int:
     command = TeachLocation(module, station, tuple(told.pose), by, told.why, kind)
     if await service.kernel.execute(command, by):
         service.parts.follow_workcells([module])  # its node learns poses when it starts
-    taught = service.kernel.state.modules.by_name[module].taught_for(station, kind)
+    taught = service.kernel.state.modules.by_name[module].find_taught(station, kind)
     assert taught is not None
     return taught.version
 
@@ -52,7 +52,7 @@ class LocationPose(TaughtPose):
     types: dict[str, TaughtPose] = {}
 
 
-def _said(taught: Taught) -> tuple[tuple[float, ...], int, bool]:
+def _list_facts(taught: Taught) -> tuple[tuple[float, ...], int, bool]:
     return taught.pose, taught.version, taught.proven
 
 
@@ -62,7 +62,7 @@ def locations(module: Module) -> dict[str, LocationPose]:
     found = {name: LocationPose(tuple(pose), 0, True) for name, pose in written.get("poses", {}).items()}
     for station, lessons in module.taught.items():
         if lessons.any_type is not None:
-            found[local(station)] = LocationPose(*_said(lessons.any_type))
+            found[local(station)] = LocationPose(*_list_facts(lessons.any_type))
     for kind, poses in written.get("poses_of", {}).items():
         for name, pose in poses.items():
             found[name].types[kind] = TaughtPose(tuple(pose), 0, True)
@@ -70,5 +70,5 @@ def locations(module: Module) -> dict[str, LocationPose]:
         for kind, taught in lessons.by_type.items():
             # The workcell file may have lost the station's own pose since.
             own = found.setdefault(local(station), LocationPose())
-            own.types[kind] = TaughtPose(*_said(taught))
+            own.types[kind] = TaughtPose(*_list_facts(taught))
     return found

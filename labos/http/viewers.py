@@ -45,7 +45,7 @@ HEAD = b"HTTP/1.1 200 OK\r\ncontent-type: %b; charset=utf-8\r\n%bconnection: clo
 _log = structlog.get_logger(__name__)
 
 
-class Begin(msgspec.Struct, frozen=True, tag="begin"):
+class OpenLog(msgspec.Struct, frozen=True, tag="begin"):
     """Where the log is. A URL may hold a password, so it does not stand in the command line."""
 
     database: str
@@ -74,7 +74,7 @@ class Cut(msgspec.Struct, frozen=True, tag="cut"):
     key: str
 
 
-Message = Begin | Grown | Follow | Cut
+Message = OpenLog | Grown | Follow | Cut
 _encode = msgspec.json.Encoder().encode
 _decoder: msgspec.json.Decoder[Message] = msgspec.json.Decoder(Message)
 
@@ -90,13 +90,13 @@ class Viewers:
         self._notice: asyncio.TimerHandle | None = None
         self._is_closed = False
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         if entries:
             self._durable = entries[-1].position
             if self._link is not None and self._notice is None:
                 self._notice = asyncio.get_running_loop().call_later(NOTICE_S, self._tell)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """What is new is told with the next commit."""
 
     def cut(self, key: str) -> None:
@@ -165,7 +165,7 @@ class Viewers:
                 ours.close()
                 raise
         ours.setblocking(False)
-        ours.send(_encode(Begin(self._database, self._durable)))
+        ours.send(_encode(OpenLog(self._database, self._durable)))
         self._link = ours
         asyncio.get_running_loop().add_reader(ours, self._on_end)  # it says nothing
         return ours
@@ -189,7 +189,7 @@ class Viewers:
 class _Server:
     """The other side: reads the log once for all, and writes to all."""
 
-    def __init__(self, begin: Begin) -> None:
+    def __init__(self, begin: OpenLog) -> None:
         self.durable = begin.durable
         self.store = open_store(begin.database, create=False, read_only=True)
         self.tail = Tail(self.store, lambda: self._read)
@@ -298,7 +298,7 @@ async def serve(link: socket.socket) -> None:
                 over.set_result(None)
                 return
             message = _decoder.decode(packet)
-            if isinstance(message, Begin):
+            if isinstance(message, OpenLog):
                 server = _Server(message)
                 keeping = loop.create_task(server.keep_up())
             elif server is not None:

@@ -427,13 +427,15 @@ def waits_view(kernel: LabKernel, run: RunState, now: int) -> list[WaitView]:
         return WaitView(step, plan.steps[step].key, wait.code, why, wait.blocked)
 
     if kernel.suspended:
-        return [_unplanned(f"Nothing is started, since planning fails: {kernel.suspended}")]
+        return [_view_failed_planning(f"Nothing is started, since planning fails: {kernel.suspended}")]
     try:
         return [view(step, wait) for step, wait in kernel.scheduler.waits(kernel.state, run, now)]
     except Exception as error:  # the rest of the view is worth having
         _log.exception("wait_not_explained", run=run.id)
-        return [_unplanned(f"LabOS cannot say what it waits for: {error!r}. This is a fault of LabOS.")]
+        return [
+            _view_failed_planning(f"LabOS cannot say what it waits for: {error!r}. This is a fault of LabOS.")
+        ]
 
 
-def _unplanned(why: str) -> WaitView:
+def _view_failed_planning(why: str) -> WaitView:
     return WaitView(0, "", "planning_failed", why, True)

@@ -136,7 +136,7 @@ def answer(value: Any, status: int = 200) -> Response:
     return Response(msgspec.json.encode(value), status, media_type="application/json")
 
 
-def encoded(data: bytes) -> Response:
+def answer_encoded(data: bytes) -> Response:
     """An answer that is JSON already."""
     return Response(data, 200, media_type="application/json")
 

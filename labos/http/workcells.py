@@ -16,7 +16,7 @@ from labos.http.bodies import WorkcellFile
 from labos.http.service import LabService
 from labos.settings import NODE_SETTINGS_FILE
 from labos.spec import Finding, parse_workcell
-from labos.spec.onsite import named_on_site
+from labos.spec.onsite import list_on_site
 from labos.spec.tables import table_of
 
 
@@ -96,7 +96,7 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
     for spec in new.modules:
         table = table_of(spec.driver, tables)
         keys = frozenset({table.key} if table is not None else ())
-        named = named_on_site(spec.config.get("config", {}), keys)
+        named = list_on_site(spec.config.get("config", {}), keys)
         before = known.get(spec.name)
         if named and (before is None or _connection_of(before.spec) != _connection_of(spec)):
             raise BadInput(

@@ -67,7 +67,7 @@ class _Bus(Life):
                 bus.shutdown()
 
     @contextlib.contextmanager
-    def _translated(self) -> Iterator[can.BusABC]:
+    def _translate(self) -> Iterator[can.BusABC]:
         """The one door for what python-can says of an open bus."""
         import can
 
@@ -134,13 +134,13 @@ class CanLink(_Bus):
         import can
 
         note(self.name, ">", str(message).encode())
-        with self._translated() as bus:
+        with self._translate() as bus:
             bus.send(
                 can.Message(arbitration_id=message.id, data=message.data, is_extended_id=message.extended)
             )
 
     def _next(self, timeout_s: float) -> CanMessage | None:
-        with self._translated() as bus:
+        with self._translate() as bus:
             frame = bus.recv(timeout_s)
         if frame is None:
             return None
@@ -194,18 +194,18 @@ class SdoLink(_Bus):
                 time.sleep(max(self._failed_at + self._late_s - time.monotonic(), 0.0))
                 self._client.RESPONSE_TIMEOUT = timeout_s
                 try:
-                    return self._asked(work, f"object {index:04X}:{subindex:02X}")
+                    return self._ask(work, f"object {index:04X}:{subindex:02X}")
                 except (NoReply, StrayReply):
                     self._failed_at = time.monotonic()
                     raise
 
-    def _asked(self, work: Callable[[Any], Any], what: str) -> Any:
+    def _ask(self, work: Callable[[Any], Any], what: str) -> Any:
         """The one door for what canopen says."""
         from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
         where = f"{self.name}, node {self.node}, {what}"
         self._check_receiver(effects="none")
-        with self._translated():
+        with self._translate():
             try:
                 return work(self._client)
             except SdoAbortedError as error:

@@ -103,7 +103,7 @@ class HttpLink(Life):
         import httpx
 
         # HTTP connects when it asks; without a question to ask, being open means nothing more.
-        transport = httpx.MockTransport(self._scripted) if self._script is not None else None
+        transport = httpx.MockTransport(self._answer_from_script) if self._script is not None else None
         self._client = httpx.Client(
             base_url=self._url, headers=self._headers, verify=self._verify, transport=transport
         )
@@ -140,7 +140,7 @@ class HttpLink(Life):
         note(self.name, ">", _question(request))
         begun = False
         try:
-            with self._translated():
+            with self._translate():
                 response = client.send(request, stream=True)
                 try:
                     begun = True
@@ -164,7 +164,7 @@ class HttpLink(Life):
         note(self.name, "<", f"{response.status_code}\n".encode() + body)
         return HttpReply(response.status_code, body, dict(response.headers), self.name)
 
-    def _scripted(self, request: httpx.Request) -> httpx.Response:
+    def _answer_from_script(self, request: httpx.Request) -> httpx.Response:
         import httpx
 
         assert self._script is not None
@@ -175,7 +175,7 @@ class HttpLink(Life):
         return httpx.Response(int(status), content=body)
 
     @contextmanager
-    def _translated(self) -> Iterator[None]:
+    def _translate(self) -> Iterator[None]:
         """The one door for what httpx says."""
         import httpx
 

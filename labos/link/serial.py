@@ -64,13 +64,13 @@ class SerialWire:
             ) from error
 
     def write(self, data: bytes, timeout_s: float) -> None:
-        with self._translated(effects="none") as device:
+        with self._translate(effects="none") as device:
             device.write_timeout = timeout_s
-        with self._translated() as device:
+        with self._translate() as device:
             device.write(data)
 
     def read(self, timeout_s: float) -> bytes:
-        with self._translated() as device:
+        with self._translate() as device:
             device.timeout = timeout_s
             first = device.read(1)
             if not first:
@@ -89,7 +89,7 @@ class SerialWire:
             connection.close()
 
     @contextmanager
-    def _translated(self, effects: str = "unknown") -> Iterator[serial.Serial]:
+    def _translate(self, effects: str = "unknown") -> Iterator[serial.Serial]:
         """The one door for what pyserial and the system say of an open port. ``effects``: what is known
         of what was sent."""
         if self._device is None:

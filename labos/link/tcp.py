@@ -34,21 +34,21 @@ class TcpWire:
             ) from error
 
     def write(self, data: bytes, timeout_s: float) -> None:
-        wire = self._opened()
+        wire = self._find_socket()
         try:
             wire.settimeout(timeout_s)
             wire.sendall(data)
         except OSError as error:
-            raise self._lost(error) from error
+            raise self._describe_loss(error) from error
 
     def read(self, timeout_s: float) -> bytes:
-        wire = self._opened()
+        wire = self._find_socket()
         try:
             if not select.select([wire], [], [], timeout_s)[0]:
                 return b""
             data = wire.recv(65536)
         except (OSError, ValueError) as error:
-            raise self._lost(error) from error
+            raise self._describe_loss(error) from error
         if not data:
             raise LinkLost(f"{self.name} closed the connection.", remedy="Check the device.")
         return data
@@ -58,12 +58,12 @@ class TcpWire:
         if wire is not None:
             wire.close()
 
-    def _opened(self) -> socket.socket:
+    def _find_socket(self) -> socket.socket:
         if self._socket is None:
             raise LinkLost(f"{self.name} is not open.", effects="none")
         return self._socket
 
-    def _lost(self, error: Exception) -> LinkLost:
+    def _describe_loss(self, error: Exception) -> LinkLost:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         return LinkLost(
             f"{self.name}: the connection is lost: {reason}.",

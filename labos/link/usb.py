@@ -50,7 +50,7 @@ class UsbWire:
             self._device = usb.core.find(idVendor=vendor, idProduct=product, backend=self._backend, **wanted)
             if self._device is not None:
                 self._device.set_configuration()
-                self._ends = self._found_ends(self._device)
+                self._ends = self._find_ends(self._device)
         except (usb.core.USBError, usb.core.NoBackendError, ValueError) as error:
             self.close()
             raise NotConnected(
@@ -63,7 +63,7 @@ class UsbWire:
                 remedy="Check its power and its cable; lsusb lists what is there.",
             )
 
-    def _found_ends(self, device: Any) -> tuple[int, int]:
+    def _find_ends(self, device: Any) -> tuple[int, int]:
         """Raises ValueError."""
         if all(self._ends):
             return self._ends
@@ -75,13 +75,13 @@ class UsbWire:
         return self._ends[0] or outgoing, self._ends[1] or incoming
 
     def write(self, data: bytes, timeout_s: float) -> None:
-        with self._translated() as device:
+        with self._translate() as device:
             device.write(self._ends[0], data, timeout=_milliseconds(timeout_s))
 
     def read(self, timeout_s: float) -> bytes:
         import usb.core
 
-        with self._translated() as device:
+        with self._translate() as device:
             try:
                 return bytes(device.read(self._ends[1], PIECE, timeout=_milliseconds(timeout_s)))
             except usb.core.USBTimeoutError:
@@ -96,7 +96,7 @@ class UsbWire:
                 usb.util.dispose_resources(device)
 
     @contextmanager
-    def _translated(self) -> Iterator[Any]:
+    def _translate(self) -> Iterator[Any]:
         """The one door for what pyusb says of an open device."""
         import usb.core
 

@@ -106,7 +106,11 @@ class _Callers:
             return
         try:
             lab = await asyncio.to_thread(
-                sign_in, self._url, self._home, token=_shown(request), behalf=request.headers.get(BEHALF, "")
+                sign_in,
+                self._url,
+                self._home,
+                token=_read_token(request),
+                behalf=request.headers.get(BEHALF, ""),
             )
         except LabosError as error:
             _log.info("agent_refused", why=error.message)
@@ -120,7 +124,7 @@ class _Callers:
             await asyncio.to_thread(lab.close)
 
 
-def _shown(request: Request) -> str:
+def _read_token(request: Request) -> str:
     """The token of a request. What else a client might find on this computer is nobody's. Raises
     NotSignedIn."""
     scheme, _, token = request.headers.get("authorization", "").partition(" ")

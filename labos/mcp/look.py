@@ -8,7 +8,7 @@ import msgspec
 
 from labos.client import LabClient
 from labos.errors import BadInput
-from labos.mcp.pages import LONGEST, cut, page, told
+from labos.mcp.pages import LONGEST, cut, encode_answer, page
 from labos.services.times import with_iso_times
 
 ENDED = 20
@@ -30,7 +30,7 @@ class Look:
         health, state = self._lab.health(), self._lab.state(waits=False)
         counts = {name: len(state[name]) for name in ("modules", "runs", "labware", "interventions")}
         asked = [q["text"] for q in state["interventions"][:20]]
-        return told(
+        return encode_answer(
             {
                 "lab": {name: health[name] for name in ("name", "status", "simulated")},
                 "you": self._lab.identity(),
@@ -79,7 +79,7 @@ class Look:
     def inventory(self) -> str:
         """Tells what is left of consumables, of which lots, and which run will be the first to find too
         little."""
-        return told(cut(with_iso_times(self._lab.inventory()), LONGEST))
+        return encode_answer(cut(with_iso_times(self._lab.inventory()), LONGEST))
 
     def runs(self, after: int = 0) -> str:
         """Lists the runs that wait or are under way, and the last ones that ended. `after` is the `next` of
@@ -88,7 +88,7 @@ class Look:
         rows = [
             {name: run[name] for name in ("id", "workflow", "user", "status", "why")} for run in found["runs"]
         ]
-        return told(cut(rows, LONGEST), next=found["position"] if found["more"] else None)
+        return encode_answer(cut(rows, LONGEST), next=found["position"] if found["more"] else None)
 
     def run(self, run: str, first_step: int = 0) -> str:
         """Tells how far a run is and what its steps returned: their results and errors. `run` is its id, as
@@ -104,10 +104,12 @@ class Look:
         alive = next((found for found in state["runs"] if found["id"] == run), None)
         if alive is None:
             over = self._lab.status(run)
-            return told(cut({"run": run, "status": over.status, "why": over.why}))
+            return encode_answer(cut({"run": run, "status": over.status, "why": over.why}))
         waits = [f"{wait['key']}: {wait['why']}" for wait in alive["waits"]]
         asked = [q["text"] for q in state["interventions"] if q["run"] == run]
-        return told(cut({"run": run, "status": alive["status"], "waits": waits, "people_are_asked": asked}))
+        return encode_answer(
+            cut({"run": run, "status": alive["status"], "waits": waits, "people_are_asked": asked})
+        )
 
     def campaigns(self, after: int = 0) -> str:
         """Lists the campaigns that have not ended: how far they are and under which terms. `after` is the
@@ -120,7 +122,7 @@ class Look:
         asks of the lab, and how it differs from what was approved before. `after` is the `next` of the page
         before."""
         if subject:
-            return told(cut(with_iso_times(self._lab.approval_of(subject)), LONGEST))
+            return encode_answer(cut(with_iso_times(self._lab.approval_of(subject)), LONGEST))
         found = with_iso_times(self._lab.approvals())
         return page(found[after:], lambda number: after + number)
 
@@ -161,7 +163,7 @@ class Look:
             text = content.decode("utf-8", errors="strict" if len(content) < size else "ignore")
         except UnicodeDecodeError:
             raise BadInput(f"The file {sha256[:12]}… is no text.", remedy="Fetch it: labos files") from None
-        return told(text, next=first + len(content) if len(content) == size else None)
+        return encode_answer(text, next=first + len(content) if len(content) == size else None)
 
 
 def _event(event: dict[str, Any]) -> dict[str, Any]:

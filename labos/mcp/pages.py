@@ -18,7 +18,7 @@ MOST_PARTS = 50
 """Entries of a long table or list that are told."""
 
 
-def told(data: Any, **more: Any) -> str:
+def encode_answer(data: Any, **more: Any) -> str:
     """An answer. What users, devices and programs have written stands under ``data`` alone."""
     return msgspec.json.encode({**more, "data": data}).decode()
 
@@ -32,9 +32,9 @@ def page(items: Sequence[Any], place: Callable[[int], Any], *, rest: Any = None,
         short = cut(item)
         size += len(msgspec.json.encode(short))
         if size > LONGEST and shown:
-            return told(shown, next=place(number), **more)
+            return encode_answer(shown, next=place(number), **more)
         shown.append(short)
-    return told(shown, next=rest, **more)
+    return encode_answer(shown, next=rest, **more)
 
 
 def cut(value: Any, longest: int = LONGEST_VALUE) -> Any:

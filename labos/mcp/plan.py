@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from labos.client import LabClient
-from labos.mcp.pages import LONGEST, cut, told
+from labos.mcp.pages import LONGEST, cut, encode_answer
 
 
 class Plan:
@@ -35,7 +35,7 @@ class Plan:
             priority=priority,
             propose=True,
         )
-        return told(cut(checked, LONGEST))
+        return encode_answer(cut(checked, LONGEST))
 
     def check_campaign(
         self,
@@ -49,19 +49,19 @@ class Plan:
         checked = self._lab.submit_campaign(
             campaign_of(campaign, workflow, tables, files), user=self._user, dry_run=True
         )
-        return told(cut(checked["estimate"], LONGEST))
+        return encode_answer(cut(checked["estimate"], LONGEST))
 
 
 def workflow_of(text: str, files: Mapping[str, str] | None) -> dict[str, Any]:
-    return {"text": text, "name": "workflow.yaml", "files": _encoded(files)}
+    return {"text": text, "name": "workflow.yaml", "files": _encode(files)}
 
 
 def campaign_of(
     text: str, workflow: str, tables: Mapping[str, str] | None, files: Mapping[str, str] | None
 ) -> dict[str, Any]:
     workflow_text = workflow_of(workflow, files)
-    return {"text": text, "name": "campaign.yaml", "workflow": workflow_text, "files": _encoded(tables)}
+    return {"text": text, "name": "campaign.yaml", "workflow": workflow_text, "files": _encode(tables)}
 
 
-def _encoded(files: Mapping[str, str] | None) -> dict[str, str]:
+def _encode(files: Mapping[str, str] | None) -> dict[str, str]:
     return {name: b64encode(text.encode()).decode() for name, text in (files or {}).items()}

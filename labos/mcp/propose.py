@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.client import LabClient
-from labos.mcp.pages import told
+from labos.mcp.pages import encode_answer
 from labos.mcp.plan import campaign_of, workflow_of
 
 WAITS = "It has not begun, and begins only if an operator approves it."
@@ -38,7 +38,7 @@ class Propose:
             request=key,
             propose=True,
         )
-        return told({"run": run, "warnings": self._lab.warnings}, meaning=WAITS)
+        return encode_answer({"run": run, "warnings": self._lab.warnings}, meaning=WAITS)
 
     def propose_campaign(
         self,
@@ -54,4 +54,4 @@ class Propose:
         answer = self._lab.submit_campaign(
             campaign_of(campaign, workflow, tables, files), user=self._user, request=key, propose=True
         )
-        return told({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)
+        return encode_answer({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)

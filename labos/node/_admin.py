@@ -92,7 +92,7 @@ class Admin:
             "trace": self._trace,
         }
 
-    def recovered(self) -> None:
+    def note_recovery(self) -> None:
         """The module was reset: the emergency is over."""
         self.stopped_at, self.stopped_by = 0, ""
 
@@ -149,7 +149,7 @@ class Admin:
         action, done = args.get("action"), args.get("done", False)
         if not isinstance(action, str) or not is_name(action) or not isinstance(done, bool):
             raise BadInput("`settled` wants the id of an action, and whether it is done: true or false.")
-        await self._node.settled(action, done)
+        await self._node.settle(action, done)
 
     async def _rewind(self, args: dict[str, Any]) -> None:
         self._rewind_journal(self._admission.check_position(args.get("position")))

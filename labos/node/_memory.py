@@ -75,7 +75,7 @@ class Memory(msgspec.Struct):
         """All that is not forgotten, in the order in which it was accepted."""
         return [attempt for known in self.actions.values() for attempt in known.attempts.values()]
 
-    def spent(self, position: int) -> list[Attempt]:
+    def list_spent(self, position: int) -> list[Attempt]:
         """What an acknowledgement of ``position`` lets the node forget."""
         return [attempt for attempt in self.attempts() if _is_spent(attempt, position)]
 
@@ -182,7 +182,7 @@ class Memory(msgspec.Struct):
         for record in records:
             match record:
                 case Pruned():
-                    forgotten |= {(a.action, a.attempt): a for a in self.spent(record.position)}
+                    forgotten |= {(a.action, a.attempt): a for a in self.list_spent(record.position)}
                 case Handled() | Ended():
                     self._remember_again(record.action, record.attempt, forgotten)
                 case _:

@@ -25,8 +25,8 @@ from labos.core.effects import (
     Sets,
     Take,
     Unlid,
-    carried,
     is_reported,
+    list_carried,
     resolve,
 )
 from labos.core.ids import StationName, local
@@ -84,7 +84,7 @@ class GenericDevice:
             raise DeviceError(f"{self.name} is busy.", effects="none", remedy="Wait until it is idle.")
         effects = self._resolve(spec, args)
         self._check(effects)
-        motions = carried(effects)
+        motions = list_carried(effects)
         share_s = spec.duration_s / max(len(motions), 1)
         self.world.enter(self.name, self.name)
         for motion in motions:

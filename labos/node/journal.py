@@ -121,7 +121,7 @@ class Journal:
         return journal
 
     @classmethod
-    def of(cls, data: bytes) -> Journal:
+    def read(cls, data: bytes) -> Journal:
         """The journal that a file holds, to look at only. Raises JournalDamaged."""
         journal = cls(_NOWHERE)
         journal.memory.replay(read_lines(data)[0])
@@ -158,7 +158,7 @@ class Journal:
         """The greatest position of a request that the node has seen, forgotten or not."""
         return self.memory.seen
 
-    def known(self, action: str, attempt: int) -> Attempt | None:
+    def find(self, action: str, attempt: int) -> Attempt | None:
         """This attempt, if it was accepted and not forgotten."""
         entry = self.memory.actions.get(action)
         return entry.attempts.get(attempt) if entry else None
@@ -189,7 +189,7 @@ class Journal:
         """All that is not forgotten, in the order in which it was accepted."""
         return self.memory.attempts()
 
-    def unacknowledged(self) -> list[Unacknowledged]:
+    def list_unacknowledged(self) -> list[Unacknowledged]:
         """``open_attempts`` as they are reported."""
         return [
             Unacknowledged(a.action, a.attempt, a.name, a.status, a.handle, a.position, a.effects)
@@ -218,7 +218,7 @@ class Journal:
         effects: tuple[AnyEffect, ...] | None = None,
     ) -> Attempt:
         """Raises ValueError for an attempt that must not start."""
-        if self.known(action, attempt) or self.is_void(action, attempt) or self.is_forgotten(position):
+        if self.find(action, attempt) or self.is_void(action, attempt) or self.is_forgotten(position):
             raise ValueError(f"attempt {attempt} of {action} must not start")
         self._record(Accepted(action, attempt, position, name, effects=effects))
         return self.memory.actions[action].attempts[attempt]
@@ -271,7 +271,7 @@ class Journal:
                 )
         self._record(Corrected(epoch, position, by, at_ns, why))
 
-    async def synced(self) -> None:
+    async def sync(self) -> None:
         """Wait until everything recorded so far is on disk. Raises JournalError."""
         wanted = self._recorded
         while self._durable < wanted:
@@ -304,7 +304,7 @@ class Journal:
     async def close(self) -> None:
         """Write what is left and let the file go."""
         try:
-            await self.synced()
+            await self.sync()
         except JournalError:
             pass
         await self._file.close()
@@ -325,7 +325,7 @@ class Journal:
         self._size = len(good)
         if any(attempt.status == "running" for attempt in self.open_attempts()):
             self._record(Restarted())
-            await self.synced()
+            await self.sync()
 
     def _record(self, record: Record) -> None:
         line = encode(record)  # what cannot be written must not be remembered either

@@ -194,7 +194,7 @@ class Node:
     async def stop(self) -> None:
         """Stop all motion at once. A convenience, not a safety function."""
 
-    async def settled(self, action: str, done: bool) -> None:
+    async def settle(self, action: str, done: bool) -> None:
         """The lab has learnt otherwise how an action ended that may still run here: a person said
         so. Told more than once."""
 

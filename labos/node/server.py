@@ -17,7 +17,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.canonical import canonical, digest
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown, Unreadable
 from labos.node import arguments
@@ -241,7 +241,7 @@ class NodeServer:
             digest=digest(canonical(description)),
             description=description,
             simulated=self._simulated,
-            open=self.journal.unacknowledged(),
+            open=self.journal.list_unacknowledged(),
             epoch=self.journal.epoch,
             acknowledged=self.journal.pruned,
             acknowledged_by=self.journal.pruned_by,
@@ -307,7 +307,7 @@ class NodeServer:
                     reply = await self._on_ask(message)
                 case Acknowledge():
                     self.journal.prune(message.position)
-                    await self.journal.synced()
+                    await self.journal.sync()
                     reply = self._reply("done")
         except JournalError as error:
             await self._condition.fail(str(error))
@@ -323,7 +323,7 @@ class NodeServer:
             with contextlib.suppress(JournalError):  # it is told as any acceptance that cannot be written
                 await journal.mend()
         if start.journal != journal.id:
-            await journal.synced()
+            await journal.sync()
             return self._reply(
                 "refused", f"The request is for journal {cut(start.journal, 80)}; this is {journal.id}."
             )
@@ -333,7 +333,7 @@ class NodeServer:
                 journal.void(start.action, start.attempt, start.position)
                 if told.status != "finished":
                     told = self._reply("refused", f"Attempt {told.attempt} is {told.status}.", told.attempt)
-            await journal.synced()
+            await journal.sync()
             return told
         try:
             if spec is None:
@@ -349,7 +349,7 @@ class NodeServer:
             why, transient = str(error), False
         if why or spec is None:
             journal.void(start.action, start.attempt, start.position)
-            await journal.synced()
+            await journal.sync()
             return msgspec.structs.replace(self._reply("refused", why), transient=transient)
         return await self._accept(start, spec, kwargs)
 
@@ -366,7 +366,7 @@ class NodeServer:
             self._by_person.add(start.action)
         self._unanswered.add(start.action)
         try:
-            await self.journal.synced()
+            await self.journal.sync()
             # It begins now, and may be over at once: then this one message tells all.
             await asyncio.sleep(0)
         finally:
@@ -390,14 +390,14 @@ class NodeServer:
         for attempt in self.journal.open_attempts():
             spec = self._description.action(attempt.name)
             effects = spec.effects if spec is not None and not spec.by_person else ()
-            if attempt.action in self._running and carried(effects):
+            if attempt.action in self._running and list_carried(effects):
                 return attempt.name
         return ""
 
     def _reply_from_journal(self, action: str, attempt: int, position: int) -> ActionReply | None:
         """What the journal says of an attempt, if it says anything. An earlier attempt that was
         accepted is the action's truth."""
-        known = self.journal.known(action, attempt) or self.journal.earlier(action, attempt)
+        known = self.journal.find(action, attempt) or self.journal.earlier(action, attempt)
         if known is not None:
             return self._reply_about(known)
         if self.journal.is_void(action, attempt):
@@ -410,7 +410,7 @@ class NodeServer:
         told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
         if ask.void and (told is None or (told.attempt and told.attempt != ask.attempt)):
             self.journal.void(ask.action, ask.attempt, ask.position)
-        await self.journal.synced()
+        await self.journal.sync()
         # While that was written, the action may have ended, or its acceptance may have failed.
         told = self._reply_from_journal(ask.action, ask.attempt, ask.position)
         return told or self._reply("unheard")
@@ -424,7 +424,7 @@ class NodeServer:
         stops: int,
     ) -> None:
         try:
-            await self.journal.synced()
+            await self.journal.sync()
         except JournalError:
             # The asker is told that it was refused: nothing moved, and nothing will.
             self.journal.withdraw(attempt.action, attempt.attempt)
@@ -481,7 +481,7 @@ class NodeServer:
         # One that was stopped meanwhile stays in error: only a later recovery ends that.
         stopped = self._stops != stops and self._condition.error
         if not stopped and self._condition.judge(spec, outcome):
-            self._admin.recovered()
+            self._admin.note_recovery()
         if attempt.action not in self._unanswered:
             published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
             await self._publish(self._keys.result(self.module, attempt.action), lambda: published)
@@ -489,7 +489,7 @@ class NodeServer:
         elif self._condition.error or spec.recovers:
             await self._publish_state()
         try:
-            await self.journal.synced()
+            await self.journal.sync()
         except JournalError as error:
             await self._condition.fail(str(error))
 
@@ -514,7 +514,7 @@ class NodeServer:
             if flaw_of(handle, limit=TEXT_LIMIT):
                 raise DeviceError(f"The device's own id cannot be kept: it is {cut(repr(handle), 80)}.")
             self.journal.note_handle(attempt.action, attempt.attempt, handle)
-            await self.journal.synced()
+            await self.journal.sync()
 
         handle_keeper.set(keep)
         current_action.set(attempt.action)
@@ -558,7 +558,7 @@ class NodeServer:
 
     async def _sync_if_possible(self) -> None:
         try:
-            await self.journal.synced()
+            await self.journal.sync()
         except JournalError as error:
             await self._condition.fail(str(error))
 

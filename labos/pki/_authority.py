@@ -82,7 +82,7 @@ class Authority:
     def ensure(self, identity: Identity, *, addresses: Sequence[str] = ()) -> Credentials:
         """The certificate of a party: issued if there is none, renewed if it is due or does not bear all
         ``addresses``. Raises Refused if the site issues them and has issued none."""
-        entry = self.members().of(identity)
+        entry = self.members().find(identity)
         if entry is None:
             self.issue(identity, addresses=addresses)
         elif entry.own and self.issues:
@@ -114,7 +114,7 @@ class Authority:
         from labos.pki._signing import make_ca, read_certificate
 
         make_folder(self.folder)
-        with self._locked():
+        with self._lock():
             if self.exists:
                 raise Refused(
                     f"There is an authority already in {self.folder}.",
@@ -138,9 +138,9 @@ class Authority:
     ) -> Entry:
         """Make a certificate for a party that has none. Raises Refused if it has one, or if the site issues
         them, BadInput, NotFound."""
-        with self._locked():
+        with self._lock():
             members = self.members()
-            if members.of(identity) is not None:
+            if members.find(identity) is not None:
                 raise Refused(
                     f"There is a certificate already for the {identity.shown}: "
                     f"{self.credentials(identity).folder}.",
@@ -154,11 +154,11 @@ class Authority:
         """Certificates for those that have none; those that are due are renewed. Raises Refused if the site
         issues them, BadInput, NotFound."""
         now = self._clock.now_ns()
-        with self._locked():
+        with self._lock():
             entries = {entry.common_name: entry for entry in self.members().entries}
             changed = False
             for identity in identities:
-                had = Members(tuple(entries.values())).of(identity)
+                had = Members(tuple(entries.values())).find(identity)
                 if had is not None and not (had.own and had.is_due(now)):
                     continue
                 name = had.common_name if had is not None else self._new_name(identity)
@@ -170,7 +170,7 @@ class Authority:
     def renew(self, entry: Entry, *, addresses: Sequence[str] = (), days: int = 0) -> Entry:
         """A new key and certificate under the same common name; who used the old one opens the bus anew.
         Without ``addresses`` and ``days``, as it was. Raises Refused, BadInput."""
-        with self._locked():
+        with self._lock():
             members = self.members()
             if entry.revoked_at:
                 raise Refused(
@@ -206,7 +206,7 @@ class Authority:
                 f"{key} is not the key of {certificate}.", remedy="Give the two that belong together."
             )
         entry = entry_of(parsed, identity, own=False)
-        with self._locked():
+        with self._lock():
             members = self.members()
             taken = next((e for e in members.entries if e.common_name == entry.common_name), None)
             if taken is not None and (taken.revoked_at or taken.identity != identity):
@@ -223,7 +223,7 @@ class Authority:
     def revoke(self, entry: Entry, why: str) -> Entry:
         """Let a certificate speak for nobody any more, and write the list of revoked ones. Raises Refused."""
         now = self._clock.now_ns()
-        with self._locked():
+        with self._lock():
             members = self.members()
             if entry.revoked_at:
                 raise Refused(f"The certificate of the {entry.identity.shown} is revoked already.")
@@ -299,7 +299,7 @@ class Authority:
         os.replace(beside, path)
 
     @contextmanager
-    def _locked(self) -> Iterator[None]:
+    def _lock(self) -> Iterator[None]:
         """One at a time: a command, and the kernel that renews."""
         if not self.folder.is_dir():
             raise NotFound(f"There is no authority in {self.folder}.", remedy="Make one: labos pki init")

@@ -36,7 +36,7 @@ class ReceivedList:
             return self._read()
 
     def _read(self) -> Members:
-        found, known = read_members(self.file), self._known()
+        found, known = read_members(self.file), self._read_known()
         self._check(found, signed=known > 0)
         if found.number < known:
             raise BadInput(
@@ -59,7 +59,7 @@ class ReceivedList:
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             raise BadInput(f"A list was sent that cannot be read: {error}.") from None
         with _turn:
-            if found.number <= max(self._known(), self._present()):
+            if found.number <= max(self._read_known(), self._present()):
                 return False
             self._check(found, signed=True)
             self._write(MEMBERS, data)
@@ -82,7 +82,7 @@ class ReceivedList:
                 remedy="Lists are made by the authority (labos pki), where its key is.",
             )
 
-    def _known(self) -> int:
+    def _read_known(self) -> int:
         """The highest number that was here."""
         file = self.folder / NUMBER
         try:

@@ -100,6 +100,6 @@ class Members(msgspec.Struct, frozen=True):
         """Those that are not revoked."""
         return tuple(entry for entry in self.entries if not entry.revoked_at)
 
-    def of(self, identity: Identity) -> Entry | None:
+    def find(self, identity: Identity) -> Entry | None:
         """The certificate of a party that is not revoked."""
         return next((entry for entry in self.admitted if entry.identity == identity), None)

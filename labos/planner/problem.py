@@ -15,7 +15,7 @@ import msgspec
 
 from labos.core.actions import ActionStatus
 from labos.core.booked import contacts, find_blocked, is_exempt
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import RunId, StationName, experiment_owner, run_owner
 from labos.core.model import MAIN, PlanStep
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_holds
@@ -185,7 +185,7 @@ class _Reader:
     def _carry(self, run: RunState, steps: tuple[PlanStep, ...], numbers: dict[int, int]) -> None:
         standing: dict[str, list[int | None]] = {}
         owners = [run_owner(run.id), *([experiment_owner(run.experiment)] if run.experiment else [])]
-        for labware in [piece for owner in owners for piece in self.state.bench.owned(owner)]:
+        for labware in [piece for owner in owners for piece in self.state.bench.list_owned(owner)]:
             if not labware.on:
                 for place in self._counted(labware.station):
                     standing.setdefault(place, []).append(None)
@@ -193,7 +193,7 @@ class _Reader:
             number = numbers.get(index)
             if number is None:
                 continue
-            for what in carried(step.effects):
+            for what in list_carried(step.effects):
                 for place in self._counted(what.emptied):
                     pieces = standing.get(place, [])
                     if place.startswith(DECK) and len(pieces) > 1:

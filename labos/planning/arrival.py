@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator
 from labos.core import reasons
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Station
-from labos.core.effects import arrivals, carried
+from labos.core.effects import arrivals, list_carried
 from labos.core.ids import Owner, RunId, StationName, run_owner, workcell_of
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
@@ -61,14 +61,14 @@ def _first_stop(
 ) -> tuple[StationName, StationName, tuple[int, ...]] | None:
     """Where a first step brings labware if it fills that place, where it is carried from there, and the
     steps in between."""
-    stop = next((what.filled for what in carried(plan.steps[step].effects) if what.filled), None)
+    stop = next((what.filled for what in list_carried(plan.steps[step].effects) if what.filled), None)
     if stop is None or not _would_fill(state.bench.stations[stop]):
         return None
     between: list[int] = []
     for index, later in enumerate(plan.steps):
         if index == step or step not in _before(plan, index):
             continue
-        for what in carried(later.effects):
+        for what in list_carried(later.effects):
             if what.emptied == stop:
                 return (stop, what.filled, tuple(between)) if what.filled else None
         between.append(index)
@@ -91,7 +91,7 @@ def _would_fill(station: Station) -> bool:
 
 def _leads_elsewhere(plan: Plan, stop: StationName, onward: StationName) -> bool:
     """Whether a plan carries labware from a place to another than this."""
-    moves = (what for step in plan.steps for what in carried(step.effects))
+    moves = (what for step in plan.steps for what in list_carried(step.effects))
     return any(what.emptied == stop and what.filled != onward for what in moves)
 
 
@@ -133,7 +133,7 @@ def _leaves_at(state: LabState, owner: Owner, place: StationName, now: int) -> i
     leaving = (
         index
         for index, step in enumerate(plan.steps)
-        if is_pending(run, index) and any(what.emptied == place for what in carried(step.effects))
+        if is_pending(run, index) and any(what.emptied == place for what in list_carried(step.effects))
     )
     last = next(leaving, None)
     if last is None:

@@ -18,7 +18,7 @@ from labos.core.booked import HORIZON_NS, contacts, find_blocked, is_exempt, no_
 from labos.core.bookings import Bookings, Span
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
-from labos.core.effects import Carrying, Sets, carried
+from labos.core.effects import Carrying, Sets, list_carried
 from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.runs import PENDING, RunState, statuses_of
@@ -190,7 +190,7 @@ def _leaves(
         return
     ends = times[index][1]
     later = [i for i in in_time if times[i][0] >= ends and i != index]
-    for what in carried(step.effects):
+    for what in list_carried(step.effects):
         place = what.filled
         if place and _is_inside(state, place, module):
             gone = next((i for i in later if _takes(plan.steps[i], place)), None)

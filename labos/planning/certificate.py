@@ -163,7 +163,7 @@ def certify(
         blamed = max(through, key=lambda n: (place[known[n][0]], n))
         short = _find_shortfall(ways, blamed)
         broken[blamed] = broken.get(blamed, 0) + short
-        paths[blamed] = _taken(plan, cycle, limits, place)
+        paths[blamed] = _list_taken(plan, cycle, limits, place)
         cycles += 1
         if cycles < MOST_CYCLES:
             width[blamed] += short
@@ -277,7 +277,7 @@ def _find_longest_path(fixed: _Fixed, steps: Sequence[int]) -> tuple[int, list[i
     return starts[last][0], path[::-1]
 
 
-def _taken(
+def _list_taken(
     plan: Plan, cycle: Sequence[_Edge], limits: Sequence[Range], place: dict[int, int]
 ) -> tuple[Taken, ...]:
     """The steps of a cycle, with how long each takes there, in the order of the plan. One that stands there

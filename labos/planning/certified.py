@@ -27,7 +27,7 @@ def check_windows(compiled: Compiled, workcell: Workcell) -> Compiled:
         report.keep(finding)
     if compiled.windows == "refuse":
         report.raise_if_failed()
-    return msgspec.structs.replace(compiled, findings=report.sorted())
+    return msgspec.structs.replace(compiled, findings=report.sort_findings())
 
 
 def certify_all(compiled: Compiled, workcell: Workcell) -> Certificate:

@@ -28,13 +28,13 @@ def options_in_order(state: LabState, run: RunState, now: int) -> list[RunState]
         return found
     loads: dict[ModuleName, int] = {}
 
-    def done_in(option: RunState) -> int:
+    def estimate_end(option: RunState) -> int:
         chosen = set(modules_chosen(state.runs, option).values())
         for module in chosen - loads.keys():
             loads[module] = _load(state, module, now)
         return max((loads[module] + _own(state, option, module) for module in chosen), default=0)
 
-    return sorted(found, key=done_in)
+    return sorted(found, key=estimate_end)
 
 
 def _load(state: LabState, module: ModuleName, now: int) -> int:
@@ -64,19 +64,23 @@ def changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:
     dead = {name for cell in cells for name in state.modules.in_cell.get(cell, ()) if down(state, name)}
     for name in list(state.runs.choosing) if dead else ():
         run = state.runs.active[name]
-        cause = next((module for module in _needed(state, run) if module in dead), None)
+        cause = next((module for module in _list_needed(state, run) if module in dead), None)
         if cause is None:
             continue
         for plan in run.choices:
             option = msgspec.structs.replace(run, plan=plan)
-            if plan == run.plan or not can_change_to(state, run, plan) or dead & set(_needed(state, option)):
+            if (
+                plan == run.plan
+                or not can_change_to(state, run, plan)
+                or dead & set(_list_needed(state, option))
+            ):
                 continue
             if find_block(state, option) is None and safety.may_change(state, option):
                 yield BindAnew(run.id, plan, f"{local(cause)} cannot be used")
                 break
 
 
-def _needed(state: LabState, run: RunState) -> Iterator[ModuleName]:
+def _list_needed(state: LabState, run: RunState) -> Iterator[ModuleName]:
     """The modules of the steps that a run has yet to do."""
     steps = state.runs.plan_of(run).steps
     return (steps[i].module for i, step in enumerate(run.steps) if step.status not in SETTLED)

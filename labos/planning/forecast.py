@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
 from labos.core.algebra import away_from_rest, settings_after
-from labos.core.effects import Carrying, carried
+from labos.core.effects import Carrying, list_carried
 from labos.core.ids import StationName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import lab_ns
@@ -29,7 +29,7 @@ FOR_EVER = 2**62
 
 def length(state: LabState, step: PlanStep) -> int:
     """How long a step takes at the most, if nothing is in its way (ns of wall time)."""
-    known = state.lengths.of(step, state.lab.pace)
+    known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
         return max(known.high, int(known.usual * MARGIN))
     return lab_ns(state, step.duration_s * MARGIN)
@@ -37,13 +37,13 @@ def length(state: LabState, step: PlanStep) -> int:
 
 def usual(state: LabState, step: PlanStep) -> int:
     """How long a step takes as a rule (ns of wall time)."""
-    known = state.lengths.of(step, state.lab.pace)
+    known = state.lengths.estimate(step, state.lab.pace)
     return known.usual if known is not None else lab_ns(state, step.duration_s)
 
 
 def spread(state: LabState, step: PlanStep) -> int:
     """How much sooner than that a step may end (ns of wall time)."""
-    known = state.lengths.of(step, state.lab.pace)
+    known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
         margin = int(known.usual * (MARGIN - 1))
         return max(known.high, known.usual + margin) - min(known.low, known.usual - margin)
@@ -130,7 +130,7 @@ def _arrival(
         return
 
     def leaves(step: PlanStep) -> bool:
-        return any(what.emptied == place and not what.stock for what in carried(step.effects))
+        return any(what.emptied == place and not what.stock for what in list_carried(step.effects))
 
     stay = _until(state, run, index, now, leaves)
     if station.count + 1 >= station.spec.capacity:

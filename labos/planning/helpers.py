@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.algebra import check_effect
-from labos.core.effects import Carrying, Claims, Consumes, Needs, Requires, carried, hand_of
+from labos.core.effects import Carrying, Claims, Consumes, Needs, Requires, hand_of, list_carried
 from labos.core.ids import ModuleName, Owner, RunId, StationName, owner_parts, run_owner
 from labos.core.model import PlanStep
 from labos.core.rules import examine
@@ -64,9 +64,9 @@ class _Search:
             if place:
                 self._standing.setdefault(place, []).append(item.owner)
         for action in state.actions.within(cell):
-            for what in carried(action.effects):
+            for what in list_carried(action.effects):
                 if what.stock:
-                    target = state.bench.planned(what.target)
+                    target = state.bench.as_planned(what.target)
                     self._standing.setdefault(target, []).append(run_owner(action.run))
 
     def clear_the_way(self, run: RunState, steps: set[int]) -> None:
@@ -167,7 +167,7 @@ def _carries_from(state: LabState, run: RunState, place: StationName) -> bool:
 
 
 def _carries(step: PlanStep, place: StationName) -> bool:
-    return any(what.emptied == place and not what.stock for what in carried(step.effects))
+    return any(what.emptied == place and not what.stock for what in list_carried(step.effects))
 
 
 class _Clearing:

@@ -114,7 +114,7 @@ class Windows:
         if what.plan.steps[step].recovers:
             return None  # whoever needs the module cannot go on before
         plan = self._plan(state, what.plan.workcell, now, safety)
-        waits = self._held_off(state, plan, run, step, now)
+        waits = self._hold_off(state, plan, run, step, now)
         if waits is not None:
             return waits
         if not plan.obliged and not follow:
@@ -205,7 +205,7 @@ class Windows:
         again = self._calm_at(state, plan, who)
         return self._wait(state, plan, run, step, late, again) if again > plan.now else None
 
-    def _held_off(self, state: LabState, plan: Plan, run: RunState, step: int, now: int) -> Wait | None:
+    def _hold_off(self, state: LabState, plan: Plan, run: RunState, step: int, now: int) -> Wait | None:
         """Nobody is let in who needs the modules of a run inside, or of an older one, that waits for calm."""
         if run.has_started or not self._anxious:
             return None
@@ -257,11 +257,11 @@ class Windows:
                 del self._hopeless[who]
         found = self._plans.get(cell)
         if found is None:
-            found = self._plans[cell] = self._made(state, cell, now, safety)
+            found = self._plans[cell] = self._make_plan(state, cell, now, safety)
             self._advice[cell] = found.advice
         return found
 
-    def _made(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
+    def _make_plan(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
         obliged = [run for run in _find_obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
         before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
         plan = Plan(state, cell, now, obliged, before)
@@ -284,7 +284,7 @@ class Windows:
             late = trial.news(outcome)
             return len(late) + (outcome.tangle is not None), sum(outcome.late[who] for who in late)
 
-        def rehearsed(advice: Advice) -> Outcome:
+        def rehearse(advice: Advice) -> Outcome:
             self.plays += 1
             players = _cast(state, plan, advice, run, trial.step)
             outcome = play(plan.scene.copy(), players, advice, start)
@@ -292,7 +292,7 @@ class Windows:
                 _find_trap(state, plan, outcome, safety)
             return outcome
 
-        first = rehearsed(plan.advice)
+        first = rehearse(plan.advice)
         best = (rank(first), plan.advice, first)
         open_ = [(*best[0], 0, plan.advice, first)]
         seen = {_key(plan.advice)}
@@ -305,7 +305,7 @@ class Windows:
                     continue
                 seen.add(_key(option))
                 tried += 1
-                found = rehearsed(option)
+                found = rehearse(option)
                 heapq.heappush(open_, (*rank(found), tried, option, found))
                 if rank(found) < best[0]:
                     best = (rank(found), option, found)

@@ -255,10 +255,10 @@ def _is_new(forecaster: _Forecaster, play: Play, name: RunId) -> bool:
 
 
 def _run(forecaster: _Forecaster, plays: list[Play], name: RunId) -> ExpectedRun:
-    def of(pick: Callable[[Play], dict[RunId, int]]) -> Times | None:
+    def find_times(pick: Callable[[Play], dict[RunId, int]]) -> Times | None:
         return times([pick(play)[name] for play in plays if name in pick(play)], len(plays))
 
-    ends = of(lambda play: play.ends)
+    ends = find_times(lambda play: play.ends)
     usual = plays[0]
     failed = usual.failed.get(name, "")
     return ExpectedRun(
@@ -266,7 +266,7 @@ def _run(forecaster: _Forecaster, plays: list[Play], name: RunId) -> ExpectedRun
         workflow=forecaster.workflows.get(name, ""),
         user=usual.users[name],
         campaign=str(usual.members.get(name, "")),
-        starts=of(lambda play: play.starts),
+        starts=find_times(lambda play: play.starts),
         ends=ends,
         waits=failed or ("" if ends is not None else usual.stays.get(name, "")),
         modules=usual.modules.get(name, {}),

@@ -15,7 +15,7 @@ from labos.core.algebra import (
 )
 from labos.core.bench import Bench, Labware
 from labos.core.binding import check_module
-from labos.core.effects import carried, find_labware_used
+from labos.core.effects import find_labware_used, list_carried
 from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
@@ -40,7 +40,7 @@ def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[Statio
     places: dict[StationName, int] = {}
     lost = False
     for owner in owners:
-        for item in state.bench.owned(owner):
+        for item in state.bench.list_owned(owner):
             lost = lost or bool(item.maybe)
             place = destination(state.bench, item)
             if place:
@@ -55,10 +55,12 @@ def destination(bench: Bench, item: Labware) -> StationName:
     """Where labware will stand when the action that carries it has ended, as plans name it; empty if
     nowhere."""
     place = item.station
-    for what in carried(bench.reserved.get(ActionId(item.moving), ())) if item.moving else ():
+    for what in list_carried(bench.reserved.get(ActionId(item.moving), ())) if item.moving else ():
         if what.labware == item.id:
             place = what.filled
-    return StationName("") if place and bench.stations[place].spec.kind == "waste" else bench.planned(place)
+    return (
+        StationName("") if place and bench.stations[place].spec.kind == "waste" else bench.as_planned(place)
+    )
 
 
 def find_arriving(state: LabState, run: RunId) -> list[StationName]:
@@ -67,10 +69,10 @@ def find_arriving(state: LabState, run: RunId) -> list[StationName]:
     if active is None or not active.has(IN_FLIGHT, UNKNOWN):
         return []
     return [
-        state.bench.planned(what.target)
+        state.bench.as_planned(what.target)
         for action in state.actions.within(state.runs.plan_of(active).workcell)
         if action.run == run
-        for what in carried(action.effects)
+        for what in list_carried(action.effects)
         if what.stock
     ]
 
@@ -121,7 +123,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     coming: list[tuple[StationName, str]] = []
     for item in labware_in(state, cell):
         if item.maybe and not (hopeful and item.moving):
-            for place in map(bench.planned, item.maybe):
+            for place in map(bench.as_planned, item.maybe):
                 floor.count[place] = floor.count.get(place, 0) + 1
                 change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
             continue
@@ -147,9 +149,9 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     for place, who in coming:
         floor.piles[place].append(who)
     for action in state.actions.within(cell):
-        for what in carried(action.effects):
+        for what in list_carried(action.effects):
             if what.stock in floor.stock:
-                target = bench.planned(what.target)
+                target = bench.as_planned(what.target)
                 floor.stock[what.stock] -= 1
                 floor.count[what.stock] -= 1
                 floor.count[target] += 1

@@ -35,8 +35,8 @@ def find_way_out(
 
 def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> Stand:
     stand = Stand()
-    for item in state.bench.owned(run_owner(run.id)):
-        place = state.bench.planned(item.station)
+    for item in state.bench.list_owned(run_owner(run.id)):
+        place = state.bench.as_planned(item.station)
         stand.own[place] += 1
         stand.claims[claims.get(place, "")] += 1
         if item.lender:

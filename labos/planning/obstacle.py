@@ -79,7 +79,7 @@ def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: S
         used += [find_kept_module(key) for key in grabbed if find_kept_module(key)]
         return f"has to wait: {_holders(state, floor, walker, used, grabbed, others)}"
     met = Met(floor, walker, state, others)
-    return check_carrying(met, motion) or met.kept_from(motion, [motion.uses])
+    return check_carrying(met, motion) or met.describe_keeper(motion, [motion.uses])
 
 
 class Met:
@@ -94,7 +94,7 @@ class Met:
             return None
         if self.floor.stock.get(stack, 0) <= 0:
             return f"takes from the stack {local(stack)}, which is empty by then"
-        return self._buried(stack)
+        return self._describe_buried(stack)
 
     def stands(self, what: Motion, place: StationName) -> str | None:
         if not self.mover.stands(what, place):
@@ -102,7 +102,11 @@ class Met:
         owners = [self.floor.pools.get(owner, {}) for owner in self.actor.inputs]
         if not any(places.get(place) for places in (self.actor.own, *owners)):
             return f"finds nothing at {local(place)}"
-        return self._buried(place) if self.floor.piles.get(place) else f"finds too little at {local(place)}"
+        return (
+            self._describe_buried(place)
+            if self.floor.piles.get(place)
+            else f"finds too little at {local(place)}"
+        )
 
     def hand(self, what: Motion) -> str | None:
         if not self.mover.hand(what):
@@ -110,7 +114,9 @@ class Met:
         return f"needs the hand of {local(what.uses)}, {_occupants(self.state, what.hand, self.others)}"
 
     def entry(self, what: Motion, place: StationName) -> str | None:
-        return self.kept_from(what, [self.floor.behind[place]]) if self.mover.entry(what, place) else None
+        return (
+            self.describe_keeper(what, [self.floor.behind[place]]) if self.mover.entry(what, place) else None
+        )
 
     def room(self, what: Motion, place: StationName) -> str | None:
         if not self.mover.room(what, place):
@@ -120,12 +126,12 @@ class Met:
             return f"needs room in the waste {where}, which is full by then (labos unload {where} --all)"
         return f"needs room at {where}, {_occupants(self.state, place, self.others)}"
 
-    def kept_from(self, what: Motion, modules: Sequence[ModuleName]) -> str:
+    def describe_keeper(self, what: Motion, modules: Sequence[ModuleName]) -> str:
         """Who keeps these modules."""
         who = _holders(self.state, self.floor, self.actor, modules, [], self.others)
         return f"goes from {local(what.source)} to {local(what.target)}, but {who}"
 
-    def _buried(self, stack: StationName) -> str:
+    def _describe_buried(self, stack: StationName) -> str:
         top = self.floor.piles[stack][-1].replace(":", " ")
         return f"takes from the stack {local(stack)}, on which something of {top} lies"
 

@@ -22,9 +22,9 @@ from labos.core.effects import (
     Lid,
     Needs,
     arrivals,
-    carried,
     changes_labware,
     hand_of,
+    list_carried,
 )
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep
@@ -234,7 +234,7 @@ def motions_of_steps(
         grabs, frees = _holds(plan, index, after, away=bool(away_from_rest(doors, rest)), held=held)
         held.update(dict.fromkeys((key for key, _ in grabs), True))
         ever.update(held)
-        moving = carried(step.effects)
+        moving = list_carried(step.effects)
         mine = standing[step.module] or (door_key(step.module) in held and not grabs)
         # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
         user = ModuleName("") if step.recovers else step.module

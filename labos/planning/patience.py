@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from labos.core import reasons
 from labos.core.actions import ActionStatus
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import RunId
 from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState, find_holds
@@ -45,7 +45,7 @@ class Patience:
         """Whether a run inside was overtaken too often."""
         return len(self._overtaken.get(run, ())) >= PATIENCE
 
-    def started(self, state: LabState, run: RunState, step: int, sleepers: Sleepers) -> None:
+    def count_start(self, state: LabState, run: RunState, step: int, sleepers: Sleepers) -> None:
         """Count a start against the older runs that wait for what it takes."""
         plan = state.runs.plan_of(run)
         self._overtaken.pop(run.id, None)
@@ -110,7 +110,7 @@ def list_keys(state: LabState, step: PlanStep) -> frozenset[str]:
     found: list[str] = []
     if step.exclusive:
         found += [module_key(step.module), *map(zone_key, zones_of(state, step.module, step.effects))]
-    for what in carried(step.effects):
+    for what in list_carried(step.effects):
         for place in what.entered if not what.stock else what.room:
             spec = state.bench.stations[place].spec
             if spec.kind != "waste":

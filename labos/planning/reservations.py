@@ -22,7 +22,7 @@ import msgspec
 from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.booked import find_begun_booking
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import RunId
 from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState, RunStatus, find_holds
@@ -368,7 +368,7 @@ def _takes_away(state: LabState, resource: str) -> int:
     for action, _ in _list_in_flight(state, cell):
         if resource == module_key(action.module):
             steps = state.runs.plan_of(state.runs.active[action.run]).steps
-            after = (step for step in steps if action.step in step.after and carried(step.effects))
+            after = (step for step in steps if action.step in step.after and list_carried(step.effects))
             found = max([found, *(length(state, step) for step in after)])
     return found
 

@@ -207,7 +207,7 @@ class Safety:
         if not run.has_started:
             actors = self._with_newcomer(state, run, actors, view)
             to_end = {actor for actor in to_end if actor != experiment_owner(run.experiment)} | {name}
-            if any(state.bench.owned(owner) for owner in actors[-1].owners):
+            if any(state.bench.list_owned(owner) for owner in actors[-1].owners):
                 # Others' labware is its own now.
                 floor = lay_out(state, view.cell, actors, hopeful=view.hopeful)
         mover = next(actor for actor in actors if actor.name == name)
@@ -228,18 +228,18 @@ class Safety:
                 here = [fresh(actor) for actor in actors]
                 order = replay(copy(floor), here, known.witness)
                 if order is not None:
-                    return Known(_stuck(actors), order, frozenset(to_end))
+                    return Known(_find_stuck(actors), order, frozenset(to_end))
         else:
             mover.motions = tuple(m for m in mover.motions if m.step != step)
         witness, ends = self.find(floor, actors, to_end)
         lost = sorted(to_end - ends)
-        return lost or Known(_stuck(actors), witness, frozenset(ends))
+        return lost or Known(_find_stuck(actors), witness, frozenset(ends))
 
     def _before(self, ground: Floor, actors: list[Actor], view: View) -> Known:
         """What holds before the start: what was found last, or what is found now when somebody
         has got stuck or free since, or has a motion to do again."""
         names = {actor.name for actor in actors}
-        stuck = _stuck(actors)
+        stuck = _find_stuck(actors)
         known = self._known.get(view)
         if known is not None:
             known = _with_passers(known, actors)
@@ -286,7 +286,7 @@ class Safety:
         for name in state.runs.closings_in.get(cell, ()):
             experiment = state.experiments.open[name]
             owner = experiment_owner(name)
-            if name in tailed or not state.bench.owned(owner):
+            if name in tailed or not state.bench.list_owned(owner):
                 continue
             path = self.path(state, experiment.closing)
             own, lost = find_standing(state, (owner,))
@@ -395,13 +395,13 @@ def _rules(state: LabState, cell: str) -> Rules:
         name: module.spec.rest for name, module in state.modules.within(cell) if module.spec.rest
     }
     nests = {
-        name: tuple(dict.fromkeys(map(state.bench.planned, state.bench.by_module.get(name, ()))))
+        name: tuple(dict.fromkeys(map(state.bench.as_planned, state.bench.by_module.get(name, ()))))
         for name, _ in state.modules.within(cell)
     }
     return claims, rests, nests
 
 
-def _stuck(actors: Sequence[Actor]) -> frozenset[str]:
+def _find_stuck(actors: Sequence[Actor]) -> frozenset[str]:
     return frozenset(actor.name for actor in actors if actor.stuck)
 
 

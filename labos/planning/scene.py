@@ -369,7 +369,7 @@ def _as_planned(state: LabState, effect: AnyEffect) -> AnyEffect:
     if not isinstance(effect, Carrying):
         return effect
     fields = ("target",) if effect.stock else ("source", "target")
-    planned = {field: state.bench.planned(getattr(effect, field)) for field in fields}
+    planned = {field: state.bench.as_planned(getattr(effect, field)) for field in fields}
     return msgspec.structs.replace(effect, **planned)
 
 

@@ -97,7 +97,7 @@ class Scheduler:
         """Starts that are legal and safe, one by one. The caller carries each one out before it
         asks for the next."""
         self._standings.clear()
-        for spot in self._ordered(state, self._woken(state, keys, now), now):
+        for spot in self._order(state, self._wake(state, keys, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
             else:
@@ -105,7 +105,7 @@ class Scheduler:
                 self.sleepers.rouse((spot.run.id, spot.step))
                 wait = self.judge(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
-                    self.patience.started(state, spot.run, spot.step, self.sleepers)
+                    self.patience.count_start(state, spot.run, spot.step, self.sleepers)
                     yield Start(spot.run.id, spot.step)
                 else:
                     self.sleepers.sleep((spot.run.id, spot.step), wait)
@@ -138,7 +138,7 @@ class Scheduler:
             if aside is not None:
                 return aside
             if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
-                elder = self._protected(state, run, now)
+                elder = self._find_protected(state, run, now)
                 if elder:
                     # It protects nothing any more once it has to wait for a booking.
                     until = booked.room_ends(state, RunId(elder), now) if state.bookings.open else None
@@ -209,7 +209,7 @@ class Scheduler:
 
     # -- waking ------------------------------------------------------------------------------
 
-    def _woken(self, state: LabState, keys: Iterable[str], now: int) -> list[Spot]:
+    def _wake(self, state: LabState, keys: Iterable[str], now: int) -> list[Spot]:
         heeded, full = self._heeded
         if heeded is not keys or self._fresh:
             full = self._in_full(state, keys)
@@ -224,7 +224,7 @@ class Scheduler:
         for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
         over = named.get(OVER, ())
-        for name in [*over, *self.room.emptied()]:
+        for name in [*over, *self.room.take_emptied()]:
             self.sleepers.forget(name)
         for name in over:
             self.room.forget(RunId(name), self._cells.pop(name, ""))
@@ -233,7 +233,7 @@ class Scheduler:
         names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
         names.update(dict.fromkeys(self.sleepers.due(now), True))
         for key in full:
-            names.update(dict.fromkeys(self._woken_by(state, key), True))
+            names.update(dict.fromkeys(self._list_woken(state, key), True))
         if EVERYTHING in full:
             inside = state.runs.active.values()
             names.update({(run.id, step): True for run in inside for step in ready(state, run)})
@@ -241,14 +241,14 @@ class Scheduler:
         seen: dict[Kind, list[Wait]] = {}
         return [spot for spot in (self._rouse(state, name, now, seen) for name in names) if spot is not None]
 
-    def _woken_by(self, state: LabState, key: str) -> list[Name]:
+    def _list_woken(self, state: LabState, key: str) -> list[Name]:
         if key.startswith(EVERYTHING):
             cell = key[len(EVERYTHING) :]
             inside = [(run.id, step) for run in state.runs.inside(cell) for step in ready(state, run)]
             return [*inside, *((bundle, 0) for bundle in self.room.within(cell))]
         if key.startswith("run:"):
-            return self._of_run(state, RunId(key[4:]))
-        return self.sleepers.on(key)
+            return self._list_run_steps(state, RunId(key[4:]))
+        return self.sleepers.list_waiting(key)
 
     def _in_full(self, state: LabState, keys: Iterable[str]) -> list[str]:
         """The keys, in order; with those of the workcells of all that is over: the state does not know any
@@ -305,7 +305,7 @@ class Scheduler:
                 waits.append(found)
         return waits
 
-    def _of_run(self, state: LabState, name: RunId) -> list[tuple[str, int]]:
+    def _list_run_steps(self, state: LabState, name: RunId) -> list[tuple[str, int]]:
         active = state.runs.active.get(name)
         if active is not None:
             return [(name, step) for step in ready(state, active)]
@@ -315,7 +315,7 @@ class Scheduler:
 
     # -- order -------------------------------------------------------------------------------
 
-    def _ordered(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
+    def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
         def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], int]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
@@ -351,7 +351,7 @@ class Scheduler:
         first = self.room.first(state, bundle, partial(self._turn, state, now))
         if first is None or not state.suggestions.orders or self._is_overtaken(state, first):
             return first
-        return self.adviser.whose_turn(state, first, now)
+        return self.adviser.find_next(state, first, now)
 
     def _admissions(self, state: LabState, bundle: str, first: RunState | None, now: int) -> Iterator[Start]:
         run = first
@@ -367,7 +367,7 @@ class Scheduler:
                 return
             option, free = start
             self.room.let_in(state, option, urgent=is_urgent(state, run, now))
-            self.patience.started(state, option, free, self.sleepers)
+            self.patience.count_start(state, option, free, self.sleepers)
             yield Start(run.id, free, option.plan if run.choices else "")
             if run.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
@@ -395,7 +395,7 @@ class Scheduler:
             if run is not None:
                 yield state.runs.plan_of(run)
 
-    def _protected(self, state: LabState, run: RunState, now: int) -> str:
+    def _find_protected(self, state: LabState, run: RunState, now: int) -> str:
         """The elder for whom this run has to stay out; empty if there is none."""
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
@@ -420,7 +420,7 @@ class Scheduler:
         if state.bookings.open and booked.against(state, elder, first, now) is not None:
             return False  # it waits until somebody else's booking is over
         # It may wait for a time: who reserves nothing does not put it off.
-        return windowed or not self._reserved(state, elder, first, now)
+        return windowed or not self._is_reserved(state, elder, first, now)
 
     def _stands_out(self, state: LabState, elder: RunState) -> bool:
         """Whether a run could not come to its end in an empty workcell either."""
@@ -433,7 +433,7 @@ class Scheduler:
             self._futile[elder.id, elder.plan] = known
         return known
 
-    def _reserved(self, state: LabState, run: RunState, step: int, now: int) -> bool:
+    def _is_reserved(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         return self.reservations.against(state, run, step, now, self.safety) is not None
 
 

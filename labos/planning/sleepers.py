@@ -55,7 +55,7 @@ class Sleepers:
         for step in list(self._waits.get(who, ())):
             self.rouse((who, step))
 
-    def on(self, key: str) -> list[Name]:
+    def list_waiting(self, key: str) -> list[Name]:
         """Who waits for a key."""
         return list(self._by_key.get(key, ()))
 

@@ -57,7 +57,7 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
 def find_questions(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
     """The steps that failed and of which a person has to say what becomes of them."""
     steps = state.runs.plan_of(run).steps
-    questions = state.interventions.of_run(run.id)
+    questions = state.interventions.find_by_run(run.id)
     indices = [(q.topic.step, q.id) for q in questions if isinstance(q.topic, FailedStep)]
     return [(index, Wait(reasons.Asked(steps[index].key, name))) for index, name in indices]
 
@@ -72,7 +72,7 @@ def _check_halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> W
 
 def _check_lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
     for owner in owners:
-        for item in state.bench.owned(owner):
+        for item in state.bench.list_owned(owner):
             if item.maybe:
                 keys = tuple(station_key(place) for place in item.maybe)
                 return Wait(reasons.Lost(item.id), keys)
@@ -125,7 +125,7 @@ def _dry(state: LabState, run: RunState) -> Wait | None:
     for index, module, resource, amount in used:
         if states[index] in (*SETTLED, IN_FLIGHT):
             continue
-        if state.resources.of(module, resource) is None:
+        if state.resources.find(module, resource) is None:
             continue
         if (find_unreserved(state, module, resource) or 0.0) < amount:
             return Wait(reasons.UsedUp(module, resource), (module_key(module),))
@@ -178,7 +178,9 @@ class _OnTheWay:
             match effect:
                 case Carrying():
                     subject = self._find(effect.plate_at or effect.source) if effect.stands else None
-                    wait = self._refused(subject, "lidded", effect.lid == "off") if effect.lid else None
+                    wait = (
+                        self._check_variable(subject, "lidded", effect.lid == "off") if effect.lid else None
+                    )
                     if wait is not None:
                         return wait
                     self._carry(effect, subject)
@@ -189,7 +191,7 @@ class _OnTheWay:
                     found = (self._find(place) for place in places)
                     subject = None if brought else next(filter(None, found), None)
                 case Requires(of="labware"):
-                    wait = self._refused(subject, effect.variable, effect.value)
+                    wait = self._check_variable(subject, effect.variable, effect.value)
                     if wait is not None:
                         return wait
                 case Sets(of="labware") if subject is not None:
@@ -208,7 +210,7 @@ class _OnTheWay:
             return
         self._at[what.target], self._at[what.source] = subject, None
 
-    def _refused(self, item: Labware | None, variable: str, wanted: Any) -> Wait | None:
+    def _check_variable(self, item: Labware | None, variable: str, wanted: Any) -> Wait | None:
         if item is None or (item.id, variable) in self._changed or same(variable_of(item, variable), wanted):
             return None
         return Wait(reasons.Unfit(item.id, variable, str(wanted)), (station_key(item.station),))

@@ -15,7 +15,7 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.actions import ActionStatus
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
 from labos.core.rules import lab_ns
@@ -61,7 +61,7 @@ class Adviser:
         starts = state.runs.plans[run.plan].starts
         return min((advice.starts.get((run.id, first), LAST) for first in starts), default=LAST)
 
-    def whose_turn(self, state: LabState, run: RunState, now: int) -> RunState:
+    def find_next(self, state: LabState, run: RunState, now: int) -> RunState:
         """Who should be let in of those who wait in line with this run, the first of them."""
         advice = self._advice(state, state.runs.plan_of(run).workcell, now)
         key = queue_key(state.runs.shape_of(run), run)
@@ -134,7 +134,7 @@ def list_taken(state: LabState, step: PlanStep) -> list[str]:
     if step.exclusive:
         found[module_key(step.module)] = True
         found.update(dict.fromkeys(map(zone_key, zones_of(state, step.module, step.effects)), True))
-    for what in carried(step.effects):
+    for what in list_carried(step.effects):
         if what.via:
             found[station_key(what.via)] = True
         for place in what.entered:
@@ -146,7 +146,7 @@ def list_taken(state: LabState, step: PlanStep) -> list[str]:
 
 def _list_resources(state: LabState, step: PlanStep) -> list[str]:
     """The keys of what steps take in a suggested order: also the places that they fill."""
-    filled = (what.filled for what in carried(step.effects) if what.filled)
+    filled = (what.filled for what in list_carried(step.effects) if what.filled)
     places = [p for p in filled if state.bench.stations[p].spec.kind not in ("stack", "waste")]
     return list(dict.fromkeys([*list_taken(state, step), *map(station_key, places)]))
 

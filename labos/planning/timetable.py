@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.effects import Consumes, carried
+from labos.core.effects import Consumes, list_carried
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan, PlanStep, Workcell
 from labos.core.zones import zones_reached
@@ -72,7 +72,7 @@ def count_taken(plan: Plan) -> dict[StationName, int]:
     """How many pieces of labware the plan takes from each stack."""
     pieces: dict[StationName, int] = {}
     for step in _usual(plan):
-        for what in carried(step.effects):
+        for what in list_carried(step.effects):
             if what.stock:
                 pieces[what.stock] = pieces.get(what.stock, 0) + 1
     return pieces

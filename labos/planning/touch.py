@@ -207,7 +207,7 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
                 cell_key(workcell_of(event.module)),
                 run_key(event.run),
                 *_let_go(state, event),
-                *_left_zones(state, event),
+                *_list_left_zones(state, event),
                 *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
                 *_window(state, event.run),
             )
@@ -279,27 +279,27 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         case RunPaused() | RunResumed() | RunApproved():
             return (everything, run_key(event.run))
         case StartsPaused() | StartsResumed():
-            return _of_target(state, event.target)
+            return _list_target_keys(state, event.target)
         case ExperimentCancelled() | ExperimentClosing():
             # What it parks will be cleared away: others' ways may be free now.
-            return _of_experiment(state, event.experiment)
+            return _list_experiment_keys(state, event.experiment)
         case ExperimentEnded():
             return (over_key(event.experiment),)
         case BookingEvent():
-            return _of_booking(state, event)
+            return _list_booking_keys(state, event)
         case WorkcellApplied() | StationsApplied():
             return (bench_key(event.name), everything, access_key(event.name))
         case _:
             return ()
 
 
-def _of_target(state: LabState, target: str) -> tuple[str, ...]:
+def _list_target_keys(state: LabState, target: str) -> tuple[str, ...]:
     """Where starts are paused: on a module, in a workcell; else everywhere."""
     cell = workcell_of(ModuleName(target))
     return all_of(cell) if cell in state.lab.workcells else (EVERYTHING,)
 
 
-def _of_booking(state: LabState, event: BookingEvent) -> tuple[str, ...]:
+def _list_booking_keys(state: LabState, event: BookingEvent) -> tuple[str, ...]:
     """The workcell in which something is booked; everywhere, where the booking is not known any more."""
     if isinstance(event, BookingNeared):
         return ()
@@ -309,7 +309,7 @@ def _of_booking(state: LabState, event: BookingEvent) -> tuple[str, ...]:
     return tuple(key for cell in cells for key in (*all_of(cell), booking_key(cell)))
 
 
-def _of_experiment(state: LabState, name: ExperimentId) -> tuple[str, ...]:
+def _list_experiment_keys(state: LabState, name: ExperimentId) -> tuple[str, ...]:
     """The workcells in which an experiment has runs, or in which it closes."""
     known = state.experiments.open.get(name)
     if known is None:
@@ -332,7 +332,7 @@ def _let_go(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
     return (*map(module_key, freed), *(cell_key(workcell_of(module)) for module in freed))
 
 
-def _left_zones(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
+def _list_left_zones(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
     """The zones that an arm has come out of; the end of a run wakes everybody anyway."""
     run = state.runs.active.get(event.run)
     if run is None:

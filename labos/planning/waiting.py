@@ -144,7 +144,7 @@ class WaitingRoom:
     def __iter__(self) -> Iterator[str]:
         return iter(list(self._classes))
 
-    def emptied(self) -> list[str]:
+    def take_emptied(self) -> list[str]:
         """The bundles that have come to an end since this was asked last."""
         gone, self._gone = self._gone, []
         return [bundle for bundle in gone if bundle not in self._classes]
@@ -247,7 +247,7 @@ class WaitingRoom:
         if closing:
             interest |= self._interest(state, closing, state.runs.plans[closing].plan)
         stake = [owner for owner in owners if interest & present.get(owner, frozenset())]
-        booked = _booked_for(state, run, cell) if state.bookings.open else ""
+        booked = _list_booked(state, run, cell) if state.bookings.open else ""
         if booked:
             stake.append(Owner(f"booked:{booked}"))
         if state.shares.limits(run.user):
@@ -308,7 +308,7 @@ def head_of(state: LabState, group: str) -> RunState:
     return state.runs.queued[next(iter(state.runs.queue[group]))]
 
 
-def _booked_for(state: LabState, run: RunState, cell: str) -> str:
+def _list_booked(state: LabState, run: RunState, cell: str) -> str:
     """The bookings in a workcell that are for a run's user."""
     group = state.shares.group_of.get(run.user, "")
     return ",".join(b.id for b in state.bookings.in_cell(cell) if b.is_for(run.user, group))
@@ -357,5 +357,5 @@ def _present(state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
 
 def _whereabouts(bench: Bench, item: Labware) -> list[StationName]:
     if not item.moving and not item.maybe:
-        return [bench.planned(item.station)]
-    return [bench.planned(item.station), destination(bench, item), *map(bench.planned, item.maybe)]
+        return [bench.as_planned(item.station)]
+    return [bench.as_planned(item.station), destination(bench, item), *map(bench.as_planned, item.maybe)]

@@ -39,14 +39,14 @@ class Announcer:
         if self._task is not None:
             self._task.cancel()
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             if self._backlog.full():
                 self._backlog.get_nowait()
                 self.left_out += 1
             self._backlog.put_nowait(entry)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """What was not written was never announced."""
 
     async def _announce(self) -> None:

@@ -111,7 +111,7 @@ class Dispatcher:
         """Hear results from now on, and find out about everything that was in flight."""
         self._kernel.listeners.append(self)
         self._handles.append(await self._bus.subscribe(self._keys.all_results, self._on_result))
-        self.reopened()
+        self.on_reopened()
 
     async def close(self) -> None:
         if self in self._kernel.listeners:
@@ -122,7 +122,7 @@ class Dispatcher:
 
     # -- from the log ------------------------------------------------------------------------
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             event = entry.event
             if isinstance(event, ActionRequested):
@@ -137,7 +137,7 @@ class Dispatcher:
             elif isinstance(event, InterventionRequested) and event.kind == PlannedWork.KIND:
                 self._by_person.add(event.subject)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """Ask about everything that is open. Who is still being asked may be asked about an attempt that was
         never written, and such an answer says nothing about the one that was."""
         for asking in self._asking.values():
@@ -274,7 +274,7 @@ class Dispatcher:
             return
         by = str(action.module)
         if reply.status == "fenced":
-            self.outranked(action.module, reply.why)
+            self.note_outranked(action.module, reply.why)
         elif reply.journal != journal:
             kernel.submit(DoubtAction(name, "its node has lost the journal that would know"), by)
         elif not 0 <= reply.attempt <= attempt:
@@ -373,14 +373,14 @@ class Dispatcher:
 
     # -- other kernels -----------------------------------------------------------------------
 
-    def outranked(self, module: ModuleName, why: str) -> None:
+    def note_outranked(self, module: ModuleName, why: str) -> None:
         """A node says that it obeys a newer kernel, or another lab's. Whether that is so, only the database
         can tell."""
         if module not in self._fenced:
             self._fenced.add(module)
-            self._spawn(self._outranked(module, why))
+            self._spawn(self._check_outranked(module, why))
 
-    async def _outranked(self, module: ModuleName, why: str) -> None:
+    async def _check_outranked(self, module: ModuleName, why: str) -> None:
         try:
             await self._kernel.check_lease()
         except StoreError as error:

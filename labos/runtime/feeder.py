@@ -62,11 +62,11 @@ class Feeder:
             self._task.cancel()
             await asyncio.wait({self._task})
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         if any(isinstance(entry.event, MAKES_ROOM) for entry in entries):
             self._bell.set()
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         self._bell.set()
 
     async def _feed(self) -> None:

@@ -93,7 +93,7 @@ class FollowedKernel:
             self._scheduler = Scheduler(), self.state.position
         return self._scheduler[0]
 
-    async def written(self) -> None:
+    async def flush(self) -> None:
         """All that is known here is on disk."""
 
     # -- commands ----------------------------------------------------------------------------
@@ -227,7 +227,7 @@ class FollowedKernel:
                 evolve(self.state, entry.event, head.position, head.recorded_at)
             self._hash = chunk[-1].record.hash
             for listener in self.listeners:
-                listener.committed(chunk)
+                listener.on_committed(chunk)
             for position, grown in self._grown:
                 if position <= self.durable and not grown.done():
                     grown.set_result(None)
@@ -249,4 +249,4 @@ class FollowedKernel:
         _log.warning("log_is_another", position=self.durable)
         await self.open()
         for listener in self.listeners:
-            listener.reopened()
+            listener.on_reopened()

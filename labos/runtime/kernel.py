@@ -110,7 +110,7 @@ class Kernel(KernelLog):
         if not self.state.lab.id:
             self._begin_with(CreateLab(head.lab, settings.name, settings.pace))
         self._begin_with(StartKernel(head.epoch, VERSION))
-        await self.written()
+        await self.flush()
         self._tasks.append(asyncio.get_running_loop().create_task(self._keep_lease()))
         if plan:
             await self.begin_planning()
@@ -140,7 +140,7 @@ class Kernel(KernelLog):
         answer = self._turn(command, actor, causation or MARK.get())
         if isinstance(answer, Rejection):
             raise error_of(answer)
-        await self.written()
+        await self.flush()
         return answer
 
     def submit(self, command: Command, actor: str, causation: str = "") -> list[Event] | Rejection:

@@ -35,9 +35,9 @@ _log = structlog.get_logger(__name__)
 class Listener(Protocol):
     """Hears of events once they are on disk, in order."""
 
-    def committed(self, entries: Sequence[Entry]) -> None: ...
+    def on_committed(self, entries: Sequence[Entry]) -> None: ...
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """The log was read again: what was decided but not written is forgotten."""
 
 
@@ -108,7 +108,7 @@ class KernelLog(ABC):
     def epoch(self) -> int:
         return self._open_ledger().head.epoch
 
-    async def written(self) -> None:
+    async def flush(self) -> None:
         """Wait until everything decided so far is on disk. Raises StoreError if it is lost."""
         ledger = self._open_ledger()
         if self.durable >= ledger.head.position:
@@ -181,7 +181,7 @@ class KernelLog(ABC):
             task.cancel()
         if self._epoch_claimed is not None and not self.failed.done():
             try:
-                await self.written()
+                await self.flush()
             except StoreError as error:
                 self._stop(self._lost_why or error)
             else:
@@ -232,8 +232,8 @@ class KernelLog(ABC):
         while self._unwritten and self._unwritten[0].position <= position:
             entries.append(self._unwritten.popleft())
         for listener in self.listeners:
-            if not self._notify(listener, partial(listener.committed, entries)):
-                self._notify(listener, listener.reopened)  # it looks at everything again
+            if not self._notify(listener, partial(listener.on_committed, entries)):
+                self._notify(listener, listener.on_reopened)  # it looks at everything again
         while self._waiting and self._waiting[0][0] <= position:
             future = self._waiting.popleft()[1]
             if not future.done():
@@ -293,7 +293,7 @@ class KernelLog(ABC):
         """The log was read again."""
         _log.warning("log_reopened", position=self.durable)
         for listener in self.listeners:
-            self._notify(listener, listener.reopened)
+            self._notify(listener, listener.on_reopened)
         self.wake()
 
     def _notify(self, listener: Listener, call: Callable[[], None]) -> bool:

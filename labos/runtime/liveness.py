@@ -47,7 +47,7 @@ class Liveness:
             self._instances.pop(module, None)
         self._heard.pop((module, instance), None)
 
-    def of(self, module: ModuleName) -> list[str]:
+    def list_instances(self, module: ModuleName) -> list[str]:
         return self._instances.get(module, [])
 
     def silent(self, now: float, silence_s: float) -> list[tuple[ModuleName, str, float]]:

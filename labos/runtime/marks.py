@@ -35,7 +35,7 @@ _log = structlog.get_logger(__name__)
 class MarkedLog(Protocol):
     """A log that finds records by the beginning of their causation."""
 
-    def caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]: ...
+    def list_caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]: ...
 
 
 class Marks:
@@ -60,7 +60,7 @@ class Marks:
                 self._reading = None
         return self._known.get(mark, (0, ""))[0]
 
-    def asked(self, mark: str) -> str:
+    def find_digest(self, mark: str) -> str:
         """What stands behind a mark that is known: the beginning of a digest; empty in older logs."""
         return self._known[mark][1]
 
@@ -69,17 +69,17 @@ class Marks:
             self._reading.cancel()
             await asyncio.wait({self._reading})
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             if entry.record.head.causation.startswith(PREFIX):
                 self._note(entry.record.head.causation, entry.position)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """Something may be in the log that was not known to be on disk."""
         self.begin()
 
     async def _read(self) -> None:
-        for position, mark in await asyncio.to_thread(self._log.caused_by, PREFIX, LOOKED_AT):
+        for position, mark in await asyncio.to_thread(self._log.list_caused_by, PREFIX, LOOKED_AT):
             self._note(mark, position)
 
     def _note(self, causation: str, position: int) -> None:

@@ -63,7 +63,7 @@ class ObservingListener(ABC, Generic[Name]):
     def start(self) -> None:
         """Observe from now on, and at once for what is open already."""
         self._kernel.listeners.append(self)
-        self.reopened()
+        self.on_reopened()
 
     def close(self) -> None:
         if self in self._kernel.listeners:
@@ -71,10 +71,10 @@ class ObservingListener(ABC, Generic[Name]):
         self._tasks.cancel()
 
     @abstractmethod
-    def committed(self, entries: Sequence[Entry]) -> None: ...
+    def on_committed(self, entries: Sequence[Entry]) -> None: ...
 
     @abstractmethod
-    def reopened(self) -> None: ...
+    def on_reopened(self) -> None: ...
 
     @abstractmethod
     async def _observe(self, name: Name) -> None: ...

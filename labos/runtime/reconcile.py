@@ -19,7 +19,7 @@ import structlog
 
 from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
-from labos.core.effects import carried, hand_of, places
+from labos.core.effects import hand_of, list_carried, places
 from labos.core.ids import ActionId, InterventionId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import Intervention, InterventionRequested
 from labos.core.modules import NodeJoined, NodeStateChanged
@@ -37,7 +37,7 @@ _log = structlog.get_logger(__name__)
 class Reconciler(ObservingListener[InterventionId]):
     """Finds out for one kernel how motions ended that nobody saw end."""
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             match entry.event:
                 case InterventionRequested(kind=kind, intervention=name) if kind in KINDS:
@@ -47,7 +47,7 @@ class Reconciler(ObservingListener[InterventionId]):
                 case _:
                     pass
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         for question in self._kernel.state.interventions.open.values():
             if question.kind in KINDS:
                 self._observe_soon(question.id)
@@ -129,7 +129,7 @@ class Reconciler(ObservingListener[InterventionId]):
         state = self._kernel.state
         action = state.actions.open.get(ActionId(question.subject))
         effects = action.effects if action is not None else question.motions
-        motions = carried(effects)
+        motions = list_carried(effects)
         wanted = places(effect for effect in motions if effect.stock)
         for effect in motions:
             labware = state.bench.labware.get(effect.labware)

@@ -103,12 +103,12 @@ class Registry:
         """Modules for which a node is on the bus, whatever the log says."""
         return self._living.modules
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         """The nodes of new modules may be waiting."""
         if any(isinstance(entry.event, WorkcellApplied) for entry in entries):
-            self.reopened()
+            self.on_reopened()
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         for module in self._living.modules:
             self._greet_soon(module)
 
@@ -133,7 +133,7 @@ class Registry:
         the bus says of it comes a little later."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(LEAVE_S):
-                while any(self._living.of(ModuleName(module)) for module in modules):
+                while any(self._living.list_instances(ModuleName(module)) for module in modules):
                     self._left.clear()
                     await self._left.wait()
 
@@ -152,12 +152,12 @@ class Registry:
 
     def _drop_stranger(self, module: ModuleName) -> None:
         """Nobody needs to know any more why a module was rejected that no workcell has."""
-        if not self._living.of(module) and not self._dispatcher.doubts.has(module):
+        if not self._living.list_instances(module) and not self._dispatcher.doubts.has(module):
             self.rejected.pop(module, None)
 
     def _greet_soon(self, module: ModuleName) -> None:
         """Greet the node of a module; once more if that is being done."""
-        if not self._living.of(module):
+        if not self._living.list_instances(module):
             return
         if module in self._greeting:
             self._greeting[module] = True
@@ -182,7 +182,7 @@ class Registry:
     async def _greet(self, module: ModuleName) -> None:
         """Ask a living node who it is, and let it join. Raises StoreError."""
         pause = GREET_S
-        while self._living.of(module):
+        while self._living.list_instances(module):
             if module not in self._kernel.state.modules.by_name:
                 self._reject_stranger(module)
                 return
@@ -204,7 +204,7 @@ class Registry:
                     if self._is_second(module, about):
                         self.rejected[module] = TWO_NODES
                         return
-                    await self._outranked(module, about.epoch)
+                    await self._check_outranked(module, about.epoch)
                     continue
                 strange = await self._discovery.strange(module, about.open)
                 self._join(module, about, state, await self._beyond(about), strange)
@@ -221,7 +221,7 @@ class Registry:
         known = self._kernel.state.modules.by_name.get(module)
         if known is None or known.status == ModuleStatus.GONE or known.instance == about.instance:
             return False
-        return known.instance in self._living.of(module)
+        return known.instance in self._living.list_instances(module)
 
     def _reject_stranger(self, module: ModuleName) -> None:
         self.rejected[module] = f"No workcell of this lab has a module {local(module)}."
@@ -278,7 +278,7 @@ class Registry:
         self.metrics.pop(module, None)
         if about.metrics:
             self.metrics[module] = cut(about.metrics, LONGEST_NAME)
-        if len(self._living.of(module)) < 2:
+        if len(self._living.list_instances(module)) < 2:
             self.rejected.pop(module, None)
         if strange:  # a node that had joined before
             self._kernel.submit(HearJournal(module, tuple(strange)), str(module))
@@ -298,7 +298,7 @@ class Registry:
         """Let a node take requests again whose positions it was once told of; losing this costs
         another question when it joins again. It is out of service meanwhile."""
         try:
-            await self._kernel.written()
+            await self._kernel.flush()
             request = AdminRequest(
                 self._kernel.lab, self._kernel.epoch, "rewind", {"position": self._kernel.durable}
             )
@@ -317,7 +317,7 @@ class Registry:
 
     # -- other kernels -----------------------------------------------------------------------
 
-    async def _outranked(self, module: ModuleName, epoch: int) -> None:
+    async def _check_outranked(self, module: ModuleName, epoch: int) -> None:
         """A node obeys a later kernel. If the database calls this one the lab's kernel, the module is
         refused. Raises StoreError; the kernel stops if it is Fenced."""
         await self._kernel.check_lease()
@@ -431,7 +431,7 @@ class Registry:
     def _notice_double(self, module: ModuleName, now: float) -> None:
         """Two nodes that both go on living under one name are more than one that takes the other's place."""
         known = self._kernel.state.modules.by_name[module]
-        living = self._living.of(module)
+        living = self._living.list_instances(module)
         if known.status == ModuleStatus.GONE or known.instance not in living or len(living) < 2:
             if self._doubled.pop(module, None) is not None:
                 self.rejected.pop(module, None)

@@ -37,12 +37,12 @@ class Verifier(ObservingListener[ActionId]):
         super().__init__(kernel, bus, answer_s=answer_s)
         self._patience_s = patience_s
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             if isinstance(entry.event, ActionReported):
                 self._observe_soon(entry.event.action)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         for action in self._kernel.state.actions.open.values():
             if action.status == ActionStatus.REPORTED:
                 self._observe_soon(action.id)
@@ -54,14 +54,14 @@ class Verifier(ObservingListener[ActionId]):
         clock = self._kernel.clock
         give_up = clock.monotonic() + self._patience_s
         try:
-            while (action := self._reported(name)) is not None:
+            while (action := self._find_reported(name)) is not None:
                 if is_disturbed(self._kernel.state, action):
                     give_up = clock.monotonic() + self._patience_s
                     await asyncio.sleep(PAUSE_S)
                     continue
                 before = self._scene(action)
                 observed, unseen = await self._observations(action)
-                if self._reported(name) is None:
+                if self._find_reported(name) is None:
                     return
                 if unseen and self._at_work(action):
                     give_up = clock.monotonic() + self._patience_s
@@ -122,7 +122,7 @@ class Verifier(ObservingListener[ActionId]):
 
     # -- what there is to look at ------------------------------------------------------------
 
-    def _reported(self, name: ActionId) -> Action | None:
+    def _find_reported(self, name: ActionId) -> Action | None:
         action = self._kernel.state.actions.open.get(name)
         return action if action is not None and action.status == ActionStatus.REPORTED else None
 

@@ -196,10 +196,10 @@ class ThreadWriter:
         )
         for future in self._calls:
             _fail(future, error)
-        self._failed(error, self._turn)
+        self._report_failure(error, self._turn)
         self._store.hang_up()
 
-    def _failed(self, error: StoreError, turn: int) -> None:
+    def _report_failure(self, error: StoreError, turn: int) -> None:
         if turn == self._turn and self._trusted:
             self._turn += 1
             self._trusted = False
@@ -248,11 +248,11 @@ class ThreadWriter:
             self._head = self._store.append(self._head, records)
         except StoreError as error:
             self._head = None
-            self._tell(self._failed, error, turn)
+            self._tell(self._report_failure, error, turn)
         except Exception as error:
             self._head = None
             why = StoreUnavailable(f"The store failed unexpectedly: {error!r}.")
-            self._tell(self._failed, why, turn)
+            self._tell(self._report_failure, why, turn)
         else:
             self._tell(self._durable, self._head.position, turn, time.monotonic() - began)
 

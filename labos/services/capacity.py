@@ -62,7 +62,7 @@ def capacity(
     type, count); ``inputs`` are the stations where a run's labware must stand at its start;
     ``others`` are plans of which a copy may follow one in place of ``plan``.
     Raises Refused if the workcell cannot be set up like this."""
-    plan, *others = map(_approved, (plan, *others))
+    plan, *others = map(_approve, (plan, *others))
     bench = _PaperBench()
     bench.furnish(workcell, stock, inputs)
     for _ in range(cap):
@@ -80,7 +80,7 @@ def capacity(
     return Capacity(copies, copies >= cap, "" if copies >= cap else why)
 
 
-def _approved(plan: Plan) -> Plan:
+def _approve(plan: Plan) -> Plan:
     return msgspec.structs.replace(
         plan, steps=tuple(msgspec.structs.replace(step, dangerous="") for step in plan.steps)
     )
@@ -158,7 +158,7 @@ class _PaperBench:
         self.do(StartStep(RunId(run.id), step, action, self.now, run.plan))
         run = self.state.runs.active[run.id]
         if _over(run) + 1 < len(run.steps):
-            self.do(FinishAction(action, 1, True, "all", _imagined(plan, step)))
+            self.do(FinishAction(action, 1, True, "all", _imagine_result(plan, step)))
 
 
 def _over(run: RunState) -> int:
@@ -166,7 +166,7 @@ def _over(run: RunState) -> int:
     return sum(step.status in SETTLED for step in run.steps)
 
 
-def _imagined(plan: Plan, step: int) -> Any:
+def _imagine_result(plan: Plan, step: int) -> Any:
     """A result with a value wherever later steps look for one."""
     result: dict[str, Any] = {}
     for later in plan.steps:

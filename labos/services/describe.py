@@ -115,7 +115,7 @@ def _anchor(event: st.WindowBreached, names: Catalogue) -> str:
     return repr(anchor.key) if anchor is not None else f"step {event.anchor}"
 
 
-def _if(value: Any, text: str) -> str:
+def _when(value: Any, text: str) -> str:
     return text if value else ""
 
 
@@ -124,7 +124,7 @@ def _words_of(event: ErasureAsked | WordsErased) -> str:
     if event.user:
         return f"what {event.user} wrote"
     positions = ", ".join(map(str, event.records[:MOST_NAMED]))
-    return f"the words of position {positions}{_if(len(event.records) > MOST_NAMED, ' …')}"
+    return f"the words of position {positions}{_when(len(event.records) > MOST_NAMED, ' …')}"
 
 
 def _there(target: str) -> str:
@@ -150,10 +150,12 @@ MOST_NAMED = 5
 _DONE = {"all": "it was done", "none": "it was not done"}
 
 
-def _booked(event: k.Terms) -> str:
-    whom = "maintenance" if event.maintenance else _if(event.group, f"the group {event.group}") or event.user
+def _describe_booking(event: k.Terms) -> str:
+    whom = (
+        "maintenance" if event.maintenance else _when(event.group, f"the group {event.group}") or event.user
+    )
     times = f"from {show_time(event.begins)} until {show_time(event.ends)}"
-    more = f"{_if(event.rule, f', {event.rule}')}{_if(event.why, f': {event.why}')}"
+    more = f"{_when(event.rule, f', {event.rule}')}{_when(event.why, f': {event.why}')}"
     return f"{local(event.target)} for {whom} {times}{more}"
 
 
@@ -166,14 +168,14 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     a.ActionAccepted: lambda e, n: f"{_action(e, n)} accepted (attempt {e.attempt})",
     a.ActionRejected: lambda e, n: f"{_action(e, n)} refused for {'good' if e.final else 'now'}: {e.why}",
     a.ActionSucceeded: lambda e, n: (
-        f"{_action(e, n)} succeeded" + _if(e.result is not None, f", result {short(e.result)}")
+        f"{_action(e, n)} succeeded" + _when(e.result is not None, f", result {short(e.result)}")
     ),
     a.ActionReported: lambda e, n: (
         f"{_action(e, n)} is reported as done; looked at: {', '.join(map(local, e.looks))}"
     ),
     a.ActionFailed: lambda e, n: (
         f"{_action(e, n)} failed (effects: {e.effects}"
-        + _if(e.kind != "software", f", {e.kind} error")
+        + _when(e.kind != "software", f", {e.kind} error")
         + f"): {e.error}"
     ),
     a.ActionUnknown: lambda e, n: f"{_action(e, n)} ended unknown: {e.why}",
@@ -187,15 +189,15 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     b.LabwarePlaced: lambda e, _: (
         f"({e.type}) placed at {local(e.station)}"
-        + _if(e.stack, f" from the stack {local(e.stack)}")
-        + _if(e.lot, f" (lot {e.lot})")
-        + _if(e.on, f" on {e.on}")
+        + _when(e.stack, f" from the stack {local(e.stack)}")
+        + _when(e.lot, f" (lot {e.lot})")
+        + _when(e.on, f" on {e.on}")
         + f", of {owner_name(e.owner)}"
     ),
     b.LabwareMoved: lambda e, _: (
-        f"moved from {local(e.source)} to {local(e.target)}" + _if(e.on, f", onto {e.on}")
+        f"moved from {local(e.source)} to {local(e.target)}" + _when(e.on, f", onto {e.on}")
     ),
-    b.LabwareRemoved: lambda e, _: f"left the bench{_if(e.where, f' at {local(e.where)}')}: {e.why}",
+    b.LabwareRemoved: lambda e, _: f"left the bench{_when(e.where, f' at {local(e.where)}')}: {e.why}",
     b.LabwareUncertain: lambda e, _: (
         f"may be at any of: {', '.join(local(place) or 'gone' for place in e.places)} ({e.why})"
     ),
@@ -204,21 +206,21 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     b.BarcodeRead: lambda e, _: f"bears the barcode {e.barcode} (read by {e.by})",
     b.LiquidTransferred: lambda e, _: (
         f"got {sum(e.volumes_ul):g} µL of {e.liquid} into {len(e.wells)} wells at {local(e.module)}"
-        + _if(e.lots, f" (lot {', '.join(e.lots)})")
-        + _if(not e.certain, ", or a part of it")
+        + _when(e.lots, f" (lot {', '.join(e.lots)})")
+        + _when(not e.certain, ", or a part of it")
     ),
     b.LiquidDrawn: lambda e, _: (
         f"gave {sum(e.volumes_ul):g} µL out of {len(e.wells)} wells at {local(e.module)}"
-        + _if(not e.certain, ", or a part of it")
+        + _when(not e.certain, ", or a part of it")
     ),
     b.SamplesRegistered: lambda e, _: f"holds {e.count} samples (sheet {e.sheet[:12]})",
     b.LabwareHandedOver: lambda e, _: (
         ("is lent to " if e.lent else "now belongs to ")
         + owner_name(e.owner)
-        + _if(e.by, f" (given by {e.by}{_if(e.note, f': {e.note}')})")
+        + _when(e.by, f" (given by {e.by}{_when(e.note, f': {e.note}')})")
     ),
     b.StationLoaded: lambda e, _: (
-        f"{e.count} × {e.type} loaded at {local(e.station)}{_if(e.lot, f' (lot {e.lot})')}"
+        f"{e.count} × {e.type} loaded at {local(e.station)}{_when(e.lot, f' (lot {e.lot})')}"
     ),
     b.StationUnloaded: lambda e, _: f"{e.count} taken away from {local(e.station)}",
     b.StationObserved: lambda e, _: f"{e.by} saw {_sight(e)} at {local(e.station)}",
@@ -226,29 +228,29 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     b.WasteEmptied: lambda e, _: f"{local(e.station)} was emptied",
     r.RunSubmitted: lambda e, _: (
         f"{e.user} submitted {e.workflow!r}"
-        + _if(e.experiment, f" in experiment {e.experiment}")
-        + _if(e.closing, " to clear away its labware")
+        + _when(e.experiment, f" in experiment {e.experiment}")
+        + _when(e.closing, " to clear away its labware")
     ),
     r.RunBound: lambda e, _: (
         f"takes {', '.join(f'{local(m)} for {key!r}' for key, m in e.modules.items())}"
-        + _if(e.why, f", as {e.why}")
+        + _when(e.why, f", as {e.why}")
         if e.modules
         else "is bound to one of its plans"
     ),
     r.RunStarted: lambda e, _: "started",
     RequestRepeated: lambda e, _: f"{e.request} was asked for again: {e.why}",
-    r.RunPaused: lambda e, _: f"paused{_if(e.why, f': {e.why}')}",
+    r.RunPaused: lambda e, _: f"paused{_when(e.why, f': {e.why}')}",
     r.RunResumed: lambda e, _: "resumed",
     r.RunCancelling: lambda e, _: (
-        f"ends when what is in flight has ended{_if(e.why or e.reason, f': {e.why or e.reason}')}"
+        f"ends when what is in flight has ended{_when(e.why or e.reason, f': {e.why or e.reason}')}"
     ),
     r.RunLeaving: lambda e, _: f"goes its way out in {len(e.steps)} step{'s' if len(e.steps) > 1 else ''}",
     r.RunCompleted: lambda e, _: f"completed all {e.steps} steps",
     r.RunFailed: lambda e, _: f"failed ({e.kind} error): {e.why}",
-    r.RunCancelled: lambda e, _: f"cancelled{_if(e.why, f': {e.why}')}",
+    r.RunCancelled: lambda e, _: f"cancelled{_when(e.why, f': {e.why}')}",
     st.WindowBreached: lambda e, n: f"did not start within {e.within_s:g} s after {_anchor(e, n)}",
     st.StepRetried: lambda e, _: (
-        f"is done again{_if(e.delay_s, f' in {e.delay_s:g} s')} (retry {e.number} of {e.times}): {e.why}"
+        f"is done again{_when(e.delay_s, f' in {e.delay_s:g} s')} (retry {e.number} of {e.times}): {e.why}"
     ),
     st.StepSkipped: lambda e, _: f"is left out: {e.why}",
     st.StepUnexpected: lambda e, _: f"is not as expected: {e.why}",
@@ -256,7 +258,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     PlanRecorded: lambda e, _: f"plan of {e.workflow!r} on {e.workcell}, {e.steps} steps",
     PlanStepsRecorded: lambda e, _: f"steps #{e.first} to #{e.first + len(e.steps) - 1} of its plan",
     g.LabCreated: lambda e, _: (
-        f"the lab {e.name!r} was created" + _if(e.pace != 1, f", simulated at {e.pace:g} × real time")
+        f"the lab {e.name!r} was created" + _when(e.pace != 1, f", simulated at {e.pace:g} × real time")
     ),
     g.KernelStarted: lambda e, _: f"a kernel started (epoch {e.epoch}, LabOS {e.version})",
     h.LogFoundShorter: lambda e, _: (
@@ -264,39 +266,39 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     h.StationsChecked: lambda e, _: f"{e.by} has said what stands at {', '.join(map(local, e.stations))}",
     h.BenchCompared: lambda e, _: (
-        f"{e.by} has been round the bench{_if(e.note, f' ({e.note})')}: the lab goes on"
+        f"{e.by} has been round the bench{_when(e.note, f' ({e.note})')}: the lab goes on"
     ),
     g.WorkcellApplied: lambda e, _: (
         f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})"
-        + _if(e.labware, f", its labware: {', '.join(kind.name for kind in e.labware)}")
+        + _when(e.labware, f", its labware: {', '.join(kind.name for kind in e.labware)}")
     ),
-    g.StartsPaused: lambda e, _: f"{e.by} lets nothing start {_there(e.target)}{_if(e.why, f': {e.why}')}",
+    g.StartsPaused: lambda e, _: f"{e.by} lets nothing start {_there(e.target)}{_when(e.why, f': {e.why}')}",
     g.StartsResumed: lambda e, _: f"{e.by} lets steps start again {_there(e.target)}",
     g.AccessRequested: lambda e, _: (
-        f"workcell {e.name}: {e.by} wants to reach in{_if(e.why, f' ({e.why})')}; nothing starts there"
+        f"workcell {e.name}: {e.by} wants to reach in{_when(e.why, f' ({e.why})')}; nothing starts there"
     ),
     g.AccessGranted: lambda e, _: f"workcell {e.name}: nothing moves",
-    g.AccessEnded: lambda e, _: f"workcell {e.name}: {e.by} is out{_if(e.note, f' ({e.note})')}",
+    g.AccessEnded: lambda e, _: f"workcell {e.name}: {e.by} is out{_when(e.note, f' ({e.note})')}",
     g.StationsApplied: lambda e, _: f"workcell {e.name}: {len(e.stations)} stations",
     m.NodeJoined: lambda e, _: (
-        f"node joined ({e.driver} {e.version}{_if(e.simulated, ', simulated')}), {e.status}"
+        f"node joined ({e.driver} {e.version}{_when(e.simulated, ', simulated')}), {e.status}"
     ),
     m.NodeLeft: lambda e, _: f"node gone: {e.why}",
-    m.NodeStateChanged: lambda e, _: f"{e.status}{_if(e.error, f': {e.error}')}",
+    m.NodeStateChanged: lambda e, _: f"{e.status}{_when(e.error, f': {e.error}')}",
     m.VariableSet: lambda e, _: (
-        f"{e.variable} is {'not known' if e.value is None else short(e.value)}" + _if(e.by, f" (by {e.by})")
+        f"{e.variable} is {'not known' if e.value is None else short(e.value)}" + _when(e.by, f" (by {e.by})")
     ),
     m.SetpointClaimed: lambda e, _: (
         f"{e.setpoint} is {'not known' if e.value is None else short(e.value)}, kept for {e.by}"
     ),
     m.SetpointReleased: lambda e, _: f"{e.setpoint} is not kept for {e.by} any more",
     m.ModuleTakenOut: lambda e, _: (
-        f"taken out of service: {e.why}" + _if(e.until, f" (until {show_time(e.until)})")
+        f"taken out of service: {e.why}" + _when(e.until, f" (until {show_time(e.until)})")
     ),
     m.ModulePutBack: lambda e, _: "back in service",
     m.LocationTaught: lambda e, _: (
-        f"taught {local(e.station)}{_if(e.labware_type, f' for {e.labware_type}')} (version {e.version})"
-        + f" by {e.by}{_if(e.why, f': {e.why}')}"
+        f"taught {local(e.station)}{_when(e.labware_type, f' for {e.labware_type}')} (version {e.version})"
+        + f" by {e.by}{_when(e.why, f': {e.why}')}"
     ),
     m.EmergencyStopped: lambda e, _: f"stopped in an emergency by {e.by or 'somebody'}",
     m.StopReported: lambda e, _: (
@@ -305,49 +307,50 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + (f", not known of {', '.join(map(local, e.silent))}" if e.silent else "")
     ),
     s.LevelSet: lambda e, _: (
-        f"{e.resource} set to {e.level:g} of {e.capacity:g}{_if(e.lot, f' (lot {e.lot})')}"
+        f"{e.resource} set to {e.level:g} of {e.capacity:g}{_when(e.lot, f' (lot {e.lot})')}"
     ),
     s.ResourceReplenished: lambda e, _: (
-        f"{e.amount:g} of {e.resource} put in{' instead' if e.instead else ''}{_if(e.lot, f' (lot {e.lot})')}"
-        + _if(e.expires, f", good until {e.expires}")
+        f"{e.amount:g} of {e.resource} put in{' instead' if e.instead else ''}"
+        + _when(e.lot, f" (lot {e.lot})")
+        + _when(e.expires, f", good until {e.expires}")
     ),
     s.ResourceConsumed: lambda e, _: (
-        f"{e.amount:g} of {e.resource} used{_if(e.run, f' by {e.run}')}{_if(e.lot, f' (lot {e.lot})')}"
+        f"{e.amount:g} of {e.resource} used{_when(e.run, f' by {e.run}')}{_when(e.lot, f' (lot {e.lot})')}"
     ),
     i.InterventionRequested: lambda e, _: (
         f"a person is asked: {e.text} Choices: {', '.join(choice.name for choice in e.choices)}."
     ),
     i.InterventionResolved: lambda e, _: (
         ("withdrawn" if e.choice == "withdrawn" else f"{e.by} chose {e.choice!r}")
-        + _if(e.note, f" ({e.note})")
+        + _when(e.note, f" ({e.note})")
     ),
     i.InterventionOverdue: lambda e, _: f"not confirmed by {show_time(e.due_at)}, when it was due",
     c.CampaignSubmitted: lambda e, _: (
         f"{e.user} submitted the campaign {e.name!r}: {e.workflow} for {e.rows} rows"
-        + _if(e.cloned_from, f", once more after {e.cloned_from}")
+        + _when(e.cloned_from, f", once more after {e.cloned_from}")
         + ("" if e.visibility == "lab" else f" ({e.visibility})")
     ),
-    c.CampaignPaused: lambda e, _: f"paused{_if(e.why, f': {e.why}')}",
+    c.CampaignPaused: lambda e, _: f"paused{_when(e.why, f': {e.why}')}",
     c.CampaignResumed: lambda e, _: "resumed",
     c.CampaignAmended: lambda e, _: "goes on under other terms",
     c.CampaignRowRefused: lambda e, _: f"row {e.row + 1} cannot be carried out: {e.why}",
     c.CampaignStopped: lambda e, _: f"stopped: {e.why}",
-    c.CampaignCancelled: lambda e, _: f"cancelled{_if(e.why, f': {e.why}')}",
+    c.CampaignCancelled: lambda e, _: f"cancelled{_when(e.why, f': {e.why}')}",
     c.CampaignArchived: lambda e, _: "archived",
     c.CampaignUnarchived: lambda e, _: "stands in lists again",
     c.CampaignCompleted: lambda e, _: (
         f"completed: of its runs {e.completed} completed, {e.failed} failed, {e.cancelled} were cancelled"
-        + _if(e.refused, f"; {e.refused} rows were refused")
-        + _if(e.left, f"; {e.left} rows were left")
+        + _when(e.refused, f"; {e.refused} rows were refused")
+        + _when(e.left, f"; {e.left} rows were left")
     ),
     q.SharesApplied: lambda e, _: (
         f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users hold from now on"
     ),
     OrderSuggested: lambda e, _: f"{e.by} suggests an order for {len(e.steps)} steps in {e.workcell}",
-    RunSigned: lambda e, _: f"{e.by} signed {e.run}: {e.meaning}{_if(e.why, f': {e.why}')}",
+    RunSigned: lambda e, _: f"{e.by} signed {e.run}: {e.meaning}{_when(e.why, f': {e.why}')}",
     RecordsSigned: lambda e, _: (
         f"{e.by} signed the {e.kind} {e.subject} with {e.runs} run{'' if e.runs == 1 else 's'}: "
-        f"{e.meaning}{_if(e.why, f': {e.why}')}"
+        f"{e.meaning}{_when(e.why, f': {e.why}')}"
     ),
     ErasureAsked: lambda e, _: (
         f"{e.by} asks to erase {_words_of(e)} ({e.because}); it takes a second person ({e.erasure})"
@@ -355,15 +358,15 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ErasureRefused: lambda e, _: f"{e.by} did not agree to {e.erasure}: no words are erased",
     WordsErased: lambda e, _: (
         f"{e.by} erased {_words_of(e)} ({e.because}; {len(e.digests)} texts)"
-        f"{_if(e.approved_by, f'; {e.approved_by} agreed')}"
+        f"{_when(e.approved_by, f'; {e.approved_by} agreed')}"
     ),
     PolicyApplied: lambda e, _: "another policy says what waits for an approval",
     ApprovalRequested: lambda e, _: (
         f"{'its change ' if e.kind == 'amendment' else ''}waits for approval: "
         + "; ".join(why.text for why in e.why)
     ),
-    ApprovalGiven: lambda e, _: f"approved by {e.by} ({e.digest[:12]}){_if(e.comment, f': {e.comment}')}",
-    ApprovalRefused: lambda e, _: f"{e.by} did not approve it{_if(e.comment, f': {e.comment}')}",
+    ApprovalGiven: lambda e, _: f"approved by {e.by} ({e.digest[:12]}){_when(e.comment, f': {e.comment}')}",
+    ApprovalRefused: lambda e, _: f"{e.by} did not approve it{_when(e.comment, f': {e.comment}')}",
     RunApproved: lambda e, _: f"approved by {e.by}, as a second person",
     u.UserAdded: lambda e, _: f"{e.user} may use the lab ({e.kind})",
     u.UserDisabled: lambda e, _: f"{e.user} may do nothing any more",
@@ -375,22 +378,26 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     u.MemberRemoved: lambda e, _: f"{e.user} is no longer in the group {e.group}",
     u.RoleGranted: lambda e, _: f"{owner_name(e.subject)} is {e.role} {_there(e.scope)} now",
     u.RoleRevoked: lambda e, _: f"{owner_name(e.subject)} has no role {_there(e.scope)} any more",
-    k.BookingMade: lambda e, _: f"{e.by} booked {_booked(e)}{_if(e.over, f', over {_list(e.over)}')}",
-    k.BookingChanged: lambda e, _: f"{e.by} changed it: {_booked(e)}{_if(e.over, f', over {_list(e.over)}')}",
-    k.BookingCancelled: lambda e, _: f"{e.by} cancelled it{_if(e.why, f': {e.why}')}",
+    k.BookingMade: lambda e, _: (
+        f"{e.by} booked {_describe_booking(e)}{_when(e.over, f', over {_list(e.over)}')}"
+    ),
+    k.BookingChanged: lambda e, _: (
+        f"{e.by} changed it: {_describe_booking(e)}{_when(e.over, f', over {_list(e.over)}')}"
+    ),
+    k.BookingCancelled: lambda e, _: f"{e.by} cancelled it{_when(e.why, f': {e.why}')}",
     k.BookingSkipped: lambda e, _: (
-        f"{e.by} left out the time from {show_time(e.begins)}{_if(e.why, f': {e.why}')}"
+        f"{e.by} left out the time from {show_time(e.begins)}{_when(e.why, f': {e.why}')}"
     ),
     k.BookingNeared: lambda e, _: f"begins at {show_time(e.begins)}",
     k.BookingBegan: lambda e, _: f"has begun, until {show_time(e.ends)}",
-    k.BookingEnded: lambda e, _: "is over" + _if(e.over, ", and does not come again"),
+    k.BookingEnded: lambda e, _: "is over" + _when(e.over, ", and does not come again"),
     x.ExperimentStarted: lambda e, _: f"{e.user} started the experiment {e.name!r}",
     x.ExperimentCancelled: lambda e, _: f"{e.why}: it takes no more runs",
     x.ExperimentClosing: lambda e, _: f"closing: {e.why}",
-    x.ExperimentEnded: lambda e, _: "ended" + _if(e.why not in ("", "ended"), f": {e.why}"),
+    x.ExperimentEnded: lambda e, _: "ended" + _when(e.why not in ("", "ended"), f": {e.why}"),
     x.ExperimentResumed: lambda e, _: "its application was started again, and goes on",
     x.ExperimentNoted: lambda e, _: (
-        f"{e.kind.replace('_', ' ')} {e.name!r}" + _if(e.facts, f": {short(e.facts)}")
+        f"{e.kind.replace('_', ' ')} {e.name!r}" + _when(e.facts, f": {short(e.facts)}")
     ),
 }
 """What each kind of event says, behind whom it is about."""

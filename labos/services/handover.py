@@ -179,7 +179,7 @@ def handover(log: Log, since: int, until: int) -> Handover:
         ),
         labware=tuple(_piece(item, given) for item in state.bench.labware.values() if _is_left(item)),
         runs_out=tuple(_short(name, out) for name, out in earliest(left)),
-        expired=tuple(_expired(left)),
+        expired=tuple(_list_expired(left)),
         twh=meter.report(until).lab,
     )
 
@@ -246,7 +246,7 @@ def _short(name: str, out: Shortfall) -> Shortage:
     return Shortage(local(name).replace(":", " "), out.run, out.workflow, out.step, out.at)
 
 
-def _expired(left: Inventory) -> Iterator[ExpiredPack]:
+def _list_expired(left: Inventory) -> Iterator[ExpiredPack]:
     for resource in left.resources:
         for lot in resource.lots:
             if lot.expired:

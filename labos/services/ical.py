@@ -28,8 +28,8 @@ def ical(state: LabState, bookings: Sequence[Booking]) -> bytes:
         calendar.add_component(_event(state, booking))
     begins = [booking.begins for booking in bookings]
     calendar.add_missing_timezones(
-        _at(min(begins, default=0), "UTC").date() - timedelta(days=366),
-        _at(max(begins, default=0), "UTC").date() + timedelta(days=366 * YEARS),
+        _to_datetime(min(begins, default=0), "UTC").date() - timedelta(days=366),
+        _to_datetime(max(begins, default=0), "UTC").date() + timedelta(days=366 * YEARS),
     )
     return bytes(calendar.to_ical())
 
@@ -38,9 +38,9 @@ def _event(state: LabState, booking: Booking) -> Event:
     event = Event()
     event.add("uid", f"{booking.id}@{state.lab.id}")
     event.add("sequence", booking.made)
-    event.add("dtstamp", _at(booking.made_at, "UTC"))
-    event.add("dtstart", _at(booking.begins, booking.zone))
-    event.add("dtend", _at(booking.ends, booking.zone))
+    event.add("dtstamp", _to_datetime(booking.made_at, "UTC"))
+    event.add("dtstart", _to_datetime(booking.begins, booking.zone))
+    event.add("dtend", _to_datetime(booking.ends, booking.zone))
     event.add("summary", f"{local(booking.target)}: {booking.whom}")
     event.add("location", booking.target)
     why = f": {booking.why}" if booking.why else ""
@@ -49,14 +49,14 @@ def _event(state: LabState, booking: Booking) -> Event:
     if booking.rule:
         rule = vRecur.from_ical(booking.rule)
         if booking.last and "COUNT" not in rule:
-            rule["UNTIL"] = [_at(booking.last, "UTC")]
+            rule["UNTIL"] = [_to_datetime(booking.last, "UTC")]
         event.add("rrule", rule)
         for begins in booking.skipped:
-            event.add("exdate", _at(begins, booking.zone))
+            event.add("exdate", _to_datetime(begins, booking.zone))
     return event
 
 
-def _at(at: int, zone: str) -> datetime:
+def _to_datetime(at: int, zone: str) -> datetime:
     try:
         where = zone_of(zone)
     except ValueError:  # a zone that this computer does not know

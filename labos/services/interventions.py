@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.effects import moved
+from labos.core.effects import list_moved
 from labos.core.ids import ActionId, LabwareId, local
 from labos.core.interventions import (
     Intervention,
@@ -79,7 +79,9 @@ def intervention_histories(log: Log) -> dict[str, InterventionHistory]:
             case RunSubmitted():
                 workflows[event.run] = plans.get(event.plan, "")
             case InterventionRequested():
-                told[event.intervention] = _asked(event, workflows.get(event.run, ""), head.recorded_at)
+                told[event.intervention] = _begin_history(
+                    event, workflows.get(event.run, ""), head.recorded_at
+                )
             case InterventionOverdue():
                 told[event.intervention].overdue = True
             case InterventionResolved():
@@ -89,7 +91,7 @@ def intervention_histories(log: Log) -> dict[str, InterventionHistory]:
     return told
 
 
-def answered(log: Log, name: str) -> str:
+def describe_answer(log: Log, name: str) -> str:
     """How a question was answered, as a sentence; empty if there never was one, or if it is open. Raises
     LogTooNew, LogDamaged."""
     for event, head in events(log.select(LogQuery(types=(InterventionResolved.TYPE,)))):
@@ -109,7 +111,7 @@ def whereabouts(state: LabState, question: Intervention) -> str:
     action = state.actions.open.get(ActionId(question.subject))
     is_unknown = isinstance(question.topic, UnknownAction) and action is not None
     effects = action.effects if action is not None and is_unknown else question.motions
-    names = [move.labware for move in moved(effects)]
+    names = [move.labware for move in list_moved(effects)]
     return "; ".join(_place(state, name) for name in names if name in state.bench.labware)
 
 
@@ -120,7 +122,7 @@ def _place(state: LabState, name: LabwareId) -> str:
     return f"{name} was seen at {local(item.station)}"
 
 
-def _asked(event: InterventionRequested, workflow: str, at: int) -> InterventionHistory:
+def _begin_history(event: InterventionRequested, workflow: str, at: int) -> InterventionHistory:
     return InterventionHistory(
         id=event.intervention,
         kind=event.kind,

@@ -12,7 +12,7 @@ from itertools import groupby
 
 import msgspec
 
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.runs import SETTLED, RunState, statuses_of
 from labos.core.state import LabState
@@ -197,7 +197,7 @@ def ahead(state: LabState, now: int) -> Iterator[Ahead]:
             for used, module, resource, amount in state.runs.plans[run.plan].uses_up:
                 if used == index:
                     uses.append((step.key, at, f"{module}:{resource}", amount))
-            for what in carried(step.effects):
+            for what in list_carried(step.effects):
                 if what.stock:
                     uses.append((step.key, at, f"stack:{what.stock}", 1))
                 if _is_waste(state, what.filled):

@@ -29,7 +29,7 @@ def owners(folder: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     for path in sorted(folder.glob("*.journal")):
         with contextlib.suppress(JournalDamaged):
-            journal = Journal.of(path.read_bytes())
+            journal = Journal.read(path.read_bytes())
             if journal.lab:
                 found[path.stem] = journal.lab
     return found
@@ -68,13 +68,13 @@ def surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
         if knows_more(journal.pruned, journal.pruned_by, head.position, starts):
             found.append(Surplus(name, f"of a log up to position {journal.pruned}"))
         for attempt in journal.open_attempts():
-            if not _requested(log, attempt.position, attempt.action, head.position):
+            if not _is_requested(log, attempt.position, attempt.action, head.position):
                 what = f"{attempt.name} ({attempt.status}), requested at position {attempt.position}"
                 found.append(Surplus(name, what))
     return found
 
 
-def untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[Found], int]]:
+def find_untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[Found], int]]:
     """What the journals in a folder know and the log of their lab does not, by module: actions, and the
     position up to which it was told of things (0: the log holds all of that). Damaged ones are left out, as
     their nodes refuse to start."""
@@ -82,13 +82,13 @@ def untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[Found], int]]:
     found: list[tuple[ModuleName, list[Found], int]] = []
     for path in sorted(folder.glob("*.journal")):
         with contextlib.suppress(JournalDamaged):
-            journal = Journal.of(path.read_bytes())
+            journal = Journal.read(path.read_bytes())
             if journal.lab != head.lab:
                 continue
             strange = [
                 Found(ActionId(a.action), a.name, a.status, a.position, a.effects)
                 for a in journal.open_attempts()
-                if not _requested(log, a.position, a.action, head.position)
+                if not _is_requested(log, a.position, a.action, head.position)
             ]
             more = knows_more(journal.pruned, journal.pruned_by, head.position, starts)
             if strange or more:
@@ -97,7 +97,7 @@ def untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[Found], int]]:
     return found
 
 
-def _requested(log: Log, position: int, action: str, end: int) -> bool:
+def _is_requested(log: Log, position: int, action: str, end: int) -> bool:
     if not 1 <= position <= end:
         return False
     record = next(log.read(position - 1, position), None)

@@ -94,7 +94,7 @@ def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, Lab
                 _take_away(told, event)
             story = told.get(event.labware)
             if story is not None:
-                _add(story, event, record, _by(event, record, acts, names))
+                _add(story, event, record, _find_actor(event, record, acts, names))
     return told
 
 
@@ -150,7 +150,7 @@ def _act(event: ActionRequested, names: Catalogue) -> str:
     return f"{local(event.module)}.{event.name}{key if event.run else ''}"
 
 
-def _by(event: b.LabwareEvent, record: Record, acts: dict[str, str], names: Catalogue) -> str:
+def _find_actor(event: b.LabwareEvent, record: Record, acts: dict[str, str], names: Catalogue) -> str:
     """Who acted: the action that carried it, else the run, else the actor; with the user."""
     run = names.runs.get(event.run)
     user = f" ({run.user})" if run is not None else ""

@@ -140,16 +140,16 @@ class LossBook:
             self._note(name, None)
         found = {key: book.reading() for key, book in self._books.items()}
 
-        def of(kind: ScopeKind) -> dict[str, Account]:
+        def list_accounts(kind: ScopeKind) -> dict[str, Account]:
             return {name: account for (known, name), account in found.items() if known == kind}
 
         lab = found.get(("lab", ""), _Book("lab", "").reading())
         return Losses(
             self.meter.report(self._at),
             lab,
-            of("workcell"),
-            of("experiment"),
-            of("run"),
+            list_accounts("workcell"),
+            list_accounts("experiment"),
+            list_accounts("run"),
             tuple(self.intervals),
             tuple(next_touches(self.standstill.state, self._at)),
             self._at,

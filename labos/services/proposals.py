@@ -48,7 +48,7 @@ def differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal
     if proposal.kind == "amendment":
         campaign = state.campaigns.open.get(CampaignId(proposal.subject))
         was = msgspec.to_builtins(campaign.terms) if campaign is not None else {}
-        return [ChangedPart("terms", tuple(compared(was, msgspec.to_builtins(proposal.terms))))]
+        return [ChangedPart("terms", tuple(compare(was, msgspec.to_builtins(proposal.terms))))]
     past = state.approvals.past.get(f"{proposal.kind}:{proposal.name}")
     if past is None:
         return []
@@ -60,10 +60,10 @@ def _lines(log: Log, blobs: BlobReader, proposal: Proposal, past: Past, part: st
     if part == "payload":
         old, new = _first(log, past.subject, RunSubmitted), _first(log, proposal.subject, RunSubmitted)
         if isinstance(old, RunSubmitted) and isinstance(new, RunSubmitted):
-            return tuple(compared(old.payload, new.payload))
+            return tuple(compare(old.payload, new.payload))
         return ()
     if part == "terms":
-        return tuple(compared(msgspec.to_builtins(past.terms), msgspec.to_builtins(proposal.terms)))
+        return tuple(compare(msgspec.to_builtins(past.terms), msgspec.to_builtins(proposal.terms)))
     if part == "workflow" or part.startswith("file:"):
         return tuple(_texts_compared(_text(blobs, was), _text(blobs, now)))
     return ()
@@ -98,20 +98,20 @@ def _texts_compared(old: str | None, new: str | None) -> Iterator[str]:
         yield line
 
 
-def compared(old: dict[str, Any] | None, new: dict[str, Any] | None) -> Iterator[str]:
+def compare(old: dict[str, Any] | None, new: dict[str, Any] | None) -> Iterator[str]:
     """The values that differ, each with what it was."""
     before, now = _flat(old or {}), _flat(new or {})
     for number, key in enumerate(k for k in {**before, **now} if before.get(k, _NONE) != now.get(k, _NONE)):
         if number == MOST_VALUES:
             yield "…"
             return
-        yield f"{key}: {_shown(before, key)} -> {_shown(now, key)}"
+        yield f"{key}: {_show_value(before, key)} -> {_show_value(now, key)}"
 
 
 _NONE = object()
 
 
-def _shown(values: dict[str, Any], key: str) -> str:
+def _show_value(values: dict[str, Any], key: str) -> str:
     return msgspec.json.encode(values[key]).decode() if key in values else "not given"
 
 

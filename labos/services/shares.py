@@ -47,7 +47,7 @@ def ledger(state: LabState, now: int) -> list[Account]:
                     wanted=weights[name] / whole * member.weight / among,
                     had=levels.get(user, 0.0) / used if used else 0.0,
                     lab_hours=had.week.lab_ns(now) * state.lab.pace / 3.6e12,
-                    consumables={kind: had.week.of(kind, now) for kind in _kinds(had)},
+                    consumables={kind: had.week.count_used(kind, now) for kind in _kinds(had)},
                     running=had.running,
                     queued=had.queued,
                     quota=member.quota,

@@ -80,10 +80,10 @@ class ShownLog:
         return self._log.head()
 
     def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
-        return self._shown(self._log.read(after, upto))
+        return self._show(self._log.read(after, upto))
 
     def select(self, query: LogQuery) -> Iterator[Record]:
-        return self._shown(self._log.select(query))
+        return self._show(self._log.select(query))
 
     def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
         """As the log's own, so each record is checked before its words are put in."""
@@ -104,7 +104,7 @@ class ShownLog:
     def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
         return self._log.words_of(references)
 
-    def _shown(self, records: Iterator[Record]) -> Iterator[Record]:
+    def _show(self, records: Iterator[Record]) -> Iterator[Record]:
         for page in _in_pages(records):
             yield from show_records(self._log, page)
 

@@ -72,14 +72,14 @@ def record_of(log: Log, subject: str, kind: Kind) -> Signed:
     """The record of something that has ended. Raises NotFound, Refused."""
     found = _kind_of(log, subject)
     if found != kind:
-        raise NotFound(f"There is no {kind} {subject!r}.", remedy=_listed(kind))
+        raise NotFound(f"There is no {kind} {subject!r}.", remedy=_name_list_command(kind))
     records = list(log.select(LogQuery(streams=(subject,))))
     if ENDS[kind].isdisjoint(record.head.type for record in records):
         raise Refused(
             f"The {kind} {subject} has not ended: its record is not complete.",
-            remedy=f"Wait for its end: labos {_shown(kind)} {subject}",
+            remedy=f"Wait for its end: labos {_name_show_command(kind)} {subject}",
         )
-    return _signed(log, subject, kind)
+    return _digest_subject(log, subject, kind)
 
 
 def runs_of(log: Log, subject: str, upto: int | None = None) -> tuple[str, ...]:
@@ -103,7 +103,7 @@ def signatures_of(log: Log, subject: str = "") -> list[Signature]:
     found: list[Signature] = []
     known: dict[str, Signed] = {}
     for record in log.select(LogQuery(types=SIGNED)):
-        event = signed_in(record)
+        event = read_signature(record)
         if subject not in ("", event[0]):
             continue
         found.append(_signature(log, record, event, known))
@@ -129,7 +129,7 @@ def check_signatures(log: Log) -> Part:
     return Part("signatures", len(found), told, faults, tuple(each.position for each in broken))
 
 
-def signed_in(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned]:
+def read_signature(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned]:
     """What was signed, what it is, and the event."""
     event = decode(record.head.type, record.head.schema, record.payload)
     if isinstance(event, RunSigned):
@@ -146,7 +146,7 @@ def _signature(
 ) -> Signature:
     subject, kind, event = said
     if subject not in known:
-        known[subject] = _signed(log, subject, kind)
+        known[subject] = _digest_subject(log, subject, kind)
     runs = event.runs if isinstance(event, RecordsSigned) else 0
     at = record.head.recorded_at
     return Signature(
@@ -167,7 +167,7 @@ def _signature(
     )
 
 
-def _signed(log: Log, subject: str, kind: Kind) -> Signed:
+def _digest_subject(log: Log, subject: str, kind: Kind) -> Signed:
     runs = () if kind == "run" else runs_of(log, subject)
     return digest_of(kind, len(runs), _records(log, (subject, *runs)))
 
@@ -196,7 +196,7 @@ def _kind_of(log: Log, subject: str) -> Kind | None:
     return None
 
 
-def _listed(kind: Kind) -> str:
+def _name_list_command(kind: Kind) -> str:
     return {
         "run": "List them: labos runs --all",
         "experiment": "List them: labos experiments --all",
@@ -204,5 +204,5 @@ def _listed(kind: Kind) -> str:
     }[kind]
 
 
-def _shown(kind: Kind) -> str:
+def _name_show_command(kind: Kind) -> str:
     return "campaign show" if kind == "campaign" else "runs"

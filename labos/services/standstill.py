@@ -241,9 +241,9 @@ class Standstill:
                 lacks = "empty" if isinstance(reason, reasons.StackEmpty) else "full"
                 return Cause("resource", f"{local(place)} {lacks}", self._module_at(place))
             case reasons.Uncertain():
-                return self._lost(reason.place)
+                return self._charge_lost(reason.place)
             case reasons.Lost():
-                return self._lost(reason.labware)
+                return self._charge_lost(reason.labware)
             case reasons.Outcome():
                 return Cause("error", "unknown action", "", "operational", asked=True)
             case reasons.Halted():
@@ -309,10 +309,10 @@ class Standstill:
         others, left = self._runs_named_in(words)
         others = tuple(other for other in others if other != run.id)
         if left is not None and not others:
-            return self._left(left)
+            return self._charge_left(left)
         return others
 
-    def _lost(self, where: str) -> Cause:
+    def _charge_lost(self, where: str) -> Cause:
         """Labware whose place nobody knows: charged to the action that lost it."""
         item = self.state.bench.labware.get(LabwareId(where))
         names = {item.id} if item else set()
@@ -326,7 +326,7 @@ class Standstill:
                 return self._question(question)
         return Cause("error", "labware lost", "", "operational", asked=False)
 
-    def _left(self, item: LabwareId) -> Cause:
+    def _charge_left(self, item: LabwareId) -> Cause:
         """Labware that no run will move away stands in the way."""
         for question in self.state.interventions.open.values():
             if item in question.labware:

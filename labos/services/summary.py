@@ -108,7 +108,7 @@ class _Usage:
         if not isinstance(event, a.ActionEvent) or isinstance(event, a.ActionEvidence):
             return
         self.first, self.last = self.first or at, at
-        module, run = self._of(event)
+        module, run = self._find_uses(event)
         match event:
             case a.ActionRequested():
                 flight = _Flight(event.run, event.module, at, event.exclusive)
@@ -136,7 +136,7 @@ class _Usage:
                 self.modules.setdefault(flight.module, _Use()).busy_ns += at - flight.since
             self.runs.setdefault(flight.run, _Use()).busy_ns += at - flight.since
 
-    def _of(self, event: a.ActionEvent) -> tuple[_Use, _Use]:
+    def _find_uses(self, event: a.ActionEvent) -> tuple[_Use, _Use]:
         module = self.modules.setdefault(event.module, _Use())
         return module, self.runs.setdefault(event.run, _Use())
 

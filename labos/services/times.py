@@ -66,13 +66,13 @@ def show_time(ns: int, zone: tzinfo | None = None) -> str:
     ``2026-05-04 10:30:00.250+02:00``; empty for 0. ``parse_time`` reads it."""
     if not ns:
         return ""
-    local = _at(ns, zone).replace(microsecond=ns // 1_000_000 % 1000 * 1000)
+    local = _to_datetime(ns, zone).replace(microsecond=ns // 1_000_000 % 1000 * 1000)
     return local.isoformat(" ", "milliseconds")
 
 
 def iso_time(ns: int) -> str:
     """UTC with nanoseconds, for programs; ``parse_time`` gives the same number back."""
-    return f"{_at(ns, UTC):%Y-%m-%dT%H:%M:%S}.{ns % 1_000_000_000:09d}Z"
+    return f"{_to_datetime(ns, UTC):%Y-%m-%dT%H:%M:%S}.{ns % 1_000_000_000:09d}Z"
 
 
 _MOMENTS = ("at", "since", "until")
@@ -100,7 +100,7 @@ def _as_moments(name: str, value: Any) -> Any:
     return with_iso_times(value)
 
 
-def _at(ns: int, zone: tzinfo | None) -> datetime:
+def _to_datetime(ns: int, zone: tzinfo | None) -> datetime:
     return (_EPOCH + timedelta(seconds=ns // 1_000_000_000)).astimezone(zone)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from labos.core.actions import ActionFailed, ActionReconciled, ActionRequested, ActionSucceeded
 from labos.core.bench import Labware
-from labos.core.effects import moved
+from labos.core.effects import list_moved
 from labos.core.envelope import Record
 from labos.core.ids import ActionId, StationName, local, workcell_of
 from labos.core.invariants import find_broken
@@ -69,7 +69,7 @@ def _way_of(state: LabState, item: Labware) -> list[str]:
     if not item.moving or item.maybe:
         return []
     action = state.actions.open[ActionId(item.moving)]
-    moves = [e for e in moved(action.effects) if e.labware == item.id]
+    moves = [e for e in list_moved(action.effects) if e.labware == item.id]
     stops = [state.bench.stations[stop].spec for e in moves for stop in (e.source, e.via, e.target) if stop]
     places = ["" if stop.kind == "waste" else bench_name(stop) for stop in stops]
     return [*places, f"hand:{local(action.module)}"] if places else []
@@ -93,13 +93,13 @@ def bench_contents(world: World, state: LabState, records: Sequence[Record]) -> 
     names = {plate: name for name, plate in plates_by_labware(world, records).items()}
     places = world.places()
 
-    def called(plate: str) -> str:
+    def name_plate(plate: str) -> str:
         name = names.get(plate, "")
         return name if name in state.bench.labware else world.kind(plate)
 
     def piece(plate: str) -> str:
         lids = places.get(lid_of(plate), [])
-        return "+".join([called(plate), *(called(lid) for lid in lids)])
+        return "+".join([name_plate(plate), *(name_plate(lid) for lid in lids)])
 
     found: dict[StationName, list[str]] = {}
     for name, station in state.bench.stations.items():

@@ -134,7 +134,7 @@ class _Clock:
         self.advance(now)
         (self.running.add if works else self.running.discard)(run)
 
-    def done(self, now: int) -> None:
+    def finish_command(self, now: int) -> None:
         self.advance(now)
         self.current.commands += 1
 
@@ -200,7 +200,7 @@ class Meter:
         match event:
             case ActionSucceeded():
                 for clock in self._clocks(event.run):
-                    clock.done(at)
+                    clock.finish_command(at)
             case r.RunSubmitted():
                 self._on_request(event, head)
             case r.RunStarted():

@@ -67,7 +67,7 @@ class Store(Log, Protocol):
 
     @property
     def known_position(self) -> int: ...
-    def stored_snapshot(self) -> Snapshot | None: ...
+    def read_snapshot_row(self) -> Snapshot | None: ...
 
 
 class Blobs(Protocol):
@@ -86,7 +86,7 @@ def check_database(store: Store) -> Part:
 
 def check_snapshot(store: Store) -> Part:
     """Whether the snapshot is genuine, and what the log folds to. The log must be whole."""
-    found = store.stored_snapshot()
+    found = store.read_snapshot_row()
     if found is None:
         return Part("snapshot", 0, "There is no snapshot.")
     if not found.genuine:
@@ -175,7 +175,7 @@ def check_journals(folder: Path) -> tuple[Part, dict[str, Journal]]:
     files = sorted(folder.glob("*.journal"))
     for path in files:
         try:
-            found[path.stem] = Journal.of(path.read_bytes())
+            found[path.stem] = Journal.read(path.read_bytes())
         except (JournalDamaged, OSError) as error:
             said = error.message if isinstance(error, LabosError) else str(error)
             faults.append(f"The journal {path} is damaged: {said}")

@@ -93,14 +93,14 @@ def reasons(
         *(
             Reason(step, words(wait), wait.blocked, remedy(wait))
             for step, wait in (
-                (step, _unknown_outcomes(state, wait)) for step, wait in scheduler.waits(state, run, now)
+                (step, _name_unknown(state, wait)) for step, wait in scheduler.waits(state, run, now)
             )
             if not isinstance(wait.reason, NotPending)
         ),
     ]
 
 
-def _unknown_outcomes(state: LabState, wait: Wait) -> Wait:
+def _name_unknown(state: LabState, wait: Wait) -> Wait:
     """A module whose last action ended unknown is busy until somebody has answered."""
     busy = wait.reason.module if isinstance(wait.reason, ModuleBusy) else ""
     for action in state.actions.open.values() if busy else ():

@@ -126,7 +126,7 @@ def description_of(about: About, driver: str) -> Description:
     )
 
 
-def extended(description: Description, more: Extends) -> Description:
+def extend(description: Description, more: Extends) -> Description:
     """A driver's description with what the module offers beyond it. Raises BadEffect."""
     actions = {action.name: action for action in description.actions}
     for name, written in more.actions.items():
@@ -153,7 +153,7 @@ def resettable(description: Description) -> Description:
     return msgspec.structs.replace(description, actions=(*description.actions, reset))
 
 
-def described(module: ModuleSpec, descriptions: Mapping[str, Description]) -> Description | None:
+def find_description(module: ModuleSpec, descriptions: Mapping[str, Description]) -> Description | None:
     """What is known of a module: its own ``about:`` as it was applied, or what followed from a table that
     its driver was told, else its driver's."""
     written = module.config.get("about") or module.config.get("offers")
@@ -164,7 +164,7 @@ def described(module: ModuleSpec, descriptions: Mapping[str, Description]) -> De
     else:
         return None
     more = module.config.get("extends")
-    return extended(found, Extends.model_validate(more)) if more else found
+    return extend(found, Extends.model_validate(more)) if more else found
 
 
 def _stations(written: Mapping[str, StationAbout]) -> tuple[Station, ...]:
@@ -232,22 +232,22 @@ def about_of(description: Description) -> dict[str, Any]:
     plain = {
         "description": description.description,
         "manipulator": description.manipulator,
-        "stations": {s.name: _written_station(s) for s in description.stations},
+        "stations": {s.name: _write_station(s) for s in description.stations},
         "variables": description.variables,
         "rest": description.rest,
         "levels": description.levels,
         "units": description.units,
-        "actions": {a.name: _written_action(a) for a in description.actions if a.name != "reset"},
+        "actions": {a.name: _write_action(a) for a in description.actions if a.name != "reset"},
     }
     return {key: value for key, value in plain.items() if value or key == "actions"}
 
 
-def _written_station(station: Station) -> dict[str, Any]:
+def _write_station(station: Station) -> dict[str, Any]:
     plain, usual = _without(msgspec.to_builtins(station), "name"), msgspec.to_builtins(Station(""))
     return {key: list(v) if isinstance(v, tuple) else v for key, v in plain.items() if v != usual[key]}
 
 
-def _written_action(action: ActionSpec) -> dict[str, Any]:
+def _write_action(action: ActionSpec) -> dict[str, Any]:
     plain = _without(
         msgspec.to_builtins(action), "name", "args", "effects", "duration_s", "by_person", "cancellable"
     )
@@ -259,13 +259,13 @@ def _written_action(action: ActionSpec) -> dict[str, Any]:
     if not action.exclusive:
         kept["exclusive"] = False
     if action.args:
-        kept["args"] = {arg.name: _written_arg(arg) for arg in action.args}
+        kept["args"] = {arg.name: _write_arg(arg) for arg in action.args}
     effects = [msgspec.to_builtins(effect) for effect in action.effects]
     kept["effects"] = [{e.pop("effect"): {k: v for k, v in e.items() if v not in EMPTY}} for e in effects]
     return {**kept, "duration": action.duration_s}
 
 
-def _written_arg(arg: Arg) -> dict[str, Any]:
+def _write_arg(arg: Arg) -> dict[str, Any]:
     plain = _without(msgspec.to_builtins(arg), "name", "required")
     kept = {key: value for key, value in plain.items() if value not in EMPTY}
     if arg.required != (arg.default is None):

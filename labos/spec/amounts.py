@@ -43,7 +43,7 @@ def amount_of(text: str, values: Mapping[str, Any], file_of: FileOf, counter: Co
     name, path = str(values.get(in_file["arg"], "")), in_file["path"].split(".")
     otherwise = float(in_file["otherwise"]) if in_file["otherwise"] else None
     content = file_of(name)
-    said = None if content is None else _said_in(name, content, path, values, must=otherwise is None)
+    said = None if content is None else _read_from_file(name, content, path, values, must=otherwise is None)
     if said is not None or otherwise is None:
         return Count(said or 0.0)
     if content is None:
@@ -96,7 +96,7 @@ def _number(value: Any, what: str) -> float:
     return float(value)
 
 
-def _said_in(
+def _read_from_file(
     name: str, content: bytes, path: list[str], values: Mapping[str, Any], *, must: bool
 ) -> float | None:
     """What a file itself says; None if it does not, and need not."""

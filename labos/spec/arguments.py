@@ -39,7 +39,7 @@ def bind(action: ActionSpec, written: Mapping[str, Any], tell: Tell) -> dict[str
         elif value is None and not arg.required:
             continue
         else:
-            bound[arg.name] = _checked(arg, name, value, tell)
+            bound[arg.name] = _check(arg, name, value, tell)
     for arg in action.args:
         if (
             arg.name not in bound
@@ -57,7 +57,7 @@ def is_later(value: Any) -> bool:
     return isinstance(value, dict) and "$result" in value
 
 
-def _checked(arg: Arg, name: str, value: Any, tell: Tell) -> Any:
+def _check(arg: Arg, name: str, value: Any, tell: Tell) -> Any:
     if is_later(value):
         return value
     try:

@@ -46,7 +46,7 @@ def default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> Bench:
     )
 
 
-def declared_stock(written: Mapping[str, Mapping[str, int]], stations: Stations, remarks: Remarks) -> Bench:
+def read_stock(written: Mapping[str, Mapping[str, int]], stations: Stations, remarks: Remarks) -> Bench:
     """The ``stock:`` of a workcell file; faults go to the remarks."""
     found: list[Stock] = []
     for place, counts in written.items():

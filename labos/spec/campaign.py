@@ -107,7 +107,7 @@ def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None 
     report = Report(name)
     file = validate(CampaignFile, source, report)
     if file is None:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     terms = Terms(
         priority=file.priority,
         budget=Budget(file.budget.runs, file.budget.lab_time, dict(file.budget.consumables)),

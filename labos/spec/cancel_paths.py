@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.leaving import Scene, steps_out, way_out
 from labos.core.model import Plan
@@ -28,7 +28,7 @@ class CancelPaths:
     def check(self) -> None:
         """What holds wherever the run is cancelled."""
         for index in self.steps:
-            if any(what.stock for what in carried(self.plan.steps[index].effects)):
+            if any(what.stock for what in list_carried(self.plan.steps[index].effects)):
                 what = "A way out takes no new labware."
                 self.error(index, what, "Move what the run has on the bench, or leave this step out.")
 

@@ -11,7 +11,7 @@ from labos.core.effects import Move
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import ActionSpec, Description, TransferWay, Workcell
 from labos.errors import SpecError
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.stations import Stations
 
 TRANSFER = "transfer"
@@ -36,7 +36,7 @@ class Carriers:
     def __init__(self, workcell: Workcell, descriptions: Mapping[str, Description]) -> None:
         self.stations = Stations(workcell.name, workcell.stations)
         self._taught = {arm for station in workcell.stations for arm in station.reach}
-        self.ways = workcell.transfers or tuple(_offered(workcell, descriptions))
+        self.ways = workcell.transfers or tuple(_list_offered(workcell, descriptions))
         self._reach = {way.module: self._reach_of(way.module) for way in self.ways}
 
     def find_way(self, source: str, target: str) -> list[Hop]:
@@ -117,10 +117,10 @@ class Carriers:
         return own | {s.name for s in places if module in s.reach}
 
 
-def _offered(workcell: Workcell, descriptions: Mapping[str, Description]) -> Iterable[TransferWay]:
+def _list_offered(workcell: Workcell, descriptions: Mapping[str, Description]) -> Iterable[TransferWay]:
     """What the modules of a workcell can carry by themselves."""
     for module in workcell.modules:
-        known = described(module, descriptions)
+        known = find_description(module, descriptions)
         for action in known.actions if known is not None else ():
             ends = _ends(action)
             if ends is not None:

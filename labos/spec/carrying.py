@@ -12,11 +12,11 @@ from typing import Any, Literal
 import msgspec
 
 from labos.core.arguments import names_of
-from labos.core.effects import moved
+from labos.core.effects import list_moved
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description
 from labos.errors import SpecError
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.stations import Stations
 from labos.spec.uses import Use, entries_of
@@ -49,11 +49,11 @@ class Carrying:
         self._offered = {
             local(module.name): found
             for module in cell.workcell.modules
-            if (found := described(module, descriptions)) is not None
+            if (found := find_description(module, descriptions)) is not None
         }
         self._own = {local(each.name) for each in cell.workcell.modules if not each.config.get("about")}
 
-    def agreed(self, uses: Iterable[Use]) -> set[End]:
+    def find_agreed(self, uses: Iterable[Use]) -> set[End]:
         """Those on which all of these uses agree; of the arguments only the values count."""
         said: dict[tuple[What, ModuleName, StationName], set[str | None]] = {}
         for use in uses:
@@ -72,7 +72,7 @@ class Carrying:
             return
         arm, known = ModuleName(f"{self.cell.workcell.name}/{module}"), names_of(offered)
         written = {known[name].name: name for name in args if name in known}
-        for effect in moved(offered.effects):
+        for effect in list_moved(offered.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
                 end, grip = place.strip("{}"), grip.strip("{}")
                 station = self._station(args.get(written.get(end, "")), module)

@@ -76,7 +76,7 @@ def describe_choices(choices: Mapping[str, Sequence[str]]) -> list[str]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for key, names in choices.items():
         groups.setdefault(tuple(names), []).append(repr(key))
-    return [f"By {_listed(names, 'or')}: {', '.join(keys)}." for names, keys in groups.items()]
+    return [f"By {_join_names(names, 'or')}: {', '.join(keys)}." for names, keys in groups.items()]
 
 
 def expand_lists(file: WorkflowFile) -> list[WorkflowFile]:
@@ -98,7 +98,7 @@ def is_left_open(entry: StepEntry) -> bool:
     return entry.module.startswith((ANY_OF, SAME_AS)) or any(_steps_meant(v) for _, v in _values(entry))
 
 
-def _listed(names: Sequence[str], word: str) -> str:
+def _join_names(names: Sequence[str], word: str) -> str:
     return f" {word} ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 

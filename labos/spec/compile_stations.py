@@ -13,7 +13,7 @@ from labos.core.model import Description, Station, StationKind, StationSpec
 from labos.errors import SpecError
 from labos.spec.findings import near
 from labos.spec.kinds import warn_of_unknown
-from labos.spec.labware import packaged_labware
+from labos.spec.labware import load_packaged_labware
 from labos.spec.models import LabwareType, StationEntry, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations, plain_place
@@ -34,7 +34,7 @@ def compile_stations(
 ) -> Stations:
     """All stations. ``drivers`` are the active modules' descriptions by module, ``own`` the labware types
     of the lab's own files; in a foreign file, places that nobody describes are taken for nests."""
-    types = {**packaged_labware(), **own}
+    types = {**load_packaged_labware(), **own}
     warn_of_unknown(file, types, remarks)
     compiler = _StationCompiler(file, drivers, remarks, foreign)
     compiler.describe()
@@ -64,7 +64,7 @@ class _StationCompiler:
         """The stations that the drivers describe."""
         for module, description in self.drivers.items():
             for station in description.stations:
-                self._put(self._described(module, station))
+                self._put(self._describe(module, station))
 
     def add_written(self) -> None:
         """Stations of the file that no driver describes."""
@@ -86,7 +86,7 @@ class _StationCompiler:
                     key=True,
                 )
             else:
-                self._put(self._added(place, entry.kind))
+                self._put(self._add(place, entry.kind))
 
     def add_shelves(self) -> None:
         """The shelves of the file's hotels, under their names only."""
@@ -167,7 +167,7 @@ class _StationCompiler:
                 name = known.find(place)
             except SpecError:
                 continue  # told before, or its module is not active
-            self._put(self._overridden(place, self.stations[name], entry))
+            self._put(self._override(place, self.stations[name], entry))
 
     def fit(self, held: Mapping[str, tuple[str, ...]]) -> None:
         """Labware types that can be held by some grips only, wherever an arm was taught a place."""
@@ -200,7 +200,7 @@ class _StationCompiler:
 
     # -- one station -------------------------------------------------------------------------
 
-    def _described(self, module: str, station: Station) -> StationSpec:
+    def _describe(self, module: str, station: Station) -> StationSpec:
         name = self._module(module)
         return StationSpec(
             name=StationName(f"{name}.{station.name}"),
@@ -212,7 +212,7 @@ class _StationCompiler:
             aliases=station.aliases,
         )
 
-    def _added(self, place: str, kind: StationKind | None) -> StationSpec:
+    def _add(self, place: str, kind: StationKind | None) -> StationSpec:
         owner, _, last = place.rpartition(".")
         module = self._module(owner) if owner in self.drivers else ModuleName("")
         if kind is None:
@@ -242,11 +242,11 @@ class _StationCompiler:
                 why = "no driver describes it" if module in self.modules else f"{module!r} is no module here"
                 message = f"The place {place!r} is taken for a nest: {why}."
                 self.remarks.warning(message, path, error.remedy, key=True)
-            station = self._added(plain_place(place) if "." in place else f"wc.{place}", None)
+            station = self._add(plain_place(place) if "." in place else f"wc.{place}", None)
             self._put(station)
             return station.name
 
-    def _overridden(self, place: str, station: StationSpec, entry: StationEntry) -> StationSpec:
+    def _override(self, place: str, station: StationSpec, entry: StationEntry) -> StationSpec:
         changes: dict[str, Any] = {}
         for field in ("kind", "capacity", "access", "rotation", "a1", "transfers"):
             value = getattr(entry, field)
@@ -276,7 +276,7 @@ class _StationCompiler:
                 message = f"{place!r} has shelves: it is a hotel that holds {entry.shelves}."
                 self.remarks.error(message, ("stations", place, what), f"Leave out `{what}:`.")
             changes |= {"kind": "hotel", "capacity": entry.shelves, "claim": ""}
-        changes |= self._observed(place, entry, changes.get("kind", station.kind))
+        changes |= self._find_observer(place, entry, changes.get("kind", station.kind))
         reach, reach_of = dict(station.reach), dict(station.reach_of)
         for manipulator, grips in entry.reach.items():
             if manipulator not in self.drivers:
@@ -296,7 +296,7 @@ class _StationCompiler:
         aliases = tuple(dict.fromkeys((*station.aliases, *entry.aliases)))
         return msgspec.structs.replace(station, reach=reach, reach_of=reach_of, aliases=aliases, **changes)
 
-    def _observed(self, place: str, entry: StationEntry, kind: StationKind) -> dict[str, Any]:
+    def _find_observer(self, place: str, entry: StationEntry, kind: StationKind) -> dict[str, Any]:
         """Who looks there, and when."""
         if entry.observer is None:
             if entry.verify is not None:

@@ -25,10 +25,10 @@ class Conditions:
         found = [self._read(index, one, "when") for one in written]
         known = [one for one in found if one is not None]
         if len(known) < 2:
-            return self._kept(index, *known[0], "when") if known else None
+            return self._make_condition(index, *known[0], "when") if known else None
         signs = ("and",) * (len(known) - 1)
         text = " and ".join(f"({text})" for text, _ in known)
-        return self._kept(index, text, ("row", signs, tuple(tree for _, tree in known)), "when")
+        return self._make_condition(index, text, ("row", signs, tuple(tree for _, tree in known)), "when")
 
     def expect(self, index: int) -> Condition | None:
         """What has to hold of a step's result."""
@@ -37,9 +37,9 @@ class Conditions:
             return None
         path: Path_ = ("steps", index, "expect")
         found = self._read(index, Written(leaf.entry.expect, path, leaf.scope, leaf.box), "expect")
-        return self._kept(index, *found, "expect") if found is not None else None
+        return self._make_condition(index, *found, "expect") if found is not None else None
 
-    def _kept(self, index: int, text: str, tree: Tree, key: str) -> Condition | None:
+    def _make_condition(self, index: int, text: str, tree: Tree, key: str) -> Condition | None:
         try:
             return condition(text, tree)
         except ExpressionError as error:
@@ -57,7 +57,7 @@ class Conditions:
                 if name[0] == "payload":
                     values[name] = ("value", look_up(name, {"payload": written.scope}))
                 elif name[0] == "steps":
-                    found = self._of_step(index, name, written, path)
+                    found = self._name_of_step(index, name, written, path)
                     if found is None:
                         return None
                     values[name] = found
@@ -70,7 +70,7 @@ class Conditions:
             return None
         return written.text, fill_in(tree, values)
 
-    def _of_step(self, index: int, name: tuple[Any, ...], written: Written, path: Path_) -> Tree | None:
+    def _name_of_step(self, index: int, name: tuple[Any, ...], written: Written, path: Path_) -> Tree | None:
         """A name of an earlier step's result, with the step's key."""
         if len(name) < 3 or name[2] != "result":
             what = f"Step {self.steps.keys[index]!r}: of an earlier step its result can be read."

@@ -42,7 +42,7 @@ class Defaults:
         self._prefix = f"{workcell.name}/"
         self._modules = {module.name: module for module in workcell.modules}
 
-    def settled(self, entry: StepEntry, scope: Mapping[str, Any]) -> StepEntry:
+    def fill_in(self, entry: StepEntry, scope: Mapping[str, Any]) -> StepEntry:
         """A step with what its module says where it says nothing itself; ``none`` is nothing at all."""
         module = self._module(entry, scope)
         retry, timeout = entry.retry, entry.timeout

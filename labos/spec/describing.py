@@ -19,7 +19,7 @@ from labos.spec.description import (
     VariantEntry,
 )
 from labos.spec.findings import Report, SpecErrors, near
-from labos.spec.frames import Frame, frame, slid, spun
+from labos.spec.frames import Frame, frame, slide, spin
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source, read
 from labos.spec.validation import validate
@@ -33,7 +33,7 @@ def load_description(source: Source | str | Path) -> DescriptionFile:
     report = Report(source.file)
     file = validate(DescriptionFile, source, report)
     if file is None:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     remarks = Remarks(source, report)
     _Check(file, None, remarks).all()
     for name, entry in file.variants.items():
@@ -74,7 +74,7 @@ def parts_at(file: DescriptionFile, joints: Mapping[str, float] | None = None) -
         for name, part in file.parts.items():
             if name not in found and part.on in found:
                 here = found[part.on].then(frame(part.at_mm, part.turn_deg))
-                found[name] = here.then(_moved(file, name, joints))
+                found[name] = here.then(_move(file, name, joints))
         if len(found) == before:
             raise ValueError("parts that stand on nothing")  # load_description refuses such files
     return found
@@ -88,7 +88,7 @@ def places_at(file: DescriptionFile, joints: Mapping[str, float] | None = None) 
     }
 
 
-def _moved(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> Frame:
+def _move(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> Frame:
     moves = file.parts[name].moves
     if moves is None:
         return frame()
@@ -96,7 +96,7 @@ def _moved(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> Fra
         by = moves.times * _value(file, moves.like, joints)
     else:
         by = _value(file, name, joints)
-    return slid(moves.axis, by) if moves.slide_mm is not None else spun(moves.axis, by)
+    return slide(moves.axis, by) if moves.slide_mm is not None else spin(moves.axis, by)
 
 
 def _value(file: DescriptionFile, name: str, joints: Mapping[str, float]) -> float:
@@ -112,10 +112,10 @@ def _row(pattern: str, row: PlaceEntry) -> Iterator[tuple[str, PlaceEntry]]:
         for key, each in row.each.items():
             steps = values[key] - each.from_to[0]
             at = [here + steps * step for here, step in zip(at, each.step_mm, strict=True)]
-        yield _named(pattern, values), row.model_copy(update={"at_mm": at, "each": {}})
+        yield _fill_name(pattern, values), row.model_copy(update={"at_mm": at, "each": {}})
 
 
-def _named(pattern: str, values: Mapping[str, int]) -> str:
+def _fill_name(pattern: str, values: Mapping[str, int]) -> str:
     return PLACEHOLDER.sub(lambda found: str(values.get(found[1], found[0])), pattern)
 
 
@@ -128,7 +128,7 @@ class _Check:
         self.file, self.entry, self.remarks = file, entry, remarks
 
     def all(self) -> None:
-        for path, based in self._based():
+        for path, based in self._list_based():
             known = [ASSUMED, DERIVED, *self.file.sources]
             if based.basis not in known:
                 message = f"There is no source {based.basis!r}."
@@ -147,7 +147,7 @@ class _Check:
         self._no_circles()
         for name, place in self.file.stations.items():
             self._stands(place.on, ("stations", name, "on"))
-            self._numbered(name, place)
+            self._check_numbers(name, place)
         if self.file.reach is not None:
             self._stands(self.file.reach.on, ("reach", "on"))
             for key in ("radius_mm", "height_mm", "rail_mm"):
@@ -155,7 +155,7 @@ class _Check:
                 if pair is not None and pair[0] >= pair[1]:
                     self._error("The lesser value comes first.", ("reach", key), "Write them in order.")
 
-    def _based(self) -> Iterator[tuple[Path_, Based]]:
+    def _list_based(self) -> Iterator[tuple[Path_, Based]]:
         yield ("footprint",), self.file.footprint
         for key in ("parts", "stations", "grips"):
             for name, entry in getattr(self.file, key).items():
@@ -191,7 +191,7 @@ class _Check:
                 message = f"The part {name!r} stands on itself."
                 self._error(message, ("parts", name, "on"), f"Let one of them stand on {BASE!r}.")
 
-    def _numbered(self, name: str, place: PlaceEntry) -> None:
+    def _check_numbers(self, name: str, place: PlaceEntry) -> None:
         written = set(PLACEHOLDER.findall(name))
         if written != set(place.each):
             message = f"The name {name!r} and `each` do not bear the same numbers."
@@ -202,9 +202,9 @@ class _Check:
                 self._error("The lesser number comes first.", path, "Write them in order.")
 
     def _error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
-        self.remarks.error(message, self._written(path), remedy, key=key)
+        self.remarks.error(message, self._find_path(path), remedy, key=key)
 
-    def _written(self, path: Path_) -> Path_:
+    def _find_path(self, path: Path_) -> Path_:
         """Where it stands: below the variant, if that says it."""
         if self.entry is not None and path[0] in self.entry[1].model_fields_set:
             return ("variants", self.entry[0], *path)

@@ -41,7 +41,7 @@ def draft_modules(
 ) -> WorkcellFile:
     """The file with what its modules offer beyond what is known of them. ``described`` are the modules that
     drivers or the file itself describe, by name."""
-    places = _known_places(file)
+    places = _list_places(file)
     modules = []
     for index, entry in enumerate(file.modules):
         wanted = [use for use in uses if use.module == entry.name]
@@ -134,7 +134,7 @@ def _about(
     places: set[str],
     described: Mapping[str, Description],
 ) -> About:
-    actions = {name: _drafted(named, places, described) for name, named in _by_action(uses).items()}
+    actions = {name: _draft_action(named, places, described) for name, named in _by_action(uses).items()}
     carries = any(effect for action in actions.values() for effect in action.effects)
     stations = {"gripper": StationAbout(kind="gripper")} if carries else {}
     what = entry.comment or entry.model or "An instrument that no driver serves"
@@ -158,16 +158,18 @@ def _extends(
     for offered, named in _by_action(uses, known).items():
         action, name = known.action(offered), named[0].action
         fitting = [use for use in named if action is None or not _lacks_args(action, use)]
-        new = _unknown_args(action, fitting) if action is not None else []
+        new = _list_unknown_args(action, fitting) if action is not None else []
         where = (fitting or named)[0].where
         if action is None:
-            found[offered] = ExtendedAction(**_drafted(named, places, described).model_dump())
+            found[offered] = ExtendedAction(**_draft_action(named, places, described).model_dump())
             message = f"The driver {known.driver} does not know the action {name!r} ({where})."
         elif not fitting:
-            found[offered] = ExtendedAction(replaces=True, **_drafted(named, places, described).model_dump())
+            found[offered] = ExtendedAction(
+                replaces=True, **_draft_action(named, places, described).model_dump()
+            )
             message = f"The driver {known.driver} knows {name!r} with other arguments ({where})."
         elif new:
-            args = {arg: _drafted_arg(arg, fitting, places, required=False) for arg in new}
+            args = {arg: _draft_arg(arg, fitting, places, required=False) for arg in new}
             found[offered] = ExtendedAction(args=args, duration=action.duration_s)
             some = ", ".join(new)
             message = f"The driver {known.driver} does not know what {some} of {name!r} means ({where})."
@@ -185,7 +187,7 @@ def _extends(
     return Extends(actions=found) if found else None
 
 
-def _unknown_args(action: ActionSpec, uses: Iterable[Use]) -> list[str]:
+def _list_unknown_args(action: ActionSpec, uses: Iterable[Use]) -> list[str]:
     known = names_of(action)
     return list(dict.fromkeys(name for use in uses for name in use.args if name not in known))
 
@@ -197,12 +199,12 @@ def _lacks_args(action: ActionSpec, use: Use) -> bool:
     )
 
 
-def _drafted(uses: Sequence[Use], places: set[str], described: Mapping[str, Description]) -> ActionAbout:
+def _draft_action(uses: Sequence[Use], places: set[str], described: Mapping[str, Description]) -> ActionAbout:
     """An action as its steps write it. One with two places carries labware from one to the other; it returns
     what later steps read."""
     names = list(dict.fromkeys(name for use in uses for name in use.args))
     always = {name for name in names if all(name in use.args for use in uses)}
-    args = {name: _drafted_arg(name, uses, places, required=name in always) for name in names}
+    args = {name: _draft_arg(name, uses, places, required=name in always) for name in names}
     ends = [name for name, arg in args.items() if arg.type == "station" and name in always]
     effects: list[dict[str, dict[str, Any] | None]] = []
     source = next((name for name in ends if name.lower() in SOURCES), "")
@@ -240,7 +242,7 @@ def _example_value(later: ResultUse, described: Mapping[str, Description]) -> An
     return {"str": "simulated", "bool": False, "list": [], "dict": {}}.get(kind, 0)
 
 
-def _drafted_arg(name: str, uses: Iterable[Use], places: set[str], *, required: bool) -> ArgAbout:
+def _draft_arg(name: str, uses: Iterable[Use], places: set[str], *, required: bool) -> ArgAbout:
     values = [use.args[name] for use in uses if name in use.args]
     is_place = all(_is_place(name, value, places) for value in values)
     return ArgAbout(type="station" if is_place else "any", required=required)
@@ -265,7 +267,7 @@ def _by_action(uses: Iterable[Use], known: Description | None = None) -> dict[st
 # -- places --------------------------------------------------------------------------------------
 
 
-def _known_places(file: WorkcellFile) -> set[str]:
+def _list_places(file: WorkcellFile) -> set[str]:
     """Places that the file names."""
     return {plain_place(place) for places in file.locations.values() for place in places} | {
         plain_place(place) for place in file.stations

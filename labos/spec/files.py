@@ -70,7 +70,7 @@ class Found(msgspec.Struct, frozen=True):
     problem: str = ""
 
 
-def named_by(name: str, folder: Path) -> str:
+def find_logical(name: str, folder: Path) -> str:
     """The file that a logical name means, such as ``protocols/mix`` for ``protocols/mix.py``: the only one of
     that name in its folder, whatever its ending. The name itself if it has an ending or no folder, or if
     there is not just one."""
@@ -102,7 +102,7 @@ class FileFinder:
         given = [full for full in self.given if str(PurePath(full).with_suffix("")) == name]
         if given:
             return given[0] if len(given) == 1 else name
-        return next((full for f in self.folders if (full := named_by(name, f)) != name), name)
+        return next((full for f in self.folders if (full := find_logical(name, f)) != name), name)
 
     def find(self, name: str) -> Found:
         """The file of that name. A path that leads out of a folder, and out of the lab's folder around it, is

@@ -128,13 +128,13 @@ class Report:
         """How many errors there are so far."""
         return self._count["error"]
 
-    def sorted(self) -> tuple[Finding, ...]:
+    def sort_findings(self) -> tuple[Finding, ...]:
         """By place in the file."""
         return tuple(sorted(self.findings, key=lambda f: (f.file, f.line, f.column)))
 
     def raise_if_failed(self) -> None:
         if self.errors:
-            raise SpecErrors(self.sorted())
+            raise SpecErrors(self.sort_findings())
 
 
 def near(name: str, known: Iterable[str], what: str = "name") -> str:

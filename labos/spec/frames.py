@@ -55,13 +55,13 @@ def frame(at_mm: Sequence[float] = (0, 0, 0), turn_deg: Sequence[float] = (0, 0,
     return Frame(turn, (x, y, z))
 
 
-def slid(axis: Sequence[float], by_mm: float) -> Frame:
+def slide(axis: Sequence[float], by_mm: float) -> Frame:
     """A frame that has gone along an axis."""
     x, y, z = (by_mm * part for part in unit(axis))
     return frame((x, y, z))
 
 
-def spun(axis: Sequence[float], by_deg: float) -> Frame:
+def spin(axis: Sequence[float], by_deg: float) -> Frame:
     """A frame that has turned about an axis, counter-clockwise as seen from its end."""
     (x, y, z), c, s = unit(axis), cos(radians(by_deg)), sin(radians(by_deg))
     k = 1 - c
@@ -73,7 +73,7 @@ def spun(axis: Sequence[float], by_deg: float) -> Frame:
     return Frame(turn, (0.0, 0.0, 0.0))
 
 
-def of_quaternion(at_mm: Sequence[float], turn: Sequence[float]) -> Frame:
+def from_quaternion(at_mm: Sequence[float], turn: Sequence[float]) -> Frame:
     """A frame at a point, turned as a quaternion w, x, y, z says, of whatever length but 0."""
     w, x, y, z = turn
     size = hypot(w, x, y, z)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Hold, ModuleSpec, PlanStep
 from labos.spec.findings import near
@@ -71,7 +71,7 @@ def by_default(
     found: list[Hold] = []
     for index in order:
         step = planned[index]
-        moves = carried(step.effects)
+        moves = list_carried(step.effects)
         if step.exclusive and not moves and step.module in decks and not standing[step.module]:
             begun.setdefault(step.module, index)
         for effect in moves:

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.core.ids import local
 from labos.core.model import Description
-from labos.spec.about import described as described_module
+from labos.spec.about import find_description as described_module
 from labos.spec.carrying import Carrying, End, add_ends, drop_ends
 from labos.spec.comments import place_comments, read_comments
 from labos.spec.dialects import NOBODYS, Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
@@ -68,10 +68,10 @@ def _labware(source: Source) -> Imported:
     form, dialect = labware_form(source, report)
     file = validate(LabwareFile, form, report)
     if file is None:
-        raise SpecErrors(report.sorted())
-    text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sorted())
+        raise SpecErrors(report.sort_findings())
+    text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sort_findings())
     name = PurePath(source.file).stem
-    return Imported("labware", dialect, name, text, report.sorted(), {"types": len(file.labware)})
+    return Imported("labware", dialect, name, text, report.sort_findings(), {"types": len(file.labware)})
 
 
 def _workflow(source: Source, moved: Sequence[Moved]) -> Imported:
@@ -79,12 +79,12 @@ def _workflow(source: Source, moved: Sequence[Moved]) -> Imported:
     form, dialect = workflow_form(source, report)
     file = validate(WorkflowFile, form, report)
     if file is None:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     file, is_shorter = (file, False) if dialect == "labos" else drop_ends(file, moved)
     notes = {"": ["How labware is gripped stands in the workcell's file."]} if is_shorter else {}
-    text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sorted(), notes)
+    text = "" if dialect == "labos" else _text(file, source, form, dialect, report.sort_findings(), notes)
     counts = {"steps": len(file.steps), "parameters": len(file.parameters)}
-    return Imported("workflow", dialect, file.name, text, report.sorted(), counts)
+    return Imported("workflow", dialect, file.name, text, report.sort_findings(), counts)
 
 
 def _workcell(
@@ -97,8 +97,8 @@ def _workcell(
     text, moved = "", None
     if dialect != "labos":
         carrying = Carrying(cell, descriptions)
-        moved = (carrying, carrying.agreed(uses or ()))
-        file, notes = add_ends(settled(file, cell, descriptions), moved[1])
+        moved = (carrying, carrying.find_agreed(uses or ()))
+        file, notes = add_ends(complete(file, cell, descriptions), moved[1])
         text = _text(file, source, form, dialect, cell.findings, notes)
     counts = {
         "modules": len(file.modules),
@@ -107,7 +107,7 @@ def _workcell(
     return Imported("workcell", dialect, file.name, text, cell.findings, counts, moved)
 
 
-def settled(
+def complete(
     file: WorkcellFile, cell: CompiledWorkcell, descriptions: Mapping[str, Description]
 ) -> WorkcellFile:
     """A foreign workcell with everything said that was taken for granted: modules that no driver

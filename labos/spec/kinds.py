@@ -15,7 +15,7 @@ def warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks
     """A type without a description works, but may be a slip of the pen: it is told once, where it stands
     first."""
     told = {*known, ""}
-    for kind, path, key in _named(file):
+    for kind, path, key in _list_named(file):
         if kind not in told:
             told.add(kind)
             meant = near(kind, known)
@@ -26,7 +26,7 @@ def warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks
             remarks.warning(message, path, remedy, key=key)
 
 
-def _named(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
+def _list_named(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
     """Each type, where it stands, and whether it stands there as a key."""
     for place, entry in file.stations.items():
         for number, kind in enumerate(entry.accepts or ()):

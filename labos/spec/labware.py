@@ -27,11 +27,11 @@ def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
     form, _ = labware_form(source, report)
     file = validate(LabwareFile, form, report)
     if file is None:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     return dict(file.labware)
 
 
-def packaged_labware() -> dict[str, LabwareType]:
+def load_packaged_labware() -> dict[str, LabwareType]:
     """The labware types that come with LabOS, by name."""
     found: dict[str, LabwareType] = {}
     for name in list_specs("labware"):

@@ -101,7 +101,7 @@ class Layout:
             return self.leaves[path[1]].box
         return self.main
 
-    def named(self, name: str, box: Box, path: Path_, remarks: Remarks) -> Node | Leaf | None:
+    def find_named(self, name: str, box: Box, path: Path_, remarks: Remarks) -> Node | Leaf | None:
         """What a name written in a box means: a step, or an entry that has become several. Faults
         are reported at the path."""
         same = [node for node in box.nodes if node.entry.name == name]
@@ -173,7 +173,7 @@ class Layout:
         path = self._path_of(node)
         found: frozenset[int] = frozenset()
         for number, name in enumerate(node.entry.after or ()):
-            meant = self.named(name, node.box, (*path, "after", number), remarks)
+            meant = self.find_named(name, node.box, (*path, "after", number), remarks)
             if isinstance(meant, Leaf):
                 found |= {meant.index}
             elif meant is not None:

@@ -16,7 +16,7 @@ from labos.spec.describing import for_model, parts_at, places_at
 from labos.spec.description import ASSUMED, DescriptionFile, ReachEntry
 from labos.spec.dialects import workcell_form
 from labos.spec.findings import Finding, Report
-from labos.spec.frames import Frame, of_quaternion
+from labos.spec.frames import Frame, from_quaternion
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 from labos.spec.workcell import CompiledWorkcell
@@ -47,7 +47,7 @@ def check_layout(
     report = Report(source.file)
     form, _ = workcell_form(source, Report(source.file))
     remarks = Remarks(form, report)
-    there = _apart(list(_placed(form, cell, shape_of)), remarks)
+    there = _apart(list(_list_placed(form, cell, shape_of)), remarks)
     for one, other in combinations(there, 2):
         _overlap(one, other, remarks)
     by_module = {place.module.name: place for place in there}
@@ -59,10 +59,10 @@ def check_layout(
             taught = local(station.name) in arm.module.config.get("poses", {})
             if holder is not None and holder is not arm and (taught or arm.module.name in station.reach):
                 _reach(arm, arm.shape.reach, holder, local(station.name), remarks, taught=taught)
-    return list(report.sorted())
+    return list(report.sort_findings())
 
 
-def _placed(
+def _list_placed(
     form: Source, cell: CompiledWorkcell, shape_of: Callable[[str], DescriptionFile | None]
 ) -> Iterator[PlacedModule]:
     written = {entry.get("name"): index for index, entry in enumerate(form.data.get("modules", []))}
@@ -70,7 +70,7 @@ def _placed(
         seven, shape = module.config.get("coordinates"), shape_of(module.driver)
         if shape is None or seven is None or len(seven) != 7 or not any(seven[3:]):
             continue
-        at = of_quaternion([1000 * value for value in seven[:3]], seven[3:])
+        at = from_quaternion([1000 * value for value in seven[:3]], seven[3:])
         name = local(module.name)
         path = ("modules", written.get(name, 0), "coordinates")
         yield PlacedModule(name, module, at, for_model(shape, module.model), path)

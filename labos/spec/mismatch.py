@@ -101,7 +101,7 @@ def plainly(error: msgspec.MsgspecError, forms: Mapping[str, str] = {}) -> str:
     text, at, where = str(error).partition(" - at `")
     where = where.rstrip("`").removeprefix("key` in `").removeprefix("$").lstrip(".")
     place = f" in {where}" if at and where else ""
-    limited = _limited(text, place.removeprefix(" in ") or "it", forms)
+    limited = _describe_limit(text, place.removeprefix(" in ") or "it", forms)
     if limited:
         return limited
     for pattern, sentence in _SENTENCES:
@@ -117,7 +117,7 @@ def plainly(error: msgspec.MsgspecError, forms: Mapping[str, str] = {}) -> str:
     return text + place
 
 
-def _limited(text: str, what: str, forms: Mapping[str, str]) -> str:
+def _describe_limit(text: str, what: str, forms: Mapping[str, str]) -> str:
     """What is too long, too large, or not of the form; empty if it is something else."""
     if found := _LENGTH.fullmatch(text):
         return f"{what} should have {_COMPARED[found[2]]} {found[3]} {_COUNTED.get(found[1], 'entries')}"

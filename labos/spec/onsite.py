@@ -39,7 +39,7 @@ def is_secret(key: str) -> bool:
     return key.endswith(("_auth", "_env", "password", "token", "secret"))
 
 
-def named_on_site(config: Mapping[str, Any], elsewhere: frozenset[str] = frozenset()) -> list[str]:
+def list_on_site(config: Mapping[str, Any], elsewhere: frozenset[str] = frozenset()) -> list[str]:
     """The keys of a config that name files, programs or secrets of the node's computer, as ``bus.logfile``.
     The texts below keys ``elsewhere`` are told to a device. A device's path below ``/dev`` is its
     address."""
@@ -47,18 +47,18 @@ def named_on_site(config: Mapping[str, Any], elsewhere: frozenset[str] = frozens
         path
         for key, value in config.items()
         if key not in ELSEWHERE and key not in elsewhere
-        for path in _named(key, key, value)
+        for path in _list_paths(key, key, value)
     )
     return list(dict.fromkeys(found))
 
 
-def _named(path: str, key: str, value: Any) -> Iterator[str]:
+def _list_paths(path: str, key: str, value: Any) -> Iterator[str]:
     if isinstance(value, Mapping):
         for inner, item in value.items():
-            yield from _named(f"{path}.{inner}", str(inner), item)
+            yield from _list_paths(f"{path}.{inner}", str(inner), item)
     elif isinstance(value, list | tuple):
         for item in value:
-            yield from _named(path, key, item)
+            yield from _list_paths(path, key, item)
     elif value not in (None, "") and (key.endswith(ENDINGS) or _looks_like_a_file(value)):
         yield path
 

@@ -95,7 +95,7 @@ class Paper:
 
     def stations_of(self, module: ModuleName) -> list[StationSpec]:
         """Where a module works on labware."""
-        return [station for station in self.stations.of(module) if station.kind != "gripper"]
+        return [station for station in self.stations.list_for(module) if station.kind != "gripper"]
 
     def labware_at(self, index: int, place: StationName, but: Collection[Piece] = ()) -> Piece | None:
         """The run's piece at a place, none of ``but``; one that must stand there from the start, if there is

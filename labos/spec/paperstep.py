@@ -18,8 +18,8 @@ from labos.core.effects import (
     Sets,
     Transfers,
     arrivals,
-    carried,
     hand_of,
+    list_carried,
     turn,
 )
 from labos.core.ids import StationName, local
@@ -35,7 +35,7 @@ class StepOnPaper:
     def __init__(self, paper: Paper, index: int, step: PlanStep) -> None:
         self.paper, self.index, self.step = paper, index, step
         self.at = paper.at
-        self.subject = self._worked_on()
+        self.subject = self._find_worked_on()
         self._found: dict[StationName, Piece | None] = {}
         self._hauls: list[tuple[Carrying, Piece | None, Piece | None]] = []
         self._hauled: Piece | None = None
@@ -46,7 +46,7 @@ class StepOnPaper:
             for effect in self.step.effects:
                 if isinstance(effect, kind):
                     check_effect(self, effect)
-        for effect in carried(self.step.effects):
+        for effect in list_carried(self.step.effects):
             check_effect(self, effect)
             self._hauls.append((effect, *self._haul(effect)))
         self._room_for_all()
@@ -65,7 +65,7 @@ class StepOnPaper:
     def _warning(self, message: str, remedy: str) -> None:
         self.paper.warning(self.index, message, remedy)
 
-    def _worked_on(self) -> Piece | None:
+    def _find_worked_on(self) -> Piece | None:
         """The labware that stands where the step takes or needs some, or else on its module."""
         for effect in self.step.effects:
             place = _where(effect)
@@ -100,9 +100,9 @@ class StepOnPaper:
     def stands(self, what: Carrying, place: StationName) -> None:
         used = [piece for _, piece, _ in self._hauls if piece is not None]
         self._found[place] = self.paper.labware_at(self.index, place, used)
-        self._told_apart(what, place)
+        self._check_told_apart(what, place)
 
-    def _told_apart(self, what: Carrying, place: StationName) -> None:
+    def _check_told_apart(self, what: Carrying, place: StationName) -> None:
         """An arm goes to one pose: of several pieces at one station it takes any."""
         station = self.paper.stations[place]
         shelves = self.paper.stations.shelves(place)
@@ -118,10 +118,10 @@ class StepOnPaper:
         piece, plate = self._haul(what)
         self._apart(what)
         if plate is not None:
-            self._lidded(what, plate, piece)
+            self._check_lid(what, plate, piece)
         kind = piece.kind if piece is not None else ""
-        self._gripped(what.source, what.source_grip, kind)
-        self._gripped(what.target, what.target_grip, kind)
+        self._check_grip(what.source, what.source_grip, kind)
+        self._check_grip(what.target, what.target_grip, kind)
         waste = self.paper.stations[what.target].kind == "waste"
         if waste and what.stock:
             self._error(
@@ -131,11 +131,11 @@ class StepOnPaper:
         if piece is None:
             return
         for place in what.room:
-            self._accepted(place, kind)
+            self._check_type(place, kind)
         if not what.lid and not what.stock:
             self._faces(what, piece)
             if waste:
-                self._discarded(piece)
+                self._check_discard(piece)
 
     def _apart(self, what: Carrying) -> None:
         if what.source != what.target:
@@ -147,7 +147,7 @@ class StepOnPaper:
         else:
             self._error(f"The labware is moved from {where} to where it stands.", "Name another target.")
 
-    def _lidded(self, what: Carrying, plate: Piece, lid: Piece | None) -> None:
+    def _check_lid(self, what: Carrying, plate: Piece, lid: Piece | None) -> None:
         where, lidded = local(what.plate_at), plate.variable("lidded")
         if what.lid == "off" and any(lid is other for _, other, _ in self._hauls):
             lidded = False
@@ -164,7 +164,7 @@ class StepOnPaper:
                 "Take it off in a step before, or leave this step out.",
             )
 
-    def _gripped(self, place: StationName, grip: str, kind: str) -> None:
+    def _check_grip(self, place: StationName, grip: str, kind: str) -> None:
         """The acting arm can hold it so there. Nothing is known of places that it was never taught."""
         station, arm = self.paper.stations[place], self.step.module
         grips = station.grips(arm, kind) if self._was_taught(place) else ()
@@ -174,7 +174,7 @@ class StepOnPaper:
                 f"{local(arm)} cannot grip {what} at {local(place)}.", f"It can grip {', '.join(grips)}."
             )
 
-    def _accepted(self, place: StationName, kind: str) -> None:
+    def _check_type(self, place: StationName, kind: str) -> None:
         station = self.paper.stations[place]
         if kind and not station.admits(kind):
             stacked = kind in station.refuses
@@ -200,7 +200,7 @@ class StepOnPaper:
         source, target = self.paper.stations[what.source], self.paper.stations[what.target]
         return (before + turn(what, source.rotation, target.rotation)) % 360
 
-    def _discarded(self, piece: Piece) -> None:
+    def _check_discard(self, piece: Piece) -> None:
         """A plate goes to waste: its lid must not stay behind where others need the room."""
         if piece.parked is not None and self.at.get(piece.parked):
             self._error(
@@ -226,8 +226,8 @@ class StepOnPaper:
             if value is not UNKNOWN and value != wanted:
                 owner = local(station.module)
                 self._error(
-                    f"{local(place)} is out of reach: {_said(owner, variable, value)}.",
-                    f"Add a step before, so that {_said(owner, variable, wanted)}.",
+                    f"{local(place)} is out of reach: {_describe_value(owner, variable, value)}.",
+                    f"Add a step before, so that {_describe_value(owner, variable, wanted)}.",
                 )
 
     def _reachable(self, place: StationName) -> None:
@@ -258,9 +258,9 @@ class StepOnPaper:
                 )
 
     def labware(self, needs: Needs) -> None:
-        self.subject = self._needed(needs) or self.subject
+        self.subject = self._find_needed(needs) or self.subject
 
-    def _needed(self, needs: Needs) -> Piece | None:
+    def _find_needed(self, needs: Needs) -> Piece | None:
         if needs.station:
             return self.paper.labware_at(self.index, needs.station)
         where, places = local(self.step.module), self.paper.stations_of(self.step.module)
@@ -298,8 +298,8 @@ class StepOnPaper:
                 piece.variables[requires.variable] = piece.at_first[requires.variable] = requires.value
         if value is not UNKNOWN and value != requires.value:
             self._error(
-                f"{self.step.action} needs {_said(who, requires.variable, requires.value)},"
-                f" but then {_said(who, requires.variable, value)}.",
+                f"{self.step.action} needs {_describe_value(who, requires.variable, requires.value)},"
+                f" but then {_describe_value(who, requires.variable, value)}.",
                 "Add a step before that changes it, or leave this step out.",
             )
 
@@ -380,7 +380,7 @@ def _where(effect: AnyEffect) -> StationName:
     return effect.station if isinstance(effect, Needs) else StationName("")
 
 
-def _said(who: str, variable: str, value: Any) -> str:
+def _describe_value(who: str, variable: str, value: Any) -> str:
     """``the labware not sealed``, ``lid of biometra open``."""
     if isinstance(value, bool):
         return f"{who} {variable}" if value else f"{who} not {variable}"

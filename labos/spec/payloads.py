@@ -37,25 +37,25 @@ def refuse_unused(
 ) -> None:
     """Report each value of a payload that a workflow does not take. ``sources`` are its file as it was
     written and in LabOS' own form."""
-    for key, remedy in unused(payload, file, sources, finder):
+    for key, remedy in find_unused(payload, file, sources, finder):
         report.error(
             f"Nothing in the workflow takes {key!r} from the payload.", field=f"payload.{key}", remedy=remedy
         )
 
 
-def unused(
+def find_unused(
     payload: Mapping[str, Any], file: WorkflowFile, sources: Sequence[Source], finder: FileFinder
 ) -> list[tuple[str, str]]:
     """The keys of a payload whose values a workflow does not take, and what may be meant."""
     try:
-        taken = sorted(_taken(file, sources, finder))
+        taken = sorted(_find_taken(file, sources, finder))
     except _TakesAll:
         return []
     found = [(k, v) for k, v in _values(payload) if not any(_serves(name, k, v) for name in taken)]
-    return [(key, _meant(key, taken)) for key, _ in found]
+    return [(key, _suggest(key, taken)) for key, _ in found]
 
 
-def _meant(key: str, taken: Sequence[str]) -> str:
+def _suggest(key: str, taken: Sequence[str]) -> str:
     if not taken:
         return "Leave it out: this workflow takes nothing from a payload."
     inside = [name for name in taken if name.startswith(f"{key}.") or name.endswith(f".{key}")]
@@ -81,7 +81,7 @@ def _values(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
             yield f"{prefix}{key}", value
 
 
-def _taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinder) -> set[str]:
+def _find_taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinder) -> set[str]:
     """What a workflow and the files that it uses take. Raises _TakesAll."""
     found: set[str] = set()
     seen: set[str] = set()
@@ -94,8 +94,8 @@ def _taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinder) ->
         entries = list(_entries(file))
         for entry in entries:
             for text in (entry.when, entry.expect):
-                found |= _named(text)
-        for name in _used(file, entries):
+                found |= _names_in_condition(text)
+        for name in _list_used(file, entries):
             if name not in seen:
                 seen.add(name)
                 waiting.append(_read(name, finder))
@@ -104,7 +104,7 @@ def _taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinder) ->
     return found
 
 
-def _named(condition: str) -> set[str]:
+def _names_in_condition(condition: str) -> set[str]:
     """What a condition takes. Raises _TakesAll."""
     try:
         names = names_in(parse_expression(condition)) if condition else []
@@ -132,7 +132,7 @@ def _entries(file: WorkflowFile) -> Iterator[StepEntry]:
                 lists.append(entry.on_error.run)
 
 
-def _used(file: WorkflowFile, entries: Iterable[StepEntry]) -> Iterator[str]:
+def _list_used(file: WorkflowFile, entries: Iterable[StepEntry]) -> Iterator[str]:
     if isinstance(file.on_cancel, str):
         yield file.on_cancel
     for entry in entries:

@@ -13,7 +13,7 @@ import msgspec
 
 from labos.core.branches import TooManyWays, Way, inert, main_steps, order_of, ways
 from labos.core.conditions import decision
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import StationName, local
 from labos.core.model import OnError, Plan
 from labos.core.runs import rescuers
@@ -43,7 +43,7 @@ class PlanBranches:
         first = Way(first_way(plan))
         self.inputs = self._faults(first)[1]
         if self.conditional:
-            for place in set(self.inputs) & self._filled():
+            for place in set(self.inputs) & self._find_filled():
                 where, last = local(place), first.steps[-1]
                 what = f"With all conditions true, labware of this run is needed twice at {where}."
                 remedy = "Of two conditions that exclude each other, write one as `not (…)`."
@@ -93,7 +93,7 @@ class PlanBranches:
         self._replace(index, kept)
         if policy.do == "skip":
             module = local(self.plan.steps[index].module)
-            what = f"It cannot be skipped as {module} says by default: {_lowered(faults[0][1])}"
+            what = f"It cannot be skipped as {module} says by default: {_lower_first(faults[0][1])}"
             self.warnings.append((index, what, "If it fails, the run fails. Say otherwise under `on_error`."))
 
     def _try_recovery(self, index: int) -> None:
@@ -144,7 +144,7 @@ class PlanBranches:
                 if place in spare:
                     spare.remove(place)
                     continue
-                if way.plain and place not in self._filled():
+                if way.plain and place not in self._find_filled():
                     self.inputs.append(place)  # it must stand there for that way
                     continue
                 where = local(place)
@@ -157,19 +157,19 @@ class PlanBranches:
                 )
         return faults, dry.inputs
 
-    def _filled(self) -> set[StationName]:
+    def _find_filled(self) -> set[StationName]:
         """The stations at which the run itself puts labware, on whichever way."""
         effects = [effect for step in self.plan.steps for effect in step.effects]
-        return {what.filled for what in carried(effects) if what.filled}
+        return {what.filled for what in list_carried(effects) if what.filled}
 
     def _keep(self, way: Way, faults: Sequence[Fault]) -> None:
         """Remember faults with the way on which they were found."""
         for index, message, remedy in faults[:3]:
-            told = (index, f"{self._told(way)}: {_lowered(message)}", remedy)
+            told = (index, f"{self._describe_way(way)}: {_lower_first(message)}", remedy)
             if told not in self.errors:
                 self.errors.append(told)
 
-    def _told(self, way: Way) -> str:
+    def _describe_way(self, way: Way) -> str:
         steps = self.plan.steps
         parts = [f"{steps[index].key!r} fails and is skipped" for index in sorted(way.without)]
         parts += [f"{steps[index].key!r} fails and is recovered from" for index in sorted(way.rescued)]
@@ -195,5 +195,5 @@ def first_way(plan: Plan) -> tuple[int, ...]:
     return tuple(steps)
 
 
-def _lowered(message: str) -> str:
+def _lower_first(message: str) -> str:
     return message[:1].lower() + message[1:]

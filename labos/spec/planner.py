@@ -15,8 +15,8 @@ from labos.core.effects import (
     Replaces,
     Take,
     Transfers,
-    carried,
-    moved,
+    list_carried,
+    list_moved,
     resolve,
 )
 from labos.core.expiry import DATE
@@ -36,7 +36,7 @@ from labos.core.model import (
 )
 from labos.core.wells import doses_of
 from labos.errors import SpecError
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import Bench
@@ -82,7 +82,7 @@ class Planner:
         self.described = {
             module.name: found
             for module in workcell.modules
-            if (found := described(module, descriptions)) is not None
+            if (found := find_description(module, descriptions)) is not None
         }
         self.steps = Steps(layout, remarks)
         self.feeds: set[int] = set()
@@ -110,7 +110,7 @@ class Planner:
         if step.part != MAIN:
             return step
         put_there = {
-            what.target for before in self.steps.before(index) for what in carried(steps[before].effects)
+            what.target for before in self.steps.before(index) for what in list_carried(steps[before].effects)
         }
         effects = tuple(
             Take(effect.source, effect.target)
@@ -152,7 +152,7 @@ class Planner:
 
     def _step(self, index: int, entry: StepEntry) -> PlanStep:
         path: Path_ = ("steps", index)
-        settled = self._settled(index, entry, path)
+        settled = self._fill_step(index, entry, path)
         if settled is None:
             return PlanStep(self.steps.keys[index], ModuleName(""), entry.action)
         entry = settled
@@ -210,7 +210,7 @@ class Planner:
         do = written or default or "fail"
         return None if do == "fail" else OnError(do, may_skip=True)
 
-    def _settled(self, index: int, entry: StepEntry, path: Path_) -> StepEntry | None:
+    def _fill_step(self, index: int, entry: StepEntry, path: Path_) -> StepEntry | None:
         """The step with its module and action, which may come from the payload; None for faults."""
         found: dict[str, str] = {}
         for key in ("module", "action"):
@@ -281,7 +281,7 @@ class Planner:
             for name in [name for name, value in entry.args.items() if value is None and name not in known]:
                 del written[name]
 
-        taught = _taught(module)
+        taught = _find_taught(module)
 
         def tell(name: str, message: str, remedy: str) -> None:
             if name not in broken:
@@ -312,7 +312,7 @@ class Planner:
     def _choose_grips(self, module: ModuleSpec, action: ActionSpec, args: dict[str, Any]) -> None:
         """A grip that nobody wrote is the one that its station leaves, if it leaves but one."""
         known = {arg.name: arg for arg in action.args}
-        for effect in moved(action.effects):
+        for effect in list_moved(action.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
                 arg = known.get(grip.strip("{}"))
                 where = args.get(place.strip("{}"))
@@ -411,9 +411,9 @@ class Planner:
             try:
                 if isinstance(effect, Consumes) and isinstance(effect.amount, str):
                     known = {name: value for name, value in values.items() if name not in later}
-                    effect = self._counted(module, effect, effect.amount, known, entry, path)
+                    effect = self._count(module, effect, effect.amount, known, entry, path)
                 written = effect
-                effect = self._resolved(effect, values, module)
+                effect = self._resolve(effect, values, module)
                 if isinstance(effect, Transfers | Draws) and isinstance(written, Transfers | Draws):
                     self._check_doses(written, effect, entry, path)
                 if not isinstance(effect, Replaces) or effect.module:
@@ -434,7 +434,7 @@ class Planner:
                 )
         return tuple(effects)
 
-    def _counted(
+    def _count(
         self,
         module: ModuleSpec,
         effect: Consumes,
@@ -470,10 +470,10 @@ class Planner:
                 "Write one volume in µL, 0 or more, for each well.",
             )
 
-    def _resolved(self, effect: AnyEffect, values: dict[str, Any], module: ModuleSpec) -> AnyEffect:
+    def _resolve(self, effect: AnyEffect, values: dict[str, Any], module: ModuleSpec) -> AnyEffect:
         filled = resolve(effect, values, lambda text: self.stations.find(text, local(module.name)))
         if isinstance(filled, Replaces) and filled.module:
-            return self._replaced(filled)
+            return self._replace(filled)
         if isinstance(filled, Move):
             turns = filled.source_grip and filled.target_grip and filled.source_grip != filled.target_grip
             if turns and module.regrip and not filled.via:
@@ -482,7 +482,7 @@ class Planner:
                 return msgspec.structs.replace(filled, via=StationName(""))  # the grip stays as it is
         return filled
 
-    def _replaced(self, effect: Replaces) -> Replaces:
+    def _replace(self, effect: Replaces) -> Replaces:
         """Raises SpecError for what the workcell does not have."""
         module = self.modules.get(local(ModuleName(effect.module)))
         if module is None:
@@ -504,7 +504,7 @@ def _holds_result(value: Any) -> bool:
     return result_of(value) is not None
 
 
-def _taught(module: ModuleSpec) -> dict[str, Any]:
+def _find_taught(module: ModuleSpec) -> dict[str, Any]:
     """The joint angles that a module knows for places, by station."""
     config = module.config.get("config") or {}
     return {**(config.get("representations") or {}), **(module.config.get("poses") or {})}

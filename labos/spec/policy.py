@@ -55,7 +55,7 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
     report = Report(name)
     file = validate(PolicyFile, source, report)
     if file is None:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     if file.trusted and not file.programs:
         place = source.place(("trusted",), key=True)
         what = "Programs need no approval, so none of them can be trusted more."

@@ -13,7 +13,7 @@ from labos.core.arguments import names_of
 from labos.core.ids import local
 from labos.core.model import Description, Workcell
 from labos.errors import BadInput
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.findings import near
 from labos.spec.models import StepEntry, WorkflowFile
 from labos.spec.references import keys_in, texts_in
@@ -70,7 +70,7 @@ def propose(
 ) -> Retargeting:
     """Which modules of ``new`` do what those of ``old`` did; ``given`` names some beforehand. Raises BadInput
     for a name of no module."""
-    before, after = _described(old, descriptions), _described(new, descriptions)
+    before, after = _describe_modules(old, descriptions), _describe_modules(new, descriptions)
     for one, other in given.items():
         _refuse_strangers(one, before, old.name)
         _refuse_strangers(other, after, new.name)
@@ -90,10 +90,10 @@ def propose(
     return Retargeting(matches, misfits)
 
 
-def _described(cell: Workcell, descriptions: Mapping[str, Description]) -> dict[str, _Module]:
+def _describe_modules(cell: Workcell, descriptions: Mapping[str, Description]) -> dict[str, _Module]:
     found = {}
     for module in cell.modules:
-        about = described(module, descriptions)
+        about = find_description(module, descriptions)
         if about is not None:
             found[local(module.name)] = _Module(local(module.name), module.driver, about)
     return found

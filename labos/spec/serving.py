@@ -30,7 +30,7 @@ def drivers_of(model: str, descriptions: Mapping[str, Description]) -> list[str]
     return []
 
 
-def suggested_driver(text: str, descriptions: Mapping[str, Description]) -> str | None:
+def suggest_driver(text: str, descriptions: Mapping[str, Description]) -> str | None:
     """The one driver that the words of a model or of a module's name speak of: ``Opentrons OT-2`` and
     ``ot2_pcr_alpha`` of ``ot2``, ``Inheco single plate incubator shaker`` of ``inheco``. None if they speak
     of none, or of several."""

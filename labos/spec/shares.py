@@ -63,7 +63,7 @@ def parse_shares(text: str, name: str = "") -> CompiledShares:
     report = Report(name)
     file = validate(SharesFile, source, report)
     if file is None:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     homes: dict[str, str] = {}
     for group, entry in file.groups.items():
         for user in entry.members:

@@ -95,7 +95,7 @@ class Stations:
                     return list(found)
         return sorted(self._known.get(written.lower(), ()))
 
-    def of(self, module: ModuleName) -> list[StationSpec]:
+    def list_for(self, module: ModuleName) -> list[StationSpec]:
         """The stations of a module; of a hotel not the single shelves."""
         return [s for s in self.by_name.values() if s.module == module and not s.hotel]
 

@@ -31,7 +31,7 @@ class Steps:
 
     def find(self, name: str, path: Path_, box: Box | None = None) -> int | None:
         """The index of the step that a reference means, written in a box; faults are reported at the path."""
-        found = self.layout.named(name, box or self.layout.box_at(path), path, self.remarks)
+        found = self.layout.find_named(name, box or self.layout.box_at(path), path, self.remarks)
         if isinstance(found, Node):
             inside = [key for key in self.keys if key.startswith((f"{found.key}/", f"{found.key}["))]
             what = found.why_empty or "it stands for several steps"

@@ -35,8 +35,8 @@ def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
     family = next((known for known in FAMILIES.values() if counted in known), {counted: 1.0})
     if given not in family:
         raise SpecError(
-            f"{what} is counted in {_shown(wanted)}, which {unit!r} cannot be turned into.",
-            remedy=f"Write one of {_listed([name for name in family if name])}.",
+            f"{what} is counted in {_show_unit(wanted)}, which {unit!r} cannot be turned into.",
+            remedy=f"Write one of {_list_units([name for name in family if name])}.",
         )
     # The greater number divides: what comes out whole stays whole.
     factor = family[given] / family[counted]
@@ -48,11 +48,11 @@ def _plain(unit: str) -> str:
     return unit.strip().lower().replace("µ", "u").replace("μ", "u")
 
 
-def _shown(unit: str) -> str:
+def _show_unit(unit: str) -> str:
     return unit or "pieces"
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_units(names: Sequence[str]) -> str:
     return ", ".join(_SHOWN.get(name, name) for name in names) or "pieces"
 
 

@@ -19,7 +19,7 @@ from labos.spec.files import FileFinder
 from labos.spec.findings import Report, finding_of
 from labos.spec.layout import Box, Layout, Leaf, Node, Written
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
-from labos.spec.payloads import unused
+from labos.spec.payloads import find_unused
 from labos.spec.references import fill, holds, keys_in
 from labos.spec.source import Path_, Source
 from labos.spec.source import parse as parse_yaml
@@ -297,7 +297,7 @@ class Unroller:
             return
         # What resets a module before a retry is LabOS' own step: it takes no defaults.
         entry = written or node.entry
-        entry = entry if path[-1] == "reset" else self.defaults.settled(entry, scope)
+        entry = entry if path[-1] == "reset" else self.defaults.fill_in(entry, scope)
         leaf = Leaf(
             len(self.layout.leaves), key, entry, scope, frame.needed, (frame.source, path), node.box,
             foreign=frame.foreign, part=self._part, conditions=self._conditions,
@@ -330,7 +330,7 @@ class Unroller:
             self._error(frame, f"Step {node.entry.name!r}: {error.message}", (*path, "payload"), error.remedy)
             return
         if "payload" in node.entry.model_fields_set and not foreign and not node.rounds:
-            for key, remedy in unused(inner, file, [source], self.finder):
+            for key, remedy in find_unused(inner, file, [source], self.finder):
                 where = (*path, "payload", key.partition(".")[0])
                 self._error(frame, f"Nothing in {name} takes {key!r} from its payload.", where, remedy)
         box = Box(prefix, node, len(node.rounds))

@@ -140,12 +140,12 @@ def _box() -> list[tuple[Corner, Corner, Corner]]:
     for axis in range(3):
         for side in (-0.5, 0.5):
             ring = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
-            corners = [_turned(axis, side, *point) for point in (ring if side > 0 else ring[::-1])]
+            corners = [_turn_corner(axis, side, *point) for point in (ring if side > 0 else ring[::-1])]
             found += [(corners[0], corners[1], corners[2]), (corners[0], corners[2], corners[3])]
     return found
 
 
-def _turned(axis: int, along: float, a: float, b: float) -> Corner:
+def _turn_corner(axis: int, along: float, a: float, b: float) -> Corner:
     at = {axis: along, (axis + 1) % 3: a, (axis + 2) % 3: b}
     return at[0], at[1], at[2]
 

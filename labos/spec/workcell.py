@@ -14,8 +14,8 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import LABWARE_TYPE, Description, ModuleSpec, Workcell
 from labos.errors import SpecError
 from labos.spec import rest
-from labos.spec.about import GENERIC, BadEffect, about_of, description_of, extended
-from labos.spec.bench import DEFAULT_LID, Bench, declared_stock, default_stock
+from labos.spec.about import GENERIC, BadEffect, about_of, description_of, extend
+from labos.spec.bench import DEFAULT_LID, Bench, default_stock, read_stock
 from labos.spec.compile_stations import compile_stations
 from labos.spec.defaults import retry_of
 from labos.spec.dialects import workcell_form
@@ -23,11 +23,11 @@ from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
 from labos.spec.flaws import flaw_in
 from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_configured, missing_keys, why_not_reached
-from labos.spec.labware import own_labware, packaged_labware, spec_of
+from labos.spec.labware import load_packaged_labware, own_labware, spec_of
 from labos.spec.models import ANY, Amount, LabwareType, ModuleEntry, ShelfPoses, WorkcellFile
 from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
-from labos.spec.serving import drivers_of, match_driver, spellings, suggested_driver
+from labos.spec.serving import drivers_of, match_driver, spellings, suggest_driver
 from labos.spec.shelves import shelf_by_shelf
 from labos.spec.signals import SignalMapping
 from labos.spec.sila import SilaMapping
@@ -102,14 +102,14 @@ def compile_workcell(
     form, dialect = workcell_form(source, report)
     file = validate(WorkcellFile, form, report)
     if file is None:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     remarks, foreign = Remarks(form, report), dialect != "labos"
     file = shelf_by_shelf(file, remarks)
     own = own_labware(file.labware, remarks, sent)
     drafted = ""
     if foreign and uses is not None:
         uses = [*uses, *read_carriers(form, file)]
-        file = _drafted(file, form, descriptions, uses, remarks, own.types)
+        file = _draft(file, form, descriptions, uses, remarks, own.types)
         drafted = digest(file.model_dump_json().encode())
     modules = _Modules(file, descriptions, remarks, foreign, sent)
     stations = compile_stations(file, modules.drivers, remarks, foreign=foreign, own=own.types)
@@ -118,20 +118,20 @@ def compile_workcell(
         digest=modules.digest(source, [*own.digests, *([drafted] if drafted else [])]),
         modules=tuple(modules.build(name, stations) for name in modules.drivers),
         stations=tuple(stations.by_name.values()),
-        labware=tuple(spec_of(*kind) for kind in sorted({**packaged_labware(), **own.types}.items())),
+        labware=tuple(spec_of(*kind) for kind in sorted({**load_packaged_labware(), **own.types}.items())),
         transfers=transfer_ways(file, modules.drivers, stations, remarks, foreign=foreign),
     )
     declared = file.stock
     if declared is not None:
-        bench = declared_stock(declared, stations, remarks)
+        bench = read_stock(declared, stations, remarks)
     else:
         lid = DEFAULT_LID if foreign and takes_lids_off(uses or (), modules.drivers) else ""
         bench = default_stock(workcell, lid, 1 if foreign and uses else 0)
     report.raise_if_failed()
-    return CompiledWorkcell(workcell, bench, report.sorted(), file)
+    return CompiledWorkcell(workcell, bench, report.sort_findings(), file)
 
 
-def _drafted(
+def _draft(
     file: WorkcellFile,
     form: Source,
     descriptions: Mapping[str, Description],
@@ -182,11 +182,11 @@ class _Modules:
             self._entries[entry.name] = (index, entry)
             if entry.active:
                 self._check_interface(entry, ("modules", index))
-                found = self._described(entry, ("modules", index))
+                found = self._describe(entry, ("modules", index))
                 if found is not None:
                     self.drivers[entry.name] = found
 
-    def _described(self, entry: ModuleEntry, path: Path_) -> Description | None:
+    def _describe(self, entry: ModuleEntry, path: Path_) -> Description | None:
         """What its own ``about:`` says, else its driver; with what it offers beyond that."""
         told = "about" if entry.about is not None else "extends"
         if entry.about is not None and (entry.driver or entry.extends is not None):
@@ -202,7 +202,7 @@ class _Modules:
                 return description_of(entry.about, reached)
             if found is None or entry.extends is None:
                 return found
-            return extended(found, entry.extends)
+            return extend(found, entry.extends)
         except BadEffect as error:
             at = (*path, told, "actions", error.action, "effects", error.index)
             self.remarks.error(f"In {error.action!r} {error}.", at, error.remedy)
@@ -213,10 +213,10 @@ class _Modules:
         driver = self._driver(entry, path)
         kind = table_of(driver, self.descriptions) if driver else None
         if kind is not None:
-            return self._described_by_table(kind, entry, path)
+            return self._describe_by_table(kind, entry, path)
         return self.descriptions[driver] if driver else None
 
-    def _described_by_table(self, kind: DriverTable, entry: ModuleEntry, path: Path_) -> Description | None:
+    def _describe_by_table(self, kind: DriverTable, entry: ModuleEntry, path: Path_) -> Description | None:
         """What follows from the table that the driver is told."""
         at = (*path, "config", kind.key)
         if kind.key not in entry.config:
@@ -279,7 +279,7 @@ class _Modules:
             return None
         driver = match_driver(entry.model, self.descriptions) if entry.model else None
         if driver is None and self.foreign:
-            driver = self._suggested(entry, path)
+            driver = self._suggest(entry, path)
         if driver:
             serving = drivers_of(entry.model, self.descriptions) if entry.model else []
             if len(serving) > 1:
@@ -301,14 +301,14 @@ class _Modules:
             self.remarks.error(f"No driver serves the module {entry.name!r} ({what}).", at, remedy)
         return None
 
-    def _suggested(self, entry: ModuleEntry, path: Path_) -> str | None:
+    def _suggest(self, entry: ModuleEntry, path: Path_) -> str | None:
         """The driver that the file of another lab seems to mean. Public files call a module by its kind and
         its model by a name of their own."""
         exact = match_driver(entry.name, self.descriptions)
         if exact:
             return exact
         for key, text in (("model", entry.model), ("name", entry.name)):
-            driver = suggested_driver(text, self.descriptions) if text else None
+            driver = suggest_driver(text, self.descriptions) if text else None
             if driver:
                 self.remarks.warning(
                     f"The module {entry.name!r} is taken for the driver {driver} by its {key} {text!r}.",

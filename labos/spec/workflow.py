@@ -100,7 +100,7 @@ def compile_workflow(
     form, dialect = workflow_form(source, report)
     file = validate(WorkflowFile, form, report)
     if file is None:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     finder = FileFinder(files or {}, [*([source.folder] if source.folder else []), *search])
     bound = bind_modules(file, workcell, Remarks(form, report))
     report.raise_if_failed()
@@ -117,7 +117,7 @@ def compile_workflow(
     _refuse_unlike(found, form, report)
     return msgspec.structs.replace(
         first,
-        findings=report.sorted(),
+        findings=report.sort_findings(),
         files={name: content for each in found for name, content in each.files.items()},
         others=tuple(each.plan for each in others),
     )
@@ -198,7 +198,7 @@ def _compile(
         plan,
         tuple(dry.inputs),
         dry.outputs(),
-        report.sorted(),
+        report.sort_findings(),
         planner.contents,
         tuple(brought),
         windows=file.windows or "warn",

@@ -12,13 +12,13 @@ from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
 from labos.store._errors import Door
 from labos.store._event_store import SqlEventStore
 from labos.store._home import HomeFiles, KnownEnd, forget_end
-from labos.store._lease import database_bytes, database_file, lease_holder, shown_url, silent_holder
+from labos.store._lease import database_bytes, database_file, lease_holder, show_url, silent_holder
 from labos.store._migrate import DatabaseStatus, database_status, is_replica, migrate, migrations_folder
 from labos.store._objects import Blobs, ObjectBlobs, open_blobs
 from labos.store._open import open_store, scrub_words
-from labos.store._restore import leapt_epoch, raise_epoch, refuse_to_overwrite, restore_log
+from labos.store._restore import leap_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
-from labos.store._segment import chained, line_of, read_segment, write_segment
+from labos.store._segment import check_chain, line_of, read_segment, write_segment
 from labos.store._url import display_name, parse_url, sqlite_path
 from labos.store._verify import Damage, Progress, first_damage
 from labos.store._words import StoredWords
@@ -46,7 +46,7 @@ __all__ = [
     "StoredWords",
     "add_erasures",
     "backup",
-    "chained",
+    "check_chain",
     "copy_accounts",
     "create_file",
     "database_bytes",
@@ -58,7 +58,7 @@ __all__ = [
     "grant_writer",
     "is_replica",
     "key_of",
-    "leapt_epoch",
+    "leap_epoch",
     "lease_holder",
     "line_of",
     "make_folder",
@@ -80,7 +80,7 @@ __all__ = [
     "refuse_to_overwrite",
     "restore_log",
     "scrub_words",
-    "shown_url",
+    "show_url",
     "silent_holder",
     "sqlite_path",
     "tighten",

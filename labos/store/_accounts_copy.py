@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 from sqlalchemy import LargeBinary, Table, insert, select
 
-from labos.core.seals import broken_seal, sealed
+from labos.core.seals import add_seal, check_seal
 from labos.errors import BadInput, Refused
 from labos.private import replace_file
 from labos.store._accounts import SqlAccounts
@@ -47,7 +47,7 @@ def copy_accounts(
             table.name: [_plain(row._asdict()) for row in connection.execute(select(table))]
             for table in TABLES
         }
-    made = sealed(AccountsCopy(FORMAT, lab, now_ns, tables), key)
+    made = add_seal(AccountsCopy(FORMAT, lab, now_ns, tables), key)
     replace_file(folder / FILE, msgspec.json.format(msgspec.json.encode(made), indent=2) + b"\n")
     return made
 
@@ -70,10 +70,10 @@ def read_accounts_copy(folder: Path, lab: str, key: bytes = b"") -> AccountsCopy
     try:
         for table in TABLES:
             for row in found.tables.get(table.name, ()):
-                _typed(table, row)
+                _decode_row(table, row)
     except (ValueError, TypeError) as error:
         raise BadInput(f"{path} has a row that is no {table.name} ({error}).", remedy=_WITHOUT) from None
-    fault = broken_seal(found, key) if found.lab == lab else f"it is of the lab {found.lab}"
+    fault = check_seal(found, key) if found.lab == lab else f"it is of the lab {found.lab}"
     if fault:
         raise Refused(f"The accounts in {path} are not those of this backup: {fault}.", remedy=_WITHOUT)
     return found
@@ -86,7 +86,7 @@ def put_accounts_back(accounts: SqlAccounts, copied: AccountsCopy) -> None:
     """Put copied accounts into a database that has none, all or nothing."""
     with accounts.changing() as connection:
         for table in TABLES:
-            rows = [_typed(table, row) for row in copied.tables.get(table.name, ())]
+            rows = [_decode_row(table, row) for row in copied.tables.get(table.name, ())]
             if rows:
                 connection.execute(insert(table), rows)
 
@@ -95,6 +95,6 @@ def _plain(row: dict[str, Any]) -> dict[str, Any]:
     return {name: bytes(v).hex() if isinstance(v, bytes | memoryview) else v for name, v in row.items()}
 
 
-def _typed(table: Table, row: dict[str, Any]) -> dict[str, Any]:
+def _decode_row(table: Table, row: dict[str, Any]) -> dict[str, Any]:
     known = {column.name: isinstance(column.type, LargeBinary) for column in table.columns}
     return {name: bytes.fromhex(v) if known[name] else v for name, v in row.items() if name in known}

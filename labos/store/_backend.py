@@ -78,7 +78,7 @@ class Backend(Protocol):
     def keep(self, epoch: int) -> None:
         """At every renewal: take again what a lost connection dropped."""
 
-    def locked(self, connection: Connection, epoch: int) -> bool:
+    def is_locked(self, connection: Connection, epoch: int) -> bool:
         """Whether the kernel of this epoch still holds what only a living one can hold; asked by
         a reader. True if there is no telling."""
 
@@ -145,5 +145,5 @@ def holder(backend: Backend) -> Holder:
         row = connection.execute(select(head.c.lease_owner, head.c.epoch, left)).one()
         left_s = row.left / 1000
         return Holder(
-            str(row.lease_owner or ""), left_s, left_s > 0 and backend.locked(connection, row.epoch)
+            str(row.lease_owner or ""), left_s, left_s > 0 and backend.is_locked(connection, row.epoch)
         )

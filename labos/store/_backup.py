@@ -19,14 +19,14 @@ import msgspec
 from labos.core.envelope import GENESIS, Record
 from labos.core.fold import evolve
 from labos.core.registry import decode
-from labos.core.seals import broken_seal, sealed
+from labos.core.seals import add_seal, check_seal
 from labos.core.state import LabState, fold_fingerprint, from_picture, state_hash
 from labos.errors import BadInput, LogDamaged, NotFound, Refused
 from labos.private import make_folder, remove_leftovers, replace_file, tighten
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
 from labos.store._objects import Blobs
-from labos.store._segment import chained, file_digest, read_segment, write_segment
+from labos.store._segment import check_chain, file_digest, read_segment, write_segment
 from labos.store._words_copy import WordsExpected, copy_words
 
 FORMAT = 1
@@ -107,7 +107,7 @@ def backup(
     if head.position > done:
         before = bytes.fromhex(known.hash) if known else GENESIS
         name = f"log-{done + 1:09d}-{head.position:09d}.jsonl.gz"
-        last, digest = _write(folder / name, chained(store.read(done, head.position), before, done))
+        last, digest = _write(folder / name, check_chain(store.read(done, head.position), before, done))
         if last.head.position != head.position:
             raise LogDamaged(
                 f"The log ends at {last.head.position}, but its head says {head.position}.",
@@ -126,7 +126,7 @@ def backup(
             file=name,
             sha256=digest,
         )
-        segments = (*segments, sealed(segment, key))
+        segments = (*segments, add_seal(segment, key))
     # After the log: words and a blob are on disk before the event that names them.
     copy_words(store.all_words(), folder, head.position)
     copies = _copy_blobs(blobs, FolderBlobs(folder / "blobs"), set(known.blobs) if known else set())
@@ -169,22 +169,22 @@ def stretch(
     hash ``before``; each checked against the chain and the manifests. Raises LogDamaged."""
     for segment in segments:
         if segment.lab != lab:
-            raise damaged(segment, f"is of the lab {segment.lab}, and the backup is of {lab}")
+            raise report_damage(segment, f"is of the lab {segment.lab}, and the backup is of {lab}")
         if (segment.first, segment.before) != (after + 1, before.hex()):
-            raise damaged(segment, "does not follow from the segment before")
+            raise report_damage(segment, "does not follow from the segment before")
         record = None
-        for record in chained(_of_lab(folder, segment), before, after):
+        for record in check_chain(_read_segment_of_lab(folder, segment), before, after):
             yield record
         if record is None or (record.head.position, record.hash.hex()) != (segment.last, segment.hash):
-            raise damaged(segment, "does not end as its manifest says")
+            raise report_damage(segment, "does not end as its manifest says")
         before, after = record.hash, segment.last
 
 
-def _of_lab(folder: Path, segment: Segment) -> Iterator[Record]:
+def _read_segment_of_lab(folder: Path, segment: Segment) -> Iterator[Record]:
     """The records of a segment's file. Whose they are is said before the chain."""
     for record in read_segment(folder / segment.file, segment.first - 1):
         if record.head.lab != segment.lab:
-            raise damaged(segment, f"holds a record of the lab {record.head.lab}")
+            raise report_damage(segment, f"holds a record of the lab {record.head.lab}")
         yield record
 
 
@@ -209,7 +209,7 @@ def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
         end = ends.get(at.position)
         # Another version of LabOS may picture the same state otherwise.
         if end is not None and end.fold == fold_fingerprint() and end.state != state_hash(state):
-            raise damaged(end, "folds to another state than when it was sealed")
+            raise report_damage(end, "folds to another state than when it was sealed")
     words.end()
     check_files(folder, found.segments)
     blobs = FolderBlobs(folder / "blobs")
@@ -224,20 +224,20 @@ def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
 def check_manifests(folder: Path, segments: Sequence[Segment], key: bytes) -> None:
     """Whether segments are there, and their seals good if a key is given. Raises LogDamaged."""
     for segment in segments:
-        if fault := broken_seal(segment, key):
-            raise damaged(segment, f"cannot be trusted: {fault}")
+        if fault := check_seal(segment, key):
+            raise report_damage(segment, f"cannot be trusted: {fault}")
         if not (folder / segment.file).is_file():
-            raise damaged(segment, "is missing")
+            raise report_damage(segment, "is missing")
 
 
 def check_files(folder: Path, segments: Sequence[Segment]) -> None:
     """Whether segments are the files that were sealed, to the byte. Raises LogDamaged."""
     for segment in segments:
         if file_digest(folder / segment.file) != segment.sha256:
-            raise damaged(segment, "is not the file that was sealed")
+            raise report_damage(segment, "is not the file that was sealed")
 
 
-def damaged(segment: Segment, why: str) -> LogDamaged:
+def report_damage(segment: Segment, why: str) -> LogDamaged:
     """What is wrong with a segment as a whole."""
     return LogDamaged(
         f"The segment {segment.file} (positions {segment.first} to {segment.last}) {why}.",

@@ -44,7 +44,7 @@ class CheckedRows:
         # By one call for all of them: a step in Python for each would cost as much as its check.
         yield from map(_FOLDED, rows if number == len(rows) else rows[:number])
         if number < len(rows):
-            raise damaged(self._name, rows[number][0], _fault(rows[number], self.hash, self._lab))
+            raise report_damage(self._name, rows[number][0], _fault(rows[number], self.hash, self._lab))
 
     def _good(self, rows: Sequence[Row]) -> int:
         """How many rows, from the first one on, are what was recorded."""
@@ -95,7 +95,7 @@ def _fault(row: Row, previous: bytes, lab: str) -> str:
     return f"its stored columns contradict its envelope ({', '.join(wrong)})"
 
 
-def damaged(name: str, position: int, fault: str) -> LogDamaged:
+def report_damage(name: str, position: int, fault: str) -> LogDamaged:
     """The error for a record that cannot be believed."""
     return LogDamaged(
         f"The record at position {position} of the {name} is damaged: {fault}.",

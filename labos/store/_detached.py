@@ -14,7 +14,15 @@ import msgspec
 
 from labos.core.envelope import GENESIS
 from labos.errors import BadInput
-from labos.store._backup import Backup, Segment, check_files, check_manifests, damaged, read_backup, stretch
+from labos.store._backup import (
+    Backup,
+    Segment,
+    check_files,
+    check_manifests,
+    read_backup,
+    report_damage,
+    stretch,
+)
 from labos.store._blobs import FolderBlobs
 from labos.store._words_copy import WordsExpected
 
@@ -54,7 +62,7 @@ def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
     try:
         rests_on = bytes.fromhex(before) if after else GENESIS
     except ValueError:
-        raise damaged(segments[0], "names no hash that it rests on") from None
+        raise report_damage(segments[0], "names no hash that it rests on") from None
     words = WordsExpected(folder)
     for record in stretch(folder, found.lab, segments, rests_on, after):
         words.take(record)

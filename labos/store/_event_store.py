@@ -83,7 +83,7 @@ class SqlEventStore(LogReader):
 
     def _look_for_known(self) -> int:
         """Where this log is known to have reached."""
-        note, found = self._files.known_end(), self.stored_snapshot()
+        note, found = self._files.read_known_end(), self.read_snapshot_row()
         head = self.head()  # after those two: a kernel may be writing on
         known = 0
         if note is not None and (note.lab == head.lab or not head.position):
@@ -167,9 +167,9 @@ class SqlEventStore(LogReader):
 
     def note_erasures(self) -> None:
         """Note in the lab's folder what this database says that was erased. Raises StoreUnavailable."""
-        self._files.note_erasures(self._lab_id(), self._erased_here())
+        self._files.note_erasures(self._lab_id(), self._find_erased_here())
 
-    def _erased_here(self) -> dict[str, int]:
+    def _find_erased_here(self) -> dict[str, int]:
         """What this database says that was erased, and the lab's folder does not know."""
         known = self.erasures()
         with self._door, self._backend.reading.connect() as connection:
@@ -202,7 +202,7 @@ class SqlEventStore(LogReader):
         with self._door, self._transaction() as connection:
             done = connection.execute(update(head).where(head.c.epoch == epoch).values(lease_until=until))
             if done.rowcount != 1:
-                raise self._fenced()
+                raise self._explain_fenced()
             self._backend.keep(epoch)
 
     def release(self, epoch: int, *, to_standby: bool = False) -> None:
@@ -234,10 +234,10 @@ class SqlEventStore(LogReader):
         last = records[-1]
         after = Head(expected.lab, last.head.position, last.hash, expected.epoch, last.head.recorded_at)
         if expected.epoch != self._epoch:
-            raise self._fenced()
+            raise self._explain_fenced()
         with self._door, self._connection() as connection:
             if not self._backend.append(connection, expected, after, rows, words):
-                raise self._fenced()
+                raise self._explain_fenced()
         self._files.note(after)
         if words.erased:
             self._files.note_erasures(after.lab, {row[2]: row[1] for row in words.erased})
@@ -330,7 +330,7 @@ class SqlEventStore(LogReader):
             finally:
                 writer.close()
 
-    def _fenced(self) -> StoreError:
+    def _explain_fenced(self) -> StoreError:
         return Fenced(
             f"Another kernel has taken over the lab in the {self.name}, or its log has moved on.",
             remedy="This kernel stops; start it again once the other one is stopped.",

@@ -22,7 +22,7 @@ import msgspec
 import structlog
 
 from labos.core.canonical import canonical
-from labos.core.seals import broken_seal, sealed
+from labos.core.seals import add_seal, check_seal
 from labos.ports import Head
 from labos.private import create_file, make_folder, sync_folder, tighten
 from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
@@ -140,7 +140,7 @@ class HomeFiles:
 
     # -- the end of the log ------------------------------------------------------------------
 
-    def known_end(self) -> KnownEnd | None:
+    def read_known_end(self) -> KnownEnd | None:
         """What the note says; None if there is none that can be believed."""
         if self._home is None:
             return None
@@ -152,7 +152,7 @@ class HomeFiles:
         except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
             _log.warning("end_of_log_not_read", file=str(path), why=str(error))
             return None
-        if fault := broken_seal(found, self.key()):
+        if fault := check_seal(found, self.key()):
             _log.warning("end_of_log_not_believed", file=str(path), why=fault)
             return None
         return found
@@ -174,7 +174,7 @@ class HomeFiles:
         """The log reaches to there, on disk."""
         if self._note is None or head.position < self._known:
             return
-        end = sealed(KnownEnd(head.lab, head.position, head.hash.hex()), self.key())
+        end = add_seal(KnownEnd(head.lab, head.position, head.hash.hex()), self.key())
         text = msgspec.json.encode(end)
         try:
             os.lseek(self._note, 0, os.SEEK_SET)

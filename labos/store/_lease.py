@@ -28,7 +28,7 @@ def lease_holder(url: str) -> str:
         with Door(parsed), backend.reading.connect() as connection:
             lease = select(head.c.lease_owner, head.c.epoch).where(head.c.lease_until > backend.now_ms)
             row = connection.execute(lease).first()
-            if row is None or not backend.locked(connection, row.epoch):
+            if row is None or not backend.is_locked(connection, row.epoch):
                 return ""
             return str(row.lease_owner) or "kernel"
     except StoreError:
@@ -71,7 +71,7 @@ def database_file(url: str) -> Path | None:
     return sqlite_path(parsed) if parsed.get_backend_name() == "sqlite" else None
 
 
-def shown_url(url: str) -> str:
+def show_url(url: str) -> str:
     """The URL without its password. Raises BadInput."""
     parsed = parse_url(url)
     return parsed.set(drivername=parsed.get_backend_name()).render_as_string(hide_password=True)

@@ -137,7 +137,7 @@ def _status(url: URL) -> DatabaseStatus:
     elif not revision:
         state = "empty"
     else:
-        state = "older" if revision in _known_revisions() else "newer"
+        state = "older" if revision in _list_revisions() else "newer"
     return DatabaseStatus(name, state, revision)
 
 
@@ -156,7 +156,7 @@ def _revision(engine: Engine, name: str) -> str:
     return ""
 
 
-def _known_revisions() -> set[str]:
+def _list_revisions() -> set[str]:
     from alembic.script import ScriptDirectory
 
     scripts = ScriptDirectory.from_config(alembic_config())

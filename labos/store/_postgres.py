@@ -197,7 +197,7 @@ class PostgresBackend:
         if _try_lock(self._open_keeper(), epoch):
             self._kept = epoch
 
-    def locked(self, connection: Connection, epoch: int) -> bool:
+    def is_locked(self, connection: Connection, epoch: int) -> bool:
         found = connection.execute(
             text(
                 "SELECT 1 FROM pg_locks JOIN pg_database ON pg_database.oid = pg_locks.database "

@@ -16,7 +16,7 @@ from labos.errors import LogDamaged
 from labos.ports import Head, LogQuery
 from labos.store import _checked
 from labos.store._backend import Backend, Row
-from labos.store._checked import CheckedRows, damaged
+from labos.store._checked import CheckedRows, report_damage
 from labos.store._errors import Door
 from labos.store._home import SEAL, HomeFiles
 from labos.store._select import positions_of_last, selection
@@ -88,7 +88,7 @@ class LogReader:
         upto = end.position if end is not None else upto
         start, recorded_at = self._chain_at(after)
         if before and before != start:
-            raise damaged(self.name, after, "its hash is not the one that was known of it")
+            raise report_damage(self.name, after, "its hash is not the one that was known of it")
         checked: CheckedRows | None = None
         position = after
         for rows in self._chunks(_REPLAY, after, upto):
@@ -103,18 +103,18 @@ class LogReader:
         """Raises LogDamaged if a log that was read up to a position does not end as its head row says."""
         if position != end.position:
             fault = f"it is missing, though the head row says that the log reaches to {end.position}"
-            raise damaged(self.name, position + 1, fault)
+            raise report_damage(self.name, position + 1, fault)
         if hash_ != end.hash:
             fault = "the head row bears another hash than this record, the last one"
-            raise damaged(self.name, position, fault)
+            raise report_damage(self.name, position, fault)
         with self._door:
             rows = self._backend.fetch(_BEHIND, (position,))
         if rows:
             fault = f"it stands behind the end of the log, which is {position} by the head row"
-            raise damaged(self.name, rows[0][0], fault)
+            raise report_damage(self.name, rows[0][0], fault)
         if recorded_at != end.recorded_at:
             fault = "the head row bears another time (recorded_at) than this record, the last one"
-            raise damaged(self.name, position, fault)
+            raise report_damage(self.name, position, fault)
 
     def _chain_at(self, position: int) -> tuple[bytes, int]:
         """The hash that the log bears at a position, and when that was recorded. Raises LogDamaged if it has
@@ -129,9 +129,11 @@ class LogReader:
         try:
             at = decode_folded(envelope)
         except (TypeError, ValueError, msgspec.MsgspecError) as error:
-            raise damaged(self.name, position, f"its envelope cannot be read ({error})") from None
+            raise report_damage(self.name, position, f"its envelope cannot be read ({error})") from None
         if at.lab != (told := self._lab_id()):
-            raise damaged(self.name, position, f"it is of the lab {at.lab}, but the head row says {told}")
+            raise report_damage(
+                self.name, position, f"it is of the lab {at.lab}, but the head row says {told}"
+            )
         return bytes(hash_), at.recorded_at
 
     def _chunks(self, statement: str, after: int, upto: int | None) -> Iterator[list[Row]]:
@@ -208,7 +210,7 @@ class LogReader:
                 return
             after = found[-1].words.reference
 
-    def caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]:
+    def list_caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]:
         """The positions of those of the ``last`` records whose causation begins so, and the causations.
         Raises StoreUnavailable."""
         first = select(head.c.position - last).scalar_subquery()
@@ -221,7 +223,7 @@ class LogReader:
         """(position, hash, data) of the snapshot of this fold, if it bears the seal of this lab's key. One
         that does not is not used, which is said once. Raises StoreUnavailable; LogDamaged if the snapshot
         is genuine and the log has another record at its position."""
-        found = self.stored_snapshot()
+        found = self.read_snapshot_row()
         if found is None or not found.genuine:
             if found is not None:
                 self._say_unused(found.fault)
@@ -231,10 +233,10 @@ class LogReader:
             return None
         if found.on_log != found.hash:
             fault = "its hash is not the one that the sealed snapshot of this position bears"
-            raise damaged(self.name, found.position, fault)
+            raise report_damage(self.name, found.position, fault)
         return (found.position, found.hash, found.data) if found.fingerprint == fingerprint else None
 
-    def stored_snapshot(self) -> StoredSnapshot | None:
+    def read_snapshot_row(self) -> StoredSnapshot | None:
         """What stands in the table of snapshots, genuine or not. Raises StoreUnavailable."""
         at = snapshot.outerjoin(event, event.c.position == snapshot.c.position)
         query = select(snapshot, event.c.hash.label("on_log"), head.c.lab).select_from(at).join(head, true())

@@ -32,7 +32,7 @@ _BEGAN_S = 1_767_225_600
 """2026-01-01 UTC. PostgreSQL's locks take epochs below 2³¹: enough until 2094."""
 
 
-def leapt_epoch(epoch: int, now_ns: int) -> int:
+def leap_epoch(epoch: int, now_ns: int) -> int:
     """An epoch above every one that a kernel of this lab can have had: seconds since 2026, unless
     kernels started more than once a second all the time."""
     return max(epoch + LEAP, now_ns // 1_000_000_000 - _BEGAN_S)
@@ -56,7 +56,7 @@ def restore_log(
             with backend.writing.connect() as connection, connection.begin():
                 found = connection.execute(select(head.c.position).with_for_update()).scalar_one()
                 if found:
-                    raise _occupied(url, found)
+                    raise _refuse_occupied(url, found)
                 rest = iter(words)
                 while some := list(islice(rest, _CHUNK)):  # before the events that erased some of them
                     backend.insert(connection, (), WordChanges(list(map(row_of, some))))
@@ -103,7 +103,7 @@ def refuse_to_overwrite(url: str) -> None:
     finally:
         backend.close()
     if position:
-        raise _occupied(url, position)
+        raise _refuse_occupied(url, position)
 
 
 def raise_epoch(url: str, now_ns: int) -> tuple[int, int]:
@@ -123,14 +123,14 @@ def raise_epoch(url: str, now_ns: int) -> tuple[int, int]:
             backend.occupy("labos db restored")
             with backend.writing.connect() as connection, connection.begin():
                 before = connection.execute(select(head.c.epoch).with_for_update()).scalar_one()
-                after = leapt_epoch(before, now_ns)
+                after = leap_epoch(before, now_ns)
                 connection.execute(update(head).values(epoch=after, lease_owner="", lease_until=0))
         finally:
             backend.close()
     return int(before), after
 
 
-def _occupied(url: str, position: int) -> Refused:
+def _refuse_occupied(url: str, position: int) -> Refused:
     return Refused(
         f"The {display_name(parse_url(url))} holds a log of {position} records; it is not overwritten.",
         remedy="Restore into another database, or move this one away.",

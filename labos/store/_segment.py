@@ -111,18 +111,18 @@ def _open_segment(path: Path) -> BinaryIO | gzip.GzipFile:
     return gzip.open(path, "rb") if packed else path.open("rb")
 
 
-def chained(records: Iterable[Record], before: bytes = GENESIS, after: int = 0) -> Iterator[Record]:
+def check_chain(records: Iterable[Record], before: bytes = GENESIS, after: int = 0) -> Iterator[Record]:
     """The same records, as long as each follows from the one before. Raises LogDamaged."""
     for record in records:
         if record.head.position != after + 1:
-            raise _broken(after + 1, "the record is missing")
+            raise _report_break(after + 1, "the record is missing")
         if fault := damage(before, record):
-            raise _broken(after + 1, fault)
+            raise _report_break(after + 1, fault)
         before, after = record.hash, after + 1
         yield record
 
 
-def _broken(position: int, fault: str) -> LogDamaged:
+def _report_break(position: int, fault: str) -> LogDamaged:
     return LogDamaged(
         f"Position {position}: {fault}.",
         position=position,

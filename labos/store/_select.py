@@ -23,7 +23,7 @@ def selection(query: LogQuery, contains: Contains) -> Select[Any]:
     if query.upto is not None:
         conditions.append(c.position <= query.upto)
     if query.types:
-        conditions.append(or_(*(_of_type(name) for name in query.types)))
+        conditions.append(or_(*(_match_type(name) for name in query.types)))
     if query.streams:
         conditions.append(c.stream.in_(query.streams))
     if query.correlation:
@@ -54,7 +54,7 @@ def positions_of_last(statement: Select[Any], n: int) -> Select[Any]:
     return select(func.min(newest.c.position).label("first"), func.max(newest.c.position).label("last"))
 
 
-def _of_type(name: str) -> ColumnElement[bool]:
+def _match_type(name: str) -> ColumnElement[bool]:
     """A type, or every type of a family: what lies between ``name.`` and ``name/``, the next
     character in byte order. A range uses the index, and knows no wildcards."""
     family = name.rstrip(".*")

@@ -67,7 +67,7 @@ class SqliteBackend:
         pass
 
     def vacate(self) -> None:
-        if self._lock.held:
+        if self._lock.is_held:
             try:
                 self._move_into_the_file()
             finally:
@@ -76,7 +76,7 @@ class SqliteBackend:
     def keep(self, epoch: int) -> None:
         pass
 
-    def locked(self, connection: Connection, epoch: int) -> bool:
+    def is_locked(self, connection: Connection, epoch: int) -> bool:
         return self._lock.is_taken()
 
     def stand_by(self, name: str) -> None:

@@ -41,11 +41,13 @@ def beside(records: Sequence[Record]) -> WordChanges:
         if record.words
         for kept in record.words
     ]
-    erased = [row for record in records if record.head.type == WordsErased.TYPE for row in _erased_by(record)]
+    erased = [
+        row for record in records if record.head.type == WordsErased.TYPE for row in _list_erased(record)
+    ]
     return WordChanges(added, erased) if added or erased else NOTHING
 
 
-def _erased_by(record: Record) -> Iterator[Row]:
+def _list_erased(record: Record) -> Iterator[Row]:
     found = decode(record.head.type, record.head.schema, record.payload)
     if isinstance(found, WordsErased):
         for reference in found.references():
@@ -59,7 +61,7 @@ def read_words(connection: Connection, references: Iterable[str]) -> dict[str, K
     for begin in range(0, len(named), _AT_ONCE):
         some = words.c.reference.in_(named[begin : begin + _AT_ONCE])
         for row in connection.execute(select(words.c.reference, words.c.salt, words.c.text).where(some)):
-            found[row.reference] = _kept(row)
+            found[row.reference] = _read_kept(row)
     return found
 
 
@@ -93,10 +95,10 @@ def row_of(each: StoredWords) -> Row:
 
 
 def _standing(row: Any) -> StoredWords:
-    return StoredWords(_kept(row), row.position, row.erased_at)
+    return StoredWords(_read_kept(row), row.position, row.erased_at)
 
 
-def _kept(row: Any) -> Kept:
+def _read_kept(row: Any) -> Kept:
     salt, text = row.salt, row.text
     if not isinstance(salt, bytes | memoryview) or not isinstance(text, str):
         # SQLite lets a column hold a value of any type; whoever put it there is found out by its digest.

@@ -59,9 +59,9 @@ def read_words_copy(folder: Path) -> Iterator[StoredWords]:
             told = _decoder.decode(line)
             kept = Kept(told.reference, bytes.fromhex(told.salt), told.text)
         except (msgspec.MsgspecError, ValueError) as error:
-            raise _damaged(0, f"{path}:{number}: this is no text of a backup ({error})") from None
+            raise _report_damage(0, f"{path}:{number}: this is no text of a backup ({error})") from None
         if not kept.is_genuine:
-            raise _damaged(told.position, f"{path}:{number}: the text is not the one that was written")
+            raise _report_damage(told.position, f"{path}:{number}: the text is not the one that was written")
         yield StoredWords(kept, told.position, told.erased_at)
 
 
@@ -80,7 +80,7 @@ class WordsExpected:
             for reference in event.references():
                 self._named.pop(reference, None)
                 if self._known.get(reference) is False:
-                    raise _damaged(head.position, f"{WORDS} holds words that were erased there")
+                    raise _report_damage(head.position, f"{WORDS} holds words that were erased there")
         for reference in references_in_words(head.type, record.payload):
             self._named.setdefault(reference, head.position)
 
@@ -88,10 +88,10 @@ class WordsExpected:
         """Raises LogDamaged."""
         for reference, position in self._named.items():
             if reference not in self._known:
-                raise _damaged(position, f"its words are missing from {WORDS}")
+                raise _report_damage(position, f"its words are missing from {WORDS}")
 
 
-def _damaged(position: int, fault: str) -> LogDamaged:
+def _report_damage(position: int, fault: str) -> LogDamaged:
     where = f"Position {position}: " if position else ""
     return LogDamaged(
         f"{where}{fault}.", position=position, remedy="Take another copy of the backup; keep this one."

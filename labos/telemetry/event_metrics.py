@@ -190,7 +190,7 @@ class EventMetrics(MetricGroup):
 
     # -- what the kernel says ------------------------------------------------------------------
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             event = entry.event
             self.events.add((event.TYPE,))
@@ -198,7 +198,7 @@ class EventMetrics(MetricGroup):
             if handler is not None:
                 handler(event, entry.record.head.recorded_at)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """What was committed in doubt was not heard of: go by the state that is read now."""
         self.reopened_log.add()
         self.begin_with(self._state())

@@ -114,14 +114,14 @@ class SpanRecorder:
 
     # -- what the kernel says ------------------------------------------------------------------
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         durable_at = self._now()
         for entry in entries:
             handler = self._handlers.get(type(entry.event))
             if handler is not None:
                 handler(entry.event, entry.record.head.recorded_at, durable_at)
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         self.begin_with(self._state())
 
     def begin_with(self, state: LabState) -> None:

@@ -111,7 +111,7 @@ class SimulatedBus:
         copies = 0 if faults.strikes("loss") else 2 if faults.strikes("duplication") else 1
         for _ in range(copies):
             self._carry(key, payload, answer)
-        faults.at(f"{self._role}.after_send")
+        faults.visit(f"{self._role}.after_send")
         try:
             return await asyncio.wait_for(answer, timeout_s)
         except TimeoutError:
@@ -154,7 +154,7 @@ class SimulatedBus:
                 continue
             for _ in range(2 if faults.strikes("duplication") else 1):
                 self._net.deliver(process, listener, key, payload)
-        faults.at(f"{self._role}.after_send")
+        faults.visit(f"{self._role}.after_send")
 
     async def subscribe(self, keys: str, listener: Listener) -> _Handle:
         entry = (self._process, pattern_of(keys), listener)
@@ -195,7 +195,7 @@ async def _serve(
         await net.faults.passes("node.before_send")
         if not net.faults.strikes("loss"):
             net.deliver(asker, _answer, answer, reply)
-        net.faults.at("node.after_send")
+        net.faults.visit("node.after_send")
     except Killed:
         process = PROCESS.get()
         if process is not None:

@@ -63,7 +63,7 @@ class SimulatedStore:
         """The time by which leases run: the server's, whoever asks."""
         return self._now()
 
-    def abandoned(self) -> bool:
+    def is_abandoned(self) -> bool:
         """Whether the kernel lives, but has let its lease run out: what a standby looks for."""
         holder = self._holder
         return holder is not None and holder.alive and self.now() >= self._lease_until
@@ -102,17 +102,17 @@ class SimulatedStore:
 
     def sync(self) -> Head:
         """Put what was written on disk. Raises Fenced if a successor has ended the transaction."""
-        self._mine()
+        self._check_own()
         return self._keep()
 
     def give_up(self, *, written: bool) -> None:
         """The connection broke in the midst of a commit, which happened or did not. Raises Fenced."""
-        self._mine()
+        self._check_own()
         if written:
             self._keep()
         self._unsynced = None
 
-    def _mine(self) -> None:
+    def _check_own(self) -> None:
         if self._unsynced is None or self._unsynced[0] is not self.process:
             raise Fenced("The transaction was ended by another kernel.")
 
@@ -208,7 +208,7 @@ class SimulatedWriter:
         if not self._still(head) or not batch:
             self._go_on()
             return
-        self._faults.at("kernel.before_commit")
+        self._faults.visit("kernel.before_commit")
         if self._process.frozen:
             self._queue = batch
             self._soon(0.0, self._write, head)
@@ -219,7 +219,7 @@ class SimulatedWriter:
         except StoreError as error:
             self._fail(error)
             return
-        self._faults.at("kernel.unsynced_commit")
+        self._faults.visit("kernel.unsynced_commit")
         self._soon(0.002, self._sync, head)
 
     def _sync(self, head: Head) -> None:
@@ -235,7 +235,7 @@ class SimulatedWriter:
         except StoreError as error:
             self._fail(error)
             return
-        self._faults.at("kernel.after_commit")
+        self._faults.visit("kernel.after_commit")
         self._on_durable(self._head.position)
         self._go_on()
 
@@ -272,7 +272,7 @@ class SimulatedJournalFile:
         self._disk, self._name, self._faults = disk, name, faults
         self._synced = disk.get(name, b"")
         self._process = process
-        process.on_death.append(self._died)
+        process.on_death.append(self._lose_unsynced)
 
     async def read(self) -> bytes:
         return self._disk.get(self._name, b"")
@@ -282,7 +282,7 @@ class SimulatedJournalFile:
         await self._faults.passes("node.before_journal")
         old = self._synced
         self._disk[self._name] = old + data[: self._faults.rng.randrange(len(data))]
-        self._faults.at("node.torn_journal")
+        self._faults.visit("node.torn_journal")
         self._disk[self._name] = old + data
         await self._sync()
 
@@ -298,7 +298,7 @@ class SimulatedJournalFile:
         self._synced = self._disk[self._name]
         await self._faults.passes("node.after_journal")
 
-    def _died(self) -> None:
+    def _lose_unsynced(self) -> None:
         written = self._disk.get(self._name, b"")
         if self._process.powerless and written != self._synced:
             if written.startswith(self._synced):

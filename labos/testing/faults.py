@@ -100,7 +100,7 @@ class Faults:
 
     # -- at crash points ---------------------------------------------------------------------
 
-    def at(self, point: str) -> None:
+    def visit(self, point: str) -> None:
         """Perhaps die here: nothing after this line happens in this process. Or freeze: what comes
         after the next ``await`` happens later."""
         process = PROCESS.get()
@@ -116,14 +116,14 @@ class Faults:
             self._die(process, point)
             raise Killed
         role = point.partition(".")[0]
-        if not process.frozen and self._drawn(f"{role}_frozen", point):
+        if not process.frozen and self._draw(f"{role}_frozen", point):
             self._freeze(process, f"{role}_frozen")
-        if process.clock is not None and self._drawn("clock_jump", point):
+        if process.clock is not None and self._draw("clock_jump", point):
             self._jump(process)
 
     async def passes(self, point: str) -> None:
         """``at``, where a process that freezes does so before the next line."""
-        self.at(point)
+        self.visit(point)
         process = PROCESS.get()
         if process is not None and process.frozen:
             await asyncio.sleep(0)
@@ -135,10 +135,10 @@ class Faults:
 
     def _die(self, process: Process, point: str) -> None:
         self.deaths.append((point, self.now()))
-        powerless = self._drawn("power_cut", point)
+        powerless = self._draw("power_cut", point)
         if powerless:
             self.tell("power_cut")
-        other = self.other_side(process) if self._drawn("both_die", point) else None
+        other = self.other_side(process) if self._draw("both_die", point) else None
         process.kill(powerless=powerless)
         if other is not None and other.alive:
             self.tell("both_die")
@@ -172,9 +172,9 @@ class Faults:
 
     def waits_for_next(self) -> bool:
         """Whether a message is to be overtaken by the next one; whether it is, time will tell."""
-        return not self.calm and self._drawn("reordering")
+        return not self.calm and self._draw("reordering")
 
-    def _drawn(self, fault: str, point: str = "") -> bool:
+    def _draw(self, fault: str, point: str = "") -> bool:
         """Nothing is drawn for what never happens: the labs of a seed stay what they were."""
         chance = self.chance(fault, point)
         return chance > 0 and self.rng.random() < chance

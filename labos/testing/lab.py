@@ -108,7 +108,7 @@ class SimulatedLab(People):
         try:
             return self.loop.run_until_complete(asyncio.wait_for(self._run(jobs), limit_s))
         except TimeoutError:
-            return self.folded()
+            return self.fold_log()
         finally:
             asyncio.set_event_loop(None)
 
@@ -151,23 +151,23 @@ class SimulatedLab(People):
         if not all(user.done() for user in users) and self.still_s:
             for user in users:
                 user.cancel()
-            return self.folded()
+            return self.fold_log()
         await asyncio.gather(*users)
         for person in self._people:
             if person.done():
                 person.result()  # whoever has stumbled did not do what this lab is about
         self.faults.calm = True
-        state = self.folded()
+        state = self.fold_log()
         while not self._is_over(state):
             await self._until(self._is_over)
             await self._until_written()
-            state = self.folded()
+            state = self.fold_log()
             if not self._is_over(state):  # a kernel that was replaced knows less, until it is told
                 await asyncio.sleep(1.0)
         await self._until_written()
         assert self.kernel is not None
         self.remembered = state_hash(self.kernel.state)
-        return self.folded()
+        return self.fold_log()
 
     def _is_over(self, state: LabState) -> bool:
         asked = self.answers_all and (state.interventions.open or self._cleared)
@@ -210,7 +210,7 @@ class SimulatedLab(People):
 
     def report(self) -> str:
         """Where a lab that does not end hangs."""
-        state = self.folded()
+        state = self.fold_log()
         kernel = self.kernel
         waits = []
         if kernel is not None:
@@ -235,4 +235,4 @@ class SimulatedLab(People):
 
     def fingerprint(self) -> str:
         """The same seed gives the same."""
-        return state_hash(self.folded())
+        return state_hash(self.fold_log())

@@ -97,7 +97,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     ) -> asyncio.Handle:
         process = _process_of(context)
         if process is not None:
-            return super().call_soon(_guarded, self, process, context, callback, args, context=context)
+            return super().call_soon(_run_guarded, self, process, context, callback, args, context=context)
         return super().call_soon(callback, *args, context=context)
 
     def call_at(  # type: ignore[override]
@@ -105,7 +105,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     ) -> asyncio.TimerHandle:
         process = _process_of(context)
         if process is not None:
-            return super().call_at(when, _guarded, self, process, context, callback, args, context=context)
+            return super().call_at(
+                when, _run_guarded, self, process, context, callback, args, context=context
+            )
         return super().call_at(when, callback, *args, context=context)
 
     def start(self, process: Process, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
@@ -124,7 +126,7 @@ def _process_of(context: contextvars.Context | None) -> Process | None:
     return PROCESS.get() if context is None else context.get(PROCESS)
 
 
-def _guarded(
+def _run_guarded(
     loop: VirtualLoop,
     process: Process,
     context: contextvars.Context | None,

@@ -89,7 +89,7 @@ class People(Processes):
                 kernel = self.kernel
                 if kernel is not None:
                     if done is not None and done(kernel.state):
-                        await self._ask(kernel, kernel.written())
+                        await self._ask(kernel, kernel.flush())
                         return
                     await self._tell(kernel, command)
                     if done is None:
@@ -116,7 +116,7 @@ class People(Processes):
             kernel = self.kernel
             try:
                 if kernel is not None:
-                    await self._ask(kernel, kernel.written())
+                    await self._ask(kernel, kernel.flush())
                     known = kernel.durable == kernel.state.position == self.store.head().position
                     if kernel is self.kernel and known:
                         return
@@ -131,7 +131,7 @@ class People(Processes):
             request = f"{job.name}/experiment"
             start = msgspec.structs.replace(job.experiment, request=request)
             await self._insist(start, lambda state: request in state.experiments.requests)
-            experiment = self.folded().experiments.requests[request]
+            experiment = self.fold_log().experiments.requests[request]
         for number, run in enumerate(job.runs):
             request = f"{job.name}/{number}"
             changes: dict[str, Any] = {"request": request}
@@ -139,10 +139,10 @@ class People(Processes):
                 changes["experiment"] = experiment
             command = msgspec.structs.replace(run, **changes)
             await self._insist(command, lambda state, r=request: r in state.runs.requests)  # type: ignore[misc]
-            name = self.folded().runs.requests[request]
+            name = self.fold_log().runs.requests[request]
             await self._until(lambda state, n=name: state.runs.get(n) is None)  # type: ignore[misc]
         if experiment:
-            await self._insist(EndExperiment(experiment), lambda state: _closed(state, experiment))
+            await self._insist(EndExperiment(experiment), lambda state: _is_closed(state, experiment))
             await self._until(lambda state: experiment not in state.experiments.open)
         self.done_jobs.add(job.name)
 
@@ -210,7 +210,7 @@ class People(Processes):
             if kernel is None or (self.late and self.rng.random() < self.late):
                 continue
             try:
-                await self._ask(kernel, kernel.written())
+                await self._ask(kernel, kernel.flush())
                 questions = list(kernel.state.interventions.open.values())
                 modules = [m for m in kernel.state.modules.by_name.values() if m.status == ModuleStatus.ERROR]
                 if self.refills:
@@ -256,7 +256,7 @@ class People(Processes):
         for _ in range(round(LOOK_S)):
             access = kernel.state.lab.access.get(cell)
             if access is not None and access.granted:
-                await self._ask(kernel, kernel.written())
+                await self._ask(kernel, kernel.flush())
                 return True
             await asyncio.sleep(1.0)
         return False
@@ -326,22 +326,22 @@ class People(Processes):
 
     async def _meddle(self, meddle: Meddle) -> None:
         """Somebody does something about a run when one of its steps has begun."""
-        await self._until(lambda _: meddle.request in self.folded().runs.requests)
-        name = self.folded().runs.requests[meddle.request]
+        await self._until(lambda _: meddle.request in self.fold_log().runs.requests)
+        name = self.fold_log().runs.requests[meddle.request]
 
-        def begun(state: LabState) -> bool:
+        def has_begun(state: LabState) -> bool:
             run = state.runs.get(name)
             if run is None:
                 return True
             # A kernel that another one has ended may have given this name to a shorter run.
             return meddle.step < len(run.steps) and run.steps[meddle.step].status != PENDING
 
-        await self._until(begun, look_s=1.0)  # a picture takes five
+        await self._until(has_begun, look_s=1.0)  # a picture takes five
         for after_s, deed in meddle.deeds(name):
             await asyncio.sleep(after_s)
             if isinstance(deed, str):
                 await self._stop(ModuleName(deed), 0.0)
-            elif getattr(deed, "run", None) != name or self.folded().runs.get(name) is not None:
+            elif getattr(deed, "run", None) != name or self.fold_log().runs.get(name) is not None:
                 await self._insist(deed)
 
     async def _reset(self, kernel: Kernel, module: ModuleName) -> None:
@@ -354,7 +354,7 @@ class People(Processes):
             self.resets += 1
 
 
-def _closed(state: LabState, experiment: ExperimentId) -> bool:
+def _is_closed(state: LabState, experiment: ExperimentId) -> bool:
     found = state.experiments.open.get(experiment)
     return found is None or found.status == "closing"
 

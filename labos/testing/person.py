@@ -93,7 +93,7 @@ def _look_for_move(world: World, state: LabState, question: Intervention, device
     for place in (hand, local(effect.via)):
         if place:
             for plate in world.at(place):
-                if _used_meanwhile(state, question, effect):  # it was seen in the hand
+                if _is_used_meanwhile(state, question, effect):  # it was seen in the hand
                     waste = state.bench.stations[effect.target].spec.kind == "waste"
                     world.carry(plate, "" if waste else local(effect.target))
                     return "done"
@@ -107,7 +107,7 @@ def _look_for_move(world: World, state: LabState, question: Intervention, device
     return "not_done" if here > others else "done"
 
 
-def _used_meanwhile(state: LabState, question: Intervention, effect: Move) -> bool:
+def _is_used_meanwhile(state: LabState, question: Intervention, effect: Move) -> bool:
     run = state.runs.active.get(RunId(question.run))
     if run is not None:
         return bool(find_user_meanwhile(state, effect.source, run))

@@ -134,7 +134,7 @@ class Processes:
         node = self._devices.get(module)
         return bool(getattr(getattr(node, "device", node), "moving", False))
 
-    def folded(self) -> LabState:
+    def fold_log(self) -> LabState:
         """The state that the log amounts to, folded from nothing."""
         state = LabState()
         fold(state, self.store.read())
@@ -203,7 +203,7 @@ class Processes:
         machine = MACHINES[self._clocks[MACHINES[0]] is process.clock]
         # Asked from the standby's machine: its clock must not matter.
         self.store.process = Process("standby", self._clocks.setdefault(machine, VirtualClock(self.loop)))
-        if self.store.abandoned():
+        if self.store.is_abandoned():
             self.takeovers += 1
             self._start_kernel(machine)
         elif process.frozen or self.loop.time() < until:

@@ -58,7 +58,7 @@ class Bench:
         """The action's effects with the case's arguments filled in. Those that cannot be worked out
         without a workflow (files, lists of volumes) are left out."""
         args = {arg.name: arg.default for arg in spec.args if not arg.required}
-        args.update({named(spec, name): value for name, value in case.args.items()})
+        args.update({find_name(spec, name): value for name, value in case.args.items()})
         found = []
         for effect in spec.effects:
             try:
@@ -160,7 +160,7 @@ class Bench:
         """Where a plate lies now; empty if it is out of the lab."""
         return next((place for place, plates in self.world.places().items() if plate in plates), "")
 
-    def misplaced(self, case: Case, effect: AnyEffect, plate: str) -> str:
+    def find_misplaced(self, case: Case, effect: AnyEffect, plate: str) -> str:
         """What is wrong with where a plate is, after an action that moved it; empty if nothing."""
         if not plate or not isinstance(effect, Carrying):
             return ""
@@ -173,18 +173,18 @@ class Bench:
         return f"its effects say that the labware stands at {target}; it is {here or 'nowhere'}"
 
 
-def named(spec: ActionSpec, name: str) -> str:
+def find_name(spec: ActionSpec, name: str) -> str:
     """An argument's declared name, by that or an alias."""
     return next((arg.name for arg in spec.args if name == arg.name or name in arg.aliases), name)
 
 
-def unresolved(effect: AnyEffect) -> bool:
+def is_unresolved(effect: AnyEffect) -> bool:
     """Whether place-holders are left in an effect that its arguments should have filled in."""
     values = msgspec.structs.asdict(effect).values()
     return any(isinstance(v, str) and "{" in v and not is_reported(v) for v in values)
 
 
-def told(deeds: Mapping[tuple[str, str], int]) -> str:
+def describe_deeds(deeds: Mapping[tuple[str, str], int]) -> str:
     """Deeds in words."""
     words = [
         f"{verb}{f' at {place}' if place else ''}{f' ({n} times)' if n > 1 else ''}"

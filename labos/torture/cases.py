@@ -8,10 +8,10 @@ from typing import Any
 
 import msgspec
 
-from labos.core.effects import Sets, carried
+from labos.core.effects import Sets, list_carried
 from labos.core.model import ActionSpec, Arg, Description
 from labos.node.torture import Case, Torture
-from labos.torture.bench import named
+from labos.torture.bench import find_name
 
 PLACES = {"source": "bench.source", "target": "bench.target"}
 
@@ -24,18 +24,18 @@ def cases_of(about: Description, torture: Torture, folder: Path) -> list[Case]:
             continue
         names = (spec.name, *spec.aliases)
         given = [case for case in torture.cases if case.action in names] or [Case(spec.name)]
-        found += [_filled(case, spec, folder) for case in given]
+        found += [_fill(case, spec, folder) for case in given]
     return found
 
 
-def unknown_cases(about: Description, torture: Torture) -> list[str]:
+def find_unknown_cases(about: Description, torture: Torture) -> list[str]:
     """Actions of given cases that the driver does not offer."""
     return [case.action for case in torture.cases if about.action(case.action) is None]
 
 
-def _filled(case: Case, spec: ActionSpec, folder: Path) -> Case:
-    files = {name: _written(folder / file, text) for name, (file, text) in case.files.items()}
-    given = {named(spec, name) for name in (*case.args, *files)}
+def _fill(case: Case, spec: ActionSpec, folder: Path) -> Case:
+    files = {name: _write(folder / file, text) for name, (file, text) in case.files.items()}
+    given = {find_name(spec, name) for name in (*case.args, *files)}
     args = {
         **{arg.name: _example(arg, folder) for arg in spec.args if arg.required and arg.name not in given},
         **case.args,
@@ -61,18 +61,18 @@ def _example(arg: Arg, folder: Path) -> Any:
         case "station":
             return PLACES.get(arg.name, f"bench.{arg.name}")
         case "file":
-            return _written(folder / f"{arg.name}.yaml", "metadata: {name: an example}\n")
+            return _write(folder / f"{arg.name}.yaml", "metadata: {name: an example}\n")
     return "example"
 
 
-def _written(path: Path, text: str) -> str:
+def _write(path: Path, text: str) -> str:
     path.write_bytes(text.encode())
     return str(path)
 
 
 def wrong_args(case: Case, spec: ActionSpec) -> Iterator[tuple[str, dict[str, Any]]]:
     """Calls that must be refused, each with what is wrong with it."""
-    args = {named(spec, name): value for name, value in case.args.items()}
+    args = {find_name(spec, name): value for name, value in case.args.items()}
     yield "an argument that there is none of", {**args, "no_such_argument": 1}
     for arg in spec.args:
         if arg.required:
@@ -104,7 +104,7 @@ def _beyond(arg: Arg, limit: float, side: int) -> float:
 
 
 def moves_labware(spec: ActionSpec) -> bool:
-    return bool(carried(spec.effects))
+    return bool(list_carried(spec.effects))
 
 
 def works_a_gate(spec: ActionSpec) -> bool:

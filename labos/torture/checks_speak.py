@@ -10,18 +10,18 @@ from labos.core.effects import AnyEffect, Carrying, Consumes, Needs, Requires, S
 from labos.core.model import ActionSpec, Arg
 from labos.node.protocol import Outcome, StateReport
 from labos.node.torture import Case
-from labos.torture.bench import named, told, unresolved
-from labos.torture.cases import moves_labware, unknown_cases, wrong_args
+from labos.torture.bench import describe_deeds, find_name, is_unresolved
+from labos.torture.cases import find_unknown_cases, moves_labware, wrong_args
 from labos.torture.session import END_S, TRIES, Done, Failed, LeftOut, Session, case_key
 
 
 async def about(on: Session) -> None:
     """about is complete: everything is described, bounded and named once."""
-    flaws = [*_names(on), *_undescribed(on), *_not_there(on)]
+    flaws = [*_names(on), *_find_undescribed(on), *_not_there(on)]
     if flaws:
         raise Failed("; ".join(flaws))
     report = await on.kernel.about()
-    if report.simulated == on.wired:
+    if report.simulated == on.is_wired:
         raise Failed(f"about says simulated = {report.simulated}")
 
 
@@ -29,7 +29,7 @@ def _names(on: Session) -> list[str]:
     """Names that mean nothing, or two things."""
     about = on.about
     flaws = [
-        f"TORTURE has a case for {name}, which is no action" for name in unknown_cases(about, on.torture)
+        f"TORTURE has a case for {name}, which is no action" for name in find_unknown_cases(about, on.torture)
     ]
     for kind, names in (
         ("action", [name for spec in about.actions for name in (spec.name, *spec.aliases)]),
@@ -41,7 +41,7 @@ def _names(on: Session) -> list[str]:
     return flaws
 
 
-def _undescribed(on: Session) -> list[str]:
+def _find_undescribed(on: Session) -> list[str]:
     flaws = []
     for spec in on.about.actions:
         if not spec.description or spec.duration_s <= 0:
@@ -73,7 +73,7 @@ def _not_there(on: Session) -> list[str]:
     flaws = []
     for case in on.cases:
         for effect in on.bench.effects(case, on.spec(case)):
-            if unresolved(effect):
+            if is_unresolved(effect):
                 flaws.append(f"{case.action}: {type(effect).__name__} is not filled in by its arguments")
             wanted = effect.variable if isinstance(effect, Requires | Sets) and effect.of == "module" else ""
             if wanted and wanted not in about.variables:
@@ -105,7 +105,7 @@ async def happy(on: Session) -> None:
         outcome = await on.learn(done)
         on.took_s[case.action] = on.now() - began
         if case.refused:
-            _declined(case.action, case.refused, outcome)
+            _check_declined(case.action, case.refused, outcome)
             continue
         if not outcome.succeeded:
             raise Failed(f"{case.action} fails: {outcome.error}")
@@ -114,25 +114,26 @@ async def happy(on: Session) -> None:
             await on.at_rest()
             if (later := on.deeds(done)) != deeds:
                 raise Failed(
-                    f"{case.action} says that it is done, but its device goes on: {told(later - deeds)}"
+                    f"{case.action} says that it is done, but its device goes on: "
+                    f"{describe_deeds(later - deeds)}"
                 )
         on.reference[case_key(case)] = deeds
         if moves_labware(spec) and not deeds:
             raise Failed(f"{case.action} says that it has moved something, but nothing moved on the bench")
         for effect, plate in plates:
-            if wrong := on.bench.misplaced(case, effect, plate):
-                raise Failed(f"{case.action}: {wrong}; it did {told(deeds)}")
-        _consumed(on, spec, effects, used)
+            if wrong := on.bench.find_misplaced(case, effect, plate):
+                raise Failed(f"{case.action}: {wrong}; it did {describe_deeds(deeds)}")
+        _check_consumed(on, spec, effects, used)
         await _variables(on, case.action, effects)
         await on.idle()
 
 
-def _declined(name: str, why: str, outcome: Outcome) -> None:
+def _check_declined(name: str, why: str, outcome: Outcome) -> None:
     if outcome.succeeded or outcome.effects != "none" or why not in outcome.error:
         raise Failed(f"{name} should decline with {why!r}; it says {outcome.error or 'that it succeeded'}")
 
 
-def _consumed(
+def _check_consumed(
     on: Session, spec: ActionSpec, effects: tuple[AnyEffect, ...], before: dict[str, float | None]
 ) -> None:
     """Each resource is used up as the effects say, and no other. Nothing is said where an amount stands in a
@@ -159,7 +160,7 @@ async def set_points(on: Session) -> str:
             outcome = await on.end(done)
             if not outcome.succeeded:
                 raise Failed(f"{case.action} {args} fails: {outcome.error}")
-            _recorded(on, done)
+            _check_recorded(on, done)
             await on.idle()
     numbers = sorted({f"{case.action} {name}" for case in on.cases for name in _numbers(on, case)})
     unseen = [name for name in numbers if name.partition(" ")[0] not in {case.action for case in tried}]
@@ -173,7 +174,7 @@ def _numbers(on: Session, case: Case) -> list[str]:
         for arg in on.spec(case).args
         if arg.type in ("int", "float") and arg.unit and not arg.choices
     }
-    return [name for name in case.args if named(on.spec(case), name) in units]
+    return [name for name in case.args if find_name(on.spec(case), name) in units]
 
 
 def _other_numbers(on: Session, case: Case) -> dict[str, Any]:
@@ -181,7 +182,7 @@ def _other_numbers(on: Session, case: Case) -> dict[str, Any]:
     args = dict(case.args)
     by_name = {arg.name: arg for arg in on.spec(case).args}
     for place, name in enumerate(_numbers(on, case)):
-        arg, value = by_name[named(on.spec(case), name)], args[name]
+        arg, value = by_name[find_name(on.spec(case), name)], args[name]
         for share in (0.8 - 0.1 * place, 1.2 + 0.1 * place):
             other = round(value * share) if arg.type == "int" else value * share
             low, high = arg.minimum, arg.maximum
@@ -191,7 +192,7 @@ def _other_numbers(on: Session, case: Case) -> dict[str, Any]:
     return args
 
 
-def _recorded(on: Session, done: Done) -> None:
+def _check_recorded(on: Session, done: Done) -> None:
     """Raises Failed."""
     assert done.case.record is not None
     wanted = done.case.record(done.case.args)
@@ -239,7 +240,7 @@ async def invalid(on: Session) -> None:
                 f"{name} refuses {what} as if it could be asked again: {reply.why or 'without a word'}"
             )
     if deeds := on.bench.deeds(since, gates=False):
-        raise Failed(f"it did {told(deeds)} when asked with wrong arguments")
+        raise Failed(f"it did {describe_deeds(deeds)} when asked with wrong arguments")
 
 
 async def duplicate(on: Session) -> None:
@@ -262,7 +263,7 @@ async def duplicate(on: Session) -> None:
 async def busy(on: Session) -> None:
     """While it works it says so, refuses other work for the time being, and answers questions."""
     case = on.motion()
-    done, state, other = await _asked_while_it_works(on, case)
+    done, state, other = await _ask_while_it_works(on, case)
     if other.reply.status != "refused" or not other.reply.transient:
         raise Failed(f"asked for {case.action} while it works, it answers {other.reply.status}")
     if state.status != "BUSY" or done.start.action not in state.running:
@@ -283,7 +284,7 @@ async def busy(on: Session) -> None:
         raise Failed("what was refused may still run later")
 
 
-async def _asked_while_it_works(on: Session, case: Case) -> tuple[Done, StateReport, Done]:
+async def _ask_while_it_works(on: Session, case: Case) -> tuple[Done, StateReport, Done]:
     """A motion, its node's state in it, and what came of asking for another: all three for sure while the
     first was under way, for it still is afterwards. Raises Failed."""
     for _ in range(TRIES):
@@ -300,5 +301,5 @@ async def _asked_while_it_works(on: Session, case: Case) -> tuple[Done, StateRep
 
 def needs_a_wire(on: Session) -> None:
     """Raises LeftOut."""
-    if not on.wired:
+    if not on.is_wired:
         raise LeftOut("no wire: the driver drives only a device inside the node, so nothing can be unplugged")

@@ -7,7 +7,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from labos.node.protocol import Outcome
-from labos.torture.bench import told
+from labos.torture.bench import describe_deeds
 from labos.torture.checks_speak import needs_a_wire
 from labos.torture.observation import observe_bench
 from labos.torture.session import END_S, REST_S, TRIES, Done, Failed, LeftOut, Session, case_key
@@ -74,13 +74,13 @@ async def device_error(on: Session) -> None:
         on.mend(fault)
         await on.recover()
         await on.works_again(case)
-        await _struck_in_motion(on, case, (fault,))
+        await _strike_in_motion(on, case, (fault,))
     if len(on.torture.faults) > 1:
-        await _struck_in_motion(on, case, on.torture.faults[:2])
+        await _strike_in_motion(on, case, on.torture.faults[:2])
     await on.works_again(case)
 
 
-async def _struck_in_motion(on: Session, case: Case, faults: Sequence[Fault]) -> None:
+async def _strike_in_motion(on: Session, case: Case, faults: Sequence[Fault]) -> None:
     """What is said of a motion in which something goes wrong is so, and it can be put right."""
     done = await on.midway(case)
     for fault in faults:
@@ -88,12 +88,12 @@ async def _struck_in_motion(on: Session, case: Case, faults: Sequence[Fault]) ->
     await on.kernel.outcome(done.start, MENDED_S)
     for fault in faults:
         on.mend(fault)
-    await _ended_by_person(on, done)
+    await _end_by_person(on, done)
     await on.end(done)
     await on.recover()
 
 
-async def _ended_by_person(on: Session, done: Done) -> None:
+async def _end_by_person(on: Session, done: Done) -> None:
     """What waits for a person, also after it was put right, says so; it is stopped then. Raises Failed."""
     if await on.kernel.outcome(done.start, MENDED_S) is not None or not await on.runs(done):
         return
@@ -105,23 +105,23 @@ async def _ended_by_person(on: Session, done: Done) -> None:
 
 async def stop(on: Session) -> None:
     """A stop in mid-motion ends it, or says that it cannot; what is said of the motion is so."""
-    await _stopped(on, "stop")
+    await _check_stop(on, "stop")
 
 
 async def estop(on: Session) -> None:
     """An emergency stop in mid-motion is reported until a reset, and nothing begins before."""
-    await _stopped(on, "estop")
+    await _check_stop(on, "estop")
 
 
-async def _stopped(on: Session, command: str) -> None:
+async def _check_stop(on: Session, command: str) -> None:
     case = on.motion()
     expected = on.reference[case_key(case)]
-    done, reply, outcome = await _stopped_midway(on, case, command)
+    done, reply, outcome = await _stop_midway(on, case, command)
     await observe_bench(on, done)
     if not reply.done and not reply.why:
         raise Failed(f"{command} fails without a word")
     if outcome.succeeded and on.deeds(done) != expected:
-        raise Failed(f"{case.action} says that it succeeded; it did {told(on.deeds(done))}")
+        raise Failed(f"{case.action} says that it succeeded; it did {describe_deeds(on.deeds(done))}")
     if command == "estop":
         state = await on.kernel.state()
         if state.status != "ERROR" or not state.stopped_at:
@@ -133,7 +133,7 @@ async def _stopped(on: Session, command: str) -> None:
     await on.works_again(case)
 
 
-async def _stopped_midway(on: Session, case: Case, command: str) -> tuple[Done, AdminReply, Outcome]:
+async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Done, AdminReply, Outcome]:
     """A motion that was stopped, what the stop said, and how it ended, with the device at rest. One that
     ended well although it is said to be stopped has gone on if the bench shows it; else it was over
     before the stop came, and is begun again. Raises Failed."""
@@ -151,7 +151,7 @@ async def _stopped_midway(on: Session, case: Case, command: str) -> tuple[Done, 
     raise Failed(f"{case.action} is over before it can be stopped: name a longer `motion`")
 
 
-async def unplugged_before(on: Session) -> None:
+async def unplug_before(on: Session) -> None:
     """Unplugged: an action fails, nothing has moved, and the driver says so; plugged in, it works."""
     case, relay = on.motion(), _line(on)
     await on.fulfil(case)
@@ -167,7 +167,7 @@ async def unplugged_before(on: Session) -> None:
     await on.works_again(case)
 
 
-async def unplugged_during(on: Session) -> None:
+async def unplug_during(on: Session) -> None:
     """Unplugged in mid-motion: the action ends, as failed or unknown; plugged in, it works."""
     case, relay = on.motion(), _line(on)
     done = await on.midway(case)
@@ -175,7 +175,7 @@ async def unplugged_during(on: Session) -> None:
     await _settle(on, done, await on.end(done))
 
 
-async def unplugged_after(on: Session) -> None:
+async def unplug_after(on: Session) -> None:
     """Unplugged while it rests: the node lives and answers; plugged in, it works."""
     case, relay = on.motion(), _line(on)
     await on.act(case)
@@ -189,19 +189,19 @@ async def unplugged_after(on: Session) -> None:
     await on.works_again(case)
 
 
-async def lost_reply(on: Session) -> None:
+async def lose_reply(on: Session) -> None:
     """A reply that is lost, at the beginning or in mid-motion, is no success that nobody saw."""
-    await _spoiled(on, "lose")
+    await _spoil_reply(on, "lose")
 
 
-async def garbled_reply(on: Session) -> None:
+async def garble_reply(on: Session) -> None:
     """Noise is never taken for an answer."""
-    await _spoiled(on, "garble")
+    await _spoil_reply(on, "garble")
 
 
 async def half_reply(on: Session) -> None:
     """Nor is half a reply."""
-    await _spoiled(on, "cut")
+    await _spoil_reply(on, "cut")
 
 
 async def late_reply(on: Session) -> None:
@@ -222,7 +222,7 @@ async def late_reply(on: Session) -> None:
         await _settle(on, done, await on.end(done))
 
 
-async def unasked(on: Session) -> str:
+async def say_unasked(on: Session) -> str:
     """What the device says without having been asked is not taken for an answer."""
     case = on.motion()
     needs_a_wire(on)
@@ -267,7 +267,7 @@ async def _one_spoiled(on: Session, mode: Mode, order: bytes, stray: bytes = b""
     await on.recover()
 
 
-async def _spoiled(on: Session, mode: Mode) -> None:
+async def _spoil_reply(on: Session, mode: Mode) -> None:
     case, relay = on.motion(), _line(on)
     await on.fulfil(case)
     on.lay(case)
@@ -343,51 +343,51 @@ async def power_cut(on: Session) -> None:
     done = await on.midway(case)
     on.kill()
     on.switch_off()
-    await on.gone()
+    await on.await_node_gone()
     on.switch_on()
     await on.start_node()
-    await _remembered(on, done)
+    await _check_remembers(on, done)
     outcome = await on.kernel.outcome(done.start, END_S)
     await on.at_rest()
-    await _reconciled(on, done, outcome)
+    await _check_reconciled(on, done, outcome)
     await on.recover()
     await on.works_again(case)
 
 
-async def killed(on: Session) -> None:
+async def kill_node(on: Session) -> None:
     """Its node killed in mid-motion: nothing is repeated, and it is not idle before the device rests."""
     case = on.motion()
-    if on.wired:
+    if on.is_wired:
         await on.at_rest()
         await on.slow_both_down(max(SLOWNESS, 2 * on.start_s / on.motion_s))
-    done = await on.midway(case, 0.1 if on.wired else None)
-    await _killed_and_started(on, done)
-    if on.wired:
+    done = await on.midway(case, 0.1 if on.is_wired else None)
+    await _kill_and_start(on, done)
+    if on.is_wired:
         await on.slow_both_down(1.0)
     await on.recover()
     await on.works_again(case)
     done = await on.begin(case)  # between its journal and its device, or hardly later
-    await _killed_and_started(on, done)
+    await _kill_and_start(on, done)
     await on.recover()
-    for fault in on.torture.faults[:1] if on.wired else ():
+    for fault in on.torture.faults[:1] if on.is_wired else ():
         done = await on.midway(case)
         on.kill()
         on.strike(fault)
-        await _killed_and_started(on, done, fault)
+        await _kill_and_start(on, done, fault)
         await on.recover()
     await on.works_again(case)
 
 
-async def _killed_and_started(on: Session, done: Done, fault: Fault | None = None) -> None:
+async def _kill_and_start(on: Session, done: Done, fault: Fault | None = None) -> None:
     """Raises Failed. A ``fault`` of the device is put right when its node is not BUSY, or has waited."""
     on.kill()
-    await on.gone()
+    await on.await_node_gone()
     await on.start_node()
-    await _remembered(on, done)
+    await _check_remembers(on, done)
     if fault is not None:
         await on.kernel.until(lambda state: state.status != "BUSY", MENDED_S)
         on.mend(fault)
-        await _ended_by_person(on, done)
+        await _end_by_person(on, done)
         await on.at_rest()
     await on.kernel.until(lambda state: state.status != "BUSY", REST_S)
     idle = on.bench.mark()
@@ -395,22 +395,22 @@ async def _killed_and_started(on: Session, done: Done, fault: Fault | None = Non
     await on.at_rest()
     if later := on.bench.motions(idle):
         raise Failed(f"after the kill it is {IDLE_TOO_SOON}: {later[0].verb} at {later[0].place}")
-    await _reconciled(on, done, outcome)
+    await _check_reconciled(on, done, outcome)
 
 
-async def _remembered(on: Session, done: Done) -> None:
+async def _check_remembers(on: Session, done: Done) -> None:
     """A node that was started again knows the attempt. Raises Failed."""
     again = await on.kernel.send(done.start)
     if again.status not in ("interrupted", "running", "finished"):
         raise Failed(f"started again, it tells {done.case.action} as {again.status}: {again.why}")
 
 
-async def _reconciled(on: Session, done: Done, outcome: Outcome | None) -> None:
+async def _check_reconciled(on: Session, done: Done, outcome: Outcome | None) -> None:
     """What a node that was started again has found out about an attempt is so, and nothing was done twice.
     Raises Failed."""
     deeds, expected = on.deeds(done), on.reference[case_key(done.case)]
     if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
-        raise Failed(f"started again, it did again: {told(twice)}")
+        raise Failed(f"started again, it did again: {describe_deeds(twice)}")
     if outcome is not None:
         await on.judge(done, outcome)
     if outcome is not None and outcome.effects in ("all", "none"):

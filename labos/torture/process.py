@@ -33,10 +33,10 @@ def main() -> None:
         _shorten(wait)
     asyncio.run(
         run_node(
-            _watched(node, LoopWatch(Path(told.blocks), node.__module__.partition(".")[0])),
+            _watch(node, LoopWatch(Path(told.blocks), node.__module__.partition(".")[0])),
             told.name,
             told.workcell,
-            Settings.of(told.home),
+            Settings.make(told.home),
             connect=[told.connect],
             simulate=told.simulate,
             with_parent=True,
@@ -45,7 +45,7 @@ def main() -> None:
     )
 
 
-def _watched(node: type[Node], watch: LoopWatch) -> type[Node]:
+def _watch(node: type[Node], watch: LoopWatch) -> type[Node]:
     """The driver's class, which begins to be watched when it connects its device."""
 
     class Watched(node):  # type: ignore[misc, valid-type]

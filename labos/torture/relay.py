@@ -123,12 +123,12 @@ class Spoiler:
             case "precede":
                 write(self._stray + data)
             case "garble":
-                write(self.garbled(data))
+                write(self.garble(data))
             case "cut":
                 write(data[: len(data) // 2])
         return mode
 
-    def garbled(self, data: bytes) -> bytes:
+    def garble(self, data: bytes) -> bytes:
         """Noise in the place of what was said; its end, if it has one, is whole."""
         first = 1 if len(data.strip()) > 1 else 0
         return bytes(byte ^ 0x2A if n % 3 == first else byte for n, byte in enumerate(data))

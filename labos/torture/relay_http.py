@@ -35,9 +35,9 @@ class HttpRelay(TcpRelay):
             near.shutdown(socket.SHUT_WR)
         asked.join(None if silent else 2)
 
-    def garbled(self, data: bytes) -> bytes:
+    def garble(self, data: bytes) -> bytes:
         """Noise that is HTTP, as from a proxy that answers for the device, and noise that is none."""
-        noise = super().garbled
+        noise = super().garble
         head, end, body = data.partition(HEAD_END)
         if self.spoiled % 2:
             return head + end + noise(body)

@@ -22,7 +22,7 @@ from labos.node.protocol import ActionReply, Outcome, SetupReply, Start
 from labos.node.torture import Case, Fault, Torture, WiredDevice
 from labos.node.world import World
 from labos.settings import Settings
-from labos.torture.bench import POLL_S, Bench, Deeds, told
+from labos.torture.bench import POLL_S, Bench, Deeds, describe_deeds
 from labos.torture.cases import cases_of, moves_labware, works_a_gate
 from labos.torture.kernel import Kernel
 from labos.torture.relay import Relay
@@ -85,7 +85,7 @@ class Session:
         self.start_s = 0.0
         self._asked = self._interrupted = 0
         self._rested: tuple[int | None, int] = (None, 0)
-        self.settings = Settings.of(folder, "sqlite://")
+        self.settings = Settings.make(folder, "sqlite://")
         self.reference: dict[str, Deeds] = {}
         self.took_s: dict[str, float] = {}
         self.moved_s: dict[str, float] = {}
@@ -100,7 +100,7 @@ class Session:
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
-    def wired(self) -> bool:
+    def is_wired(self) -> bool:
         return self.torture.device is not None
 
     @property
@@ -139,7 +139,7 @@ class Session:
             poses=self.torture.poses,
             regrip=self.torture.regrip,
             pace=self.pace,
-            simulated=not self.wired,
+            simulated=not self.is_wired,
         )
         self.kernel = await Kernel.open(f"{WORKCELL}/{MODULE}", setup, self.folder)
 
@@ -216,7 +216,7 @@ class Session:
         """The device, and with it how long its driver waits. Both begin afresh."""
         self.slow_down(slowness)
         self.kill()
-        await self.gone()
+        await self.await_node_gone()
         await self.start_node()
         await self.recover()
 
@@ -236,7 +236,7 @@ class Session:
         command = [
             *(sys.executable, "-m", "labos.torture.process", self.driver, MODULE),
             *("--home", str(self.folder), "--workcell", WORKCELL, "--connect", self.kernel.endpoint),
-            *("--blocks", str(self.blocks), *(() if self.wired else ("--simulate",))),
+            *("--blocks", str(self.blocks), *(() if self.is_wired else ("--simulate",))),
             *(f"--wait={place}={seconds * self.slowness}" for place, seconds in self.torture.waits.items()),
         ]
         with (self.folder / "node.log").open("ab") as log:
@@ -251,7 +251,7 @@ class Session:
             if process.stdin is not None:
                 process.stdin.close()
 
-    async def gone(self) -> None:
+    async def await_node_gone(self) -> None:
         """Wait until the bus has noticed that the node is dead."""
         deadline = time.monotonic() + START_S
         while self.kernel.node_lives and time.monotonic() < deadline:
@@ -339,16 +339,22 @@ class Session:
                 raise Failed(f"{name} ended with a surprise in the driver: {outcome.error}")
         deeds = self.deeds(done)
         if outcome.effects == "none" and deeds:
-            raise Failed(f"{name} says that nothing was done, but it did: {told(deeds)} ({outcome.error})")
+            raise Failed(
+                f"{name} says that nothing was done, but it did: {describe_deeds(deeds)} ({outcome.error})"
+            )
         if expected is None:
             return
         if outcome.effects == "all" and deeds != expected:
             raise Failed(
-                f"{name} says that all was done; it should have done {told(expected)}, it did {told(deeds)}"
+                f"{name} says that all was done; it should have done {describe_deeds(expected)}, "
+                f"it did {describe_deeds(deeds)}"
             )
         twice = {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}
         if twice:
-            raise Failed(f"{name} did more than it was asked for: {told(twice)} in place of {told(expected)}")
+            raise Failed(
+                f"{name} did more than it was asked for: {describe_deeds(twice)} in place of "
+                f"{describe_deeds(expected)}"
+            )
 
     def deeds(self, done: Done) -> Deeds:
         return self.bench.deeds(done.since, gates=works_a_gate(self.spec(done.case)))
@@ -363,7 +369,7 @@ class Session:
         ]
         done: set[str] = set()
         for _ in range(DEPTH if wanted else 0):
-            seen = await self._seen()
+            seen = await self._observe()
             # What it cannot see is set once, whatever it was.
             unmet = [(n, v) for n, v in wanted if (seen[n] != v if n in seen else n not in done)]
             if not unmet:
@@ -371,7 +377,7 @@ class Session:
             done.add(unmet[0][0])
             await self._set(*unmet[0], depth)
 
-    async def _seen(self) -> dict[str, Any]:
+    async def _observe(self) -> dict[str, Any]:
         seen = await self.kernel.admin("observe")
         return seen.result if seen.done and isinstance(seen.result, dict) else {}
 
@@ -517,7 +523,7 @@ class Session:
         await self.idle()
         spec = self.about.action("reset")
         if (deeds := self.bench.deeds(before, gates=False)) and not (spec and spec.effects):
-            raise Failed(f"a reset, which tells of no effects, did {told(deeds)}")
+            raise Failed(f"a reset, which tells of no effects, did {describe_deeds(deeds)}")
 
     async def idle(self) -> None:
         """Raises Failed."""
@@ -545,7 +551,7 @@ class Session:
                     await self.recover()
                     return
         self.kill()
-        await self.gone()
+        await self.await_node_gone()
         if self.relay is not None:
             self.slow_down(1.0)
         self.clear()

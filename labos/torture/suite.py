@@ -40,18 +40,18 @@ CHECKS: dict[str, tuple[Tier, Check]] = {
     "device error": ("silver", checks_survive.device_error),
     "stop": ("silver", checks_survive.stop),
     "emergency stop": ("silver", checks_survive.estop),
-    "unplugged before": ("silver", checks_survive.unplugged_before),
-    "unplugged during": ("silver", checks_survive.unplugged_during),
-    "unplugged after": ("silver", checks_survive.unplugged_after),
-    "lost reply": ("silver", checks_survive.lost_reply),
+    "unplugged before": ("silver", checks_survive.unplug_before),
+    "unplugged during": ("silver", checks_survive.unplug_during),
+    "unplugged after": ("silver", checks_survive.unplug_after),
+    "lost reply": ("silver", checks_survive.lose_reply),
     "half reply": ("silver", checks_survive.half_reply),
-    "garbled reply": ("silver", checks_survive.garbled_reply),
+    "garbled reply": ("silver", checks_survive.garble_reply),
     "late reply": ("silver", checks_survive.late_reply),
-    "unasked": ("silver", checks_survive.unasked),
+    "unasked": ("silver", checks_survive.say_unasked),
     "power cycle": ("silver", checks_survive.power_cycle),
     "restart": ("silver", checks_survive.restart),
     "power cut": ("silver", checks_survive.power_cut),
-    "node killed": ("silver", checks_survive.killed),
+    "node killed": ("silver", checks_survive.kill_node),
     "event loop": ("silver", checks_survive.event_loop),
     "reconciles": ("gold", checks_survive.reconciles),
 }
@@ -113,7 +113,7 @@ async def torture(
         driver=about.driver or driver,
         version=about.version,
         badge=badge,
-        evidence=evidence_of(declared, wired=session.wired),
+        evidence=evidence_of(declared, wired=session.is_wired),
         limits=limits,
         findings=tuple(findings),
         seconds=round(time.monotonic() - began, 1),
@@ -130,7 +130,7 @@ async def _run(on: Session, only: Collection[str], tell: Tell) -> list[Finding]:
                 finding = Finding(name, tier, "left out", "it was not asked for")
             elif name in on.torture.left_out:
                 finding = Finding(name, tier, "left out", on.torture.left_out[name])
-            elif lost or (lost := await _brought_back(on)):
+            elif lost or (lost := await _bring_back(on)):
                 finding = Finding(name, tier, "failed", f"not made: {lost}")
             else:
                 finding = await _one(on, name, tier, check)
@@ -141,7 +141,7 @@ async def _run(on: Session, only: Collection[str], tell: Tell) -> list[Finding]:
     return findings
 
 
-async def _brought_back(on: Session) -> str:
+async def _bring_back(on: Session) -> str:
     """Why no check can be made any more; empty if the node is idle."""
     try:
         await on.ready()

@@ -36,18 +36,18 @@ class LoopWatch:
     def start(self) -> None:
         """From now on."""
         self._thread = threading.get_ident()
-        self._last, self._waited = time.monotonic(), _waited_s()
+        self._last, self._waited = time.monotonic(), _read_wait_s()
         threading.Thread(target=self._sample, name="loop watch", daemon=True).start()
         asyncio.get_running_loop().call_later(BEAT_S, self._beat)
 
     def _beat(self) -> None:
-        now, waited = time.monotonic(), _waited_s()
+        now, waited = time.monotonic(), _read_wait_s()
         held_s = now - self._last - BEAT_S - (waited - self._waited)
         if held_s > LIMIT_S and self._held_by:
             with self._report.open("a", encoding="utf-8") as report:
                 report.write(f"{held_s:.3f}\t{self._held_by}\n")
         # Writing the line takes time too, and is nobody's fault.
-        self._last, self._waited, self._held_by = time.monotonic(), _waited_s(), ""
+        self._last, self._waited, self._held_by = time.monotonic(), _read_wait_s(), ""
         asyncio.get_running_loop().call_later(BEAT_S, self._beat)
 
     def _sample(self) -> None:
@@ -81,7 +81,7 @@ class LoopWatch:
 _SEP = "\\" if sys.platform == "win32" else "/"
 
 
-def _waited_s() -> float:
+def _read_wait_s() -> float:
     """How long this thread has been ready to run without a processor."""
     try:
         return int(_SCHEDSTAT.read_text().split()[1]) / 1e9

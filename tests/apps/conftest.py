@@ -33,7 +33,7 @@ def open_lab(tmp_path: Path) -> OpenLab:
             assert old in text
             text = text.replace(old, str(new))
         cell = parse_workcell(text, known) if changes else load_workcell(path, known)
-        settings = Settings.of(tmp_path / "lab", speed=speed, simulate=True, seed=seed)
+        settings = Settings.make(tmp_path / "lab", speed=speed, simulate=True, seed=seed)
         with LabThread(settings, [cell]) as lab:
             yield lab
 

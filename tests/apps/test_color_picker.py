@@ -144,7 +144,7 @@ def test_a_full_plate_is_replaced_by_a_fresh_one() -> None:
     with VirtualLab("rpl_picker", 1, config={"camera_module": {"bad_pictures": 0.0}}) as lab:
         search = search_on(lab, Wanted(GREY, samples=128, batch=64, close=0.0))
         runs = [run.workflow for run in lab.runs()]
-        assert lab.differences(lab.folded()) == []
+        assert lab.differences(lab.fold_log()) == []
     assert [sample.well for sample in search.samples] == [*WELLS, *WELLS[:32]]
     mix = "picker_mix_and_photograph"
     one, away = ["picker_new_plate", mix, mix], "picker_trash_plate"
@@ -159,7 +159,7 @@ def test_three_liquid_handlers_at_once_are_quicker_than_one() -> None:
         with VirtualLab("rpl_picker", 1) as lab:
             search = search_on(lab, Wanted(GREY, samples=48, batch=48, close=0.0, handlers=handlers))
             assert lab.world.crashes() == []
-            assert lab.differences(lab.folded()) == []
+            assert lab.differences(lab.fold_log()) == []
             ended[count] = max(sample.mixed_at for sample in search.samples)
             assert len(search.samples) == 48
     began = 1_800_000_000 * 10**9

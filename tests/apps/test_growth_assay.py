@@ -43,7 +43,7 @@ MESSAGES_NS = 0.5e9
 @contextmanager
 def lab_of(cell: str, home: Path) -> Iterator[LabThread]:
     workcell = load_workcell(find_spec("workcells", cell), descriptions())
-    with LabThread(Settings.of(home, simulate=True, speed=SPEED), [workcell], nodes="processes") as lab:
+    with LabThread(Settings.make(home, simulate=True, speed=SPEED), [workcell], nodes="processes") as lab:
         yield lab
 
 

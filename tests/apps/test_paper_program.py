@@ -28,7 +28,7 @@ MODULES = ("sciclops", "pf400", "ot2_cp_gamma", "camera_module")
 @pytest.mark.slow
 def test_the_printed_program_mixes_colors(tmp_path: Path) -> None:
     cell = load_workcell(rpl_with(MODULES, tmp_path / "rpl.yaml"), descriptions())
-    settings = Settings.of(tmp_path / "lab", simulate=True, speed=5000)
+    settings = Settings.make(tmp_path / "lab", simulate=True, speed=5000)
     with LabThread(settings, [cell]) as lab, LabClient(lab.url) as client:
         address, _, port = lab.url.removeprefix("http://").partition(":")
         argv = [sys.executable, str(FOLDER / "color_picker_app.py"), address, port, "8", "4"]

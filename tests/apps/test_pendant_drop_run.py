@@ -35,7 +35,7 @@ TRUTH = 4.9065e-12
 def at_the_beamline(
     open_lab: OpenLab, tmp_path: Path, *faults: str, falls: float = 0.0
 ) -> Iterator[LabClient]:
-    world = Settings.of(tmp_path / "lab").world("aps_8id")
+    world = Settings.make(tmp_path / "lab").world("aps_8id")
     beamline = Beamline(tmp_path / "beamline", world, *faults)
     beamline.start()
     try:
@@ -48,7 +48,7 @@ def at_the_beamline(
 
 def drops_of(tmp_path: Path) -> list[dict[str, Any]]:
     """What really became of the drops, on a bench without a crash."""
-    world = World(str(Settings.of(tmp_path / "lab").world("aps_8id")))
+    world = World(str(Settings.make(tmp_path / "lab").world("aps_8id")))
     try:
         assert world.crashes() == []
         return [motion.facts for motion in world.motions("run_droplet")]

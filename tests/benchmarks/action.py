@@ -35,10 +35,10 @@ def three_commits(entries: Sequence[Entry]) -> list[list[Entry]]:
     asked, ended = find(entries, ActionRequested), find(entries, ActionSucceeded)
     request = [entry for entry in entries if entry.position <= asked.position]
     result = [entry for entry in entries if entry.position >= ended.position]
-    return [request, [accepted(asked)], result]
+    return [request, [find_acceptance(asked)], result]
 
 
-def accepted(asked: Entry) -> Entry:
+def find_acceptance(asked: Entry) -> Entry:
     """The acceptance of a request."""
     request = asked.event
     assert isinstance(request, ActionRequested)

@@ -93,7 +93,7 @@ def measure(events: int = 1_000_000, rounds: int = 3) -> Report:
         figures = [_projection(events, middle(limits), middle(ours))]
         with open_asker(f"sqlite:///{path}") as asker:
             for name, question in questions(asker, events).items():
-                figures.append(_answer(name, events, middle([_timed(question) for _ in range(rounds)])))
+                figures.append(_answer(name, events, middle([_time(question) for _ in range(rounds)])))
     ratios = [took.cpu_s / limit.cpu_s for took, limit in zip(ours, limits, strict=True)]
     note = f"ratios of work in {rounds} rounds: {spread(ratios)}"
     notes = [f"{note}; {size / events:.0f} bytes of tables an event"]
@@ -118,7 +118,7 @@ def _answer(name: str, events: int, took: Took) -> Figure:
     return Figure(f"{name}, {events:,} events", ours, must=must, ok=took.cpu_s <= MUST_ANSWER_S)
 
 
-def _timed(question: Callable[[], object]) -> Took:
+def _time(question: Callable[[], object]) -> Took:
     began, worked = time.perf_counter(), time.process_time()
     question()
     return Took(time.perf_counter() - began, time.process_time() - worked)

@@ -36,7 +36,7 @@ class Work(msgspec.Struct):
     classes: int = 0
 
 
-def blocked_run() -> SubmitRun:
+def make_blocked_run() -> SubmitRun:
     """A generated route that needs the dead module."""
     for number in range(1, 40):
         run = workflow(number)
@@ -86,7 +86,7 @@ async def measure_all(sizes: Sequence[int], rounds: int, count: int, users: int)
             rng = random.Random(f"decision/{seed}")
             async with still_lab(seed, dead=[DEAD]) as lab:
                 for _ in range(BLOCKED):
-                    await lab.submit(replace(blocked_run(), user=f"user{rng.randrange(users)}"))
+                    await lab.submit(replace(make_blocked_run(), user=f"user{rng.randrange(users)}"))
                 await fill(lab, rng, size, users)
                 warm = Work()
                 await turns(lab, rng, size, users, count // 4, warm)

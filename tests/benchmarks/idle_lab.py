@@ -40,12 +40,12 @@ class Ends:
         self.batches: list[list[Entry]] = []
         self.changed = asyncio.Event()
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         self.batches.append(list(entries))
         self.actions += sum(isinstance(entry.event, ActionSucceeded) for entry in entries)
         self.changed.set()
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         """Nothing was lost that was counted."""
 
     async def until(self, done: Callable[[], bool], limit_s: float = 60.0) -> None:

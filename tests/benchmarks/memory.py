@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from labos.core.decide.runs import SubmitRun
 from labos.spec import find_spec
-from tests.benchmarks.decision import DEAD, blocked_run, new_run
+from tests.benchmarks.decision import DEAD, make_blocked_run, new_run
 from tests.benchmarks.figures import Figure, Report, scratch
 from tests.benchmarks.processes import LabProcess, resident_mb
 from tests.benchmarks.still_lab import random_run, still_lab
@@ -32,7 +32,7 @@ async def per_run(runs: int, *, own_plans: bool) -> float:
     rng = random.Random(0)
     async with still_lab(0, dead=[DEAD]) as lab:
         for number in range(50):
-            await lab.submit(replace(blocked_run(), user=f"user{number % 20}"))
+            await lab.submit(replace(make_blocked_run(), user=f"user{number % 20}"))
         gc.collect()
         tracemalloc.start()
         try:

@@ -55,7 +55,7 @@ class BareNode:
         start = _start.decode(payload)
         self._journal.prune(start.position - 1)
         self._journal.accept(start.action, start.attempt, start.position, start.name)
-        await self._journal.synced()
+        await self._journal.sync()
         task = asyncio.get_running_loop().create_task(self._end(start))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -66,7 +66,7 @@ class BareNode:
         self._journal.end(start.action, start.attempt, outcome)
         told = ResultPublished(start.action, start.attempt, self._journal.id, outcome)
         await self._bus.publish(f"bare/{self._name}/result", _encode(told))
-        await self._journal.synced()
+        await self._journal.sync()
 
 
 async def main(endpoint: str, lab: str, folder: Path, first: int, count: int) -> None:

@@ -90,7 +90,7 @@ class Pattern:
         for kind, schema, payload in self.rows:
             yield decode(kind, schema, _NAMES.sub(fresh, payload))
 
-    def cleared(self, state: LabState) -> Iterator[Event]:
+    def clear_bench(self, state: LabState) -> Iterator[Event]:
         """What brings the bench back to how it was at first."""
         for name, item in list(state.bench.labware.items()):
             yield LabwareRemoved(name, "", item.station, "carried away")
@@ -124,7 +124,7 @@ def write_log(store: SqlEventStore, events: int, pattern: Pattern) -> tuple[LabS
         while True:
             repetition += 1
             yield from pattern.again(repetition, state)
-            yield from pattern.cleared(state)
+            yield from pattern.clear_bench(state)
 
     for event in stream():
         batch.append(ledger.write(event, "ada" if isinstance(event, RunSubmitted) else "labos"))

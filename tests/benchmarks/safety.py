@@ -56,7 +56,7 @@ class TimedSafety(Safety):
         return trapped
 
 
-def timed() -> Scheduler:
+def make_timed_scheduler() -> Scheduler:
     scheduler = Scheduler()
     scheduler.safety = TimedSafety()
     return scheduler
@@ -90,7 +90,7 @@ async def measure_all(seeds: int, wanted: int, parked: int, ends: int) -> Report
     searches = interleavings = 0
     cell = with_shelves(parked)
     for seed in range(seeds):
-        async with still_lab(seed, plan_with=timed, cell=cell) as lab:
+        async with still_lab(seed, plan_with=make_timed_scheduler, cell=cell) as lab:
             await park(lab, parked)
             safety = lab.kernel.scheduler.safety
             assert isinstance(safety, TimedSafety)

@@ -93,7 +93,7 @@ def measure(modules: int = 1_000, runs: int = 1_000_000, queued: int = 10_000, s
             at += SECOND
             entries.append(entry(event, at))
         began = time.perf_counter()
-        happened.committed(entries)
+        happened.on_committed(entries)
         counted += time.perf_counter() - began
         told += len(entries)
     metrics.text()
@@ -101,7 +101,7 @@ def measure(modules: int = 1_000, runs: int = 1_000_000, queued: int = 10_000, s
     waited: list[float] = []
     for number in range(scrapes):  # a busy factory: a hundred runs between two scrapes
         for event in story(modules, runs + number * 100, 100):
-            happened.committed([entry(event, at)])
+            happened.on_committed([entry(event, at)])
         began, worked = time.perf_counter(), time.thread_time()
         metrics.of_state.update(state, scheduler, at)
         happened.update(at)

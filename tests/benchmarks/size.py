@@ -110,11 +110,11 @@ class Town:
         self.new: list[ActionId] = []
         lab.kernel.listeners.append(self)
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         """Note what is in flight: to look for it among 1,000 workcells would take longer than a turn."""
         self.new += [entry.event.action for entry in entries if isinstance(entry.event, ActionRequested)]
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         raise AssertionError("a log in memory is not lost")
 
     async def furnish(self) -> None:
@@ -137,13 +137,13 @@ class Town:
         state, scheduler = self.lab.state, self.lab.kernel.scheduler
         for name in self.new:
             self.flying.append(name)
-            work.accepts.append(self.timed(AcceptAction(name, 1, self.lab.kernel.clock.now_ns())))
+            work.accepts.append(self.time_turn(AcceptAction(name, 1, self.lab.kernel.clock.now_ns())))
         self.new.clear()
         at = self.rng.randrange(len(self.flying))
         self.flying[at], self.flying[-1] = self.flying[-1], self.flying[at]
         action = state.actions.open[self.flying.pop()]
         before, evaluations = state.position, scheduler.evaluations
-        work.ends.append(self.timed(FinishAction(action.id, action.attempt, True, "all")))
+        work.ends.append(self.time_turn(FinishAction(action.id, action.attempt, True, "all")))
         work.events += state.position - before
         work.evaluations += scheduler.evaluations - evaluations
         work.active += len(state.runs.active)
@@ -152,7 +152,7 @@ class Town:
         await self.labs[cell].tidy()
         await self.supply(cell)
 
-    def timed(self, command: Command) -> float:
+    def time_turn(self, command: Command) -> float:
         """The processor's seconds of a turn."""
         began = time.thread_time()
         self.lab.tell(command)

@@ -218,7 +218,7 @@ async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, num
         service = LabService(Parts(lab, folder), Feed())
         http = HttpServer(service, Gate(accounts, lambda: lab.kernel.state.users), Listening())
         stack.push_async_callback(http.close)
-        settings = Settings.of(folder, url)
+        settings = Settings.make(folder, url)
         desk = Desk(http.app, service, Letters(make_api_key(settings), lab.kernel.clock))
         keys = Keys(lab.kernel.lab).requests_of("*", lab.kernel.epoch)
         await lab.bus.serve_all(keys, desk.on_question)
@@ -229,7 +229,7 @@ async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, num
             await note_rate("alone")
         for _ in range(queued):
             lab.submit(1, 1)
-        await lab.kernel.written()
+        await lab.kernel.flush()
         for _ in range(rounds):
             await note_rate("queued")
         where = ("--home", str(folder), "--database", url, "--bus", lab.endpoint)
@@ -276,12 +276,12 @@ async def measure_api_in(folder: Path, rounds: int, steps: int, queued: int, num
 
 
 def measure_api(rounds: int = 3, steps: int = 1500, queued: int = 10_000, number: int = 200) -> Report:
-    with scratch("viewers-api") as folder, kept_to(OURS):
+    with scratch("viewers-api") as folder, keep_to(OURS):
         return asyncio.run(measure_api_in(folder, rounds, steps, queued, number))
 
 
 @contextmanager
-def kept_to(cores: Sequence[int]) -> Iterator[None]:
+def keep_to(cores: Sequence[int]) -> Iterator[None]:
     """This process, and those that it starts, work on some of the processors."""
     if cores:
         os.sched_setaffinity(0, cores)

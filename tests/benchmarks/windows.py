@@ -13,7 +13,7 @@ import time
 import msgspec
 
 from tests.benchmarks.figures import Figure, Report, times
-from tests.simulation.clocked import careless, judged
+from tests.simulation.clocked import careless, judge
 
 STRAY = 0.1
 
@@ -36,7 +36,7 @@ def count(seeds: range, stray: float = 0.0, *, reserved: bool = True) -> Count:
     found = Count()
     for seed in seeds:
         began = time.process_time()
-        told = judged(seed, stray) if reserved else judged(seed, stray, careless)
+        told = judge(seed, stray) if reserved else judge(seed, stray, careless)
         found.seconds += time.process_time() - began
         found.instances += 1
         found.windows += told.windows

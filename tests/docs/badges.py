@@ -45,7 +45,7 @@ def drivers() -> list[str]:
     return sorted(name for name in packaged if not is_person(load_driver(name)))
 
 
-def kept() -> dict[str, Badge]:
+def read_badges() -> dict[str, Badge]:
     """By driver."""
     if not KEPT.exists():
         return {}
@@ -91,7 +91,7 @@ def _bare(text: str) -> str:
 def badges() -> str:
     """The table of the reference."""
     lines = ["| driver | badge | evidence | checks | why not higher |", "| --- | --- | --- | --- | --- |"]
-    for badge in kept().values():
+    for badge in read_badges().values():
         tally = f"{badge.passed} passed, {badge.failed} failed, {badge.left_out} left out"
         cells = (badge.driver, badge.badge, "; ".join(badge.evidence), tally, badge.limits)
         lines.append("| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |")
@@ -113,7 +113,7 @@ def badge_of(report: Report) -> Badge:
 
 
 def main() -> None:
-    known = {name: badge for name, badge in kept().items() if name in drivers()}
+    known = {name: badge for name, badge in read_badges().items() if name in drivers()}
     wanted = sys.argv[1:] or [n for n in drivers() if n not in known or known[n].code != code_of(n)]
     for name in wanted:
         report = asyncio.run(torture(name, motion_s=MOTION_S))

@@ -75,12 +75,12 @@ class Field(NamedTuple):
 # -- types ---------------------------------------------------------------------------------------
 
 
-def asked_type(kind: Any) -> str:
+def find_argument_type(kind: Any) -> str:
     """The type of what a caller gives."""
     return _type(kind, {list: "Sequence", tuple: "Sequence", dict: "Mapping"}, "Mapping[str, Any]")
 
 
-def told_type(kind: Any) -> str:
+def find_answer_type(kind: Any) -> str:
     """The type of what is answered, as JSON has it."""
     return _type(kind, {list: "list", tuple: "list", dict: "dict"}, "dict[str, Any]")
 
@@ -121,7 +121,7 @@ def fields_of(operation: Operation) -> Iterator[Field]:
             name = field.encode_name
             if name in method.fixed or name in method.without:
                 continue
-            kind, default = asked_type(field.type), _default(field)
+            kind, default = find_argument_type(field.type), _default(field)
             if place == "body" and field.type == limits.Asker:
                 default = None  # who asks is always said
             if default == "None" and "None" not in kind.split(" | ") and kind != "Any":
@@ -144,7 +144,9 @@ def _default(field: Any) -> str | None:
 def parameters(operation: Operation) -> tuple[list[Field], list[Field]]:
     """Those that may be told by their place, and those that are told by name."""
     found = {field.sent: field for field in fields_of(operation)}
-    chosen = [_named(part.strip(), found) for part in operation.client.positional.split(",") if part.strip()]
+    chosen = [
+        _find_field(part.strip(), found) for part in operation.client.positional.split(",") if part.strip()
+    ]
     if not chosen:
         chosen = [field for field in found.values() if field.place == "path"]
         chosen += [field for field in found.values() if field.place == "body" and field.default is None]
@@ -155,7 +157,7 @@ def parameters(operation: Operation) -> tuple[list[Field], list[Field]]:
     return chosen, [field for field in found.values() if field.sent not in taken]
 
 
-def _named(part: str, found: Mapping[str, Field]) -> Field:
+def _find_field(part: str, found: Mapping[str, Field]) -> Field:
     name, _, value = part.partition("=")
     if value.startswith(("'", '"')):
         return found[name]._replace(default=value)
@@ -200,7 +202,7 @@ def _calling(operation: Operation, fields: Sequence[Field]) -> tuple[str, list[s
     if not method.take:
         return "dict[str, Any]", [f"return {call}"]
     kind = {f.encode_name: f.type for f in msgspec.structs.fields(operation.shape.answer)}[method.take]
-    result = told_type(kind)
+    result = find_answer_type(kind)
     return result, [f'found: {result} = {call}["{method.take}"]', "return found"]
 
 
@@ -274,7 +276,7 @@ def files() -> dict[Path, str]:
     texts = {path: text for path, text in texts.items() if text}
     texts[FOLDER / "__init__.py"] = _all([path.stem for path in texts])
     texts |= client_twin.files()
-    return {path: _formatted(text, path) for path, text in texts.items()}
+    return {path: _format(text, path) for path, text in texts.items()}
 
 
 def _module(name: str, operations: Sequence[Operation]) -> str:
@@ -309,7 +311,7 @@ def _all(names: Sequence[str]) -> str:
     )
 
 
-def _formatted(text: str, path: Path) -> str:
+def _format(text: str, path: Path) -> str:
     ruff = Path(sys.executable).with_name("ruff")
     for arguments in (["check", "--fix-only", "--quiet", "--select", "I,F401"], ["format", "--quiet"]):
         done = subprocess.run(

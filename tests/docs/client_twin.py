@@ -67,7 +67,7 @@ def files() -> dict[Path, str]:
     return {
         FOLDER / "twin_calls.py": _module(_calls, ["labos.client._lab.LabClient"]),
         FOLDER / "twin.py": _module(
-            lambda: "\n\n\n".join([_lab(), _experiment(), *map(_yielded, YIELDED)]),
+            lambda: "\n\n\n".join([_lab(), _experiment(), *map(_write_class, YIELDED)]),
             ["labos.client._experiment.Experiment", "labos.client._generated.twin_calls.AsyncCalls"],
         ),
     }
@@ -157,7 +157,7 @@ def _experiment() -> str:
 {_members(Experiment, lambda member: True)}'''
 
 
-def _yielded(name: str) -> str:
+def _write_class(name: str) -> str:
     _names[name] = SOURCES[name]
     return f'''class Async{name}:
     """As ``{name}``, with methods to be awaited."""
@@ -183,7 +183,7 @@ def _members(cls: type, is_meant: Callable[[Any], bool]) -> str:
             continue
         if isinstance(member, property):
             assert member.fget is not None
-            parts.append(_attribute(name, _known(inspect.signature(member.fget).return_annotation)))
+            parts.append(_attribute(name, _note_type(inspect.signature(member.fget).return_annotation)))
         elif inspect.isfunction(member):
             parts.append(_method(cls, name, member))
         else:
@@ -210,7 +210,7 @@ def _attributes(cls: type) -> Iterator[tuple[str, str]]:
                 found = [(name, str(said[parameter].annotation))]
             case _:
                 continue
-        yield from ((name, _known(kind)) for name, kind in found if not name.startswith("_"))
+        yield from ((name, _note_type(kind)) for name, kind in found if not name.startswith("_"))
 
 
 def _is_public(target: ast.expr) -> bool:
@@ -223,7 +223,7 @@ def _method(cls: type, name: str, function: Callable[..., Any]) -> str:
         # The order of calls is that in which they are made here, not in which threads begin.
         about = signature.split(", ")[1].partition(":")[0]
         given = given.replace("key=key", f"key=self.sync._take({name!r}, {about}, key)")
-    returns = _known(str(inspect.signature(function).return_annotation))
+    returns = _note_type(str(inspect.signature(function).return_annotation))
     words = " ".join((inspect.getdoc(function) or "").split())
     first = re.split(r"(?<=\.) (?=[A-Z`])", words)[0]  # the rest is said at the method behind it
     doc = textwrap.wrap(f'"""{first}"""', 98, break_on_hyphens=False) if words else []
@@ -256,7 +256,7 @@ def _signature(function: Callable[..., Any]) -> tuple[str, str]:
     """The parameters as they are declared, and as they are handed on."""
     declared, given, is_named = ["self"], [], False
     for parameter in list(inspect.signature(function).parameters.values())[1:]:
-        kind = _known(str(parameter.annotation))
+        kind = _note_type(str(parameter.annotation))
         kind = re.sub(r"\b(LabClient|Experiment)\b", r"Async\1", kind)
         stars = {parameter.VAR_POSITIONAL: "*", parameter.VAR_KEYWORD: "**"}.get(parameter.kind, "")
         if parameter.kind is parameter.KEYWORD_ONLY and not is_named:
@@ -269,7 +269,7 @@ def _signature(function: Callable[..., Any]) -> tuple[str, str]:
     return ", ".join(declared), ", ".join(given)
 
 
-def _known(kind: str) -> str:
+def _note_type(kind: str) -> str:
     """A type, the names of which will be imported."""
     for name in re.findall(r"[A-Za-z_]\w*", re.sub(r"Literal\[[^\]]*\]|'[^']*'", "", kind)):
         if name in SOURCES:

@@ -44,8 +44,8 @@ def waits(table: Table) -> str:
     rows = [
         (
             f"`{kind.__struct_config__.tag}`",
-            _named(kind.SENTENCE),
-            _named(kind.REMEDY) or ("by status, see below" if "remedy" in vars(kind) else ""),
+            _mark_names(kind.SENTENCE),
+            _mark_names(kind.REMEDY) or ("by status, see below" if "remedy" in vars(kind) else ""),
             str(kind.URGENCY),
             ", ".join(kind.WAKES),
         )
@@ -61,7 +61,7 @@ def waits(table: Table) -> str:
     return table(head, rows) + "\n"
 
 
-def _named(template: str) -> str:
+def _mark_names(template: str) -> str:
     """A sentence with its names in capitals."""
     words = template.replace("!r}", "}")
     for part in template.split("{")[1:]:

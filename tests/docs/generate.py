@@ -212,13 +212,17 @@ def _fields(kind: type[msgspec.Struct]) -> str:
         return "No fields."
     words = fields_of_words(kind)
     rows = [
-        (f"`{field.encode_name}`", "words" if field.name in words else type_name(field.type), _given(field))
+        (
+            f"`{field.encode_name}`",
+            "words" if field.name in words else type_name(field.type),
+            _show_default(field),
+        )
         for field in fields
     ]
     return _table(("field", "type", "if left out"), rows)
 
 
-def _given(field: Any) -> str:
+def _show_default(field: Any) -> str:
     if field.default is msgspec.NODEFAULT and field.default_factory is msgspec.NODEFAULT:
         return ""
     value = field.default if field.default is not msgspec.NODEFAULT else field.default_factory()
@@ -387,7 +391,7 @@ PARTS: dict[str, Callable[[], str]] = {
 PAGES = (*sorted(REFERENCE.glob("*.md")), DOCS / "torture.md", DOCS / "descriptions.md")
 
 
-def renewed(text: str) -> str:
+def renew(text: str) -> str:
     """A page with its generated parts as they should be now."""
     return _REGION.sub(lambda found: f"{found[1]}{PARTS[found[2]]()}{found[3]}", text)
 
@@ -403,8 +407,8 @@ def main() -> None:
         path.write_text(text)
     for page in PAGES:
         text = page.read_text()
-        if renewed(text) != text:
-            page.write_text(renewed(text))
+        if renew(text) != text:
+            page.write_text(renew(text))
     client_code.main()
 
 

@@ -64,7 +64,7 @@ def prose(text: str) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def indented(text: str) -> list[tuple[int, str]]:
+def list_indented(text: str) -> list[tuple[int, str]]:
     """Numbered lines of code that is indented by four blanks."""
     fenced, found = False, []
     for number, line in enumerate(text.splitlines(), 1):

@@ -20,14 +20,14 @@ def rights(table: Table) -> str:
             inside.append(f"`{command.__name__}`")
             continue
         ways = [op for op in OPERATIONS if command in GIVES.get(op.id, ())]
-        rows.append((f"`{command.__name__}`", right.role, right.words, _routes(ways), _asked(ways)))
+        rows.append((f"`{command.__name__}`", right.role, right.words, _routes(ways), _list_asked(ways)))
     head = ("command", "least role", "who may", "HTTP", "`labos`")
     return f"{table(head, rows)}\n\nAsked for by LabOS itself only: {', '.join(sorted(inside))}.\n"
 
 
 def routes(table: Table) -> str:
     """Every operation that gives no command."""
-    rows = [(_route(op), op.needs, _asked([op])) for op in OPERATIONS if op.id not in GIVES]
+    rows = [(_route(op), op.needs, _list_asked([op])) for op in OPERATIONS if op.id not in GIVES]
     return table(("HTTP", "least role", "`labos`"), rows) + "\n"
 
 
@@ -39,6 +39,6 @@ def _route(operation: Operation) -> str:
     return f"`{operation.method} {operation.path}`"
 
 
-def _asked(ways: list[Operation]) -> str:
+def _list_asked(ways: list[Operation]) -> str:
     names = dict.fromkeys(name for op in ways for name in ASKED_BY.get(op.id, ()))
     return ", ".join(f"`{name}`" for name in names)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ast
 
-from tests.docs.badges import _bare, badges, code_of, drivers, kept
+from tests.docs.badges import _bare, badges, code_of, drivers, read_badges
 from tests.docs.markdown import REFERENCE, table
 
 
 def test_every_driver_has_a_badge_that_is_not_older_than_it() -> None:
-    known = kept()
+    known = read_badges()
     old = [name for name in drivers() if name not in known or known[name].code != code_of(name)]
     assert (old, sorted(known)) == ([], drivers()), (
         "run `python -m tests.docs.badges`, then tests.docs.generate"

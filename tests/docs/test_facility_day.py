@@ -73,7 +73,7 @@ class Day:
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[LabThread]:
-    settings = Settings.of(tmp_path / "lab", speed=400.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=400.0, simulate=True)
     cell = load_workcell(rpl_with(("sciclops", "pf400", "sealer"), tmp_path / "rpl.yaml"), descriptions())
     with LabThread(settings, [cell]) as running:
         yield running

@@ -24,7 +24,7 @@ def test_the_page_does_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (program,) = (block.text for block in found if block.language == "python")
     (printed,) = (block.text for block in found if block.language == "text")
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     said = io.StringIO()
     with LabThread(settings, [cell], nodes="none") as running, LabClient(running.url) as lab:
         with contextlib.redirect_stdout(said):

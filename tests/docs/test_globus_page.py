@@ -35,7 +35,7 @@ def test_the_page_does_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     (printed,) = (block.text for block in found if block.language == "text")
     (app,) = (line for line in program.splitlines() if line.startswith("access = "))
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     said = io.StringIO()
     with LabThread(settings, [cell], nodes="none"), serving() as (globus, url):
         globus.files["55555555-0000-4000-8000-000000000000", "/plates/p1.csv"] = b"well,value\nA1,0.5\n"

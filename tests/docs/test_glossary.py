@@ -46,17 +46,17 @@ def test_every_term_stands_once() -> None:
 
 
 def test_every_word_is_plain_or_explained() -> None:
-    used = vocabulary.used_words()
-    known = vocabulary.explained_words() | set(vocabulary.PLAIN.read_text().split())
-    found = {word: used[word] for word in vocabulary.unexplained(used, known)}
+    used = vocabulary.find_used_words()
+    known = vocabulary.find_explained_words() | set(vocabulary.PLAIN.read_text().split())
+    found = {word: used[word] for word in vocabulary.find_unexplained(used, known)}
     assert found == {}, (
         "explain them in docs/glossary.md; what everybody knows goes to tests/docs/plain_words.txt"
     )
 
 
 def test_a_new_technical_word_is_noticed() -> None:
-    known = vocabulary.explained_words() | set(vocabulary.PLAIN.read_text().split())
-    assert vocabulary.unexplained(vocabulary.words_of("Quiesce the apparatus, then steps."), known) == [
+    known = vocabulary.find_explained_words() | set(vocabulary.PLAIN.read_text().split())
+    assert vocabulary.find_unexplained(vocabulary.words_of("Quiesce the apparatus, then steps."), known) == [
         "apparatus",
         "quiesce",
     ]

@@ -13,7 +13,7 @@ import pytest
 
 from labos.cli.app import group
 from labos.errors import BadInput
-from tests.docs.markdown import ROOT, anchor, blocks, headings, indented, links, pages, spans
+from tests.docs.markdown import ROOT, anchor, blocks, headings, links, list_indented, pages, spans
 
 _CALL = re.compile(r"(?:^|[\s/;&|])labos(?= )")
 
@@ -40,7 +40,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", all_pages())
 def test_quoted_commands_exist(page: Path) -> None:
     text = page.read_text()
-    whole = indented(text)
+    whole = list_indented(text)
     for block in blocks(text):
         if block.language in ("bash", "text", ""):
             whole += [(block.line + n, line) for n, line in enumerate(block.text.splitlines(), 1)]

@@ -17,7 +17,7 @@ from labos.http.routes import OPERATIONS
 from labos.node import protocol
 from labos.node._admin import Admin
 from labos.settings import DATABASE, HOME, KernelInfo, Settings
-from tests.docs.generate import commands, renewed, schemas
+from tests.docs.generate import commands, renew, schemas
 from tests.docs.markdown import (
     REFERENCE,
     ROOT,
@@ -51,7 +51,7 @@ def page(name: str) -> str:
     ],
 )
 def test_generated_parts_are_fresh(name: str) -> None:
-    assert page(name) == renewed(page(name)), "run `python -m tests.docs.generate`"
+    assert page(name) == renew(page(name)), "run `python -m tests.docs.generate`"
 
 
 def test_published_schemas_are_fresh_and_no_others() -> None:
@@ -169,7 +169,7 @@ def test_every_environment_variable_is_told_and_no_other() -> None:
 
 
 def test_every_file_of_the_home_is_told() -> None:
-    settings = Settings.of("/somewhere", "sqlite:////elsewhere/lab.db")
+    settings = Settings.make("/somewhere", "sqlite:////elsewhere/lab.db")
     folders = {
         value.name
         for name, kind in vars(Settings).items()

@@ -32,7 +32,7 @@ def test_the_page_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     guarded = "".join(f"    {line}\n" for line in rest.splitlines())
     (tmp_path / "growth.py").write_text(f'{imports}\n\nif __name__ == "__main__":\n{guarded}')
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running, LabClient(running.url) as client:
         done = subprocess.run(
             [sys.executable, "growth.py"], cwd=tmp_path, capture_output=True, text=True, check=False

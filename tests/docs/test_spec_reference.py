@@ -108,11 +108,11 @@ def test_workcell_examples_compile(block: Block) -> None:
         return
     beside = {b.title: b.text.encode() for b in blocks(WORKCELL.read_text()) if b.title}
 
-    def compiled() -> list[str]:
+    def compile_block() -> list[str]:
         cell = parse_workcell(block.text, drivers(), block.title, beside)
         return [str(finding) for finding in cell.findings]
 
-    check(block, compiled)
+    check(block, compile_block)
 
 
 @pytest.mark.parametrize("block", examples(DIALECTS))

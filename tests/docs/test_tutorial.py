@@ -83,13 +83,13 @@ class Terminal:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self.lines.append(line)
-            said = self._settled(steady(line))
+            said = self._wait_until_settled(steady(line))
             wanted = [pattern for pattern in wanted if not pattern.fullmatch(said)]
             if not wanted:
                 return
         raise AssertionError(f"not printed: {wanted[0].pattern}\n{''.join(self.lines)}")
 
-    def _settled(self, line: str) -> str:
+    def _wait_until_settled(self, line: str) -> str:
         """A node that joins while it still connects is ready when it says IDLE."""
         joined = re.fullmatch(r"(<time> \S+): (node joined \(.*\)), BUSY", line)
         if joined:
@@ -210,7 +210,7 @@ def test_the_real_driver_is_as_short_as_is_claimed() -> None:
 @pytest.mark.timeout(90)
 @pytest.mark.slow
 def test_the_real_driver_drives_its_device(reader: Reader) -> None:
-    block = _of("our_real_shaker.py")
+    block = _find_block("our_real_shaker.py")
     reader.do(block)
     for part in FEW_CHECKS:
         assert part in _block_of_output()
@@ -223,7 +223,7 @@ def test_the_real_driver_drives_its_device(reader: Reader) -> None:
 @pytest.mark.full
 @pytest.mark.timeout(600)
 def test_the_real_driver_gets_the_badge_that_is_told(reader: Reader) -> None:
-    reader.do(_of("our_real_shaker.py"))
+    reader.do(_find_block("our_real_shaker.py"))
     for block in blocks(TUTORIAL.read_text()):
         if "full" in block.attributes:
             reader.do(Block(block.language, {}, block.text, block.line))
@@ -235,9 +235,9 @@ def _block_of_output() -> str:
     )
 
 
-def _of(title: str) -> Block:
+def _find_block(title: str) -> Block:
     return next(block for block in blocks(TUTORIAL.read_text()) if block.title == title)
 
 
 def _block(title: str) -> str:
-    return _of(title).text
+    return _find_block(title).text

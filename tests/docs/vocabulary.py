@@ -40,7 +40,7 @@ def base_forms(word: str) -> Iterator[str]:
                 yield stem[:-1]
 
 
-def used_words() -> dict[str, str]:
+def find_used_words() -> dict[str, str]:
     """Each word, and one place where it is used."""
     found: dict[str, str] = {}
 
@@ -65,12 +65,12 @@ def used_words() -> dict[str, str]:
     return found
 
 
-def explained_words() -> set[str]:
+def find_explained_words() -> set[str]:
     """The words of all terms of the glossary, and of its paragraph on other programs."""
     text = GLOSSARY.read_text()
     terms = " ".join(row[0] for row in table(text)) + text.partition("## Standards and programs")[2]
     return {word.lower() for word in re.findall(r"[A-Za-z][A-Za-z0-9+]*", terms)}
 
 
-def unexplained(used: Iterable[str], known: set[str]) -> list[str]:
+def find_unexplained(used: Iterable[str], known: set[str]) -> list[str]:
     return sorted(word for word in used if not known & set(base_forms(word)))

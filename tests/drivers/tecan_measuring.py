@@ -23,7 +23,7 @@ def _no_plate(reader: TecanOnWire, world: World) -> None:
     reader.sensor = "FREE"
 
 
-def _pushed_in(reader: TecanOnWire, world: World) -> None:
+def _push_in(reader: TecanOnWire, world: World) -> None:
     reader.push()
 
 
@@ -35,7 +35,7 @@ TORTURE = msgspec.structs.replace(
             "measure_sample",
             {"start": 400.0, "end": 440.0, "step": 20.0},
             stock={"default": "plate96"},
-            prepare=_pushed_in,
+            prepare=_push_in,
         ),
         Case("measure_sample", {"protocol_path": "ECP"}, refused="knows no stored methods"),
     ),

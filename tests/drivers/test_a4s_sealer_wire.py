@@ -15,7 +15,7 @@ from labos_drivers.a4s_sealer import A4sSealer, protocol
 from labos_drivers.a4s_sealer import driver as sealer_driver
 from labos_drivers.a4s_sealer.protocol import Status, check_sum
 from labos_drivers.a4s_sealer.wire import SealerOnWire
-from tests.drivers.wires import at_port, powered, run, until
+from tests.drivers.wires import at_port, power_on, run, until
 
 # Records of a real device, as they were captured.
 CAPTURED = [
@@ -36,7 +36,7 @@ def port(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def sealer(world: World, port: Path) -> Iterator[SealerOnWire]:
-    with powered(SealerOnWire, "sealer", world, port) as device:
+    with power_on(SealerOnWire, "sealer", world, port) as device:
         yield device
 
 
@@ -77,7 +77,7 @@ def test_waits_for_the_block_to_be_hot(world: World, port: Path) -> None:
         assert 58 <= world.motions("seal")[0].facts["temperature_c"] <= 62
         await node.close()
 
-    with powered(SealerOnWire, "sealer", world, port, cold=True):
+    with power_on(SealerOnWire, "sealer", world, port, cold=True):
         run(body)
 
 
@@ -199,7 +199,7 @@ def test_who_is_no_sealer_is_not_driven(port: Path, monkeypatch: pytest.MonkeyPa
 
 def test_silence_is_no_idleness(world: World, port: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def body() -> None:
-        with powered(SealerOnWire, "sealer", world, port) as device:
+        with power_on(SealerOnWire, "sealer", world, port) as device:
             node = at_port(A4sSealer, "sealer", port)
             await node.connect()
             monkeypatch.setattr(sealer_driver, "RECORD_S", 0.2)

@@ -21,14 +21,14 @@ from labos.errors import BadInput, DeviceError, NotConnected, OutcomeUnknown, Wr
 from labos.node import World
 from labos.node.node import handle_keeper
 from labos.spec import load_workcell, parse_workcell
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos_drivers.axis import driver, objects, profile, wire
 from labos_drivers.axis.interface import Axis
 from labos_drivers.axis.profile import State
 from labos_drivers.axis.table import STAGE, AxisTable
 from labos_drivers.axis.wire import DriveOnSlcan
 from tests.docs.markdown import ROOT, blocks
-from tests.drivers.wires import powered, run, setup_of, until
+from tests.drivers.wires import power_on, run, setup_of, until
 
 PAGE = ROOT / "docs" / "drivers" / "axis.md"
 PACE = 40.0
@@ -36,7 +36,7 @@ PACE = 40.0
 
 @pytest.fixture
 def drive(world: World) -> Iterator[DriveOnSlcan]:
-    with powered(DriveOnSlcan, "stage", world, pace=PACE) as device:
+    with power_on(DriveOnSlcan, "stage", world, pace=PACE) as device:
         yield device
 
 
@@ -183,7 +183,7 @@ def test_a_stop_is_a_quick_stop(drive: DriveOnSlcan, world: World) -> None:
     run(body)
 
 
-async def interrupted(node: Axis, world: World) -> str:
+async def interrupt(node: Axis, world: World) -> str:
     """Begin a motion, and die in the middle of it; returns what the journal has."""
     handles: list[str] = []
 
@@ -204,7 +204,7 @@ async def interrupted(node: Axis, world: World) -> str:
 
 def test_a_node_that_was_restarted_sees_the_end_and_starts_nothing(drive: DriveOnSlcan, world: World) -> None:
     async def body() -> None:
-        handle = await interrupted(node_at(drive), world)
+        handle = await interrupt(node_at(drive), world)
         again = node_at(drive)
         await again.connect()
         await again.take_up("move_to", handle)
@@ -238,9 +238,9 @@ def test_a_start_that_the_drive_never_heard_of(drive: DriveOnSlcan, world: World
 
 def test_a_drive_that_was_switched_off_meanwhile(drive: DriveOnSlcan, world: World) -> None:
     async def body() -> None:
-        handle = await interrupted(node_at(drive), world)
+        handle = await interrupt(node_at(drive), world)
         drive.close()
-        with powered(DriveOnSlcan, "stage", world, pace=PACE) as other:
+        with power_on(DriveOnSlcan, "stage", world, pace=PACE) as other:
             again = node_at(other)
             await again.connect()
             with pytest.raises(OutcomeUnknown, match="lost its power meanwhile"):
@@ -368,16 +368,18 @@ WORKCELL = (
 )
 
 
-def written(**other: Any) -> str:
+def write_workcell(**other: Any) -> str:
     lines = yaml.safe_dump({"axis": table(**other)}, sort_keys=False).splitlines()
     return WORKCELL + "".join(f"      {line}\n" for line in lines)
 
 
 def test_what_an_axis_offers_follows_from_its_table() -> None:
     home = {"method": 35, "position": 10.0}
-    text = written(unit="deg", minimum=-180.0, maximum=180.0, speed=30.0, highest_speed=90.0, home=home)
+    text = write_workcell(
+        unit="deg", minimum=-180.0, maximum=180.0, speed=30.0, highest_speed=90.0, home=home
+    )
     (module,) = parse_workcell(text, descriptions(), "lab.yaml").workcell.modules
-    about = described(module, {})
+    about = find_description(module, {})
     assert about is not None
     move, home_ = about.action("move_to"), about.action("home")
     assert move is not None
@@ -402,7 +404,7 @@ def test_what_an_axis_offers_follows_from_its_table() -> None:
 )
 def test_slips_are_told_with_their_place(other: dict[str, Any], words: str) -> None:
     with pytest.raises(BadInput) as told:
-        parse_workcell(written(**other), descriptions(), "lab.yaml")
+        parse_workcell(write_workcell(**other), descriptions(), "lab.yaml")
     first = str(told.value).splitlines()[0]
     assert words in first
     assert re.match(r"lab\.yaml:\d+:\d+: ", first)

@@ -17,7 +17,7 @@ from labos_drivers.barty.driver import Dose
 from labos_drivers.barty.protocol import PINS
 from labos_drivers.barty.wire import BartyOnWire
 from tests.drivers.test_ot2_wire import keep_handles
-from tests.drivers.wires import at_port, powered, run, until
+from tests.drivers.wires import at_port, power_on, run, until
 from tests.integration.link.far import answering
 
 
@@ -28,7 +28,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def pumps(world: World) -> Iterator[BartyOnWire]:
-    with powered(BartyOnWire, "barty", world) as device:
+    with power_on(BartyOnWire, "barty", world) as device:
         yield device
 
 
@@ -36,7 +36,7 @@ def node_at(device: BartyOnWire, **config: Any) -> Barty:
     return at_port(Barty, "barty", device.address, key="host", config=config)
 
 
-def pumped(world: World) -> list[tuple[int, float]]:
+def list_pumped(world: World) -> list[tuple[int, float]]:
     return [(m.facts["pump"], m.facts["ml"]) for m in world.motions("pump")]
 
 
@@ -54,8 +54,8 @@ def test_ink_goes_into_the_reservoirs_and_back(pumps: BartyOnWire, world: World)
         assert len(set(handles)) == 3
 
     run(body)
-    assert [pump for pump, _ in pumped(world)] == [0, 2, 3, 2]
-    assert [ml for _, ml in pumped(world)] == pytest.approx([10, 10, 5, -4], rel=0.1)
+    assert [pump for pump, _ in list_pumped(world)] == [0, 2, 3, 2]
+    assert [ml for _, ml in list_pumped(world)] == pytest.approx([10, 10, 5, -4], rel=0.1)
     assert pumps.levels == [0] * 32
     assert len(pumps._scripts) == 1
 
@@ -69,7 +69,7 @@ def test_scripts_that_earlier_nodes_have_left_make_room(pumps: BartyOnWire, worl
             await node.close()
 
     run(body)
-    assert len(pumped(world)) == protocol.ROOM + 1
+    assert len(list_pumped(world)) == protocol.ROOM + 1
     assert len(pumps._scripts) == 1
 
 
@@ -104,7 +104,7 @@ def test_limits_are_refused_in_the_node(
         await node.close()
 
     run(body)
-    assert pumped(world) == []
+    assert list_pumped(world) == []
 
 
 def test_each_pump_has_its_rate_and_its_time(pumps: BartyOnWire, world: World) -> None:
@@ -122,14 +122,14 @@ def test_each_pump_has_its_rate_and_its_time(pumps: BartyOnWire, world: World) -
 
     run(body)
     # The slower one runs twice as long; here it is as fast as the others, and gives twice as much.
-    (first, slow), (second, fast) = pumped(world)
+    (first, slow), (second, fast) = list_pumped(world)
     assert (first, second) == (1, 0)
     assert slow == pytest.approx(20, rel=0.1)
     assert fast == pytest.approx(10, rel=0.1)
 
 
 def test_a_stop_is_a_stop(world: World) -> None:
-    async def stopped(device: BartyOnWire) -> None:
+    async def check_stop(device: BartyOnWire) -> None:
         node = node_at(device)
         await node.connect()
         work = asyncio.create_task(node.fill_all(60))
@@ -146,9 +146,9 @@ def test_a_stop_is_a_stop(world: World) -> None:
         await node.fill([0])
         await node.close()
 
-    with powered(BartyOnWire, "barty", world, pace=6) as device:
-        run(lambda: stopped(device))
-    assert all(0 < ml < 59 for _, ml in pumped(world)[:4])
+    with power_on(BartyOnWire, "barty", world, pace=6) as device:
+        run(lambda: check_stop(device))
+    assert all(0 < ml < 59 for _, ml in list_pumped(world)[:4])
 
 
 def test_a_pump_that_somebody_else_runs(pumps: BartyOnWire, world: World) -> None:
@@ -197,9 +197,9 @@ def test_the_pump_stops_by_itself_and_the_dose_is_taken_up(world: World) -> None
         await asyncio.gather(work, return_exceptions=True)
         await node.close()
 
-    with powered(BartyOnWire, "barty", world, pace=6) as device:
+    with power_on(BartyOnWire, "barty", world, pace=6) as device:
         run(lambda: body(device))
-    assert [pump for pump, _ in pumped(world)] == [0, 1, 0]
+    assert [pump for pump, _ in list_pumped(world)] == [0, 1, 0]
 
 
 def test_a_dose_that_was_stored_and_not_started_never_is(pumps: BartyOnWire, world: World) -> None:
@@ -219,7 +219,7 @@ def test_a_dose_that_was_stored_and_not_started_never_is(pumps: BartyOnWire, wor
         await node.close()
 
     run(body)
-    assert pumped(world) == []
+    assert list_pumped(world) == []
 
 
 def test_a_lost_answer_leaves_no_doubt(
@@ -242,11 +242,11 @@ def test_a_lost_answer_leaves_no_doubt(
 
     monkeypatch.setattr(barty_driver, "ANSWER_S", 1.0)
     run(body)
-    assert len(pumped(world)) == 1
+    assert len(list_pumped(world)) == 1
 
 
 def test_nobody_there_and_somebody_else(world: World) -> None:
-    with powered(BartyOnWire, "barty", world) as device:
+    with power_on(BartyOnWire, "barty", world) as device:
         address = device.address
     with pytest.raises(NotConnected):
         run(at_port(Barty, "barty", address, key="host").connect)
@@ -284,7 +284,7 @@ def test_its_own_client_drives_the_simulated_daemon(pumps: BartyOnWire, world: W
     finally:
         pi.stop()
         listener.join(5)  # it closes its own socket
-    assert pumped(world) == [(0, pytest.approx(5.0, rel=0.1))]
+    assert list_pumped(world) == [(0, pytest.approx(5.0, rel=0.1))]
 
 
 def test_simulated_behind_its_wire(world: World) -> None:
@@ -295,7 +295,7 @@ def test_simulated_behind_its_wire(world: World) -> None:
         await node.close()
 
     run(body)
-    assert [pump for pump, _ in pumped(world)] == [0, 1, 2, 3]
+    assert [pump for pump, _ in list_pumped(world)] == [0, 1, 2, 3]
 
 
 def test_a_state_of_a_dose_that_is_not_known_is_no_end(pumps: BartyOnWire) -> None:

@@ -18,7 +18,7 @@ from labos_drivers.brooks_peeler import BrooksPeeler
 from labos_drivers.brooks_peeler import driver as peeler_driver
 from labos_drivers.brooks_peeler.driver import PeelerDriver
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
-from tests.drivers.wires import at_port, powered, run, until
+from tests.drivers.wires import at_port, power_on, run, until
 
 
 @pytest.fixture
@@ -28,11 +28,11 @@ def port(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def peeler(world: World, port: Path) -> Iterator[PeelerOnWire]:
-    with powered(PeelerOnWire, "peeler", world, port) as device:
+    with power_on(PeelerOnWire, "peeler", world, port) as device:
         yield device
 
 
-def sealed_plate(world: World) -> str:
+def place_sealed_plate(world: World) -> str:
     (plate,) = world.stock("peeler.default", "plate")
     world.work("somebody", "seal", "peeler.default")
     return plate
@@ -43,7 +43,7 @@ def test_peels_a_plate(peeler: PeelerOnWire, world: World, port: Path, tmp_path:
         node = at_port(BrooksPeeler, "peeler", port)
         await node.connect()
         assert await node.resources() == {}
-        plate = sealed_plate(world)
+        plate = place_sealed_plate(world)
         assert await node.sealcheck() == "sealed"
         await node.peel(parameter_set=4, adhere=7.5)
         assert [(m.plate, m.facts) for m in world.motions("peel")] == [(plate, {"set": 4, "adhere_s": 7.5})]
@@ -82,7 +82,7 @@ def test_little_tape_is_a_warning_and_none_is_an_error(
         node = at_port(BrooksPeeler, "peeler", port)
         await node.connect()
         world.supply("peeler", "tape", 1)
-        sealed_plate(world)
+        place_sealed_plate(world)
         await node.peel()
         assert peeler.codes == (20, 0, 0)
         world.work("somebody", "seal", "peeler.default")
@@ -101,7 +101,7 @@ def test_an_open_cover_and_a_pressed_button(peeler: PeelerOnWire, world: World, 
     async def body() -> None:
         node = at_port(BrooksPeeler, "peeler", port)
         await node.connect()
-        sealed_plate(world)
+        place_sealed_plate(world)
         peeler.cover_is_shut = False
         with pytest.raises(DeviceError, match="the cover is open") as told:
             await node.peel()
@@ -122,7 +122,7 @@ def test_homes_when_it_is_switched_on(world: World, port: Path, monkeypatch: pyt
     monkeypatch.setattr(peeler_driver, "ANSWER_S", 1.0)
 
     async def body() -> None:
-        with powered(PeelerOnWire, "peeler", world, port, pace=20, homes=True):
+        with power_on(PeelerOnWire, "peeler", world, port, pace=20, homes=True):
             node = at_port(BrooksPeeler, "peeler", port)
             await node.connect()
             assert await node.is_idle()
@@ -135,7 +135,7 @@ def test_unplugged_in_mid_motion(peeler: PeelerOnWire, world: World, port: Path)
     async def body() -> None:
         node = at_port(BrooksPeeler, "peeler", port)
         await node.connect()
-        sealed_plate(world)
+        place_sealed_plate(world)
         work = asyncio.create_task(node.peel())
         await until(lambda: world.is_shut("peeler.default"))
         peeler.end.unplug()
@@ -154,7 +154,7 @@ def test_a_node_that_ends_does_not_wait_for_the_device(world: World, port: Path)
     async def body() -> None:
         node = at_port(BrooksPeeler, "peeler", port)
         await node.connect()
-        sealed_plate(world)
+        place_sealed_plate(world)
         work = asyncio.create_task(node.peel())
         await until(lambda: world.is_shut("peeler.default"))
         began = time.monotonic()
@@ -162,7 +162,7 @@ def test_a_node_that_ends_does_not_wait_for_the_device(world: World, port: Path)
         await node.close()
         assert time.monotonic() - began < 5
 
-    with powered(PeelerOnWire, "peeler", world, port, pace=0.1):
+    with power_on(PeelerOnWire, "peeler", world, port, pace=0.1):
         run(body)
 
 
@@ -178,7 +178,7 @@ def test_a_peel_is_taken_up_by_what_the_device_says_of_its_last_motion(world: Wo
         handle_keeper.set(keep)
         first = at_port(BrooksPeeler, "peeler", port)
         await first.connect()
-        sealed_plate(world)
+        place_sealed_plate(world)
         work = asyncio.create_task(first.peel(4))
         await until(lambda: peeler.peels)
         assert handles == ["*xpeel:41"]
@@ -210,7 +210,7 @@ def test_a_peel_is_taken_up_by_what_the_device_says_of_its_last_motion(world: Wo
         assert [error.value.effects for error in told] == ["none", "partial", "unknown"]
         await again.close()
 
-    with powered(PeelerOnWire, "peeler", world, port, pace=20) as device:
+    with power_on(PeelerOnWire, "peeler", world, port, pace=20) as device:
         run(lambda: body(device))
     assert len(world.motions("peel")) == 1
 
@@ -262,7 +262,7 @@ def test_the_wire_of_another_device(world: World, port: Path, monkeypatch: pytes
         with pytest.raises(NotConnected, match="does not say who it is"):
             await node.connect()
 
-    with powered(SealerOnWire, "sealer", world, port):
+    with power_on(SealerOnWire, "sealer", world, port):
         run(body)
 
 
@@ -270,7 +270,7 @@ def test_simulated_behind_its_wire(world: World) -> None:
     async def body() -> None:
         node = BrooksPeeler(Setup(name="peeler", workcell="rpl", world=world, pace=200, wire=True))
         await node.connect()
-        sealed_plate(world)
+        place_sealed_plate(world)
         await node.peel()
         assert len(world.motions("peel")) == 1
         await node.close()

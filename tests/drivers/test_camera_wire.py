@@ -25,7 +25,7 @@ from labos_drivers.camera.photo import seen_at
 from labos_drivers.camera.render import picture_of
 from labos_drivers.camera.sketch import HEIGHT, WIDTH, centre_of
 from labos_drivers.camera.wire import CameraOnWire
-from tests.drivers.wires import at_port, powered, run, setup_of
+from tests.drivers.wires import at_port, power_on, run, setup_of
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (it is with the extra `camera`)")
 numpy = pytest.importorskip("numpy")
@@ -36,7 +36,7 @@ EAN_LEFT += ["0110111", "0001011"]
 
 @pytest.fixture
 def eye(world: World) -> Iterator[CameraOnWire]:
-    with powered(CameraOnWire, "eye", world) as device:
+    with power_on(CameraOnWire, "eye", world) as device:
         yield device
 
 
@@ -108,20 +108,20 @@ def test_it_tells_only_what_can_be_told_from_the_picture(world: World) -> None:
         node = camera(address, observes=["wc.shelf"], reads=True)
         await node.connect()
 
-        async def seen() -> dict[str, Any]:
+        async def observe() -> dict[str, Any]:
             return dict((await node.observe())["labware"])
 
-        assert await seen() == {"plate_station": 0, "wc.shelf": 0}
+        assert await observe() == {"plate_station": 0, "wc.shelf": 0}
         (plate,) = world.stock("wc.shelf", "plate96")
-        assert await seen() == {"plate_station": 0, "wc.shelf": "LB000001"}
+        assert await observe() == {"plate_station": 0, "wc.shelf": "LB000001"}
         world.label(plate, "")
-        assert await seen() == {"plate_station": 0, "wc.shelf": 1}
+        assert await observe() == {"plate_station": 0, "wc.shelf": 1}
         world.work("a4s", "seal", "wc.shelf")
         # Foil over the wells, and no label: it may be a plate or not.
-        assert await seen() == {"plate_station": 0}
+        assert await observe() == {"plate_station": 0}
         await node.close()
 
-    with powered(CameraOnWire, "eye", world, told={"config": {"observes": ["wc.shelf"]}}) as device:
+    with power_on(CameraOnWire, "eye", world, told={"config": {"observes": ["wc.shelf"]}}) as device:
         run(lambda: body(device.address))
 
 

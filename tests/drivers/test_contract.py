@@ -178,7 +178,7 @@ def test_what_is_beyond_a_limit_is_refused_by_the_node(tmp_path: Path) -> None:
     async def body() -> None:
         async with bench(tmp_path, free_endpoint()) as lab:
             for package in sorted(DRIVERS):
-                server = await served(lab, package)
+                server = await serve(lab, package)
                 before = lab.world.last_motion()
                 numbers = beyond(server.node, tmp_path)
                 for position, (name, args, what) in enumerate(numbers, 1):
@@ -191,7 +191,7 @@ def test_what_is_beyond_a_limit_is_refused_by_the_node(tmp_path: Path) -> None:
     asyncio.run(body())
 
 
-async def served(lab: Lab, package: str) -> NodeServer:
+async def serve(lab: Lab, package: str) -> NodeServer:
     """A driver's node on the bus, with a simulated device."""
     kind, told = load(package), declaration(load(package))
     setup = Setup("arm", "cell", told.settings, poses=told.poses, regrip=told.regrip, world=lab.world)

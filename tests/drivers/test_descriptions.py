@@ -19,7 +19,7 @@ import trimesh
 from labos.bootstrap import load_driver
 from labos.spec.describing import for_model, load_description, parts_at, places, places_at, variant
 from labos.spec.description import BASE, DescriptionFile
-from labos.spec.frames import frame, of_quaternion
+from labos.spec.frames import frame, from_quaternion
 from labos.spec.schema import schema_of
 from labos.spec.source import plain, read
 from labos.spec.urdf import station_link
@@ -31,14 +31,14 @@ DRIVERS = ROOT / "drivers" / "labos_drivers"
 FOLDERS = sorted(path.parent.name for path in DRIVERS.glob("*/description.yaml"))
 
 
-def described(name: str) -> Iterator[tuple[str, DescriptionFile]]:
+def list_descriptions(name: str) -> Iterator[tuple[str, DescriptionFile]]:
     file = load_description(DRIVERS / name / "description.yaml")
     yield name, file
     for other in file.variants:
         yield f"{name}-{other}", variant(file, other)
 
 
-FILES = dict(pair for name in FOLDERS for pair in described(name))
+FILES = dict(pair for name in FOLDERS for pair in list_descriptions(name))
 
 
 @pytest.fixture(params=FILES)
@@ -282,7 +282,7 @@ def test_taught_joints_of_a_real_workcell_lead_to_its_stations(place: str) -> No
     cell = plain(read(ROOT / "specs/workcells/rpl.yaml").data)
     module, station = place.split(".")
     at = {
-        entry["name"]: of_quaternion([1000 * v for v in entry["coordinates"][:3]], entry["coordinates"][3:])
+        entry["name"]: from_quaternion([1000 * v for v in entry["coordinates"][:3]], entry["coordinates"][3:])
         for entry in cell["modules"]
         if entry.get("coordinates")
     }

@@ -58,7 +58,7 @@ def behind(
 
 
 @asynccontextmanager
-async def driven(driver: type[Node], name: str, url: str) -> AsyncIterator[Any]:
+async def drive(driver: type[Node], name: str, url: str) -> AsyncIterator[Any]:
     node = at_port(driver, name, url, key="url")
     await node.connect()
     try:
@@ -81,7 +81,7 @@ def test_a_plate_is_cycled(cycler: GatewayOnWire[Any], world: World) -> None:
 
     async def body() -> None:
         handles = keep_handles()
-        async with driven(Biometra, "biometra", cycler.address) as node:
+        async with drive(Biometra, "biometra", cycler.address) as node:
             with pytest.raises(DeviceError, match="the lid is open") as told:
                 await node.run_program(7)
             assert told.value.effects == "none"
@@ -102,7 +102,7 @@ def test_a_plate_is_read(world: World) -> None:
     world.stock("hidex.default", "plate")
 
     async def body(url: str) -> None:
-        async with driven(Hidex, "hidex", url) as node:
+        async with drive(Hidex, "hidex", url) as node:
             await node.close_lid()
             assert re.fullmatch(r"growth_\d+\.csv", await node.run_assay("growth"))
             table = await node.read_plate("growth")
@@ -118,7 +118,7 @@ def test_a_plate_is_read(world: World) -> None:
 
 def test_samples_are_made(world: World) -> None:
     async def body(url: str) -> None:
-        async with driven(Chemspeed, "chemspeed", url) as node:
+        async with drive(Chemspeed, "chemspeed", url) as node:
             await node.close_lid()
             await node.run_program("closed_loop1")
             with pytest.raises(DeviceError, match="no name of a program") as told:
@@ -135,7 +135,7 @@ def test_a_protocol_file_goes_to_the_gateway(world: World, tmp_path: Path) -> No
     (tmp_path / "mix.hso").write_bytes(HSO.encode())
 
     async def body(device: GatewayOnWire[Any]) -> None:
-        async with driven(Solo, "solo", device.address) as node:
+        async with drive(Solo, "solo", device.address) as node:
             await node.run_protocol(str(tmp_path / "mix.hso"))
             assert device.device.given == HSO
             with pytest.raises(DeviceError, match="there is no such file") as told:
@@ -208,12 +208,12 @@ def test_busy_and_stopped(world: World) -> None:
     world.stock("biometra.default", "plate")
 
     async def body(device: GatewayOnWire[Any]) -> None:
-        async with driven(Biometra, "biometra", device.address) as node:
+        async with drive(Biometra, "biometra", device.address) as node:
             await node.close_lid()
             work = asyncio.create_task(node.run_program(7))
             await until(lambda: bool(world.motions("heat")))
             assert not await node.is_idle()
-            async with driven(Biometra, "other", device.address) as other:
+            async with drive(Biometra, "other", device.address) as other:
                 with pytest.raises(DeviceError, match="refused: the instrument is at work") as busy:
                     await other.open_lid()
                 assert busy.value.effects == "none"
@@ -232,7 +232,7 @@ def test_busy_and_stopped(world: World) -> None:
 
 def test_a_crash_is_told(world: World) -> None:
     async def body(url: str) -> None:
-        async with driven(Hidex, "hidex", url) as node:
+        async with drive(Hidex, "hidex", url) as node:
             await node.close_lid()
             with pytest.raises(DeviceError, match="a plate that is not there") as told:
                 await node.run_assay("growth")
@@ -293,7 +293,7 @@ def test_a_start_whose_answer_is_lost_moves_once_or_never(
     cable = Between(cycler.address)
 
     async def body() -> None:
-        async with driven(Biometra, "biometra", cable.address) as node:
+        async with drive(Biometra, "biometra", cable.address) as node:
             if reached:
                 cable.tell = once(cable, "tell")
                 await node.close_lid()
@@ -337,7 +337,7 @@ def test_spoilt_answers_are_no_answers(
     cable = Between(cycler.address)
 
     async def body() -> None:
-        async with driven(Biometra, "biometra", cable.address) as node:
+        async with drive(Biometra, "biometra", cable.address) as node:
             cable.tell = spoil
             with pytest.raises(error):
                 await node.is_idle()
@@ -353,7 +353,7 @@ def test_unplugged_for_a_while_and_for_longer(world: World, monkeypatch: pytest.
 
     async def body(device: GatewayOnWire[Any]) -> None:
         handles = keep_handles()
-        async with driven(Biometra, "biometra", device.address) as node:
+        async with drive(Biometra, "biometra", device.address) as node:
             await node.close_lid()
             work = asyncio.create_task(node.run_program(7))
             await until(lambda: bool(world.motions("heat")))
@@ -374,7 +374,7 @@ def test_unplugged_for_a_while_and_for_longer(world: World, monkeypatch: pytest.
             assert gone.value.effects == "none"
             device.plug()
             device.start()
-        async with driven(Biometra, "biometra", device.address) as node:
+        async with drive(Biometra, "biometra", device.address) as node:
             await node.take_up("run_program", handles[2])
             journal = handles[0].partition(":")[0]
             with pytest.raises(DeviceError, match="never heard of") as never:
@@ -451,7 +451,7 @@ def test_a_gateway_that_dies_does_not_guess(tmp_path: Path, monkeypatch: pytest.
 
     async def first(process: subprocess.Popen[str], url: str) -> str:
         handles = keep_handles()
-        async with driven(Biometra, "biometra", url) as node:
+        async with drive(Biometra, "biometra", url) as node:
             assert await node.observe() == {"lid": "closed"}
             await node.close_lid()
             async with httpx.AsyncClient(base_url=url) as client:
@@ -474,7 +474,7 @@ def test_a_gateway_that_dies_does_not_guess(tmp_path: Path, monkeypatch: pytest.
             return handles[-1]
 
     async def second(url: str, handle: str) -> None:
-        async with driven(Biometra, "biometra", url) as node:
+        async with drive(Biometra, "biometra", url) as node:
             with pytest.raises(OutcomeUnknown, match="restarted in mid-action"):
                 await node.take_up("run_program", handle)
             await node.close_lid()
@@ -504,7 +504,7 @@ def test_a_pc_that_restarts_looks_back(
     world.stock(f"{name}.default", "plate")
 
     async def body(device: GatewayOnWire[Any]) -> None:
-        async with driven(driver, name, device.address) as node:
+        async with drive(driver, name, device.address) as node:
             if args:
                 await node.close_lid()
             work = asyncio.create_task(getattr(node, action)(*args))
@@ -527,12 +527,12 @@ def test_a_pc_that_restarts_looks_back(
 def test_a_lost_journal_is_not_taken_for_what_never_happened(world: World, tmp_path: Path) -> None:
     async def first(url: str) -> str:
         handles = keep_handles()
-        async with driven(Biometra, "biometra", url) as node:
+        async with drive(Biometra, "biometra", url) as node:
             await node.close_lid()
         return handles[0]
 
     async def second(url: str, handle: str) -> None:
-        async with driven(Biometra, "biometra", url) as node:
+        async with drive(Biometra, "biometra", url) as node:
             with pytest.raises(OutcomeUnknown, match="lost the journal"):
                 await node.take_up("close_lid", handle)
             node.device._journal = "another"  # as if the disk had been changed meanwhile
@@ -569,7 +569,7 @@ def test_a_gateway_that_does_not_say_that_it_is_idle_is_not(
     tell = gateway_server.Handler._tell
 
     async def body() -> None:
-        async with driven(Biometra, "biometra", cycler.address) as node:
+        async with drive(Biometra, "biometra", cycler.address) as node:
             assert await node.is_idle()
             answers: list[dict[str, Any]] = [{}, {"busy": None}, {"busy": 0}, {"busy": "no"}]
             for said in answers:
@@ -593,7 +593,7 @@ def test_an_assay_that_leaves_no_file_is_not_done(world: World, monkeypatch: pyt
     monkeypatch.setattr(HidexOnWire.kind, "run_assay", leaves_nothing)
 
     async def body(url: str) -> None:
-        async with driven(Hidex, "hidex", url) as node:
+        async with drive(Hidex, "hidex", url) as node:
             await node.close_lid()
             with pytest.raises(Garbled, match="has ended without a file: 'None'") as told:
                 await node.run_assay("growth")

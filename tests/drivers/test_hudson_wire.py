@@ -19,7 +19,7 @@ from labos_drivers.platecrane import PlateCrane
 from labos_drivers.platecrane.wire import PlateCraneOnWire
 from labos_drivers.sciclops import Sciclops
 from labos_drivers.sciclops.wire import SciclopsOnWire
-from tests.drivers.wires import at_port, powered, run, setup_of, until
+from tests.drivers.wires import at_port, power_on, run, setup_of, until
 
 KINDS: dict[str, Any] = {"sciclops": (Sciclops, SciclopsOnWire), "crane": (PlateCrane, PlateCraneOnWire)}
 STACK = {"sciclops": "tower2", "crane": "Stack2"}
@@ -48,12 +48,12 @@ def port(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def arm(kind: str, world: World, port: Path) -> Iterator[HudsonOnWire]:
-    with powered(KINDS[kind][1], kind, world, port, told=TOLD[kind], pace=2000) as device:
+    with power_on(KINDS[kind][1], kind, world, port, told=TOLD[kind], pace=2000) as device:
         yield device
 
 
 @asynccontextmanager
-async def driven(kind: str, port: Path) -> AsyncIterator[Any]:
+async def drive(kind: str, port: Path) -> AsyncIterator[Any]:
     node = at_port(KINDS[kind][0], kind, port, **TOLD[kind])
     await node.connect()
     try:
@@ -72,7 +72,7 @@ def test_plates_leave_a_stack_from_the_top(
     plates = world.stock(place(kind, STACK[kind]), "plate", 3)
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             await node.transfer(STACK[kind], NEST[kind])
             assert world.at(place(kind, NEST[kind])) == plates[-1:]
             assert await node.observe() == {"labware": {"gripper": False}}
@@ -93,7 +93,7 @@ def test_lids_come_off_and_go_on(kind: str, arm: HudsonOnWire, world: World, por
     (plate,) = world.stock(place(kind, NEST[kind]), "plate+lid")
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             await node.remove_lid(NEST[kind], LID_NEST[kind])
             assert world.at(place(kind, LID_NEST[kind])) == [f"lid of {plate}"]
             await node.replace_lid(LID_NEST[kind], NEST[kind])
@@ -105,7 +105,7 @@ def test_lids_come_off_and_go_on(kind: str, arm: HudsonOnWire, world: World, por
 
 def test_an_empty_place_is_told(kind: str, arm: HudsonOnWire, world: World, port: Path) -> None:
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             with pytest.raises(DeviceError, match="the gripper touched the floor") as empty:
                 await node.transfer(STACK[kind], NEST[kind])
             with pytest.raises(DeviceError, match="nothing came between the fingers") as bare:
@@ -125,7 +125,7 @@ def test_what_is_lost_on_the_way_is_not_put_down(
     arm.is_slippery = True
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             with pytest.raises(DeviceError, match="lost on its way") as told:
                 await node.transfer(STACK[kind], NEST[kind])
             assert told.value.effects == "unknown"
@@ -140,7 +140,7 @@ def test_what_cannot_be_reached_is_refused_before_anything_moves(
     before = arm.at
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             for target, why in (("wc.beyond", "out of reach: R at 400"), ("wc.nowhere", "was not taught")):
                 with pytest.raises(DeviceError, match=why) as told:
                     await node.transfer(STACK[kind], target)
@@ -162,7 +162,7 @@ def test_a_crash_is_told_and_what_is_held_is_seen(
     (in_the_way,) = world.stock(place(kind, NEST[kind]), "plate")
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             with pytest.raises(DeviceError, match=r"Hudson error 1400.*has hit something") as told:
                 await node.transfer(STACK[kind], NEST[kind])
             assert told.value.effects == "unknown"
@@ -181,7 +181,7 @@ def test_a_crash_is_told_and_what_is_held_is_seen(
 
 def test_one_that_is_not_homed_is_homed_by_a_reset_only(kind: str, world: World, port: Path) -> None:
     async def body(arm: HudsonOnWire) -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             with pytest.raises(DeviceError, match="it is not homed") as told:
                 await node.transfer(STACK[kind], NEST[kind])
             assert told.value.effects == "none"
@@ -189,7 +189,7 @@ def test_one_that_is_not_homed_is_homed_by_a_reset_only(kind: str, world: World,
             await node.reset()
             assert arm.homed
 
-    with powered(KINDS[kind][1], kind, world, port, told=TOLD[kind], pace=2000, homed=False) as arm:
+    with power_on(KINDS[kind][1], kind, world, port, told=TOLD[kind], pace=2000, homed=False) as arm:
         run(lambda: body(arm))
 
 
@@ -197,7 +197,7 @@ def test_a_stop_sends_nothing_more(kind: str, world: World, port: Path) -> None:
     world.stock(place(kind, STACK[kind]), "plate")
 
     async def body(arm: HudsonOnWire) -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             work = asyncio.create_task(node.transfer(STACK[kind], NEST[kind]))
             await until(lambda: arm.is_in_motion)
             with pytest.raises(DeviceError, match="takes no stop over its wire"):
@@ -208,7 +208,7 @@ def test_a_stop_sends_nothing_more(kind: str, world: World, port: Path) -> None:
             await node.reset()
             await node.transfer(STACK[kind], NEST[kind])
 
-    with powered(KINDS[kind][1], kind, world, port, told=TOLD[kind], pace=500) as arm:
+    with power_on(KINDS[kind][1], kind, world, port, told=TOLD[kind], pace=500) as arm:
         run(lambda: body(arm))
 
 
@@ -216,7 +216,7 @@ def test_unplugged_in_mid_motion(kind: str, world: World, port: Path) -> None:
     world.stock(place(kind, STACK[kind]), "plate")
 
     async def body(arm: HudsonOnWire) -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             work = asyncio.create_task(node.transfer(STACK[kind], NEST[kind]))
             await until(lambda: arm.is_in_motion)
             arm.end.unplug()
@@ -232,7 +232,7 @@ def test_unplugged_in_mid_motion(kind: str, world: World, port: Path) -> None:
             await node.reset()
             assert await node.is_idle()
 
-    with powered(KINDS[kind][1], kind, world, port, told=TOLD[kind], pace=500) as arm:
+    with power_on(KINDS[kind][1], kind, world, port, told=TOLD[kind], pace=500) as arm:
         run(lambda: body(arm))
 
 
@@ -244,7 +244,7 @@ def test_two_cables_are_swapped(kind: str, world: World, port: Path) -> None:
             await at_port(KINDS[kind][0], kind, port).connect()
         assert told.value.effects == "none"
 
-    with powered(other, kind, world, port):
+    with power_on(other, kind, world, port):
         run(body)
 
 
@@ -254,7 +254,7 @@ def test_late_and_garbled_answers_are_no_answers(
     obey = arm._obey
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             # The echo comes, the result does not; then it comes late, before the next answer.
             monkeypatch.setattr(_hudson, "ANSWER_S", 0.1)
             monkeypatch.setattr(arm, "_obey", lambda line: None)
@@ -299,23 +299,23 @@ def test_simulated_behind_its_wire(kind: str, world: World) -> None:
 
 def test_get_plate_and_home(world: World, port: Path) -> None:
     async def body() -> None:
-        async with driven("sciclops", port) as node:
+        async with drive("sciclops", port) as node:
             await node.home()
             await node.get_plate("tower1")
 
     world.stock("sciclops.tower1", "plate", 2)
-    with powered(SciclopsOnWire, "sciclops", world, port, pace=2000):
+    with power_on(SciclopsOnWire, "sciclops", world, port, pace=2000):
         run(body)
     assert len(world.at("sciclops.exchange")) == 1
 
 
 def test_height_offsets_raise_both_ends(world: World, port: Path) -> None:
     async def body() -> None:
-        async with driven("crane", port) as node:
+        async with drive("crane", port) as node:
             await node.transfer("LidNest1", "LidNest2", height_offset=50)
 
     (plate,) = world.stock("crane.LidNest1", "plate")
-    with powered(PlateCraneOnWire, "crane", world, port, pace=2000):
+    with power_on(PlateCraneOnWire, "crane", world, port, pace=2000):
         run(body)
     assert world.at("crane.LidNest2") == [plate]
 
@@ -335,7 +335,7 @@ def test_data_may_come_on_a_later_line(
     monkeypatch.setattr(arm, "_data", late)
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             assert await node.is_idle()
             await node.transfer(STACK[kind], NEST[kind])
 
@@ -355,7 +355,7 @@ def test_a_status_that_is_not_known_is_not_ready(
     )
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             assert not await node.is_idle()
             with pytest.raises(DeviceError, match="not known to mean that it is ready") as told:
                 await node.transfer(STACK[kind], NEST[kind])
@@ -383,7 +383,7 @@ def test_fingers_that_are_open_and_shut_are_not_empty(
     say_both(arm, monkeypatch)
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             assert await node.observe() == {}
             with pytest.raises(DeviceError, match="whether it holds something is not known") as told:
                 await node.transfer(STACK[kind], NEST[kind])
@@ -406,7 +406,7 @@ def test_fingers_that_do_not_tell_what_they_took_do_not_open_again(
     monkeypatch.setattr(world, "grip", grips)
 
     async def body() -> None:
-        async with driven(kind, port) as node:
+        async with drive(kind, port) as node:
             with pytest.raises(DeviceError, match="whether it holds something is not known") as told:
                 await node.transfer(STACK[kind], NEST[kind])
             assert told.value.effects == "unknown"

@@ -16,7 +16,7 @@ from labos_drivers.inheco import Inheco, protocol
 from labos_drivers.inheco import driver as inheco_driver
 from labos_drivers.inheco.wire import InhecoOnWire
 from tests.drivers.conftest import Bench
-from tests.drivers.wires import at_port, powered, run, until
+from tests.drivers.wires import at_port, power_on, run, until
 from tests.integration.link.far import answering
 
 
@@ -32,7 +32,7 @@ def port(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def incubator(world: World, port: Path) -> Iterator[InhecoOnWire]:
-    with powered(InhecoOnWire, "inheco", world, port) as device:
+    with power_on(InhecoOnWire, "inheco", world, port) as device:
         yield device
 
 
@@ -189,7 +189,7 @@ def test_unplugged_in_mid_motion(world: World, port: Path) -> None:
             await node.close_door()
         await node.close()
 
-    with powered(InhecoOnWire, "inheco", world, port, pace=20) as device:
+    with power_on(InhecoOnWire, "inheco", world, port, pace=20) as device:
         run(lambda: body(device))
 
 
@@ -283,7 +283,7 @@ def test_pylabrobots_driver_incubates_and_shakes(
         await stack.stop()
         assert not device.heats
 
-    with powered(InhecoOnWire, "inheco", world, tmp_path / "port", pace=40, started=False) as device:
+    with power_on(InhecoOnWire, "inheco", world, tmp_path / "port", pace=40, started=False) as device:
         device._tells_reset = False  # that driver does not expect it
         run(lambda: body(device.address, device))
     assert [motion.facts for motion in world.motions("shake")] == [{"rpm": 600, "mm": 2.0}]

@@ -13,7 +13,7 @@ from labos.link import PtyEnd
 from labos.node import Setup, World
 from labos_drivers.liconic import Liconic
 from labos_drivers.liconic.wire import LiconicOnWire
-from tests.drivers.wires import powered, run, until
+from tests.drivers.wires import power_on, run, until
 from tests.integration.link.far import answering
 
 
@@ -24,7 +24,7 @@ def port(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def stx(world: World, port: Path) -> Iterator[LiconicOnWire]:
-    with powered(LiconicOnWire, "liconic", world, port) as device:
+    with power_on(LiconicOnWire, "liconic", world, port) as device:
         yield device
 
 
@@ -95,7 +95,7 @@ def test_an_empty_slot_is_an_error_that_stays_until_a_reset(
 
 def test_climate_is_read_and_set_while_a_plate_moves(world: World, port: Path) -> None:
     async def body() -> None:
-        with powered(LiconicOnWire, "liconic", world, port, pace=50) as stx:
+        with power_on(LiconicOnWire, "liconic", world, port, pace=50) as stx:
             node = node_at(port)
             await node.connect()
             world.stock("liconic.exchange", "plate")

@@ -35,7 +35,7 @@ SHIPPED = {
 """Of the drivers that may be at a serial port."""
 
 
-def wired() -> dict[str, type[Wired]]:
+def list_wired() -> dict[str, type[Wired]]:
     """The drivers of real devices, by package."""
     found: dict[str, type[Wired]] = {}
     for package, name in DRIVERS.items():
@@ -45,7 +45,7 @@ def wired() -> dict[str, type[Wired]]:
     return found
 
 
-WIRED = wired()
+WIRED = list_wired()
 
 
 def uses(driver: type[Wired]) -> dict[str, float]:

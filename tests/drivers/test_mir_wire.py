@@ -17,7 +17,7 @@ from labos_drivers.mir import MiR, protocol
 from labos_drivers.mir import driver as mir_driver
 from labos_drivers.mir.wire import MiROnWire
 from tests.drivers.test_ot2_wire import keep_handles
-from tests.drivers.wires import at_port, powered, run, setup_of, until
+from tests.drivers.wires import at_port, power_on, run, setup_of, until
 
 USER, PASSWORD = "labos", "a pass phrase"
 
@@ -31,12 +31,12 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def base(world: World) -> Iterator[MiROnWire]:
-    with powered(MiROnWire, "mir", world, pace=100, user=USER, password=PASSWORD) as device:
+    with power_on(MiROnWire, "mir", world, pace=100, user=USER, password=PASSWORD) as device:
         yield device
 
 
 @asynccontextmanager
-async def driven(base: OnHttp, user: str = USER) -> AsyncIterator[MiR]:
+async def drive(base: OnHttp, user: str = USER) -> AsyncIterator[MiR]:
     config = {"user": user, "password_env": "MIR_PASSWORD"}
     node = at_port(MiR, "mir", base.address, key="url", config=config)
     await node.connect()
@@ -54,7 +54,7 @@ def test_the_authorization_is_a_digest_in_the_passwords_place() -> None:
 def test_it_drives_and_docks(base: MiROnWire, world: World) -> None:
     async def body() -> None:
         handles = keep_handles()
-        async with driven(base) as node:
+        async with drive(base) as node:
             assert await node.observe() == {"position": "charger"}
             await node.move("bench2")
             await node.dock("bio_dock")
@@ -71,7 +71,7 @@ def test_it_drives_and_docks(base: MiROnWire, world: World) -> None:
 
 def test_what_cannot_be_done_is_refused_before_anything_moves(base: MiROnWire) -> None:
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             with pytest.raises(DeviceError, match="no position 'moon' on its map") as told:
                 await node.move("moon")
             base.state = protocol.MANUAL
@@ -88,7 +88,7 @@ def test_what_cannot_be_done_is_refused_before_anything_moves(base: MiROnWire) -
 @pytest.mark.parametrize(("how", "why"), [("fail", "is in error .no way"), ("press_stop", "emergency stop")])
 def test_trouble_on_the_way(base: MiROnWire, world: World, how: str, why: str) -> None:
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             work = asyncio.create_task(node.move("bench2"))
             await until(lambda: base.state == protocol.EXECUTING)
             base.after(0, lambda: base.fail("no way") if how == "fail" else base.press_stop())
@@ -112,7 +112,7 @@ def test_a_robot_that_does_not_know_where_it_is_has_not_arrived(base: MiROnWire,
     here = base._here
 
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             base._here = lambda: (x, 0.0)  # type: ignore[method-assign,return-value,assignment]
             with pytest.raises(Garbled, match="does not tell where the robot is"):
                 await node.observe()
@@ -130,7 +130,7 @@ def test_a_mission_that_was_broken_off_while_it_was_made_gets_its_step(base: MiR
     base.missions["mission-1"] = {"guid": "mission-1", "name": name, "actions": []}
 
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             await node.move("bench1")
             await node.move("bench2")
             await node.move("bench1")
@@ -142,7 +142,7 @@ def test_a_mission_that_was_broken_off_while_it_was_made_gets_its_step(base: MiR
 
 def test_a_stop_gives_the_journey_up(base: MiROnWire, world: World) -> None:
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             work = asyncio.create_task(node.move("bio_dock"))
             await until(lambda: base.state == protocol.EXECUTING)
             await node.stop()
@@ -174,7 +174,7 @@ def test_a_server_error_does_not_tell_whether_it_was_queued(
     monkeypatch.setattr(base, "answer", failing)
 
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             if queued:
                 await node.move("bench1")
                 return
@@ -188,7 +188,7 @@ def test_a_server_error_does_not_tell_whether_it_was_queued(
 
 def test_others_use_the_queue_too(base: MiROnWire, world: World) -> None:
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             await node.move("bench1")
             mission = base.queue[0]["mission_id"]
             headers = {"Authorization": protocol.authorization(USER, PASSWORD)}
@@ -207,11 +207,11 @@ def test_others_use_the_queue_too(base: MiROnWire, world: World) -> None:
 def test_a_journey_is_found_again(base: MiROnWire) -> None:
     async def body() -> None:
         handles = keep_handles()
-        async with driven(base) as node:
+        async with drive(base) as node:
             work = asyncio.create_task(node.move("bio_dock"))
             await until(lambda: base.state == protocol.EXECUTING)
             work.cancel()
-        async with driven(base) as node:
+        async with drive(base) as node:
             await node.take_up("move", handles[0])
             assert await node.observe() == {"position": "bio_dock"}
             with pytest.raises(OutcomeUnknown, match="has no mission"):
@@ -240,7 +240,7 @@ def test_a_lost_answer_queues_nothing_twice(
         return add(body) if reached else Reply(201, {})
 
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             monkeypatch.setattr(base, "_add", once)
             if reached:
                 await node.move("bench1")
@@ -255,7 +255,7 @@ def test_a_lost_answer_queues_nothing_twice(
 
 def test_out_of_reach_for_a_while_and_for_longer(base: MiROnWire, monkeypatch: pytest.MonkeyPatch) -> None:
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             work = asyncio.create_task(node.move("bio_dock"))
             await until(lambda: base.state == protocol.EXECUTING)
             base.end.unplug()
@@ -286,14 +286,14 @@ class Other(OnHttp):
 def test_who_is_no_mir_or_does_not_know_us_is_not_driven(base: MiROnWire, world: World) -> None:
     async def body(other: Other) -> None:
         with pytest.raises(NotConnected, match="does not know this user") as told:
-            async with driven(base, user="nobody"):
+            async with drive(base, user="nobody"):
                 pass
         assert told.value.effects == "none"
         with pytest.raises(WrongDevice, match="Roomba"):
-            async with driven(other):
+            async with drive(other):
                 pass
 
-    with powered(Other, "mir", world) as other:
+    with power_on(Other, "mir", world) as other:
         run(lambda: body(other))
 
 
@@ -307,7 +307,7 @@ def test_who_is_no_mir_or_does_not_know_us_is_not_driven(base: MiROnWire, world:
 )
 def test_spoilt_answers_are_no_answers(base: MiROnWire, spoil: Any, error: type[LinkError]) -> None:
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             base.end.spoil = spoil
             with pytest.raises(error):
                 await node.is_idle()
@@ -334,7 +334,7 @@ def test_a_state_that_is_not_known_is_no_rest(base: MiROnWire, state: int) -> No
     base.state = state
 
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             assert not await node.is_idle()
             with pytest.raises(DeviceError, match="it is not ready") as told:
                 await node.move("bench1")
@@ -349,7 +349,7 @@ def test_a_robot_that_says_nothing_of_errors_is_not_sent_away(base: MiROnWire) -
     base._status = lambda: {k: v for k, v in status().items() if k != "errors"}  # type: ignore[method-assign]
 
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             with pytest.raises(Garbled, match="does not tell whether the robot has errors") as told:
                 await node.move("bench1")
             assert told.value.effects == "none"
@@ -366,7 +366,7 @@ def test_an_answer_without_a_list_does_not_say_that_a_mission_has_no_step(base: 
         return Reply(200, b"") if asks_for_steps else route(question, *parts)
 
     async def body() -> None:
-        async with driven(base) as node:
+        async with drive(base) as node:
             await node.move("bench1")
             base._route = tells_nothing  # type: ignore[method-assign]
             with pytest.raises(Garbled, match="is no list") as told:

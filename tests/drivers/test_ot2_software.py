@@ -16,8 +16,8 @@ from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2 import protocol
 from labos_drivers.ot2.software import VARIABLE, Ran, error_in
 from labos_drivers.ot2.wire import OT2OnWire
-from tests.drivers.test_ot2_wire import driven
-from tests.drivers.wires import powered, run, setup_of, until
+from tests.drivers.test_ot2_wire import drive
+from tests.drivers.wires import power_on, run, setup_of, until
 from tests.support.foreign import opentrons_simulate
 from tests.support.lab_process import Up, labos
 
@@ -44,11 +44,11 @@ WELLS: dict[str, Any] = {"water_volumes": [50.0, 30.0], "destination_wells": ["A
 @pytest.fixture
 def robot(world: World, monkeypatch: pytest.MonkeyPatch) -> Iterator[OT2OnWire]:
     monkeypatch.setattr(ot2_driver, "POLL_S", 0.05)
-    with powered(OT2OnWire, "ot2", world, pace=4000, simulate=opentrons_simulate()) as device:
+    with power_on(OT2OnWire, "ot2", world, pace=4000, simulate=opentrons_simulate()) as device:
         yield device
 
 
-def written(folder: Path, text: str) -> str:
+def write_protocol(folder: Path, text: str) -> str:
     path = folder / "mix.py"
     path.write_text(text)
     return str(path)
@@ -60,8 +60,8 @@ def test_what_the_software_does_is_done_on_the_deck(robot: OT2OnWire, world: Wor
     world.stock("ot2.deck5", "plate")  # which the protocol does not know
 
     async def body() -> None:
-        async with driven(robot) as node:
-            assert (await node.run_protocol(written(tmp_path, MIX), **WELLS))["status"] == "succeeded"
+        async with drive(robot) as node:
+            assert (await node.run_protocol(write_protocol(tmp_path, MIX), **WELLS))["status"] == "succeeded"
 
     run(body)
     (motion,) = world.motions("pipette")
@@ -76,7 +76,7 @@ def test_the_colors_are_run_for_real(robot: OT2OnWire, world: World) -> None:
     world.stock("ot2.deck2", "plate")
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             await node.run_protocol(
                 str(COLORS),
                 color_A_volumes=[20.0, 350.0],
@@ -94,7 +94,7 @@ def test_the_colors_are_run_for_real(robot: OT2OnWire, world: World) -> None:
 @pytest.mark.full
 def test_less_than_a_pipette_takes_is_refused_before_anything_moves(robot: OT2OnWire, world: World) -> None:
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match=r"0.5 uL are less than any pipette here takes") as told:
                 await node.run_protocol(str(COLORS), color_A_volumes=[0.5], destination_wells=["A1"])
             assert told.value.effects == "none"
@@ -108,9 +108,9 @@ def test_a_protocol_that_fails_there_is_refused_with_its_error(
     robot: OT2OnWire, world: World, tmp_path: Path
 ) -> None:
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match=r"UnexpectedTipRemovalError 3005: line 10: Cannot") as told:
-                await node.run_protocol(written(tmp_path, NO_TIP), **WELLS)
+                await node.run_protocol(write_protocol(tmp_path, NO_TIP), **WELLS)
             assert (told.value.effects, told.value.remedy) == ("none", "Correct the protocol.")
 
     run(body)
@@ -129,9 +129,9 @@ def test_one_that_fails_only_when_it_is_played_fails_the_run(
     text = MIX.replace("    plate =", f"    __import__('os').remove({str(once)!r})\n    plate =")
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match=r"failed: FileNotFoundError 4000: line 5: .*once") as told:
-                await node.run_protocol(written(tmp_path, text), **WELLS)
+                await node.run_protocol(write_protocol(tmp_path, text), **WELLS)
             assert told.value.effects == "unknown"
             assert "Look at the deck" in told.value.remedy
             assert await node.is_idle()
@@ -147,9 +147,9 @@ def test_a_stop_ends_the_software_too(robot: OT2OnWire, world: World, tmp_path: 
     endless = f"    import os, time\n    while os.path.exists({str(turn)!r}): time.sleep(0.01)\n    plate ="
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             work = asyncio.create_task(
-                node.run_protocol(written(tmp_path, MIX.replace("    plate =", endless)), **WELLS)
+                node.run_protocol(write_protocol(tmp_path, MIX.replace("    plate =", endless)), **WELLS)
             )
             await until(lambda: bool(robot.runs), 100)
             turn.touch()

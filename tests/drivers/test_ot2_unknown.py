@@ -14,8 +14,8 @@ from labos.node import World
 from labos_drivers._onhttp import Question, Reply
 from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2.wire import OT2OnWire
-from tests.drivers.test_ot2_wire import PROTOCOL, driven, status_of
-from tests.drivers.wires import powered, run, until
+from tests.drivers.test_ot2_wire import PROTOCOL, drive, status_of
+from tests.drivers.wires import power_on, run, until
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def robot(world: World, monkeypatch: pytest.MonkeyPatch) -> Iterator[OT2OnWire]:
     """It lives a few hundred times as fast as a real one."""
     monkeypatch.setattr(ot2_driver, "POLL_S", 0.01)
     world.stock("ot2.deck2", "plate")
-    with powered(OT2OnWire, "ot2", world, pace=300, simulate="") as device:
+    with power_on(OT2OnWire, "ot2", world, pace=300, simulate="") as device:
         yield device
 
 
@@ -52,7 +52,7 @@ def test_a_server_error_is_no_refusal(
     monkeypatch.setattr(robot, "_act", fails)
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             if begins:
                 assert (await node.run_protocol(file))["status"] == "succeeded"
                 return
@@ -82,7 +82,7 @@ def test_a_run_that_begins_while_it_is_given_up_is_seen_through(
     monkeypatch.setattr(robot, "_about_run", late)
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             name = await node.device.prepare(file, {})  # type: ignore[union-attr]
             assert (await node.take_up("run_protocol", name))["status"] == "succeeded"
 
@@ -98,7 +98,7 @@ def test_a_robot_that_cannot_be_asked_tells_nothing(
     monkeypatch.setattr(ot2_driver, "LOST_S", 0.1)
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             name = await node.device.prepare(file, {})  # type: ignore[union-attr]
             robot.end.unplug()
             with pytest.raises(LinkError) as told:
@@ -116,7 +116,7 @@ def test_a_robot_that_restarts_its_server_is_waited_for(robot: OT2OnWire, file: 
         return raw
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             work = asyncio.create_task(node.run_protocol(file))
             await until(lambda: status_of(robot) == "running")
             robot.starting = True
@@ -139,7 +139,7 @@ def test_an_answer_that_names_no_run_does_not_say_that_there_is_none(
         return Reply(200, dict(body)) if question.parts == ("runs",) else route(question)
 
     async def asks() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             assert await node.is_idle()
             monkeypatch.setattr(robot, "_route", odd)
             with pytest.raises(Garbled, match="does not tell which run"):
@@ -162,7 +162,7 @@ def test_a_run_whose_record_is_lost_has_not_succeeded(
     monkeypatch.setattr(robot, "_about_run", loses)
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match="has lost its record of it") as told:
                 await node.run_protocol(file)
             assert told.value.effects == "unknown"
@@ -183,7 +183,7 @@ def test_an_analysis_without_a_result_is_no_leave_to_run(
     monkeypatch.setattr(robot, "_analyse", tells_nothing)
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match="its analysis ended as None") as told:
                 await node.run_protocol(file)
             assert told.value.effects == "none"

@@ -25,8 +25,8 @@ from labos.services.notify.notices import Notice, read_event
 from labos_drivers.ot2 import OT2
 from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2.wire import OT2OnWire
-from tests.drivers.test_ot2_wire import PROTOCOL, driven, keep_handles, status_of
-from tests.drivers.wires import powered, run, until
+from tests.drivers.test_ot2_wire import PROTOCOL, drive, keep_handles, status_of
+from tests.drivers.wires import power_on, run, until
 from tests.integration.adapter.bench import Bench, bench
 from tests.integration.node.bench import LAB
 from tests.integration.ports import free_endpoint
@@ -81,7 +81,7 @@ def test_a_run_that_waits_is_an_error_with_its_reason_and_is_gone_on_with(
         assert (await here.outcome("a1")).succeeded
         await here.idle()
 
-    with powered(OT2OnWire, "ot2", world, pace=400) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=400) as robot:
         on_the_bus(tmp_path, robot, scenario)
 
 
@@ -103,7 +103,7 @@ def test_what_waited_and_was_lost_waits_no_more(
 
     async def body(robot: OT2OnWire) -> None:
         keep_handles()
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             work = asyncio.create_task(node.run_protocol(str(tmp_path / "mix.py")))
             await until(lambda: status_of(robot) == "running")
             robot.after(0, lambda: robot._act(robot.runs[robot.current], "pause"))
@@ -113,7 +113,7 @@ def test_what_waited_and_was_lost_waits_no_more(
                 await work
             assert await node.trouble() == ""
 
-    with powered(OT2OnWire, "ot2", world, pace=400) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=400) as robot:
         run(lambda: body(robot))
 
 
@@ -124,7 +124,7 @@ def test_a_run_that_nobody_follows_waits_for_a_person_too(world: World, tmp_path
 
     async def body(robot: OT2OnWire) -> None:
         keep_handles()
-        async with driven(robot) as first, driven(robot) as second:
+        async with drive(robot) as first, drive(robot) as second:
             work = asyncio.create_task(first.run_protocol(str(tmp_path / "mix.py")))
             await until(lambda: status_of(robot) == "running")
             robot.after(0, robot.open_door)
@@ -138,5 +138,5 @@ def test_a_run_that_nobody_follows_waits_for_a_person_too(world: World, tmp_path
             assert await second.is_idle()
             assert await second.trouble() == ""
 
-    with powered(OT2OnWire, "ot2", world, pace=400) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=400) as robot:
         run(lambda: body(robot))

@@ -21,7 +21,7 @@ from labos_drivers.ot2 import OT2, protocol
 from labos_drivers.ot2 import driver as ot2_driver
 from labos_drivers.ot2.software import VARIABLE
 from labos_drivers.ot2.wire import MOST_PROTOCOLS, Disk, OT2OnWire
-from tests.drivers.wires import at_port, powered, run, setup_of, until
+from tests.drivers.wires import at_port, power_on, run, setup_of, until
 
 PROTOCOL = 'metadata = {"apiLevel": "2.12"}\n\n\ndef run(protocol):\n    print(LABOS["destination_wells"])\n'
 HEADERS = {"Opentrons-Version": "3"}
@@ -36,7 +36,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def robot(world: World) -> Iterator[OT2OnWire]:
-    with powered(OT2OnWire, "ot2", world, pace=4000) as device:
+    with power_on(OT2OnWire, "ot2", world, pace=4000) as device:
         yield device
 
 
@@ -48,7 +48,7 @@ def file(tmp_path: Path) -> str:
 
 
 @asynccontextmanager
-async def driven(robot: OnHttp) -> AsyncIterator[OT2]:
+async def drive(robot: OnHttp) -> AsyncIterator[OT2]:
     node = at_port(OT2, "ot2", robot.address, key="url")
     await node.connect()
     try:
@@ -77,7 +77,7 @@ def test_a_protocol_is_run_with_its_values(robot: OT2OnWire, world: World, file:
 
     async def body() -> None:
         handles = keep_handles()
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             done = await node.run_protocol(
                 file, color_A_volumes=[10.0, 20.0], destination_wells=["A1", "A2"], variables={"reps": 3}
             )
@@ -120,7 +120,7 @@ def test_what_cannot_be_run_is_refused_before_anything_moves(
 
     async def body() -> None:
         handles = keep_handles()
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match=why) as told:
                 await node.run_protocol(str(tmp_path / name), **more)
             assert told.value.effects == "none"
@@ -132,7 +132,7 @@ def test_what_cannot_be_run_is_refused_before_anything_moves(
 
 def test_an_open_door_is_no_start(robot: OT2OnWire, file: str) -> None:
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             robot.door_is_open = True
             with pytest.raises(DeviceError, match="window is currently open") as told:
                 await node.run_protocol(file)
@@ -145,7 +145,7 @@ def test_somebody_else_has_the_robot(world: World, file: str) -> None:
     world.stock("ot2.deck2", "plate")
 
     async def body(robot: OT2OnWire) -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             async with httpx.AsyncClient(base_url=robot.address, headers=HEADERS) as app:
                 files = {"files": ("other.py", PROTOCOL.encode())}
                 assert (await app.post("/protocols", files=files)).status_code == 201
@@ -163,7 +163,7 @@ def test_somebody_else_has_the_robot(world: World, file: str) -> None:
                 assert ended["status"] == "stopped"
             assert await node.is_idle()
 
-    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
 
 
@@ -171,7 +171,7 @@ def test_a_run_that_is_paused_from_outside_goes_on(world: World, file: str) -> N
     world.stock("ot2.deck2", "plate")
 
     async def body(robot: OT2OnWire) -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             work = asyncio.create_task(node.run_protocol(file))
             await until(lambda: status_of(robot) == "running")
             async with httpx.AsyncClient(base_url=robot.address, headers=HEADERS) as app:
@@ -191,7 +191,7 @@ def test_a_run_that_is_paused_from_outside_goes_on(world: World, file: str) -> N
                 await app.post(actions, json={"data": {"actionType": "play"}})
             assert (await work)["status"] == "succeeded"
 
-    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
     assert len(world.motions("pipette")) == 1
 
@@ -200,7 +200,7 @@ def test_a_stop_cancels_the_run(world: World, file: str) -> None:
     world.stock("ot2.deck2", "plate")
 
     async def body(robot: OT2OnWire) -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             work = asyncio.create_task(node.run_protocol(file))
             await until(lambda: status_of(robot) == "running")
             await node.stop()
@@ -212,7 +212,7 @@ def test_a_stop_cancels_the_run(world: World, file: str) -> None:
             await node.reset()
             await node.run_protocol(file)
 
-    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
 
 
@@ -224,7 +224,7 @@ def test_a_failed_run_says_why(robot: OT2OnWire, world: World, file: str, crash:
     why = "pipettes into nothing" if crash else "MotionFailedError 2001: The left pipette has not moved"
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match=why) as told:
                 await node.run_protocol(file)
             assert told.value.effects == "unknown"
@@ -238,11 +238,11 @@ def test_a_run_outlives_its_node(world: World, file: str) -> None:
 
     async def body(robot: OT2OnWire) -> None:
         handles = keep_handles()
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             work = asyncio.create_task(node.run_protocol(file))
             await until(lambda: status_of(robot) == "running")
             work.cancel()
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             assert not await node.is_idle()
             assert (await node.take_up("run_protocol", handles[0]))["status"] == "succeeded"
             with pytest.raises(DeviceError, match="no run was started") as never:
@@ -251,14 +251,14 @@ def test_a_run_outlives_its_node(world: World, file: str) -> None:
             with pytest.raises(OutcomeUnknown):
                 await node.take_up("reset", "")
 
-    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
     assert len(world.motions("pipette")) == 1
 
 
 def test_a_run_that_was_only_prepared_never_begins(robot: OT2OnWire, file: str) -> None:
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             name = await node.device.prepare(file, {})  # type: ignore[union-attr]
             with pytest.raises(DeviceError, match="never started") as told:
                 await node.take_up("run_protocol", name)
@@ -274,14 +274,14 @@ def test_a_robot_that_lost_its_power_does_not_guess(world: World, file: str) -> 
 
     async def first(robot: OT2OnWire) -> str:
         handles = keep_handles()
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             work = asyncio.create_task(node.run_protocol(file))
             await until(lambda: status_of(robot) == "running")
             work.cancel()
         return handles[0]
 
     async def second(robot: OT2OnWire, name: str) -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match="stopped: the robot has lost its record") as told:
                 await node.take_up("run_protocol", name)
             assert told.value.effects == "unknown"
@@ -290,10 +290,10 @@ def test_a_robot_that_lost_its_power_does_not_guess(world: World, file: str) -> 
             await node.reset()
             await node.run_protocol(file)
 
-    with powered(OT2OnWire, "ot2", world, pace=300, disk=disk, end=end) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=300, disk=disk, end=end) as robot:
         name = run(lambda: first(robot))
     end.plug()
-    with powered(OT2OnWire, "ot2", world, pace=4000, disk=disk, end=end) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=4000, disk=disk, end=end) as robot:
         run(lambda: second(robot, name))
 
 
@@ -320,7 +320,7 @@ def test_a_lost_answer_to_play_starts_nothing_twice(
     monkeypatch.setattr(robot, "_act", once)
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             if reached:
                 assert (await node.run_protocol(file))["status"] == "succeeded"
                 return
@@ -338,7 +338,7 @@ def test_the_robot_may_be_out_of_reach_for_a_while(
     world.stock("ot2.deck2", "plate")
 
     async def body(robot: OT2OnWire) -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             work = asyncio.create_task(node.run_protocol(file))
             await until(lambda: status_of(robot) == "running")
             robot.end.unplug()
@@ -357,7 +357,7 @@ def test_the_robot_may_be_out_of_reach_for_a_while(
             assert gone.value.effects == "none"
             robot.end.plug()
 
-    with powered(OT2OnWire, "ot2", world, pace=300) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=300) as robot:
         run(lambda: body(robot))
 
 
@@ -384,7 +384,7 @@ def test_who_is_no_ot2_is_not_driven(world: World, says: Reply, error: type[Devi
             await at_port(OT2, "ot2", device.address, key="url").connect()
         assert told.value.effects == "none"
 
-    with powered(Other, "ot2", world) as device:
+    with power_on(Other, "ot2", world) as device:
         device.says = says
         run(lambda: body(device))
 
@@ -399,7 +399,7 @@ def test_who_is_no_ot2_is_not_driven(world: World, says: Reply, error: type[Devi
 )
 def test_spoilt_answers_are_no_answers(robot: OT2OnWire, spoil: Any, error: type[LinkError]) -> None:
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             robot.end.spoil = spoil
             with pytest.raises(error):
                 await node.is_idle()
@@ -457,7 +457,7 @@ SENT = {
 }
 
 
-def configured(robot: OT2OnWire, **config: Any) -> OT2:
+def configure(robot: OT2OnWire, **config: Any) -> OT2:
     return at_port(OT2, "ot2", robot.address, key="url", config=config)
 
 
@@ -471,7 +471,7 @@ def test_offsets_definitions_and_parameters_reach_the_robot(
 
     async def body() -> None:
         keep_handles()
-        node = configured(robot, labware_offsets=OFFSETS, labware_definitions=[str(folder)])
+        node = configure(robot, labware_offsets=OFFSETS, labware_definitions=[str(folder)])
         await node.connect()
         await node.run_protocol(file, parameters={"dry_run": True})
         await node.close()
@@ -489,7 +489,7 @@ def test_a_robot_that_takes_no_offsets_runs_nothing(robot: OT2OnWire, world: Wor
     robot.takes_offsets = False
 
     async def body() -> None:
-        node = configured(robot, labware_offsets=OFFSETS)
+        node = configure(robot, labware_offsets=OFFSETS)
         await node.connect()
         with pytest.raises(DeviceError, match="has not taken the labware offsets") as told:
             await node.run_protocol(file)
@@ -519,10 +519,10 @@ def test_slips_in_the_configuration_of_the_deck(
 ) -> None:
     async def body() -> None:
         if why is None:
-            await configured(robot, **config).close()
+            await configure(robot, **config).close()
             return
         with pytest.raises(BadInput, match=why):
-            await configured(robot, **config).connect()
+            await configure(robot, **config).connect()
 
     run(body)
 
@@ -534,7 +534,7 @@ def test_a_run_that_waits_for_a_person_says_so_and_is_resumed(world: World, file
 
     async def body(robot: OT2OnWire) -> None:
         keep_handles()
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match="no run waits"):
                 await node.resume_run()
             work = asyncio.create_task(node.run_protocol(file))
@@ -559,7 +559,7 @@ def test_a_run_that_waits_for_a_person_says_so_and_is_resumed(world: World, file
             assert (await work)["status"] == "succeeded"
             assert await node.trouble() == ""
 
-    with powered(OT2OnWire, "ot2", world, pace=400) as robot:
+    with power_on(OT2OnWire, "ot2", world, pace=400) as robot:
         run(lambda: body(robot))
 
 
@@ -579,7 +579,7 @@ def test_an_analysis_that_is_not_ok_is_no_leave_to_run(robot: OT2OnWire, world: 
     robot._analyse = wants_a_value  # type: ignore[method-assign]
 
     async def body() -> None:
-        async with driven(robot) as node:
+        async with drive(robot) as node:
             with pytest.raises(DeviceError, match="parameter-value-required") as told:
                 await node.run_protocol(file)
             assert told.value.effects == "none"

@@ -16,7 +16,7 @@ from labos_drivers.pf400 import PF400, protocol
 from labos_drivers.pf400 import driver as pf400_driver
 from labos_drivers.pf400.wire import PF400OnWire
 from tests.drivers.conftest import Bench
-from tests.drivers.wires import at_port, powered, run
+from tests.drivers.wires import at_port, power_on, run
 
 SEALER = [205.128, -2.814, 264.373, 365.863, 79.144, 411.553]
 PUSHED = (150.0, -20.0, 250.0, 380.0, 130.0, 300.0)
@@ -33,7 +33,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def arm(world: World) -> Iterator[PF400OnWire]:
-    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=400) as device:
+    with power_on(PF400OnWire, "pf400", world, told=TOLD, pace=400) as device:
         yield device
 
 

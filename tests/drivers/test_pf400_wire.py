@@ -19,7 +19,7 @@ from labos_drivers._wired import host_and_port
 from labos_drivers.pf400 import PF400, kinematics, protocol
 from labos_drivers.pf400 import driver as pf400_driver
 from labos_drivers.pf400.wire import PF400OnWire
-from tests.drivers.wires import at_port, powered, run, setup_of, until
+from tests.drivers.wires import at_port, power_on, run, setup_of, until
 
 POSES = {
     "sealer.default": [205.128, -2.814, 264.373, 365.863, 79.144, 411.553],
@@ -43,12 +43,12 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def arm(world: World) -> Iterator[PF400OnWire]:
-    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=400) as device:
+    with power_on(PF400OnWire, "pf400", world, told=TOLD, pace=400) as device:
         yield device
 
 
 @asynccontextmanager
-async def driven(arm: PF400OnWire, **told: Any) -> AsyncIterator[PF400]:
+async def drive(arm: PF400OnWire, **told: Any) -> AsyncIterator[PF400]:
     node = at_port(PF400, "pf400", arm.address, key="host", **{**TOLD, **told})
     await node.connect()
     try:
@@ -71,7 +71,7 @@ def test_a_plate_is_carried(arm: PF400OnWire, world: World, tmp_path: Path) -> N
     (plate,) = world.stock("sealer.default", "plate")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             await node.transfer("sealer.default", "rpl/ot2.positions.deck2")
             assert await node.observe() == {"labware": {"gripper": False}}
             assert await node.is_idle()
@@ -89,7 +89,7 @@ def test_the_grip_is_turned_on_the_way(arm: PF400OnWire, world: World) -> None:
     (plate,) = world.stock("sealer.default", "plate")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             await node.transfer("sealer.default", "ot2.deck2", "narrow", "wide")
 
     run(body)
@@ -108,7 +108,7 @@ def test_the_grip_is_turned_where_the_step_says(arm: PF400OnWire, world: World) 
     world.stock("sealer.default", "plate")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             await node.transfer("sealer.default", "ot2.deck2", "narrow", "wide", rotation_deck="wc.lidnest")
 
     run(body)
@@ -128,7 +128,7 @@ def test_each_labware_type_is_found_where_it_is(world: World) -> None:
     told = {**TOLD, "poses_of": {"deep": TALL}}
 
     async def body(arm: PF400OnWire) -> None:
-        async with driven(arm, **told) as node:
+        async with drive(arm, **told) as node:
             (flat,) = world.stock("sealer.default", "flat")
             await node.transfer("sealer.default", "ot2.deck2", labware_type="flat")
             assert world.at("ot2.deck2") == [flat]
@@ -148,7 +148,7 @@ def test_each_labware_type_is_found_where_it_is(world: World) -> None:
 
     taught = {name: POSES[name] for name in POSES if name not in ("wc.beyond", "wc.ceiling", "wc.short")}
     told["poses"] = taught
-    with powered(PF400OnWire, "pf400", world, told=told, pace=400) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=told, pace=400) as arm:
         run(lambda: body(arm))
     assert world.crashes() == []
     carried = [(m.verb, m.place, m.plate) for m in world.motions() if m.verb in ("grip", "release")]
@@ -161,11 +161,11 @@ def test_a_plate_set_down_by_the_pose_of_another_type_is_dropped(world: World) -
     told = {**TOLD, "poses_of": {"deep": {"ot2.deck2": TALL["ot2.deck2"]}}}
 
     async def body(arm: PF400OnWire) -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="error -3100"):
                 await node.transfer("sealer.default", "ot2.deck2", labware_type="deep")
 
-    with powered(PF400OnWire, "pf400", world, told=told, pace=400) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=told, pace=400) as arm:
         run(lambda: body(arm))
     assert [m.facts["what"] for m in world.crashes()] == ["drops a plate"]
 
@@ -174,7 +174,7 @@ def test_lids_and_waste(arm: PF400OnWire, world: World) -> None:
     world.stock("sealer.default", "plate+lid")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             await node.remove_lid("sealer.default", "wc.lidnest")
             assert world.at("wc.lidnest") == ["lid of plate1"]
             await node.replace_lid("wc.lidnest", "sealer.default")
@@ -202,7 +202,7 @@ def test_what_cannot_be_reached_is_refused_before_anything_moves(
     before = arm.joints
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match=why) as told:
                 await node.transfer("sealer.default", target)
             assert told.value.effects == "none"
@@ -217,7 +217,7 @@ def test_what_cannot_be_reached_is_refused_before_anything_moves(
 
 def test_the_arms_own_limits_are_kept(world: World) -> None:
     async def body(arm: PF400OnWire) -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             # The column of this arm is shorter than the driver knows.
             arm.limits = ((0.0, 180.0), *protocol.LIMITS[1:])
             node.device.link.close()  # type: ignore[union-attr]
@@ -226,13 +226,13 @@ def test_the_arms_own_limits_are_kept(world: World) -> None:
                 await node.transfer("ot2.deck2", "sealer.default")
             assert told.value.effects == "none"
 
-    with powered(PF400OnWire, "pf400", world, told=TOLD) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=TOLD) as arm:
         run(lambda: body(arm))
 
 
 def test_nothing_between_the_fingers_is_told(arm: PF400OnWire, world: World) -> None:
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="nothing came between the fingers") as told:
                 await node.transfer("sealer.default", "ot2.deck2")
             assert told.value.effects == "none"
@@ -248,7 +248,7 @@ def test_what_is_lost_on_the_way_is_not_put_down(arm: PF400OnWire, world: World)
     arm.is_slippery = True
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="lost on its way") as told:
                 await node.transfer("sealer.default", "ot2.deck2")
             assert told.value.effects == "unknown"
@@ -259,7 +259,7 @@ def test_what_is_lost_on_the_way_is_not_put_down(arm: PF400OnWire, world: World)
 
 def test_a_question_that_fails_before_a_motion_has_no_effects(arm: PF400OnWire) -> None:
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             arm._lines.clear()
             arm._profile = lambda words: arm.say(b"noise\r\n")  # type: ignore[method-assign]
             with pytest.raises(Garbled) as told:
@@ -274,7 +274,7 @@ def test_a_stop_halts_the_arm_and_what_it_holds_is_seen(world: World) -> None:
     (plate,) = world.stock("sealer.default", "plate")
 
     async def body(arm: PF400OnWire) -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             work = asyncio.create_task(node.transfer("sealer.default", "ot2.deck2"))
             await until(lambda: bool(world.at("hand:pf400")) and arm.is_in_motion)
             await node.stop()
@@ -295,7 +295,7 @@ def test_a_stop_halts_the_arm_and_what_it_holds_is_seen(world: World) -> None:
             with pytest.raises(DeviceError, match="its hand is empty"):
                 await node.put_down("ot2.deck2")
 
-    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=40) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=TOLD, pace=40) as arm:
         run(lambda: body(arm))
 
 
@@ -304,7 +304,7 @@ def test_a_collision_is_told_and_the_arm_comes_back(arm: PF400OnWire, world: Wor
     world.stock("ot2.deck2", "plate")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="error -3100") as told:
                 await node.transfer("sealer.default", "ot2.deck2")
             assert told.value.effects == "unknown"
@@ -323,7 +323,7 @@ def test_an_emergency_stop_in_mid_motion(world: World) -> None:
     world.stock("sealer.default", "plate")
 
     async def body(arm: PF400OnWire) -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             work = asyncio.create_task(node.transfer("sealer.default", "ot2.deck2"))
             await until(lambda: arm.is_in_motion)
             arm.press_stop()
@@ -336,7 +336,7 @@ def test_an_emergency_stop_in_mid_motion(world: World) -> None:
             await node.reset()
             assert await node.is_idle()
 
-    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=100) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=TOLD, pace=100) as arm:
         run(lambda: body(arm))
 
 
@@ -344,7 +344,7 @@ def test_a_robot_that_was_off_is_started_by_a_reset_only(world: World) -> None:
     taught = {name: POSES[name] for name in ("sealer.default", "ot2.deck2")}
 
     async def body(arm: PF400OnWire) -> None:
-        async with driven(arm, poses=taught) as node:
+        async with drive(arm, poses=taught) as node:
             with pytest.raises(DeviceError, match="its power is off"):
                 await node.explore_workcell()
             assert not arm.powered
@@ -355,7 +355,7 @@ def test_a_robot_that_was_off_is_started_by_a_reset_only(world: World) -> None:
             with pytest.raises(DeviceError, match="out of reach"):
                 await node.explore_workcell()
 
-    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=400, started=False) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=TOLD, pace=400, started=False) as arm:
         run(lambda: body(arm))
 
 
@@ -363,7 +363,7 @@ def test_unplugged_in_mid_motion(world: World) -> None:
     world.stock("sealer.default", "plate")
 
     async def body(arm: PF400OnWire) -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             work = asyncio.create_task(node.transfer("sealer.default", "ot2.deck2"))
             await until(lambda: arm.is_in_motion)
             arm.end.unplug()
@@ -379,14 +379,14 @@ def test_unplugged_in_mid_motion(world: World) -> None:
             await node.reset()
             assert await node.is_idle()
 
-    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=100) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=TOLD, pace=100) as arm:
         run(lambda: body(arm))
 
 
 def test_behind_wait_for_eom_a_halt_is_not_heard(world: World) -> None:
     """What the driver avoids, and why."""
     with (
-        powered(PF400OnWire, "pf400", world, told=TOLD, pace=20) as arm,
+        power_on(PF400OnWire, "pf400", world, told=TOLD, pace=20) as arm,
         socket.create_connection(host_and_port(arm.address, 0)) as line,
     ):
         heard = line.makefile("rb")
@@ -502,7 +502,7 @@ def test_a_hand_that_is_not_seen_open_lets_nothing_go(arm: PF400OnWire, world: W
     arm.set_fingers(width)
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             for work in (lambda: node.transfer("sealer.default", "ot2.deck2"), node.free_mode):
                 with pytest.raises(DeviceError, match="whether its hand is empty") as told:
                     await work()
@@ -520,7 +520,7 @@ def test_a_plate_of_another_width_is_carried(arm: PF400OnWire, world: World, wid
     (plate,) = world.stock("sealer.default", "plate")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow")
             assert await node.observe() == {"labware": {"gripper": False}}
 
@@ -533,7 +533,7 @@ def test_a_plate_as_wide_as_open_fingers_is_let_go_where_it_stood(arm: PF400OnWi
     (plate,) = world.stock("sealer.default", "deep")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="as if they were open") as told:
                 await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow")
             assert told.value.effects == "none"
@@ -545,7 +545,7 @@ def test_a_plate_as_wide_as_open_fingers_is_let_go_where_it_stood(arm: PF400OnWi
             ).connect()
         arm.set_fingers(94.0)
         config = {"grips": {"narrow": {"open": 94}}, "grips_of": deep}
-        async with driven(arm, config=config) as node:
+        async with drive(arm, config=config) as node:
             await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow", labware_type="deep")
 
     run(body)
@@ -558,7 +558,7 @@ def test_after_a_restart_a_person_says_what_the_hand_holds(world: World) -> None
 
     async def body(arm: PF400OnWire) -> None:
         arm.wider_mm = 2.0
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             work = asyncio.create_task(node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow"))
             await until(lambda: bool(world.at("hand:pf400")) and arm.is_in_motion)
             await node.stop()
@@ -568,7 +568,7 @@ def test_after_a_restart_a_person_says_what_the_hand_holds(world: World) -> None
             await node.reset()
             with pytest.raises(DeviceError, match="its hand is full"):
                 await node.open_fingers()
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             assert await node.observe() == {}
             with pytest.raises(DeviceError, match="put_down"):
                 await node.transfer("sealer.default", "ot2.deck2")
@@ -580,7 +580,7 @@ def test_after_a_restart_a_person_says_what_the_hand_holds(world: World) -> None
             await node.open_fingers()
             await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow")
 
-    with powered(PF400OnWire, "pf400", world, told=TOLD, pace=40) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=TOLD, pace=40) as arm:
         run(lambda: body(arm))
     assert world.at("ot2.deck2") == [plate]
     assert world.crashes() == []
@@ -618,14 +618,14 @@ def test_an_arm_without_a_rail_with_a_taller_column_and_another_neutral_pose(wor
 
     async def body(arm: PF400OnWire) -> None:
         arm.joints = (*neutral, 90.0, 0.0)
-        async with driven(arm, **told, config={"neutral": neutral}) as node:
+        async with drive(arm, **told, config={"neutral": neutral}) as node:
             await node.transfer("sealer.default", "ot2.deck2", "narrow", "narrow")
             assert len(await node.read_pose()) == 6
             await node.reset()
         assert arm.joints[:4] == pytest.approx(neutral)
 
     made = {"has_rail": False, "limits": TALL_COLUMN}
-    with powered(PF400OnWire, "pf400", world, told=told, pace=400, **made) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=told, pace=400, **made) as arm:
         run(lambda: body(arm))
     assert world.at("ot2.deck2") == [plate]
     assert world.crashes() == []
@@ -633,7 +633,7 @@ def test_an_arm_without_a_rail_with_a_taller_column_and_another_neutral_pose(wor
 
 def test_a_pose_without_the_rail_is_refused_by_an_arm_on_a_rail(arm: PF400OnWire) -> None:
     async def body() -> None:
-        async with driven(arm, poses={**POSES, "ot2.deck2": FIVE["ot2.deck2"]}) as node:
+        async with drive(arm, poses={**POSES, "ot2.deck2": FIVE["ot2.deck2"]}) as node:
             with pytest.raises(DeviceError, match="taught with 5 joints, not 6") as told:
                 await node.transfer("sealer.default", "ot2.deck2")
             assert told.value.effects == "none"
@@ -653,7 +653,7 @@ def test_a_shelf_is_reached_through_its_approach(world: World, tmp_path: Path, h
         given = {"config": config} if how == "configuration" else {}
         through = {} if given else {"source_approach": "ot2.gate"}
         back = {} if given else {"target_approach": "ot2.gate"}
-        async with driven(arm, **told, **given) as node:
+        async with drive(arm, **told, **given) as node:
             with recording(tmp_path / "talk.txt"):
                 await node.transfer("ot2.deck2", "sealer.default", "wide", "wide", **through)
             assert world.at("sealer.default") == [plate]
@@ -669,7 +669,7 @@ def test_a_shelf_is_reached_through_its_approach(world: World, tmp_path: Path, h
                 with recording(tmp_path / "reset.txt"):
                     await node.reset()
 
-    with powered(PF400OnWire, "pf400", world, told=told, pace=60) as arm:
+    with power_on(PF400OnWire, "pf400", world, told=told, pace=60) as arm:
         run(lambda: body(arm))
     stretched = [moves(path, -40.0) for path in sorted(tmp_path.glob("*.txt"))]
     assert all(stretched), "through the gate"
@@ -685,7 +685,7 @@ def moves(path: Path, shoulder: float) -> list[str]:
 
 def test_a_way_that_was_not_taught_is_refused(arm: PF400OnWire) -> None:
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match=r"the place wc\.gate was not taught") as told:
                 await node.transfer("sealer.default", "ot2.deck2", source_approach="wc.gate")
             assert told.value.effects == "none"

@@ -18,7 +18,7 @@ from labos_drivers.pipette.protocol import Frames
 from labos_drivers.pipette.wire import PipetteOnWire
 from tests.drivers.conftest import Bench, lab_seconds
 from tests.drivers.test_ot2_wire import keep_handles
-from tests.drivers.wires import at_port, powered, run, setup_of, until
+from tests.drivers.wires import at_port, power_on, run, setup_of, until
 from tests.integration.link.far import answering
 
 
@@ -34,7 +34,7 @@ def port(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def pump(world: World, port: Path) -> Iterator[PipetteOnWire]:
-    with powered(PipetteOnWire, "pipette", world, port) as device:
+    with power_on(PipetteOnWire, "pipette", world, port) as device:
         yield device
 
 
@@ -115,7 +115,7 @@ def test_one_with_an_ejector(world: World, port: Path) -> None:
         assert await node.get_volume() == 0.0
         await node.close()
 
-    with powered(PipetteOnWire, "pipette", world, port, told={"config": {"kind": "air_z"}}):
+    with power_on(PipetteOnWire, "pipette", world, port, told={"config": {"kind": "air_z"}}):
         run(body)
     assert len(world.motions("eject")) == 1
 
@@ -170,7 +170,7 @@ def test_a_stop_is_a_stop(world: World, port: Path) -> None:
         await node.aspirate(1.0, speed=100)
         await node.close()
 
-    with powered(PipetteOnWire, "pipette", world, port, pace=6) as device:
+    with power_on(PipetteOnWire, "pipette", world, port, pace=6) as device:
         run(lambda: body(device))
     (_, drawn), _ = strokes(world)
     assert 25 <= drawn < 200
@@ -224,7 +224,7 @@ def test_a_stroke_is_taken_up_again(world: World, port: Path) -> None:
             await again.take_up("aspirate", "")
         await again.close()
 
-    with powered(PipetteOnWire, "pipette", world, port, pace=6) as device:
+    with power_on(PipetteOnWire, "pipette", world, port, pace=6) as device:
         run(lambda: body(device))
     assert strokes(world) == [("aspirate", 200.0)]
 

@@ -15,7 +15,7 @@ from labos.errors import BadInput, DeviceError
 from labos.node import Setup
 from labos.node.mapping import told_by
 from labos.spec import load_workcell, parse_workcell
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.source import plain, read
 from labos_drivers.plc.about import TABLE, describe
 from labos_drivers.plc.driver import PlcDriver
@@ -37,7 +37,7 @@ def test_what_a_module_offers_follows_from_its_mapping(tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text(WORKCELL + "      plc: hatch.yaml\n")
     cell = load_workcell(tmp_path / "lab.yaml", descriptions())
     (module,) = cell.workcell.modules
-    about = described(module, {})
+    about = find_description(module, {})
     assert about is not None
     close = about.action("close")
     assert close is not None

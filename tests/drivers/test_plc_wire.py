@@ -23,7 +23,7 @@ from labos_drivers.plc.interface import HATCH, Plc
 from labos_drivers.plc.torture import stands_closed, stands_open
 from labos_drivers.plc.wire import Hatch, HatchOnLine, HatchOnTcp
 from tests.docs.markdown import ROOT, blocks
-from tests.drivers.wires import powered, run, setup_of, until
+from tests.drivers.wires import power_on, run, setup_of, until
 
 PAGE = ROOT / "docs" / "drivers" / "plc.md"
 PACE = 40.0
@@ -31,13 +31,13 @@ PACE = 40.0
 
 @pytest.fixture(params=[HatchOnTcp, HatchOnLine])
 def hatch(request: pytest.FixtureRequest, world: World) -> Iterator[Hatch]:
-    with powered(request.param, "hatch", world, pace=PACE) as device:
+    with power_on(request.param, "hatch", world, pace=PACE) as device:
         yield device
 
 
 @pytest.fixture
 def on_tcp(world: World) -> Iterator[Hatch]:
-    with powered(HatchOnTcp, "hatch", world, pace=PACE) as device:
+    with power_on(HatchOnTcp, "hatch", world, pace=PACE) as device:
         yield device
 
 
@@ -180,7 +180,7 @@ def test_errors_that_stay_are_trouble_and_end_by_themselves(on_tcp: Hatch, world
     run(body)
 
 
-async def interrupted(node: Plc, device: Hatch, world: World, began: str) -> str:
+async def interrupt(node: Plc, device: Hatch, world: World, began: str) -> str:
     """Begin to close, and die in mid-action; returns what the journal has."""
     handles: list[str] = []
 
@@ -201,7 +201,7 @@ async def interrupted(node: Plc, device: Hatch, world: World, began: str) -> str
 
 def test_a_node_that_was_restarted_sees_the_end_and_writes_nothing(hatch: Hatch, world: World) -> None:
     async def body() -> None:
-        handle = await interrupted(node_at(hatch), hatch, world, "closes")
+        handle = await interrupt(node_at(hatch), hatch, world, "closes")
         again = node_at(hatch)
         await again.connect()
         await again.take_up("close", handle)
@@ -222,9 +222,9 @@ def test_a_plc_that_was_switched_off_meanwhile_knows_nothing(
     on_tcp: Hatch, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def body() -> None:
-        handle = await interrupted(node_at(on_tcp), on_tcp, world, "closes")
+        handle = await interrupt(node_at(on_tcp), on_tcp, world, "closes")
         on_tcp.close()
-        with powered(HatchOnTcp, "hatch", world, pace=PACE) as other:
+        with power_on(HatchOnTcp, "hatch", world, pace=PACE) as other:
             again = node_at(other)
             await again.connect()
             with pytest.raises(OutcomeUnknown, match="started anew meanwhile"):
@@ -250,7 +250,7 @@ def test_without_a_handshake_nobody_knows(on_tcp: Hatch, world: World) -> None:
             told["actions"][action]["start"] = {"point": "number", "value": 7}
         del told["boot"]
         node = node_at(on_tcp, plc=told)
-        handle = await interrupted(node, on_tcp, world, "closes")
+        handle = await interrupt(node, on_tcp, world, "closes")
         again = node_at(on_tcp, plc=told)
         await again.connect()
         with pytest.raises(OutcomeUnknown, match="nothing in the PLC tells this attempt from another"):
@@ -380,12 +380,12 @@ def test_torture_over_a_serial_line() -> None:
 # -- the page ----------------------------------------------------------------------------------
 
 
-def written(language: str) -> list[str]:
+def list_blocks(language: str) -> list[str]:
     return [block.text for block in blocks(PAGE.read_text()) if block.language == language]
 
 
 def test_the_page_is_about_this_plc(on_tcp: Hatch, world: World, tmp_path: Path) -> None:
-    workcell, door = written("yaml")
+    workcell, door = list_blocks("yaml")
     (tmp_path / "lab.yaml").write_text(f"labos: 1\nname: lab\n{workcell}")
     (tmp_path / "door.yaml").write_text(door)
     cell = load_workcell(tmp_path / "lab.yaml", descriptions())
@@ -411,13 +411,13 @@ def test_the_page_is_about_this_plc(on_tcp: Hatch, world: World, tmp_path: Path)
 
 
 def test_the_page_shows_what_is_said_of_a_slip(tmp_path: Path) -> None:
-    door = written("yaml")[1]
+    door = list_blocks("yaml")[1]
     (tmp_path / "door.yaml").write_text(door.replace("done: is_open", "done: is_opened"))
-    (tmp_path / "lab.yaml").write_text(f"labos: 1\nname: lab\n{written('yaml')[0]}")
+    (tmp_path / "lab.yaml").write_text(f"labos: 1\nname: lab\n{list_blocks('yaml')[0]}")
     with pytest.raises(BadInput) as told:
         load_workcell(tmp_path / "lab.yaml", descriptions())
     said = str(told.value).splitlines()[0].removeprefix(f"{tmp_path}/")
-    assert said in [line for text in written("text") for line in text.splitlines()]
+    assert said in [line for text in list_blocks("text") for line in text.splitlines()]
 
 
 def test_the_page_names_every_key() -> None:

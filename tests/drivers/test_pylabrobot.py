@@ -15,7 +15,7 @@ from labos_drivers.a4s_sealer.wire import SealerOnWire
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
 from labos_drivers.liconic.wire import LiconicOnWire
 from labos_drivers.pf400.wire import PF400OnWire
-from tests.drivers.wires import powered
+from tests.drivers.wires import power_on
 
 pytest.importorskip("pylabrobot", reason="PyLabRobot is not installed (it is with the extra `test`)")
 
@@ -33,7 +33,7 @@ def test_its_sealer_driver_seals(world: World, tmp_path: Path) -> None:
         assert done.current_temperature == 170.0
         await sealer.stop()
 
-    with powered(SealerOnWire, "sealer", world, tmp_path / "port", pace=40) as device:
+    with power_on(SealerOnWire, "sealer", world, tmp_path / "port", pace=40) as device:
         (plate,) = world.stock("sealer.default", "plate")
         asyncio.run(body(device.address))
     assert [motion.plate for motion in world.motions("seal")] == [plate]
@@ -60,7 +60,7 @@ def test_its_peeler_driver_looks_and_resets(
         assert (await peeler.reset())[0] == "*ack"
         await peeler.stop()
 
-    with powered(PeelerOnWire, "peeler", world, tmp_path / "port", pace=200) as device:
+    with power_on(PeelerOnWire, "peeler", world, tmp_path / "port", pace=200) as device:
         asyncio.run(body(device.address))
     assert len(world.motions("peel")) == 1
 
@@ -99,7 +99,7 @@ def test_its_arm_driver_homes_moves_halts_and_carries(world: World) -> None:
 
     world.stock("sealer.default", "plate")
     told = {"poses": poses}
-    with powered(PF400OnWire, "pf400", world, told=told, pace=60, started=False) as device:
+    with power_on(PF400OnWire, "pf400", world, told=told, pace=60, started=False) as device:
         assert isinstance(device.end, TcpEnd)
         asyncio.run(body(device.end.host, device.end.port))
         assert not device.powered
@@ -118,7 +118,7 @@ def driving_an_incubator(world: World, port: Path, use: Callable[[Any], Awaitabl
         await use(incubator)
         await incubator.stop()
 
-    with powered(LiconicOnWire, "liconic", world, port, pace=200) as device:
+    with power_on(LiconicOnWire, "liconic", world, port, pace=200) as device:
         asyncio.run(body(device.address))
 
 

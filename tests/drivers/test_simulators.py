@@ -581,7 +581,7 @@ def test_a_camera_reads_what_is_on_the_label(bench: Bench, world: World) -> None
     asyncio.run(body())
 
 
-def shown(taken: Attachment) -> Image.Image:
+def open_picture(taken: Attachment) -> Image.Image:
     assert isinstance(taken.content, bytes)
     return Image.open(io.BytesIO(taken.content)).convert("RGB")
 
@@ -592,7 +592,7 @@ def test_a_camera_shows_what_was_really_pipetted(bench: Bench, world: World) -> 
     async def body() -> None:
         camera = await bench.start(Camera, "camera")
         place = "camera.plate_station"
-        assert is_like(seen(shown(await camera.grab_image("n.png")), "A1"), NEST)
+        assert is_like(find_seen_color(open_picture(await camera.grab_image("n.png")), "A1"), NEST)
         (plate,) = world.stock(place, "plate96")
         world.work("ot2", "pipette", place, volumes={"color_A": [275.0, 0.0]}, wells=["C5", "A1"])
         world.work("ot2", "pipette", place, volumes={"blue": [137.5]}, wells=["H12"])
@@ -600,13 +600,13 @@ def test_a_camera_shows_what_was_really_pipetted(bench: Bench, world: World) -> 
             "C5": (203, 32, 51),
             "H12": (96, 128, 241),
         }
-        image = shown(await camera.grab_image("n.png"))
+        image = open_picture(await camera.grab_image("n.png"))
         for well, color in (("C5", (203, 32, 51)), ("H12", (96, 128, 241)), ("B1", EMPTY_WELL)):
-            assert is_like(seen(image, well), color), well
-        turned = shown(await camera.grab_image("n.png", rotation=90))
+            assert is_like(find_seen_color(image, well), color), well
+        turned = open_picture(await camera.grab_image("n.png", rotation=90))
         assert turned.size == image.size[::-1]
         world.work("sealer", "seal", place)
-        assert is_like(seen(shown(await camera.grab_image("n.png")), "C5"), FOIL)
+        assert is_like(find_seen_color(open_picture(await camera.grab_image("n.png")), "C5"), FOIL)
 
     asyncio.run(body())
 
@@ -637,7 +637,7 @@ def test_a_picture_may_be_bad(trouble: str, world: World) -> None:
     assert ImageStat.Stat(apart.convert("L")).mean[0] > 4
 
 
-def seen(image: Image.Image, well: str) -> tuple[float, ...]:
+def find_seen_color(image: Image.Image, well: str) -> tuple[float, ...]:
     """What is in the picture where the middle of a well should be."""
     x, y = seen_at(centre_of(*well_index(well)), image.size)
     return tuple(ImageStat.Stat(image.crop((round(x) - 2, round(y) - 2, round(x) + 3, round(y) + 3))).mean)

@@ -19,7 +19,7 @@ from labos_drivers.tecan import driver as tecan_driver
 from labos_drivers.tecan.protocol import Calibration, Frames, frame
 from labos_drivers.tecan.simulator import absorbance
 from labos_drivers.tecan.wire import TecanOnWire
-from tests.drivers.wires import at_port, powered, run, setup_of, until
+from tests.drivers.wires import at_port, power_on, run, setup_of, until
 from tests.integration.link.far import answering
 
 PACE = 2000.0
@@ -32,7 +32,7 @@ def port(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def reader(world: World, port: Path) -> Iterator[TecanOnWire]:
-    with powered(TecanOnWire, "tecan", world, port, pace=PACE) as device:
+    with power_on(TecanOnWire, "tecan", world, port, pace=PACE) as device:
         yield device
 
 
@@ -210,7 +210,7 @@ def test_stopped_between_two_rows(world: World, port: Path) -> None:
         await node.close_gate()
         await node.close()
 
-    with powered(TecanOnWire, "tecan", world, port, pace=400):
+    with power_on(TecanOnWire, "tecan", world, port, pace=400):
         run(body)
     assert 0 < len(world.motions("read")) < 100
 
@@ -251,7 +251,7 @@ def test_unplugged_in_mid_scan(world: World, port: Path) -> None:
             await node.open_gate()
         await node.close()
 
-    with powered(TecanOnWire, "tecan", world, port, pace=400) as device:
+    with power_on(TecanOnWire, "tecan", world, port, pace=400) as device:
         run(lambda: body(device))
 
 

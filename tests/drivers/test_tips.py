@@ -27,7 +27,7 @@ def python(body: str, before: str = "") -> bytes:
     return (before + HEAD + "".join(f"    {line}\n" for line in body.strip().split("\n"))).encode()
 
 
-def of_python(body: str, before: str = "") -> tuple[float, str]:
+def count_python_tips(body: str, before: str = "") -> tuple[float, str]:
     found = tips_of("p.py", python(body, before), {"destination_wells": WELLS, "red_volumes": [1.0, 2.0]})
     return found.amount, found.doubt
 
@@ -68,7 +68,7 @@ def of_python(body: str, before: str = "") -> tuple[float, str]:
     ],
 )
 def test_a_protocol_in_python_is_counted(body: str, tips: float) -> None:
-    assert of_python(body, "MANY = False\nWELLS = ('A1', 'B1', 'C1')\n") == (tips, "")
+    assert count_python_tips(body, "MANY = False\nWELLS = ('A1', 'B1', 'C1')\n") == (tips, "")
 
 
 @pytest.mark.parametrize(
@@ -107,12 +107,12 @@ def test_a_protocol_in_python_is_counted(body: str, tips: float) -> None:
     ],
 )
 def test_what_only_the_robot_knows_is_a_doubt(body: str, why: str) -> None:
-    assert why in of_python(body)[1]
+    assert why in count_python_tips(body)[1]
 
 
 def test_a_protocol_in_python_can_say_it_itself() -> None:
     body = "for well in plate.wells():\n    one.pick_up_tip()"
-    assert of_python(body, 'resources = {"tips": 96}\n') == (96, "")
+    assert count_python_tips(body, 'resources = {"tips": 96}\n') == (96, "")
     doubt = tips_of("p.py", python(body), {})
     assert 'resources = {"tips": N}' in doubt.remedy
     assert "no Python" in tips_of("p.py", b"def run(:", {}).doubt
@@ -126,7 +126,7 @@ def test_it_is_read_and_never_run(tmp_path: Path) -> None:
     assert not mark.exists()
 
 
-def of_yaml(commands: str, **args: Any) -> tuple[float, str]:
+def count_yaml_tips(commands: str, **args: Any) -> tuple[float, str]:
     text = (
         "equipment:\n"
         "  - {name: corning_96_wellplate_360ul_flat, location: '2', alias: dest}\n"
@@ -152,7 +152,7 @@ def of_yaml(commands: str, **args: Any) -> tuple[float, str]:
 )
 def test_a_protocol_in_yaml_is_counted_as_the_robot_would_run_it(commands: str, tips: float) -> None:
     told = {"destination_wells": WELLS, "red_volumes": [3.0, 0.0, 4.0]}
-    assert of_yaml(commands, **told) == (tips, "")
+    assert count_yaml_tips(commands, **told) == (tips, "")
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_a_protocol_in_yaml_is_counted_as_the_robot_would_run_it(commands: str, 
     ],
 )
 def test_what_a_protocol_in_yaml_leaves_open_is_a_doubt(commands: str, why: str) -> None:
-    assert why in of_yaml(commands)[1]
+    assert why in count_yaml_tips(commands)[1]
 
 
 NAMED = {"pipettes": {"l": {"name": "p300_multi_gen2", "mount": "left"}}}

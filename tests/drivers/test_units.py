@@ -32,7 +32,7 @@ from labos_drivers.pf400 import PF400
 from labos_drivers.pf400.wire import PF400OnWire
 from labos_drivers.ur import UR
 from labos_drivers.ur.wire import UROnWire
-from tests.drivers.wires import at_port, powered, run, setup_of
+from tests.drivers.wires import at_port, power_on, run, setup_of
 
 DEVICES: list[tuple[Any, Any, str, dict[str, Any]]] = [
     (OT2, OT2OnWire, "url", {}),
@@ -61,7 +61,7 @@ def test_a_swapped_device_is_refused(
         finally:
             await node.close()
 
-    with powered(wire, "it", world) as device:
+    with power_on(wire, "it", world) as device:
         first = device.serial
         run(lambda: connect(device))
         assert read_known_unit(unit) == first
@@ -102,7 +102,7 @@ def test_a_device_tells_its_firmware(
         finally:
             await node.close()
 
-    with powered(wire, "it", world) as device:
+    with power_on(wire, "it", world) as device:
         run(lambda: main(device))
 
 
@@ -121,7 +121,7 @@ def test_a_swapped_drive_is_refused(world: World, tmp_path: Path, monkeypatch: p
 
     for serial in (0, 7001, 7002):
         monkeypatch.setattr(DriveOnSlcan, "serial", serial)
-        with powered(DriveOnSlcan, "stage", world) as device:
+        with power_on(DriveOnSlcan, "stage", world) as device:
             if serial < 7002:
                 run(partial(connect, device))
                 assert unit.exists() == bool(serial)
@@ -150,7 +150,7 @@ def test_a_simulated_device_is_not_bound(world: World, tmp_path: Path) -> None:
 
 
 def test_another_unit_is_accepted_by_a_command(tmp_path: Path) -> None:
-    settings = Settings.of(str(tmp_path))
+    settings = Settings.make(str(tmp_path))
     settings.journals.mkdir()
     settings.journal("rpl/it").touch()
     setup = setup_of("it", None, unit_file=str(settings.unit("rpl/it")))

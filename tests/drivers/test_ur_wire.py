@@ -19,7 +19,7 @@ from labos_drivers._wired import host_and_port
 from labos_drivers.ur import UR, protocol, rtde
 from labos_drivers.ur import driver as ur_driver
 from labos_drivers.ur.wire import UROnWire
-from tests.drivers.wires import at_port, powered, run, setup_of, until
+from tests.drivers.wires import at_port, power_on, run, setup_of, until
 
 PROGRAMS = [
     {"program": "chem2tecan.urp", "source": "chemspeed.default", "target": "tecan.default"},
@@ -38,12 +38,12 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def arm(world: World) -> Iterator[UROnWire]:
-    with powered(UROnWire, "ur5", world, told=TOLD, pace=200) as device:
+    with power_on(UROnWire, "ur5", world, told=TOLD, pace=200) as device:
         yield device
 
 
 @asynccontextmanager
-async def driven(arm: UROnWire, **config: Any) -> AsyncIterator[UR]:
+async def drive(arm: UROnWire, **config: Any) -> AsyncIterator[UR]:
     node = at_port(UR, "ur5", arm.address, key="host", config={**TOLD["config"], **config})
     await node.connect()
     try:
@@ -56,7 +56,7 @@ def test_programs_carry_labware(arm: UROnWire, world: World) -> None:
     plates = world.stock("chemspeed.default", "plate")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             await node.transfer("chemspeed.default", "rpl/tecan.positions.default", "chem2tecan.urp")
             assert world.at("tecan.default") == plates
             assert await node.observe() == {"labware": {"gripper": False}}
@@ -78,13 +78,13 @@ def test_programs_carry_labware(arm: UROnWire, world: World) -> None:
 
 def test_nothing_in_the_hand_is_told(arm: UROnWire) -> None:
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="the gripper holds nothing"):
                 await node.pick("chemspeed.default")
             with pytest.raises(DeviceError, match="its hand is empty") as told:
                 await node.put_down("tecan.default")
             assert told.value.effects == "none"
-        async with driven(arm, gripper="") as blind:
+        async with drive(arm, gripper="") as blind:
             assert await blind.observe() == {}
 
     run(body)
@@ -101,7 +101,7 @@ def test_nothing_in_the_hand_is_told(arm: UROnWire) -> None:
 )
 def test_what_cannot_be_done_now_is_refused(arm: UROnWire, change: dict[str, Any], why: str) -> None:
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             for name, value in change.items():
                 setattr(arm, name, value)
             with pytest.raises(DeviceError, match=why) as told:
@@ -116,7 +116,7 @@ def test_a_cb3_is_driven(arm: UROnWire, world: World) -> None:
     arm.is_cb3 = True
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             await node.run_urp_program("wave.urp")
             arm.safety = "SAFEGUARD_STOP"
             with pytest.raises(DeviceError, match="safetystatus is SAFEGUARD_STOP") as told:
@@ -132,7 +132,7 @@ def test_a_cb3_is_driven(arm: UROnWire, world: World) -> None:
 
 def test_what_is_no_program_is_refused(arm: UROnWire) -> None:
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             for work, why in (
                 (node.run_urp_program("none.urp"), "File not found"),
                 (node.run_urp_program("wave.urp\nshutdown"), "no name of a program"),
@@ -151,7 +151,7 @@ def test_a_stop_stops_the_program(arm: UROnWire, world: World) -> None:
     world.stock("chemspeed.default", "plate")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             work = asyncio.create_task(node.transfer("chemspeed.default", "tecan.default"))
             await until(lambda: bool(world.at("hand:ur5")))
             await node.stop()
@@ -168,7 +168,7 @@ def test_a_stop_stops_the_program(arm: UROnWire, world: World) -> None:
 
 def test_a_transfer_of_nothing_is_told(arm: UROnWire, world: World) -> None:
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="was not seen to hold anything") as nothing:
                 await node.transfer("chemspeed.default", "tecan.default")
             world.stock("chemspeed.default", "plate")
@@ -193,7 +193,7 @@ def test_a_gripper_that_is_lost_at_the_end_leaves_open_what_it_did(arm: UROnWire
     arm._end = ends  # type: ignore[method-assign]
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises((LinkLost, NotConnected)) as told:
                 await node.pick("chemspeed.default")
             assert told.value.effects == "unknown"
@@ -210,7 +210,7 @@ def test_what_is_no_answer_to_play_says_nothing_of_what_moves(
     monkeypatch.setattr(arm, "_answer", lambda line: said.get(line) or answer(line))
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(Garbled, match="does not say whether wave") as noise:
                 await node.run_urp_program("wave.urp")
             said["play"] = "Failed to execute: play"
@@ -223,7 +223,7 @@ def test_what_is_no_answer_to_play_says_nothing_of_what_moves(
 
 def test_a_fault_of_the_safety_system_is_reset(arm: UROnWire) -> None:
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             arm.safety, arm.mode = "FAULT", protocol.OFF
             await node.reset()
             assert (arm.safety, arm.mode) == (protocol.NORMAL, protocol.RUNNING)
@@ -236,7 +236,7 @@ def test_a_collision_is_told_and_unlocked(arm: UROnWire, world: World) -> None:
     world.stock("tecan.default", "plate")
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match=r"PROTECTIVE_STOP in chem2tecan\.urp") as told:
                 await node.transfer("chemspeed.default", "tecan.default")
             assert told.value.effects == "unknown"
@@ -249,7 +249,7 @@ def test_a_collision_is_told_and_unlocked(arm: UROnWire, world: World) -> None:
 
 def test_one_that_is_off_is_started_by_a_reset_only(world: World) -> None:
     async def body(arm: UROnWire) -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="robotmode is POWER_OFF"):
                 await node.run_urp_program("wave.urp")
             await node.reset()
@@ -260,7 +260,7 @@ def test_one_that_is_off_is_started_by_a_reset_only(world: World) -> None:
                 await node.reset()
             assert told.value.effects == "none"
 
-    with powered(UROnWire, "ur5", world, told=TOLD, pace=200, started=False) as arm:
+    with power_on(UROnWire, "ur5", world, told=TOLD, pace=200, started=False) as arm:
         run(lambda: body(arm))
 
 
@@ -268,7 +268,7 @@ def test_unplugged_in_mid_program(arm: UROnWire, world: World) -> None:
     arm._pace = 50.0  # so slow that it is met on its way
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             work = asyncio.create_task(node.run_urp_program("wave.urp"))
             await until(lambda: arm.state == protocol.PLAYING)
             arm.end.unplug()
@@ -290,7 +290,7 @@ def test_garbled_and_late_answers_are_no_answers(arm: UROnWire, monkeypatch: pyt
     answer = arm._answer
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             monkeypatch.setattr(arm, "_answer", lambda line: "Robotmode: RUNNING")  # to another question
             with pytest.raises(Garbled, match="no state of a program"):
                 await node.is_idle()
@@ -325,7 +325,7 @@ def test_who_does_not_greet_is_no_dashboard(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_the_client_of_ur_rtde_drives_it(world: World) -> None:
     dashboard_client = pytest.importorskip("dashboard_client", reason="ur-rtde is not installed")
-    with powered(UROnWire, "ur5", world, told=TOLD, pace=200, started=False) as arm:
+    with power_on(UROnWire, "ur5", world, told=TOLD, pace=200, started=False) as arm:
         host, port = host_and_port(arm.address.partition(",")[0], 0)
         client = dashboard_client.DashboardClient(host, port)
         client.connect()
@@ -376,7 +376,7 @@ def test_the_receiver_of_ur_rtde_reads_its_state(world: World) -> None:
     host = f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250 + 1}.30"
     # It lets no other thread run while it connects.
     command = [sys.executable, "-c", RECEIVER, host]
-    with powered(UROnWire, "ur5", world, told=TOLD, pace=50, data=TcpEnd(host, rtde.PORT)) as arm:
+    with power_on(UROnWire, "ur5", world, told=TOLD, pace=50, data=TcpEnd(host, rtde.PORT)) as arm:
         receiver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         with receiver:
             told = receiver.stderr
@@ -412,7 +412,7 @@ def test_a_pendant_drop(world: World) -> None:
     config = {"config": {**TOLD["config"], "pendant": PENDANT}}
 
     async def body(arm: UROnWire) -> None:
-        async with driven(arm, pendant=PENDANT) as node:
+        async with drive(arm, pendant=PENDANT) as node:
             await node.pick_pipette()
             assert await node.observe() == {"tool": "pipette", "tip": "", "labware": {"gripper": False}}
             for work, why in (
@@ -436,7 +436,7 @@ def test_a_pendant_drop(world: World) -> None:
                 await node.run_droplet()
             assert stuck.value.effects == "none"
 
-    with powered(UROnWire, "ur5", world, told=config, pace=200) as arm:
+    with power_on(UROnWire, "ur5", world, told=config, pace=200) as arm:
         run(lambda: body(arm))
     done = [m.verb for m in world.motions() if m.device == "ur5" and m.verb not in ("enter", "leave", "use")]
     steps = "pick_pipette create_sample place_pipette run_droplet pick_pipette dispose_tip place_pipette"
@@ -449,22 +449,22 @@ def test_what_the_inputs_tell_after_an_action_is_held_against_it(world: World) -
     config = {"config": {**TOLD["config"], "pendant": PENDANT}}
 
     async def body(arm: UROnWire) -> None:
-        async with driven(arm, pendant=PENDANT) as node:
+        async with drive(arm, pendant=PENDANT) as node:
             arm.programs["pick_pipette.urp"] = {"program": "pick_pipette.urp"}  # it misses the pipette
             with pytest.raises(DeviceError, match="its tool is none; after pick_pipette") as told:
                 await node.pick_pipette()
             assert told.value.effects == "unknown"
-        async with driven(arm, rtde=False, pendant=PENDANT) as blind:
+        async with drive(arm, rtde=False, pendant=PENDANT) as blind:
             await blind.pick_pipette()
             assert await blind.observe() == {"labware": {"gripper": False}}
 
-    with powered(UROnWire, "ur5", world, told=config, pace=200) as arm:
+    with power_on(UROnWire, "ur5", world, told=config, pace=200) as arm:
         run(lambda: body(arm))
 
 
 def test_a_gripper_may_tell_by_an_input(arm: UROnWire, world: World) -> None:
     async def body() -> None:
-        async with driven(arm, gripper={"input": 3}) as node:
+        async with drive(arm, gripper={"input": 3}) as node:
             assert await node.observe() == {"labware": {"gripper": False}}
             arm.inputs.add(3)
             while await node.observe() != {"labware": {"gripper": True}}:
@@ -509,7 +509,7 @@ def test_a_gripper_whose_fingers_never_rest_is_not_known_to_be_empty(
     arm.fingers_move = True
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             assert await node.observe() == {}
             for work in (node.transfer("chemspeed.default", "tecan.default"), node.pick("chemspeed.default")):
                 with pytest.raises(DeviceError, match="whether it holds something is not known") as told:
@@ -535,7 +535,7 @@ def test_what_fingers_hold_that_still_move_after_a_program_is_not_known(
     arm._end = ends  # type: ignore[method-assign]
 
     async def body() -> None:
-        async with driven(arm) as node:
+        async with drive(arm) as node:
             with pytest.raises(DeviceError, match="whether it holds something is not known") as told:
                 await node.pick("chemspeed.default")
             assert told.value.effects == "unknown"

@@ -25,7 +25,7 @@ def setup_of(name: str, world: World | None, pace: float = PACE, **told: Any) ->
 
 
 @contextmanager
-def powered(
+def power_on(
     kind: Callable[..., D],
     name: str,
     world: World,

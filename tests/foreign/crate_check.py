@@ -57,7 +57,7 @@ def findings(crate: str, profile: str, cache: str) -> list[str]:
     return [f"{issue.check.identifier} {issue.violatingEntity}: {issue.message}" for issue in issues]
 
 
-def told_of(crate: str) -> dict[str, object]:
+def read_crate(crate: str) -> dict[str, object]:
     """What a reader of crates finds in it."""
     read = ROCrate(crate)
     return {
@@ -73,7 +73,7 @@ def main(cache: str, *wanted: str) -> None:
     answers = []
     for each in wanted:
         crate, _, profile = each.partition("=")
-        answers.append({"wrong": findings(crate, profile, cache), **told_of(crate)})
+        answers.append({"wrong": findings(crate, profile, cache), **read_crate(crate)})
     print(json.dumps(answers))
 
 

@@ -61,7 +61,7 @@ async def own_types(server, space):
     await two.add_reference(method, ua.ObjectIds.HasComponent)
 
 
-async def secured(server, folder):
+async def secure(server, folder):
     """Encrypted, and for one user; the certificate is made anew."""
     await server.set_application_uri("urn:lab.example:shaker")
     await setup_self_signed_certificate(
@@ -92,7 +92,7 @@ async def main():
     server.set_endpoint(f"opc.tcp://127.0.0.1:{sys.argv[1]}/")
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
     if folder:
-        await secured(server, Path(folder))
+        await secure(server, Path(folder))
     space = await server.register_namespace("http://lab.example/shaker")
     shaker = await server.nodes.objects.add_object(ua.NodeId("Shaker", space), "Shaker")
 

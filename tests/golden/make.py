@@ -26,18 +26,26 @@ from labos.store import FolderBlobs, backup, open_store, read_backup, read_segme
 from labos.testing.faults import STORMY
 from labos.testing.lab import Job, SimulatedLab
 from tests.golden.view import lab_view
-from tests.simulation.mixes import colour_picker, compiled_text, dosed_and_read, generated, pcr, stand, timed
+from tests.simulation.mixes import (
+    colour_picker,
+    compile_text,
+    make_dosed_and_read,
+    make_generated,
+    make_timed,
+    pcr,
+    stand,
+)
 from tests.support.lab_process import Up, statuses, until
 
 FOLDER = Path(__file__).parent
 SEED = 11
 
 
-def simulated() -> Iterator[Record]:
+def simulate() -> Iterator[Record]:
     """PCR, colour picker and a generated route on a bad day: faults, restarts, questions, a stop."""
     lab = SimulatedLab(stand(), SEED, STORMY, stops=[("rpl/pf400", 900.0)])
     try:
-        lab.run([pcr("a", "ada"), colour_picker("b", "bo", 2, 300.0), generated("c", "ada", 3, 600.0)])
+        lab.run([pcr("a", "ada"), colour_picker("b", "bo", 2, 300.0), make_generated("c", "ada", 3, 600.0)])
         yield from list(lab.store.records)
     finally:
         lab.close()
@@ -47,11 +55,11 @@ def steps_of_every_kind() -> Iterator[Record]:
     """Steps that are read by later ones, left out, tried again, recovered from and late, on a worse day."""
     rates = structs.replace(STORMY, crash=0.012)
     lab = SimulatedLab(stand(), SEED, rates, stops=[("rpl/sealer", 400.0)])
-    late = timed(2, "ask", "1 s")
+    late = make_timed(2, "ask", "1 s")
     jobs = [
-        *(Job(f"c{n}", "ada", (structs.replace(compiled_text(CAREFUL), user="ada"),)) for n in range(4)),
+        *(Job(f"c{n}", "ada", (structs.replace(compile_text(CAREFUL), user="ada"),)) for n in range(4)),
         Job("late", "bo", (structs.replace(late, user="bo"),)),
-        dosed_and_read("b", "bo", 300.0),
+        make_dosed_and_read("b", "bo", 300.0),
     ]
     try:
         lab.run_for(jobs, 3 * 3600.0)
@@ -112,7 +120,7 @@ def real() -> Iterator[Record]:
             up.start("rpl")
             with up.client() as client:
                 _work(client)
-            assert up.interrupt() == 0, up.said()
+            assert up.interrupt() == 0, up.read_log()
             store = open_store(f"sqlite:///{home / 'labos.db'}", read_only=True)
             backup(store, FolderBlobs(home / "blobs"), Path(folder) / "safe")
             store.close()
@@ -135,7 +143,7 @@ def _work(client: LabClient) -> None:
 
 
 MAKERS: dict[str, Callable[[], Iterator[Record]]] = {
-    "simulated-1": simulated,
+    "simulated-1": simulate,
     "real-1": real,
     "simulated-2": steps_of_every_kind,
 }

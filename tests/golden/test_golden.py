@@ -25,7 +25,7 @@ from labos.ports import Head
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.writer import ThreadWriter
-from labos.store import chained, first_damage, migrate, open_store, read_segment, restore_log
+from labos.store import check_chain, first_damage, migrate, open_store, read_segment, restore_log
 from tests.golden.make import MAKERS, views
 
 FOLDER = Path(__file__).parent
@@ -33,7 +33,7 @@ NAMES = sorted(path.name.removesuffix(".jsonl.gz") for path in FOLDER.glob("*.js
 
 
 def log(name: str) -> list[Record]:
-    return list(chained(read_segment(FOLDER / f"{name}.jsonl.gz")))
+    return list(check_chain(read_segment(FOLDER / f"{name}.jsonl.gz")))
 
 
 def test_every_maker_has_made_its_log() -> None:

@@ -44,7 +44,7 @@ def lab_view(state: LabState) -> dict[str, Any]:
             f"{module} {resource}": _level(state, module, resource)
             for module, spec in ((name, known.spec) for name, known in state.modules.by_name.items())
             for resource in spec.levels
-            if state.resources.of(module, resource) is not None
+            if state.resources.find(module, resource) is not None
         },
         "questions": {name: _question(asked) for name, asked in state.interventions.open.items()},
         "experiments": {
@@ -138,7 +138,7 @@ def _step(step: StepState, read: bool) -> dict[str, Any]:
 
 
 def _level(state: LabState, module: Any, resource: str) -> list[Any]:
-    level = state.resources.of(module, resource)
+    level = state.resources.find(module, resource)
     assert level is not None
     return [level.level, level.capacity, [[lot.name, lot.left, lot.expires] for lot in level.lots]]
 

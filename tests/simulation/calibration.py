@@ -27,7 +27,7 @@ from labos.planning.virtual import VirtualLab
 from labos.services.log import events
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab, Stand
-from tests.simulation.mixes import CELL, NODES, generated, pcr, route, stand
+from tests.simulation.mixes import CELL, NODES, make_generated, pcr, route, stand
 
 SECOND = 1_000_000_000
 PLENTY = 400
@@ -83,7 +83,7 @@ def jobs(count: int, seed: int, *, batches: bool) -> list[Job]:
         if rng.random() < 0.4:
             found.append(pcr(f"j{number}", user, at_s))
         else:
-            found.append(generated(f"j{number}", user, rng.choice(cleared), at_s))
+            found.append(make_generated(f"j{number}", user, rng.choice(cleared), at_s))
     return found
 
 
@@ -264,7 +264,7 @@ def days(count: int, seed: int, *, batches: bool) -> list[Case]:
     return found
 
 
-def known(found: Sequence[Case]) -> list[Case]:
+def list_known(found: Sequence[Case]) -> list[Case]:
     """Those after which nobody submitted anything before they had ended: all was known at their forecast."""
     after = [*found[1:], None]
     return [
@@ -278,13 +278,13 @@ def main(count: int = 200, seed: int = 1) -> None:
     """Print the table and draw the figures."""
     alone = days(count, seed, batches=True)
     busy = days(count, seed, batches=False)
-    (FOLDER / "pictures" / "forecast.svg").write_text(drawing([*known(busy), *known(alone)]))
+    (FOLDER / "pictures" / "forecast.svg").write_text(drawing([*list_known(busy), *list_known(alone)]))
     (FOLDER / "pictures" / "forecast-busy.svg").write_text(drawing(busy))
     scenes = {
         "one by one": busy,
-        "of these: nobody came after": known(busy),
+        "of these: nobody came after": list_known(busy),
         f"in batches of {BATCH}": alone,
-        "of these: the last of a batch": known(alone),
+        "of these: the last of a batch": list_known(alone),
     }
     print(table(scenes))
 

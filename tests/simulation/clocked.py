@@ -271,7 +271,7 @@ class Life:
             if self._ends[name] <= self.lab.now:
                 self.lab.finish(name)
 
-    def breached(self) -> Breached:
+    def find_breached(self) -> Breached:
         found: Breached = {}
         for entry in self.lab.log:
             if isinstance(entry.event, WindowBreached):
@@ -291,7 +291,9 @@ class _Careless(Reservations):
         return None
 
 
-def planned(instance: Instance, stray: float = 0.0, plan_with: Callable[[], Scheduler] = Scheduler) -> Life:
+def run_planned(
+    instance: Instance, stray: float = 0.0, plan_with: Callable[[], Scheduler] = Scheduler
+) -> Life:
     """The orders, carried out by planning. Raises AssertionError if the lab comes to rest before its
     orders have."""
     life = Life(instance, stray)
@@ -303,11 +305,11 @@ def planned(instance: Instance, stray: float = 0.0, plan_with: Callable[[], Sche
         lab.pump()
         at = life.next_time(lab.scheduler.next_deadline(lab.state))
         if at is None:
-            assert not life.names or not list(life._open()), lab.stuck()
+            assert not life.names or not list(life._open()), lab.describe_stuck()
             assert not life._left
             return life
         lab.now = at
-    raise AssertionError(f"the lab does not come to rest: {lab.stuck()}")
+    raise AssertionError(f"the lab does not come to rest: {lab.describe_stuck()}")
 
 
 def one_by_one(instance: Instance) -> Life:
@@ -340,13 +342,13 @@ def one_by_one(instance: Instance) -> Life:
                 waits += [at for at in late if at > lab.now]
         at = life.next_time(min(waits, default=None))
         if at is None:
-            assert not runs, lab.stuck()
+            assert not runs, lab.describe_stuck()
             return life
         lab.now = at
     raise AssertionError("the lab does not come to rest")
 
 
-def judged(seed: int, stray: float = 0.0, plan_with: Callable[[], Scheduler] = Scheduler) -> Told:
+def judge(seed: int, stray: float = 0.0, plan_with: Callable[[], Scheduler] = Scheduler) -> Told:
     """Carry out a seed's instance both ways."""
     instance = Instance(seed)
     windows = sum(
@@ -355,9 +357,9 @@ def judged(seed: int, stray: float = 0.0, plan_with: Callable[[], Scheduler] = S
         for item in order.plan.steps
         for window in item.windows
     )
-    life = planned(instance, stray, plan_with)
-    breached = life.breached()
-    alone = one_by_one(instance).breached()
+    life = run_planned(instance, stray, plan_with)
+    breached = life.find_breached()
+    alone = one_by_one(instance).find_breached()
     avoidable: Breached = {}
     for name in {run for run, _ in breached}:
         late = [key for key in breached if key[0] == name]

@@ -31,8 +31,8 @@ class Corner:
         self, name: str, *steps: str, user: str = "ada", head: str = "", on_cancel: Sequence[str] = ()
     ) -> SubmitRun:
         """A run of steps, each written ``module.action key=value …``."""
-        lines = ["labos: 1", f"name: {name}", *([head] if head else []), "steps:", *_written(steps)]
-        lines += ["on_cancel:", *_written(on_cancel)] if on_cancel else []
+        lines = ["labos: 1", f"name: {name}", *([head] if head else []), "steps:", *_write_steps(steps)]
+        lines += ["on_cancel:", *_write_steps(on_cancel)] if on_cancel else []
         return self.read("\n".join(lines), user)
 
     def read(self, text: str, user: str = "ada") -> SubmitRun:
@@ -56,9 +56,9 @@ class Corner:
 
     def crashes(self, runs: Sequence[SubmitRun], seed: int, limit_s: float = 4 * 3600.0) -> list[str]:
         """What crashes on the bench when the same runs go as far as they can."""
-        return self.mishandled(runs, seed, limit_s)[0]
+        return self.run_anyhow(runs, seed, limit_s)[0]
 
-    def mishandled(
+    def run_anyhow(
         self,
         runs: Sequence[SubmitRun],
         seed: int,
@@ -75,7 +75,7 @@ class Corner:
             lab.close()
 
 
-def _written(steps: Sequence[str]) -> list[str]:
+def _write_steps(steps: Sequence[str]) -> list[str]:
     lines = []
     for number, step in enumerate(steps):
         what, *args = step.split()

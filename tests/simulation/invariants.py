@@ -11,7 +11,7 @@ from labos.core.registry import decode
 from labos.core.state import LabState
 
 
-def folded_again(records: Sequence[Record]) -> LabState:
+def fold_again(records: Sequence[Record]) -> LabState:
     """The state that a log leads to. Each invariant holds wherever a turn of the kernel ended: what it
     decided at once is written at once."""
     state = LabState()

@@ -134,7 +134,7 @@ class Day:
                 f"  - {{name: w{n}, module: {module_of(n)}, action: work, args: {{{given}}}, "
                 "expect: result.value > 0, on_error: ask}"
             )
-        return compiled("\n".join(lines))
+        return compile_run("\n".join(lines))
 
 
 def beside(pieces: int) -> SubmitRun:
@@ -142,10 +142,10 @@ def beside(pieces: int) -> SubmitRun:
     steps = "".join(
         f"  - {{name: w{n}, module: c, action: work, args: {{n: {1000 + n}}}}}\n" for n in range(pieces)
     )
-    return compiled(f"labos: 1\nname: beside\nsteps:\n{steps}")
+    return compile_run(f"labos: 1\nname: beside\nsteps:\n{steps}")
 
 
-def compiled(text: str) -> SubmitRun:
+def compile_run(text: str) -> SubmitRun:
     source = parse_workflow(text, "day.yaml")
     workcell, bench = CORNER.cell.workcell, CORNER.cell.bench
     found = compile_workflow(source, {}, workcell, CORNER.descriptions, simulate=True, bench=bench)
@@ -159,7 +159,7 @@ class Witnessed(SimulatedLab):
     def __init__(self, seed: int, day: Day) -> None:
         super().__init__(CORNER.stand, seed, QUIET)
         self.day = day
-        self.world.told = self.told  # type: ignore[attr-defined]
+        self.world.told = self.note  # type: ignore[attr-defined]
         self.works: list[tuple[str, int, float, float]] = []
         self.spells: list[tuple[str, float, float]] = []
         self.kernel_died = 0.0
@@ -172,7 +172,7 @@ class Witnessed(SimulatedLab):
 
     # -- what the devices tell -----------------------------------------------------------------
 
-    def told(self, what: str, module: str, n: int) -> bool:
+    def note(self, what: str, module: str, n: int) -> bool:
         now = self.loop.time()
         first = n not in self._begun
         if what == "begin":

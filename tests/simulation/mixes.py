@@ -123,7 +123,7 @@ def route(seed: int) -> SubmitRun:
     return SubmitRun(compiled.plan, "nobody")
 
 
-def generated(name: str, user: str, seed: int, after_s: float = 0.0) -> Job:
+def make_generated(name: str, user: str, seed: int, after_s: float = 0.0) -> Job:
     return Job(name, user, (replace(route(seed), user=user),), after_s=after_s)
 
 
@@ -133,7 +133,7 @@ def identical(count: int) -> list[Job]:
 
 
 @cache
-def timed(number: int, on_breach: str = "continue", within: str = "4 min") -> SubmitRun:
+def make_timed(number: int, on_breach: str = "continue", within: str = "4 min") -> SubmitRun:
     """A plate is dosed on a liquid handler and has to be read soon after."""
     handler = ["ot2_pcr_alpha", "ot2_growth_beta", "ot2_cp_gamma"][number % 3]
     place = f"{handler}.deck1_cooler" if handler == "ot2_pcr_alpha" else f"{handler}.deck2"
@@ -151,13 +151,13 @@ steps:
   - {{name: Open, module: hidex, action: open_lid}}
   - {{name: Away, module: pf400, action: transfer, args: {{source: hidex.default, target: wc.trash}}}}
 """
-    return compiled_text(text)
+    return compile_text(text)
 
 
 @cache
 def reading() -> SubmitRun:
     """A plate that is read twice in no hurry: it keeps the reader for more than ten minutes."""
-    return compiled_text("""
+    return compile_text("""
 labos: 1
 name: reading
 steps:
@@ -171,13 +171,13 @@ steps:
 """)
 
 
-def compiled_text(text: str) -> SubmitRun:
+def compile_text(text: str) -> SubmitRun:
     source = parse_workflow(text, "mix.yaml")
     compiled = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=CELL.bench)
     return SubmitRun(compiled.plan, "nobody")
 
 
-def hurried(seed: int, on_breach: str = "continue") -> list[Job]:
+def make_hurried(seed: int, on_breach: str = "continue") -> list[Job]:
     """Plates that have to be read in time, among others that use the same reader and arm."""
     rng = random.Random(f"hurried/{seed}")
     jobs: list[Job] = []
@@ -186,7 +186,7 @@ def hurried(seed: int, on_breach: str = "continue") -> list[Job]:
         kind = rng.random()
         name = f"j{number}"
         if kind < 0.4:
-            run = timed(rng.randrange(3), on_breach)
+            run = make_timed(rng.randrange(3), on_breach)
         elif kind < 0.8:
             run = reading()
         else:
@@ -195,9 +195,9 @@ def hurried(seed: int, on_breach: str = "continue") -> list[Job]:
     return jobs
 
 
-def dosed_and_read(name: str, user: str, after_s: float = 0.0) -> Job:
+def make_dosed_and_read(name: str, user: str, after_s: float = 0.0) -> Job:
     """An experiment whose second run has to read in time what its first one dosed."""
-    dose = compiled_text("""
+    dose = compile_text("""
 labos: 1
 name: dose
 steps:
@@ -205,7 +205,7 @@ steps:
   - {name: In, module: pf400, action: transfer, args: {source: sciclops.exchange, target: ot2_cp_gamma.deck2}}
   - {name: Dose, module: ot2_cp_gamma, action: run_protocol, args: {config_path: p.yaml}}
 """)
-    read = compiled_text("""
+    read = compile_text("""
 labos: 1
 name: read
 steps:
@@ -238,7 +238,7 @@ def mix(seed: int, largest: int = 12) -> list[Job]:
         if kind < 0.4:
             jobs.append(pcr(f"j{number}", user, after))
         elif kind < 0.75:
-            jobs.append(generated(f"j{number}", user, rng.randrange(40), after))
+            jobs.append(make_generated(f"j{number}", user, rng.randrange(40), after))
         else:
             jobs.append(colour_picker(f"j{number}", user, rng.randint(1, 3), after))
     return jobs

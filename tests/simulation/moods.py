@@ -93,7 +93,7 @@ def run(name: str, steps: str, **payload: Any) -> SubmitRun:
     return SubmitRun(compiled.plan, "ada")
 
 
-def sorted_out(here: str, there: str) -> SubmitRun:
+def make_sorted_out(here: str, there: str) -> SubmitRun:
     """Measured here: what is weak is thrown away, what is strong goes there first."""
     weak = "steps.press.result.force < 0.4"
     steps = GET + carry("in", "tower.exchange", f"{here}.nest")

@@ -34,7 +34,7 @@ def causes(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId, s
     """What stops each run: kind, code and a sentence. Empty for one that could go on, or that waits in a
     circle."""
     search = _Search(state, now)
-    return {run.id: search.of(run, set()) for run in runs}
+    return {run.id: search.find_causes(run, set()) for run in runs}
 
 
 class _Search:
@@ -42,7 +42,7 @@ class _Search:
         self.state, self.now = state, now
         self.scheduler = Scheduler()
 
-    def of(self, run: RunState, seen: set[str]) -> set[str]:
+    def find_causes(self, run: RunState, seen: set[str]) -> set[str]:
         """What a run waits for in the end; ``seen`` are those that are being looked at."""
         if run.id in seen:
             return set()
@@ -69,7 +69,7 @@ class _Search:
         cause = obstacle(self.scheduler.safety, self.state, run) if wait.code == "no_way_out" else ""
         for other in self._named((*wait.names, *cause.replace("experiment ", "experiment:").split())):
             if other.id != run.id:
-                found |= self.of(other, seen)
+                found |= self.find_causes(other, seen)
         return found or ({f"way, no_way_out: {cause}"} if cause else set())
 
     def _named(self, words: Iterable[str]) -> list[RunState]:

@@ -20,7 +20,7 @@ PAPER = Path(__file__).parents[1] / "unit/spec/paper"
 PAYLOAD = {"seal": {"time": 3}, "seal.time": 3}
 
 
-def imported() -> tuple[str, str]:
+def import_cell() -> tuple[str, str]:
     """The paper's workcell and PCR in LabOS' own form."""
     flow = read(PAPER / "pcr_demo_wf.yaml", last_wins=True)
     cell = import_spec(
@@ -32,7 +32,7 @@ def imported() -> tuple[str, str]:
 
 @pytest.mark.parametrize("model", ["pf400", "ur5e", "platecrane"])
 def test_only_the_name_is_changed(model: str) -> None:
-    cell_text, flow_text = imported()
+    cell_text, flow_text = import_cell()
     if model != "pf400":
         # Another lab's arm has another name, and nobody told how it grips.
         cell_text = re.sub(r"reach: \{pf400: \[\w+\]\}", "comment: none", cell_text)

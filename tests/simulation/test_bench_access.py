@@ -51,7 +51,7 @@ class Hands(SimulatedLab):
             try:
                 kernel = self.kernel
                 if kernel is not None:
-                    await self._ask(kernel, kernel.written())
+                    await self._ask(kernel, kernel.flush())
                     if holds(kernel.state.lab.access.get(CELL_NAME)):
                         return True
                     if command is not None:
@@ -73,7 +73,7 @@ def hurt(world: World) -> list[str]:
     return found
 
 
-def visited(seed: int, rates: FaultRates) -> tuple[int, list[str]]:
+def run_visit(seed: int, rates: FaultRates) -> tuple[int, list[str]]:
     lab = Hands(stand(), seed, rates)
     try:
         state = lab.run(identical(3))
@@ -88,7 +88,7 @@ def visited(seed: int, rates: FaultRates) -> tuple[int, list[str]]:
 def test_nothing_moves_while_hands_are_inside(rates: FaultRates) -> None:
     granted = 0
     for seed in range(3):
-        visits, touched = visited(seed, rates)
+        visits, touched = run_visit(seed, rates)
         assert touched == [], f"seed {seed}"
         granted += visits
     assert granted > 3
@@ -104,10 +104,10 @@ def test_without_the_rule_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> Non
         return rule(state, run, step) if access is not None and not access.granted else None
 
     monkeypatch.setattr(rules, "no_hands_inside", forgetful)
-    assert any(visited(seed, QUIET)[1] for seed in range(3))
+    assert any(run_visit(seed, QUIET)[1] for seed in range(3))
 
 
 @pytest.mark.slow
 def test_without_waiting_for_what_is_in_flight_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(access, "in_motion", lambda *_: [])
-    assert any(visited(seed, QUIET)[1] for seed in range(3))
+    assert any(run_visit(seed, QUIET)[1] for seed in range(3))

@@ -197,8 +197,8 @@ steps:
             lab.close()
 
 
-def left(state: LabState) -> float | None:
-    return state.resources.left(ModuleName("corner/ot2"), "tips")
+def find_left(state: LabState) -> float | None:
+    return state.resources.find_left(ModuleName("corner/ot2"), "tips")
 
 
 @pytest.mark.parametrize("protocol", FILES)
@@ -207,7 +207,7 @@ def test_what_the_robot_used_is_what_was_counted(protocol: str) -> None:
     assert crashed == []
     assert not state.runs.active
     assert RACKS - really == TIPS[protocol]
-    assert left(state) == really
+    assert find_left(state) == really
 
 
 def test_who_would_run_dry_half_way_waits() -> None:
@@ -215,7 +215,7 @@ def test_who_would_run_dry_half_way_waits() -> None:
         state, crashed, really = Bench(tips_of).live(["loop.py", "mix.yaml", "loop.py"], seed)
         assert crashed == []
         assert len(state.runs.queued) == 1
-        assert left(state) == really
+        assert find_left(state) == really
 
 
 def a_column(name: str, content: bytes, args: Any) -> Count:

@@ -78,7 +78,7 @@ class Stocked(SimulatedLab):
             await self.kernel.execute(fresh, "ada")
 
 
-def glued(seed: int, rates: FaultRates = QUIET) -> tuple[LabState, list[str], int]:
+def run_gluing(seed: int, rates: FaultRates = QUIET) -> tuple[LabState, list[str], int]:
     """The log, what crashed, and how often something was glued."""
     lab = Stocked(CORNER.stand, seed, rates)
     try:
@@ -92,7 +92,7 @@ def glued(seed: int, rates: FaultRates = QUIET) -> tuple[LabState, list[str], in
 @pytest.mark.parametrize("rates", [QUIET, STORMY], ids=["quiet", "stormy"])
 def test_an_old_pack_keeps_runs_waiting_and_the_nozzle_clean(rates: FaultRates) -> None:
     for seed in range(3):
-        _, crashed, doses = glued(seed, rates)
+        _, crashed, doses = run_gluing(seed, rates)
         assert crashed == []
         assert doses == 2 * PACK, f"seed {seed}"
 
@@ -100,7 +100,7 @@ def test_an_old_pack_keeps_runs_waiting_and_the_nozzle_clean(rates: FaultRates) 
 def test_without_the_rule_old_glue_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rules, "in_date", lambda state, run, step, now: None)
     for seed in range(3):
-        assert any(f"takes glue of {OLD}" in what for what in glued(seed)[1]), f"seed {seed}"
+        assert any(f"takes glue of {OLD}" in what for what in run_gluing(seed)[1]), f"seed {seed}"
 
 
 def test_where_the_youngest_pack_is_looked_at_first_old_glue_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,4 +111,4 @@ def test_where_the_youngest_pack_is_looked_at_first_old_glue_is_used(monkeypatch
         return real(Level(level.level, level.capacity, level.lots[::-1]), amount, today)
 
     monkeypatch.setattr(expiry, "first_old", youngest_first)
-    assert any("takes glue of" in what for seed in range(3) for what in glued(seed)[1])
+    assert any("takes glue of" in what for seed in range(3) for what in run_gluing(seed)[1])

@@ -17,7 +17,7 @@ from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab
 from labos.testing.loop import Stalled
 from tests.simulation.corners import jobs
-from tests.simulation.moods import CORNER, GET, carry, crossing, run, sorted_out
+from tests.simulation.moods import CORNER, GET, carry, crossing, make_sorted_out, run
 
 CROSSING = [crossing("p", "q"), crossing("q", "p")] * 3
 
@@ -105,7 +105,7 @@ def test_what_can_be_left_out_is_skipped() -> None:
     assert count["step.skipped"] == count["action.failed"] > 0
 
 
-SORTED = [sorted_out("p", "q"), sorted_out("q", "p")] * 3
+SORTED = [make_sorted_out("p", "q"), make_sorted_out("q", "p")] * 3
 
 
 def test_results_decide_where_plates_go_and_trap_nobody() -> None:

@@ -62,7 +62,7 @@ stock:
 )
 
 
-def weighed(whose: str, source: str, target: str) -> tuple[str, ...]:
+def weigh_steps(whose: str, source: str, target: str) -> tuple[str, ...]:
     return (
         f"ur.transfer source={source} target=scale.pan",
         f"scale.weigh whose={whose}",
@@ -71,8 +71,8 @@ def weighed(whose: str, source: str, target: str) -> tuple[str, ...]:
 
 
 LEAVES = CORNER.run("leaves", "left.get_plate loc=tower1", "ur.transfer source=left.exchange target=wc.a")
-ADA = CORNER.run("ada", *weighed("ada", "wc.a", "wc.b"))
-BO = CORNER.run("bo", *weighed("bo", "wc.a", "wc.trash"), user="bo")
+ADA = CORNER.run("ada", *weigh_steps("ada", "wc.a", "wc.b"))
+BO = CORNER.run("bo", *weigh_steps("bo", "wc.a", "wc.trash"), user="bo")
 A_WHILE_S = 1200.0
 """After which everybody wants the plate."""
 
@@ -94,7 +94,7 @@ class Giving(SimulatedLab):
         await self._insist(HandOver(LabwareId("P1"), Owner("user:bo"), "ada"))
 
 
-def given_over(seed: int, rates: FaultRates = QUIET) -> tuple[set[str], list[str]]:
+def give_over(seed: int, rates: FaultRates = QUIET) -> tuple[set[str], list[str]]:
     """Whose runs came to their end, and what the scale crashed with."""
     lab = Giving(CORNER.stand, seed, rates)
     try:
@@ -108,24 +108,24 @@ def given_over(seed: int, rates: FaultRates = QUIET) -> tuple[set[str], list[str
 @quiet_and_stormy
 def test_what_was_given_is_its_new_owners(rates: FaultRates) -> None:
     for seed in range(3):
-        assert given_over(seed, rates) == ({"leaves", "bo"}, [])
+        assert give_over(seed, rates) == ({"leaves", "bo"}, [])
 
 
 def test_a_word_without_an_event_leaves_the_plate_to_its_giver(monkeypatch: pytest.MonkeyPatch) -> None:
     """Switched off: it is answered as done, and the plate stays whose it was."""
-    mutated(monkeypatch, lambda event: [])
+    mutate(monkeypatch, lambda event: [])
     for seed in range(2):
-        assert given_over(seed)[1] == ["weighs for ada what was given to bo"], f"seed {seed}"
+        assert give_over(seed)[1] == ["weighs for ada what was given to bo"], f"seed {seed}"
 
 
 def test_what_is_given_to_everybody_instead_is_taken_by_the_giver(monkeypatch: pytest.MonkeyPatch) -> None:
     """Switched off: whom it was given to."""
-    mutated(monkeypatch, lambda event: [replace(event, owner=Owner("shared"))])
+    mutate(monkeypatch, lambda event: [replace(event, owner=Owner("shared"))])
     for seed in range(2):
-        assert given_over(seed)[1] == ["weighs for ada what was given to bo"], f"seed {seed}"
+        assert give_over(seed)[1] == ["weighs for ada what was given to bo"], f"seed {seed}"
 
 
-def mutated(
+def mutate(
     monkeypatch: pytest.MonkeyPatch, change: Callable[[LabwareHandedOver], list[LabwareHandedOver]]
 ) -> None:
     real = DECIDERS[HandOver]

@@ -98,7 +98,7 @@ def jobs(seed: int) -> list[Job]:
     ]
 
 
-def lived_through(seed: int, rates: FaultRates) -> LabState:
+def run_lab(seed: int, rates: FaultRates) -> LabState:
     """A lab until nothing goes on any more; nothing crashed, and the log knows where everything stands."""
     lab = SimulatedLab(CORNER.stand, seed, rates, still_s=STILL_S)
     try:
@@ -121,9 +121,9 @@ def lived_through(seed: int, rates: FaultRates) -> LabState:
 )
 def test_nobody_is_inside_for_ever(rates: FaultRates, seeds: range) -> None:
     for seed in seeds:
-        assert not lived_through(seed, rates).runs.active, f"seed {seed}"
+        assert not run_lab(seed, rates).runs.active, f"seed {seed}"
 
 
 def test_who_does_not_look_at_what_runs_need_leaves_somebody_inside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labos.planning.paths._needs", lambda *_: ())
-    assert any(lived_through(seed, QUIET).runs.active for seed in range(8))
+    assert any(run_lab(seed, QUIET).runs.active for seed in range(8))

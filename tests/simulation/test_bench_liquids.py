@@ -38,7 +38,7 @@ RUNS = [MIX] * 4
 """Two of them find what they need."""
 
 
-def lived(seed: int) -> tuple[LabState, list[str], dict[str, float | None]]:
+def run_lab(seed: int) -> tuple[LabState, list[str], dict[str, float | None]]:
     """The log, what crashed, and what is really left."""
     lab = SimulatedLab(CORNER.stand, seed, QUIET)
     try:
@@ -51,12 +51,12 @@ def lived(seed: int) -> tuple[LabState, list[str], dict[str, float | None]]:
 
 def test_who_would_run_out_of_a_liquid_waits() -> None:
     for seed in range(3):
-        state, crashed, left = lived(seed)
+        state, crashed, left = run_lab(seed)
         assert crashed == []
         assert len(state.runs.queued) == 2
         assert left == {"color_A": 20, "color_B": 980, "color_C": None}
         for name, amount in left.items():
-            assert state.resources.left(ModuleName("corner/ot2"), name) == amount
+            assert state.resources.find_left(ModuleName("corner/ot2"), name) == amount
 
 
 def test_where_only_solid_things_are_counted_the_robot_runs_dry(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,4 +68,4 @@ def test_where_only_solid_things_are_counted_the_robot_runs_dry(monkeypatch: pyt
     for place in (binding, rules, stuck):
         monkeypatch.setattr(place, "find_unreserved", solid)
     for seed in range(3):
-        assert "runs out of color_A" in lived(seed)[1], f"seed {seed}"
+        assert "runs out of color_A" in run_lab(seed)[1], f"seed {seed}"

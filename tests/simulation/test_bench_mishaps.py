@@ -89,7 +89,7 @@ def live_through(stand: Stand, seed: int, rates: FaultRates) -> tuple[list[str],
         lab.close()
 
 
-def watched(seeds: range, rates: FaultRates) -> Counter[str]:
+def count_slips(seeds: range, rates: FaultRates) -> Counter[str]:
     """With observers: how often hands slipped, and what was seen of it."""
     total: Counter[str] = Counter()
     for seed in seeds:
@@ -117,7 +117,7 @@ def seeds(request: pytest.FixtureRequest, usual: range) -> range:
 
 @pytest.mark.slow
 def test_what_hands_drop_is_noticed_where_somebody_looks(request: pytest.FixtureRequest) -> None:
-    total = watched(seeds(request, CI_SEEDS), CLUMSY)
+    total = count_slips(seeds(request, CI_SEEDS), CLUMSY)
     print(dict(total))
     assert total["seen"] == total["slips"] > 0
 
@@ -132,7 +132,7 @@ def test_what_hands_drop_is_believed_where_nobody_looks() -> None:
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 def test_two_hundred_clumsy_labs_in_storms(request: pytest.FixtureRequest) -> None:
-    total = watched(seeds(request, ALL_SEEDS), replace(STORMY, mishap=0.08))
+    total = count_slips(seeds(request, ALL_SEEDS), replace(STORMY, mishap=0.08))
     print(dict(total))
     assert total["seen"] > 0
 

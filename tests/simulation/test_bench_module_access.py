@@ -69,7 +69,7 @@ stock:
 )
 
 
-def weighed(side: str, arm: str) -> SubmitRun:
+def make_weighed(side: str, arm: str) -> SubmitRun:
     return CORNER.run(
         f"weighed {side}",
         "balance.tare",
@@ -80,7 +80,7 @@ def weighed(side: str, arm: str) -> SubmitRun:
     )
 
 
-WEIGHED = [weighed("left", "ur"), weighed("right", "ur2")] * 3
+WEIGHED = [make_weighed("left", "ur"), make_weighed("right", "ur2")] * 3
 
 DOSED = CORNER.run(
     "dosed",
@@ -138,7 +138,7 @@ def test_in_a_storm_too() -> None:
         CORNER.live_through(ON_DECK + AT_THE_DOOR + AT_THE_SHELVES, seed, STORMY)
 
 
-def crashed(what: str, words: str) -> bool:
+def has_crashed(what: str, words: str) -> bool:
     """Whether this happens in one of four labs."""
     return any(words in crash for seed in range(4) for crash in CORNER.crashes(ALL[what], seed))
 
@@ -146,7 +146,7 @@ def crashed(what: str, words: str) -> bool:
 def test_without_claims_tips_go_into_somebody_elses_seal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holding, "find_other_claimant", lambda state, name, allowed: "")
     monkeypatch.setattr("labos.planning.moves._claimable", lambda floor, actor, claim: True)
-    assert crashed("deck", "drives its tips into a seal")
+    assert has_crashed("deck", "drives its tips into a seal")
 
 
 @pytest.mark.slow
@@ -154,18 +154,18 @@ def test_without_doors_hands_reach_into_closed_gates(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(binding, "door_open", lambda state, place: None)
     monkeypatch.setattr(holding, "door_left_by", lambda state, name, run: "")
     monkeypatch.setattr("labos.planning.moves._open_to", lambda floor, actor, module: True)
-    assert crashed("door", "reaches into a closed gate")
+    assert has_crashed("door", "reaches into a closed gate")
 
 
 def test_shelves_behind_a_door_are_not_reached_into_as_if_they_stood_apart(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(StationSpec, "stands_apart", StationSpec.is_storage)
-    assert crashed("shelves", "reaches into a closed gate")
+    assert has_crashed("shelves", "reaches into a closed gate")
 
 
 def test_without_holds_somebody_weighs_with_anothers_tare(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holding, "holder_by_plan", lambda state, name, run: "")
     monkeypatch.setattr("labos.planning.moves._may_hold", lambda floor, actor, key, value: True)
     monkeypatch.setattr("labos.planning.moves._holds_alone", lambda actor, holders: True)
-    assert crashed("balance", "weighs with somebody else's tare")
+    assert has_crashed("balance", "weighs with somebody else's tare")

@@ -60,7 +60,7 @@ def test_a_log_that_takes_silence_for_nothing_done_is_wrong(
         return true(state, action, "all" if done == "all" else "none", why)
 
     monkeypatch.setattr(actions, "effect_events", careless)
-    monkeypatch.setattr(Reconciler, "reopened", lambda self: None)
+    monkeypatch.setattr(Reconciler, "on_reopened", lambda self: None)
     assert live_through(motion, "silent after") != []
     assert live_through(motion, "half") != []
 
@@ -84,16 +84,16 @@ def test_variables_and_consumables_after_a_failure(how: str) -> None:
         lab.close()
 
 
-def killed(after_s: float) -> tuple[LabState, Lonely]:
+def kill_in_motion(after_s: float) -> tuple[LabState, Lonely]:
     """The arm's node dies in mid-motion, and nobody is there but the sensors."""
     lab = Lonely(kill="arm", after_s=after_s)
     lab.run_for([job(work(CARRY, "arm.transfer source=wc.b, target=wc.c"))], 3600.0)
-    return lab.folded(), lab
+    return lab.fold_log(), lab
 
 
 @pytest.mark.parametrize("after_s", [1.0, 5.0, 13.0, 17.0, 25.0, 28.0])
 def test_sensors_find_what_an_arm_that_died_was_carrying(after_s: float) -> None:
-    state, lab = killed(after_s)
+    state, lab = kill_in_motion(after_s)
     try:
         unknown = [e for e in events(lab) if isinstance(e, ActionUnknown)]
         assert unknown, "it died in mid-motion"
@@ -115,7 +115,7 @@ def test_sensors_find_what_an_arm_that_died_was_carrying(after_s: float) -> None
 def test_a_lab_that_does_not_look_waits_for_a_person(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: without the ladder the same lab hangs until somebody comes."""
     monkeypatch.setattr(Reconciler, "start", lambda self: None)
-    state, lab = killed(25.0)
+    state, lab = kill_in_motion(25.0)
     try:
         assert "j" not in lab.done_jobs
         assert [q.kind for q in state.interventions.open.values()] == ["unknown_action"]
@@ -127,7 +127,7 @@ def test_a_lab_that_does_not_narrow_waits_for_a_person_too(monkeypatch: pytest.M
     """The mutant: a place seen empty stays a possible one."""
     monkeypatch.setattr(Sight, "empty", lambda self, place: None)
     monkeypatch.setattr(Sight, "stands", lambda self, labware, place: None)
-    _, lab = killed(25.0)
+    _, lab = kill_in_motion(25.0)
     try:
         assert "j" not in lab.done_jobs
     finally:
@@ -145,7 +145,7 @@ def test_a_lab_that_narrows_too_far_believes_what_is_not_so(monkeypatch: pytest.
     monkeypatch.setattr(Sight, "empty", hastily)
     wrong: list[str] = []
     for after_s in (5.0, 13.0, 17.0, 25.0):
-        state, lab = killed(after_s)
+        state, lab = kill_in_motion(after_s)
         try:
             wrong += [line for line in lab.differences(state) if not line.startswith(NAMELESS)]
         finally:

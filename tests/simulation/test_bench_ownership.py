@@ -62,7 +62,7 @@ stock:
 )
 
 
-def weighed(whose: str, source: str, target: str) -> tuple[str, ...]:
+def weigh_steps(whose: str, source: str, target: str) -> tuple[str, ...]:
     return (
         f"ur.transfer source={source} target=scale.pan",
         f"scale.weigh whose={whose}",
@@ -70,12 +70,12 @@ def weighed(whose: str, source: str, target: str) -> tuple[str, ...]:
     )
 
 
-LEAVES = CORNER.run("leaves", "left.get_plate loc=tower1", *weighed("ada", "left.exchange", "wc.a"))
-FETCHES = CORNER.run("fetches", *weighed("ada", "wc.a", "wc.trash"))
-TAKES = CORNER.run("takes", *weighed("bo", "wc.a", "wc.trash"), user="bo")
+LEAVES = CORNER.run("leaves", "left.get_plate loc=tower1", *weigh_steps("ada", "left.exchange", "wc.a"))
+FETCHES = CORNER.run("fetches", *weigh_steps("ada", "wc.a", "wc.trash"))
+TAKES = CORNER.run("takes", *weigh_steps("bo", "wc.a", "wc.trash"), user="bo")
 
 
-def given_over(seed: int) -> tuple[set[str], list[str]]:
+def give_over(seed: int) -> tuple[set[str], list[str]]:
     """Ada leaves a plate between two runs, and somebody else has an eye on it."""
     lab = SimulatedLab(CORNER.stand, seed, QUIET)
     try:
@@ -88,12 +88,12 @@ def given_over(seed: int) -> tuple[set[str], list[str]]:
 
 def test_what_a_run_leaves_is_its_users() -> None:
     for seed in range(2):
-        assert given_over(seed) == ({"ada"}, [])
+        assert give_over(seed) == ({"ada"}, [])
 
 
 def test_what_would_be_everybodys_is_taken_by_somebody_else(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labos.core.decide.endings.user_owner", lambda user: SHARED)
-    assert any("weighs the plate of ada for bo" in given_over(seed)[1] for seed in range(4))
+    assert any("weighs the plate of ada for bo" in give_over(seed)[1] for seed in range(4))
 
 
 PARKS = CORNER.run("parks", "left.get_plate loc=tower1", "ur.transfer source=left.exchange target=wc.a")
@@ -109,7 +109,7 @@ STAYS = CORNER.run(
 )
 
 
-def parked(seed: int, rates: FaultRates = QUIET) -> None:
+def park(seed: int, rates: FaultRates = QUIET) -> None:
     """An experiment whose way out is the gate, and a run that comes to rest in it. Raises Stalled."""
     start = StartExperiment("parks", "ada", CLEARS.plan, parking=(StationName("corner/wc.a"),))
     lab = SimulatedLab(CORNER.stand, seed, rates)
@@ -124,10 +124,10 @@ def parked(seed: int, rates: FaultRates = QUIET) -> None:
 @pytest.mark.parametrize("rates", [QUIET, STORMY], ids=["quiet", "stormy"])
 def test_the_closing_workflow_can_always_be_run(rates: FaultRates) -> None:
     for seed in range(3):
-        parked(seed, rates)
+        park(seed, rates)
 
 
 def test_who_forgets_that_experiments_close_shuts_their_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labos.planning.safety._make_closing", lambda path: ())
     with pytest.raises(Stalled):
-        parked(0)
+        park(0)

@@ -121,7 +121,7 @@ def by_way_of(place: str, side: str, arm: str, *meanwhile: str) -> SubmitRun:
     )
 
 
-def baked(celsius: int, shelf: str, side: str, arm: str) -> SubmitRun:
+def make_baked(celsius: int, shelf: str, side: str, arm: str) -> SubmitRun:
     return CORNER.run(
         f"baked at {celsius}",
         f"{side}.get_plate loc=tower1",
@@ -137,7 +137,7 @@ def baked(celsius: int, shelf: str, side: str, arm: str) -> SubmitRun:
     )
 
 
-def shaken(nest: str, side: str, arm: str) -> SubmitRun:
+def make_shaken(nest: str, side: str, arm: str) -> SubmitRun:
     return CORNER.run(
         f"shaken {nest}",
         f"{side}.get_plate loc=tower1",
@@ -184,9 +184,9 @@ steps:
 THROUGH_A = [by_way_of("wc.a", "left", "ur"), by_way_of("wc.a", "right", "ur2")] * 3
 LATER = ("cycler.close_lid", "cycler.open_lid")
 OVER_THE_PILE = [by_way_of("wc.pile", "left", "ur", *LATER), by_way_of("wc.pile", "right", "ur2")] * 3
-IN_THE_OVEN = [baked(37, "left", "left", "ur"), baked(60, "right", "right", "ur2")] * 2
+IN_THE_OVEN = [make_baked(37, "left", "left", "ur"), make_baked(60, "right", "right", "ur2")] * 2
 
-ON_THE_TRAY = [shaken("near", "left", "ur"), shaken("far", "right", "ur2")] * 3
+ON_THE_TRAY = [make_shaken("near", "left", "ur"), make_shaken("far", "right", "ur2")] * 3
 
 ENDING = {
     "room": THROUGH_A,
@@ -238,7 +238,7 @@ def test_without_room_plates_are_put_on_plates(monkeypatch: pytest.MonkeyPatch) 
     without_room(monkeypatch)
     monkeypatch.setattr(kernel, "find_broken_by", lambda state, events: "")
     for seed in SEEDS:
-        crashes, _ = CORNER.mishandled(THROUGH_A, seed, plan_with=bare_rule)
+        crashes, _ = CORNER.run_anyhow(THROUGH_A, seed, plan_with=bare_rule)
         assert any("puts a plate on a plate" in crash for crash in crashes), f"seed {seed}"
 
 
@@ -255,7 +255,7 @@ def test_nor_would_such_a_batch_be_written(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_with_two_hands_at_a_stack_nobody_knows_what_is_on_top(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding, "check_stack_alone", lambda state, place: None)
-    found = (CORNER.mishandled(OVER_THE_PILE, seed)[1] for seed in range(6))
+    found = (CORNER.run_anyhow(OVER_THE_PILE, seed)[1] for seed in range(6))
     assert any("wc.of_" in wrong for wrongs in found for wrong in wrongs)
 
 
@@ -265,7 +265,7 @@ def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytes
         return next((i for owner in party(run) for i in standing if i.owner == owner and not i.moving), None)
 
     monkeypatch.setattr(binding, "usable_at", anywhere)
-    found = [CORNER.mishandled(OVER_THE_PILE, seed, plan_with=bare_rule)[1] for seed in SEEDS]
+    found = [CORNER.run_anyhow(OVER_THE_PILE, seed, plan_with=bare_rule)[1] for seed in SEEDS]
     assert all(any("wc.of_" in wrong for wrong in wrongs) for wrongs in found), found
 
 
@@ -273,11 +273,11 @@ def test_without_asking_for_seals_tips_go_into_one(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(binding.Start, "value", lambda self, requires: None)
     monkeypatch.setattr("labos.planning.stuck._unlike", lambda state, run: None)
     for seed in SEEDS:
-        crashes, _ = CORNER.mishandled(WAITING["seal"], seed, plan_with=bare_rule)
+        crashes, _ = CORNER.run_anyhow(WAITING["seal"], seed, plan_with=bare_rule)
         assert any("drives its tips into a seal" in crash for crash in crashes), f"seed {seed}"
 
 
-def failed(seed: int) -> int:
+def count_failed(seed: int) -> int:
     """How many of the hasty runs fail: a cycler refuses to cycle under an open lid."""
     lab = SimulatedLab(CORNER.stand, seed, QUIET)
     try:
@@ -288,24 +288,24 @@ def failed(seed: int) -> int:
 
 
 def test_a_cycler_waits_for_its_lid() -> None:
-    assert [failed(seed) for seed in SEEDS] == [0] * len(SEEDS)
+    assert [count_failed(seed) for seed in SEEDS] == [0] * len(SEEDS)
 
 
 def test_without_asking_for_the_lid_the_cycler_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding.Start, "value", lambda self, requires: None)
-    assert all(failed(seed) for seed in SEEDS)
+    assert all(count_failed(seed) for seed in SEEDS)
 
 
 def test_without_types_a_plate_is_crushed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding, "check_accepts", lambda state, what, kind: None)
     for seed in SEEDS:
-        crashes, _ = CORNER.mishandled(WAITING["type"], seed, plan_with=bare_rule)
+        crashes, _ = CORNER.run_anyhow(WAITING["type"], seed, plan_with=bare_rule)
         assert any("crushes a plate" in crash for crash in crashes), f"seed {seed}"
 
 
 def test_without_setpoints_somebody_bakes_too_hot(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding.Start, "setpoint", lambda self, claims: None)
-    found = (CORNER.mishandled(IN_THE_OVEN, seed, plan_with=bare_rule)[0] for seed in range(4))
+    found = (CORNER.run_anyhow(IN_THE_OVEN, seed, plan_with=bare_rule)[0] for seed in range(4))
     assert any("bakes at" in crash for crashes in found for crash in crashes)
 
 
@@ -317,5 +317,5 @@ def test_without_waiting_for_rest_a_tray_shakes_under_a_hand(monkeypatch: pytest
         return None if wait is not None and wait.code == "module_busy" else wait
 
     monkeypatch.setattr(binding, "check_reachable", any_time)
-    found = [CORNER.mishandled(ON_THE_TRAY, seed, plan_with=bare_rule)[0] for seed in SEEDS]
+    found = [CORNER.run_anyhow(ON_THE_TRAY, seed, plan_with=bare_rule)[0] for seed in SEEDS]
     assert all(any("shakes under a hand" in crash for crash in crashes) for crashes in found), found

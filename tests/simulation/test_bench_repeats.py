@@ -74,7 +74,7 @@ class Nobody(SimulatedLab):
         await asyncio.Event().wait()
 
 
-def stamped(fails: str, **more: Any) -> SubmitRun:
+def make_stamped(fails: str, **more: Any) -> SubmitRun:
     """A plate that is stamped; ``more`` is what the plan says of each step beside."""
     run = CORNER.run(
         f"stamped, fails {fails}",
@@ -83,14 +83,14 @@ def stamped(fails: str, **more: Any) -> SubmitRun:
         f"press.stamp fails={fails}",
         "ur.transfer source=press.bed target=wc.trash",
     )
-    return replace(run, plan=replace(run.plan, steps=tuple(map(changed(more), run.plan.steps))))
+    return replace(run, plan=replace(run.plan, steps=tuple(map(change_with(more), run.plan.steps))))
 
 
-def changed(more: dict[str, Any]) -> Callable[[PlanStep], PlanStep]:
+def change_with(more: dict[str, Any]) -> Callable[[PlanStep], PlanStep]:
     return lambda step: replace(step, **more) if step.action in ("stamp", "transfer") else step
 
 
-def lived(run: SubmitRun, lab_of: type[SimulatedLab] = SimulatedLab) -> tuple[list[str], list[str]]:
+def run_lab(run: SubmitRun, lab_of: type[SimulatedLab] = SimulatedLab) -> tuple[list[str], list[str]]:
     """How the run ended, and what crashed."""
     lab = lab_of(CORNER.stand, 0, QUIET)
     try:
@@ -106,30 +106,32 @@ AGAIN = Retry(1, 0.0)
 
 
 def test_what_did_nothing_is_done_again() -> None:
-    assert lived(stamped("before", retry=AGAIN)) == (["run.completed"], [])
+    assert run_lab(make_stamped("before", retry=AGAIN)) == (["run.completed"], [])
 
 
 def test_what_may_have_been_done_is_not_done_again() -> None:
-    assert lived(stamped("after", retry=AGAIN)) == (["run.failed"], [])
+    assert run_lab(make_stamped("after", retry=AGAIN)) == (["run.failed"], [])
 
 
 def test_repeated_whatever_it_did_it_does_it_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(steps, "can_be_repeated", lambda step: True)
-    assert "press stamps a stamped plate" in lived(stamped("after", retry=AGAIN))[1]
+    assert "press stamps a stamped plate" in run_lab(make_stamped("after", retry=AGAIN))[1]
 
 
 def test_what_does_not_end_in_time_is_waited_for() -> None:
     """It counts as unknown; a late word of the node settles it."""
-    ends, crashes = lived(stamped("before", retry=AGAIN, timeout_s=20.0), Nobody)
+    ends, crashes = run_lab(make_stamped("before", retry=AGAIN, timeout_s=20.0), Nobody)
     assert (ends, crashes) == (["run.completed"], [])
 
 
 def test_taken_for_not_done_the_arm_grips_empty_air(monkeypatch: pytest.MonkeyPatch) -> None:
-    def failed(state: LabState, action: Action, why: str) -> list[Event]:
+    def fail(state: LabState, action: Action, why: str) -> list[Event]:
         found = decide(state, FinishAction(action.id, action.attempt, False, "none", error=why), LABOS)
         assert not isinstance(found, Rejection)
         return list(found)
 
-    monkeypatch.setattr(steps, "doubt", failed)
-    ends, crashes = lived(stamped("before", retry=replace(AGAIN, delay_s=60.0), timeout_s=20.0), Nobody)
+    monkeypatch.setattr(steps, "doubt", fail)
+    ends, crashes = run_lab(
+        make_stamped("before", retry=replace(AGAIN, delay_s=60.0), timeout_s=20.0), Nobody
+    )
     assert any("ur grips empty air" in crash for crash in crashes), (ends, crashes)

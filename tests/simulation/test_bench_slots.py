@@ -27,7 +27,7 @@ stock:
 """)
 
 
-def stored(name: str, rounds: int, *end: str) -> SubmitRun:
+def make_stored(name: str, rounds: int, *end: str) -> SubmitRun:
     return CORNER.run(
         name,
         "left.get_plate loc=tower1",
@@ -39,7 +39,7 @@ def stored(name: str, rounds: int, *end: str) -> SubmitRun:
 
 
 OUT = ("incubator.retrieve", "ur.transfer source=incubator.exchange target=wc.trash")
-RUNS = [stored("long", 4, *OUT), stored("short", 1, *OUT), stored("stays", 1)] * 2
+RUNS = [make_stored("long", 4, *OUT), make_stored("short", 1, *OUT), make_stored("stays", 1)] * 2
 
 
 def test_every_plate_comes_back_from_its_own_slot() -> None:
@@ -94,7 +94,7 @@ stock:
 FREE = "  gantry.one: {independent: true}\n  gantry.two: {independent: true}"
 
 
-def worked(*, wide: bool, independent: bool) -> tuple[list[str], int]:
+def run_lab(*, wide: bool, independent: bool) -> tuple[list[str], int]:
     """What crashes when two runs use a slot each, and the most that stood on the deck at work."""
     text = DECK.replace("WIDE", str(wide).lower()).replace("SLOTS", FREE if independent else "")
     corner = Corner(text, Gantry)
@@ -118,10 +118,10 @@ def worked(*, wide: bool, independent: bool) -> tuple[list[str], int]:
 
 
 def test_a_deck_is_one_runs_at_a_time_unless_its_slots_are_independent() -> None:
-    assert worked(wide=True, independent=False) == ([], 1)
-    assert worked(wide=False, independent=True) == ([], 2), "they work side by side"
+    assert run_lab(wide=True, independent=False) == ([], 1)
+    assert run_lab(wide=False, independent=True) == ([], 2), "they work side by side"
 
 
 def test_slots_that_are_not_independent_and_are_taken_to_be() -> None:
-    crashes, _ = worked(wide=True, independent=True)
+    crashes, _ = run_lab(wide=True, independent=True)
     assert "sweeps over somebody else's plate" in crashes

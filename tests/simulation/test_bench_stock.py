@@ -36,7 +36,7 @@ def poor() -> Stand:
     return replace(full, workcell=replace(full.workcell, digest="poor", modules=modules))
 
 
-def left(lab: SimulatedLab, name: str) -> float:
+def find_left(lab: SimulatedLab, name: str) -> float:
     """How much there really is of what the log calls ``module:resource``."""
     module, _, resource = name.rpartition(":")
     return lab.world.left(local(module), resource) or 0.0
@@ -51,9 +51,9 @@ def live(
     try:
         state = lab.run(mix(seed), limit_s=limit_s) if refills else lab.run_for(mix(seed), limit_s)
         too_much = {
-            name: (level.level, left(lab, name))
+            name: (level.level, find_left(lab, name))
             for name, level in state.resources.levels.items()
-            if level.level > left(lab, name)
+            if level.level > find_left(lab, name)
         }
         assert too_much == {}, f"seed {seed}: the log believes in more than there is"
         return state, [motion.facts["what"] for motion in lab.world.crashes()]

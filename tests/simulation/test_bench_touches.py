@@ -16,7 +16,7 @@ PIECES = 8
 """So few that no ink runs out."""
 
 
-def counted(seed: int) -> tuple[dict[str, int], dict[str, int]]:
+def count_touches(seed: int) -> tuple[dict[str, int], dict[str, int]]:
     """How many touches of each kind there were, by the day's own plan, and by the log."""
     day = Day(seed, PIECES, without=("gone", "stopped", "paused", "no kernel"))
     lab = Witnessed(seed, day)
@@ -35,7 +35,7 @@ def counted(seed: int) -> tuple[dict[str, int], dict[str, int]]:
 def test_rescues_and_planned_work_are_counted_as_what_they_were() -> None:
     seen = {"rescued": 0, "planned": 0}
     for seed in range(4):
-        truth, told = counted(seed)
+        truth, told = count_touches(seed)
         assert told == truth, f"seed {seed}"
         seen = {kind: seen[kind] + truth[kind] for kind in seen}
     assert min(seen.values()) > 3
@@ -44,11 +44,11 @@ def test_rescues_and_planned_work_are_counted_as_what_they_were() -> None:
 @pytest.mark.full
 def test_where_every_answer_counts_as_a_rescue_the_account_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(twh, "PlannedWork", SimpleNamespace(KIND="nothing of that kind"))
-    wrong = [seed for seed in range(4) if (found := counted(seed))[0] != found[1]]
+    wrong = [seed for seed in range(4) if (found := count_touches(seed))[0] != found[1]]
     assert wrong
-    assert all(counted(seed)[1]["rescued"] > counted(seed)[0]["rescued"] for seed in wrong)
+    assert all(count_touches(seed)[1]["rescued"] > count_touches(seed)[0]["rescued"] for seed in wrong)
 
 
 def test_where_every_answer_counts_as_planned_the_account_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(twh, "_is_person", lambda actor: False)
-    assert any(told["rescued"] < truth["rescued"] for truth, told in map(counted, range(4)))
+    assert any(told["rescued"] < truth["rescued"] for truth, told in map(count_touches, range(4)))

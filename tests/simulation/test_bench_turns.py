@@ -61,7 +61,7 @@ FETCH = carry("in", "wc.parking", READER) + READ + AWAY
 """A run on its own does not know how its plate was parked."""
 
 
-def compiled(text: str) -> SubmitRun:
+def compile_run(text: str) -> SubmitRun:
     source = parse_workflow(f"labos: 1\nname: turn {len(text)}\nsteps:\n{text}", "turns.yaml")
     found = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=Bench(STOCK))
     return SubmitRun(found.plan, "ada")
@@ -78,7 +78,7 @@ def live_through(seed: int, jobs: list[Job], rates: FaultRates = QUIET) -> tuple
 @pytest.mark.parametrize("rates", [QUIET, STORMY], ids=["quiet", "stormy"])
 def test_the_log_knows_which_way_round_plates_lie(rates: FaultRates) -> None:
     for seed in range(3):
-        jobs = [Job(f"j{n}", "ada", (compiled(TURNED),), after_s=300.0 * n) for n in range(3)]
+        jobs = [Job(f"j{n}", "ada", (compile_run(TURNED),), after_s=300.0 * n) for n in range(3)]
         state, lab = live_through(seed, jobs, rates)
         try:
             assert not state.runs.active
@@ -104,13 +104,13 @@ def test_what_would_lie_the_wrong_way_is_refused_on_paper() -> None:
     assert messages(BY_CAMERA) == []
 
 
-def parked_and_read() -> list[Job]:
-    return [Job("parked", "ada", (compiled(PARK), compiled(FETCH)), StartExperiment("turn", "ada"))]
+def make_parked_and_read() -> list[Job]:
+    return [Job("parked", "ada", (compile_run(PARK), compile_run(FETCH)), StartExperiment("turn", "ada"))]
 
 
 @pytest.mark.slow
 def test_what_is_known_only_then_waits_and_says_why() -> None:
-    state, lab = live_through(0, parked_and_read())
+    state, lab = live_through(0, make_parked_and_read())
     try:
         assert lab.world.crashes() == []
         (run,) = (*state.runs.active.values(), *state.runs.queued.values())
@@ -126,7 +126,7 @@ def test_what_is_known_only_then_waits_and_says_why() -> None:
 
 def test_without_the_rule_plates_are_set_crosswise(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding, "check_rotation", lambda *_: None)
-    _, lab = live_through(0, parked_and_read())
+    _, lab = live_through(0, make_parked_and_read())
     try:
         (crash, *_) = lab.world.crashes()
         assert crash.facts["what"] == "sets a plate crosswise into its nest"

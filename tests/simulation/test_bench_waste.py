@@ -39,12 +39,12 @@ def test_nothing_is_thrown_into_a_full_chute(rates: object) -> None:
 
 
 def test_uncounted_it_overflows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Station, "count", property(_uncounted))
+    monkeypatch.setattr(Station, "count", property(_count_all))
     for seed in range(2):
         crashes = CORNER.crashes(RUNS, seed)
         assert any("throws a plate into a full chute" in crash for crash in crashes), f"seed {seed}"
 
 
-def _uncounted(station: Station) -> int:
+def _count_all(station: Station) -> int:
     kept = 0 if station.spec.kind == "waste" else len(station.labware) + len(station.stock)
     return kept + station.expected

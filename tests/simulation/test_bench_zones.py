@@ -28,7 +28,7 @@ stock:
 """)
 
 
-def carried(side: str, place: str) -> SubmitRun:
+def make_carried(side: str, place: str) -> SubmitRun:
     """A plate from a stack through the middle into the waste."""
     return CORNER.run(
         f"by {side}",
@@ -38,7 +38,7 @@ def carried(side: str, place: str) -> SubmitRun:
     )
 
 
-RUNS = [carried("left", "wc.a"), carried("right", "wc.b")] * 3
+RUNS = [make_carried("left", "wc.a"), make_carried("right", "wc.b")] * 3
 
 
 def test_arms_take_turns_in_a_zone() -> None:
@@ -60,7 +60,7 @@ def test_without_the_rule_they_hit_each_other(monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_device_with_a_zone_of_its_own_is_in_it_whenever_it_acts(monkeypatch: pytest.MonkeyPatch) -> None:
     opened = CORNER.run("open", *["reader.close_lid", "reader.open_lid"] * 4)
-    runs = [carried("left", "wc.a"), opened, carried("left", "wc.a")]
+    runs = [make_carried("left", "wc.a"), opened, make_carried("left", "wc.a")]
     CORNER.live_through(runs, 0)
     monkeypatch.setattr(rules, "zones_free", lambda state, step: None)
     assert any("hits" in crash for crash in CORNER.crashes(runs, 0))

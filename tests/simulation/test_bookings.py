@@ -26,7 +26,7 @@ from labos.core.state import state_hash
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab
 from labos.testing.stand import Meddle
-from tests.simulation.invariants import folded_again
+from tests.simulation.invariants import fold_again
 from tests.simulation.mixes import mix, pcr, stand
 from tests.support.bench import SECOND, Driver, move, plan, sets, small_cell, step, take, workcell
 
@@ -175,7 +175,7 @@ class Day(Driver):
                 takes = int(nominal * SECOND * self.rng.choice([0.5, 1.0, 1.0, 1.0, 3.0]))
                 heapq.heappush(self.ends, (self.now + takes, entry.event.action))  # type: ignore[attr-defined]
         self._seen = len(self.log)
-        assert not self.missed()
+        assert not self.find_missed()
 
     def _look_at(self, name: str, index: int) -> None:
         run = self.state.runs.active[name]  # type: ignore[index]
@@ -226,7 +226,7 @@ def live_through(seed: int, runs: int) -> Day:
                 del day.booked[name]
         day.turn()
         if not day.go_on() and not left:
-            raise AssertionError(f"seed {seed} hangs: {day.stuck()}")
+            raise AssertionError(f"seed {seed} hangs: {day.describe_stuck()}")
         day.turn()
     return day
 
@@ -260,7 +260,7 @@ class Intent(NamedTuple):
     user: str
 
 
-def planned(seed: int) -> list[Intent]:
+def plan_bookings(seed: int) -> list[Intent]:
     """Bookings one after the other, so that none is refused for another."""
     rng = random.Random(f"bookings/{seed}")
     names = [spec.name for spec in stand().workcell.modules]
@@ -273,7 +273,7 @@ def planned(seed: int) -> list[Intent]:
     return found
 
 
-def lived_with_bookings(seed: int, rates: FaultRates) -> int:
+def run_with_bookings(seed: int, rates: FaultRates) -> int:
     """A mix of jobs while bookings come and go; how many began."""
     lab = SimulatedLab(stand(), seed, rates, meddles=[Meddle("j0/0", 0, lambda run: deeds())])
 
@@ -296,19 +296,19 @@ def lived_with_bookings(seed: int, rates: FaultRates) -> int:
                     True,
                 ),
             )
-            for intent in planned(seed)
+            for intent in plan_bookings(seed)
         ]
 
     try:
         state = lab.run([pcr("j0", "ada"), *mix(seed, largest=4)[1:]], limit_s=5 * 86_400.0)
         assert lab.differences(state) == [], f"seed {seed}"
-        assert state_hash(folded_again(lab.store.records)) == state_hash(state)
-        return _held_against_the_log(lab.store.records)
+        assert state_hash(fold_again(lab.store.records)) == state_hash(state)
+        return _check_against_log(lab.store.records)
     finally:
         lab.close()
 
 
-def _held_against_the_log(records: Sequence[Record]) -> int:
+def _check_against_log(records: Sequence[Record]) -> int:
     """Nothing was asked of a module while it was somebody else's; how many bookings began."""
     booked: dict[str, BookingMade] = {}
     users: dict[str, str] = {}
@@ -331,11 +331,11 @@ def _held_against_the_log(records: Sequence[Record]) -> int:
 
 @pytest.mark.slow
 def test_whole_labs_with_bookings_lose_nothing_and_end() -> None:
-    assert lived_with_bookings(1, QUIET) > 0
-    assert lived_with_bookings(2, STORMY) > 0
+    assert run_with_bookings(1, QUIET) > 0
+    assert run_with_bookings(2, STORMY) > 0
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("seed", range(3, 30))
 def test_many_storms_with_bookings(seed: int) -> None:
-    lived_with_bookings(seed, STORMY)
+    run_with_bookings(seed, STORMY)

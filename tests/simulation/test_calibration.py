@@ -10,7 +10,7 @@ from tests.simulation.calibration import (
     days,
     drawing,
     figures,
-    known,
+    list_known,
     log_of,
     misses_with_true_durations,
     table,
@@ -37,4 +37,6 @@ def test_two_hundred_forecasts_hold_what_they_say() -> None:
     ends = figures(found, "ends")
     assert ends.count >= 190
     assert ends.part < 0.05
-    assert figures(known(found), "ends").covered >= 0.7, "where nobody came after, four of five ranges hold"
+    assert figures(list_known(found), "ends").covered >= 0.7, (
+        "where nobody came after, four of five ranges hold"
+    )

@@ -51,7 +51,7 @@ class Facility(SimulatedLab):
             visibility="private" if job.name == "one" else "lab",
         )
         await self._insist(submit, lambda state: job.name in state.campaigns.requests)
-        name = self.folded().campaigns.requests[job.name]
+        name = self.fold_log().campaigns.requests[job.name]
         await self._until(lambda state: name not in state.campaigns.open)
         self.done_jobs.add(job.name)
 

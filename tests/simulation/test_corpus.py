@@ -17,7 +17,7 @@ from labos.core.ids import local
 from labos.core.model import Arg
 from labos.errors import SpecError
 from labos.spec import Compiled, CompiledWorkcell, SpecErrors, compile_workcell, compile_workflow
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.dialects import find_kind
 from labos.spec.references import keys_in
 from labos.spec.source import Source, read
@@ -71,7 +71,7 @@ def cases() -> list[Case]:
     return [found[file] for file in sorted(found)]
 
 
-def compiled(case: Case) -> tuple[CompiledWorkcell, Compiled, dict[str, Any]]:
+def compile_case(case: Case) -> tuple[CompiledWorkcell, Compiled, dict[str, Any]]:
     """Raises SpecErrors."""
     cell = compile_workcell(case.cell, DESCRIPTIONS, uses=read_uses([case.flow]))
     payload = payload_for(case.flow, cell)
@@ -87,7 +87,7 @@ def payload_for(flow: Source, cell: CompiledWorkcell) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for step in file.steps:
         module = modules.get(step.module)
-        offers = described(module, DESCRIPTIONS) if module is not None else None
+        offers = find_description(module, DESCRIPTIONS) if module is not None else None
         action = offers.action(step.action) if offers is not None else None
         for name, value in step.args.items():
             arg = names_of(action).get(name) if action is not None else None
@@ -119,7 +119,7 @@ def fitting(arg: Arg | None, key: str) -> Any:
 def run(case: Case) -> str:
     """What happened: ``ran``, or why not."""
     try:
-        cell, plan, payload = compiled(case)
+        cell, plan, payload = compile_case(case)
     except SpecErrors as errors:
         texts = " ".join(f.message for f in errors.findings if f.severity == "error")
         return next((why for why in REFUSED if why in texts), texts)

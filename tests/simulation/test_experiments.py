@@ -26,23 +26,23 @@ class Silent(SimulatedLab):
         request = f"{job.name}/experiment"
         start = replace(job.experiment, request=request)
         await self._insist(start, lambda state: request in state.experiments.requests)
-        name = self.folded().experiments.requests[request]
+        name = self.fold_log().experiments.requests[request]
         for number, run in enumerate(job.runs):
             key = f"{job.name}/{number}"
             await self._insist(
                 replace(run, request=key, experiment=name),
                 lambda state, key=key: key in state.runs.requests,  # type: ignore[misc]
             )
-            run_id = self.folded().runs.requests[key]
+            run_id = self.fold_log().runs.requests[key]
             await self._until(lambda state, run_id=run_id: state.runs.get(run_id) is None)  # type: ignore[misc]
         lost = LoseExperiment(ExperimentId(name), "no sign of life")
-        await self._insist(lost, lambda state: asked_or_over(state, name))
+        await self._insist(lost, lambda state: is_asked_or_over(state, name))
         await self._until(lambda state: name not in state.experiments.open)
         self.done_jobs.add(job.name)
         return None
 
 
-def asked_or_over(state: LabState, name: ExperimentId) -> bool:
+def is_asked_or_over(state: LabState, name: ExperimentId) -> bool:
     found = state.experiments.open.get(name)
     return found is None or found.status != "open" or state.interventions.about(name) is not None
 
@@ -71,7 +71,7 @@ def test_silent_applications_are_closed_and_cleared_away(rates: FaultRates) -> N
     assert closed > 0
 
 
-def left_standing(seed: int) -> list[str]:
+def find_left_standing(seed: int) -> list[str]:
     """Experiments that still have plates on the bench long after their applications fell silent."""
     lab = Silent(stand(), seed, QUIET)
     try:
@@ -84,6 +84,6 @@ def left_standing(seed: int) -> list[str]:
 
 @pytest.mark.slow
 def test_unheard_of_silence_leaves_plates_in_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [left_standing(seed) for seed in range(2)] == [[], []]
+    assert [find_left_standing(seed) for seed in range(2)] == [[], []]
     monkeypatch.setitem(DECIDERS, LoseExperiment, lambda state, command: [])
-    assert all(left_standing(seed) for seed in range(2))
+    assert all(find_left_standing(seed) for seed in range(2))

@@ -42,7 +42,7 @@ KINDS = {
 LONG_ENOUGH_S = 2 * 3600.0
 
 
-def told_and_done(
+def compare_inventories(
     corner: Corner, kinds: list[str], seed: int
 ) -> tuple[Inventory, LabState, dict[str, set[str]]]:
     """What the inventory said when everything was queued; the state when nothing went on any more;
@@ -94,7 +94,7 @@ def first_short(found: Inventory) -> tuple[str, set[str]]:
 def test_the_run_that_is_told_to_find_too_little_does(seed: int) -> None:
     rng = random.Random(seed)
     corner = Corner(CORNER.format(foil=rng.randint(2, 6), tape=rng.randint(1, 4), plates=rng.randint(2, 6)))
-    found, end, waits = told_and_done(corner, [rng.choice(list(KINDS)) for _ in range(6)], seed)
+    found, end, waits = compare_inventories(corner, [rng.choice(list(KINDS)) for _ in range(6)], seed)
     run, lacks = first_short(found)
     left = {*end.runs.active, *end.runs.queued}
     if not run:
@@ -106,7 +106,7 @@ def test_the_run_that_is_told_to_find_too_little_does(seed: int) -> None:
 
 def test_the_step_at_which_a_run_stops_half_way_is_told() -> None:
     corner = Corner(CORNER.format(foil=1, tape=5, plates=5))
-    found, end, waits = told_and_done(corner, ["twice"], 0)
+    found, end, waits = compare_inventories(corner, ["twice"], 0)
     ((name, out),) = earliest(found)
     assert local(name) == "sealer:foil"
     (run,) = end.runs.active.values()

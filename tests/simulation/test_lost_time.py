@@ -29,7 +29,7 @@ def adds_up(found: Losses) -> None:
         assert each.clock_ns == clock.clock_ns, (each.kind, each.name)
 
 
-def charged(found: Account) -> dict[object, float]:
+def list_charged(found: Account) -> dict[object, float]:
     return {loss.cause: loss.lost_ns / SECOND for loss in found.losses}
 
 
@@ -41,7 +41,7 @@ def compare(seed: int) -> Counter[str]:
         lab.live(day.run())
         found = account(lab.store.records)
         adds_up(found)
-        truth, told = lab.truth(), charged(found.runs["R1"])
+        truth, told = lab.truth(), list_charged(found.runs["R1"])
         wrong = {
             cause: (truth.get(cause, 0.0), told.get(cause, 0.0))
             for cause in {**truth, **told}

@@ -20,8 +20,8 @@ from labos.planning.safety import Safety
 from labos.testing.faults import CRASH_POINTS, QUIET, STORMY, FaultRates, Faults
 from labos.testing.lab import SimulatedLab, bare_rule
 from labos.testing.loop import Stalled
-from tests.simulation.invariants import folded_again
-from tests.simulation.mixes import generated, identical, mix, pcr, stand
+from tests.simulation.invariants import fold_again
+from tests.simulation.mixes import identical, make_generated, mix, pcr, stand
 
 CI_SEEDS = range(5)
 ALL_SEEDS = range(200)
@@ -40,7 +40,7 @@ def live_through(seed: int, rates: FaultRates) -> tuple[LabState, Faults]:
         assert not state.runs.queued
         faults = [fault for kernel in lab.opened for fault in kernel.faults]
         assert not faults, f"seed {seed}: {faults}"
-        assert state_hash(folded_again(lab.store.records)) == state_hash(state)
+        assert state_hash(fold_again(lab.store.records)) == state_hash(state)
         return state, lab.faults
     finally:
         lab.close()
@@ -105,12 +105,12 @@ STOPPED = ("pf400", "sciclops", "sealer", "peeler", "camera_module")
 it is."""
 
 
-def stopped(seed: int) -> tuple[Counter[str], Counter[str]]:
+def count_stops(seed: int) -> tuple[Counter[str], Counter[str]]:
     """Emergency stops in the midst of a storm; how many were recorded, and what became of resets."""
     rng = random.Random(f"stops/{seed}")
     stops = [(f"rpl/{rng.choice(STOPPED)}", rng.uniform(600, 9000)) for _ in range(8)]
     jobs = [pcr(f"j{n}", "ada", rng.uniform(0, 3600)) for n in range(4)]
-    jobs += [generated(f"k{n}", "bo", rng.randrange(40), rng.uniform(0, 3600)) for n in range(3)]
+    jobs += [make_generated(f"k{n}", "bo", rng.randrange(40), rng.uniform(0, 3600)) for n in range(3)]
     lab = SimulatedLab(stand(), seed, STORMY, stops=stops)
     lab.tidies = True  # a run that was stopped with its plate at a station has failed, and leaves it there
     try:
@@ -134,7 +134,7 @@ def stopped(seed: int) -> tuple[Counter[str], Counter[str]]:
 def test_emergency_stops_and_resets_in_a_storm_lose_nothing(request: pytest.FixtureRequest) -> None:
     types, resets = Counter[str](), Counter[str]()
     for seed in seeds(request, range(3)):
-        found = stopped(seed)
+        found = count_stops(seed)
         types += found[0]
         resets += found[1]
     print(f"stops {types['module.emergency_stopped']}, resets {dict(resets)}")

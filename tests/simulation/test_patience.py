@@ -16,7 +16,7 @@ from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab
-from tests.simulation.mixes import compiled_text, reading, stand
+from tests.simulation.mixes import compile_text, reading, stand
 
 YOUNGER = 20
 
@@ -38,10 +38,10 @@ def by_priority() -> Scheduler:
     return scheduler
 
 
-def overtaken(plan_with: Callable[[], Scheduler]) -> int:
+def count_overtaken(plan_with: Callable[[], Scheduler]) -> int:
     """How many of the younger runs of more priority end before a plate that waits for the same reader. One
     of them comes every ten minutes, and keeps the reader for longer than that."""
-    dosed = compiled_text("""
+    dosed = compile_text("""
 labos: 1
 name: dosed, then read
 steps:
@@ -80,5 +80,5 @@ steps:
 @pytest.mark.slow
 def test_a_plate_inside_is_overtaken_for_so_long_and_no_longer() -> None:
     # One may be at the reader when its turn has come, and one on its way there.
-    assert overtaken(Scheduler) <= PATIENCE + 2
-    assert overtaken(by_priority) >= YOUNGER - 2
+    assert count_overtaken(Scheduler) <= PATIENCE + 2
+    assert count_overtaken(by_priority) >= YOUNGER - 2

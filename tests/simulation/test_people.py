@@ -40,7 +40,7 @@ CELL = parse_workcell(RPL.replace("modules:\n", PERSON, 1), DESCRIPTIONS)
 
 def by_hand(name: str, user: str, after_s: float = 0.0) -> Job:
     compiled = compile_workflow(
-        parse_workflow(_named(BY_HAND), "by_hand.yaml"),
+        parse_workflow(_name_steps(BY_HAND), "by_hand.yaml"),
         {},
         CELL.workcell,
         DESCRIPTIONS,
@@ -50,7 +50,7 @@ def by_hand(name: str, user: str, after_s: float = 0.0) -> Job:
     return Job(name, user, (SubmitRun(compiled.plan, user),), after_s=after_s)
 
 
-def _named(text: str) -> str:
+def _name_steps(text: str) -> str:
     return "\n".join(
         line.replace("- {", f"- {{name: s{index}, ") for index, line in enumerate(text.split("\n"))
     )

@@ -13,9 +13,9 @@ from labos.core.state import LabState, state_hash
 from labos.runtime.ledger import fold
 from labos.store import read_segment
 from tests.simulation.proof.__main__ import seeds_of
-from tests.simulation.proof.campaign import ENOUGH, Tally, campaign, told
+from tests.simulation.proof.campaign import ENOUGH, Tally, campaign, describe_failure
 from tests.simulation.proof.day import Day, live
-from tests.simulation.proof.mutants import CONTROL, MUTANTS, Mutant, mutated, tried
+from tests.simulation.proof.mutants import CONTROL, MUTANTS, Mutant, mutate, try_mutant
 
 CI_SEEDS = range(100)
 MUTANT_SEEDS = 1000
@@ -23,7 +23,7 @@ MUTANT_SEEDS = 1000
 
 def report(_: Tally, day: Day) -> None:
     if day.wrong:
-        print(told(day), flush=True)
+        print(describe_failure(day), flush=True)
 
 
 def test_the_same_seed_gives_the_same_day() -> None:
@@ -45,7 +45,7 @@ def test_nothing_is_lost_and_nothing_moves_twice(request: pytest.FixtureRequest)
     seeds = seeds_of(asked) if asked else CI_SEEDS
     tally = campaign(seeds, None, 1, report)
     print(f"\n{tally.table()}\n{tally.summary()}")
-    assert not tally.failed, "\n".join(told(day) for day in tally.failed)
+    assert not tally.failed, "\n".join(describe_failure(day) for day in tally.failed)
     if len(seeds) >= len(CI_SEEDS):
         assert tally.least() >= ENOUGH
 
@@ -61,19 +61,19 @@ def test_a_campaign_goes_on_where_it_was(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_the_mutants_fit_the_source(mutant: Mutant) -> None:
-    assert mutated(mutant)
+    assert mutate(mutant)
 
 
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 def test_the_control_is_clean() -> None:
-    assert tried(CONTROL, MUTANT_SEEDS) == (None, [], MUTANT_SEEDS)
+    assert try_mutant(CONTROL, MUTANT_SEEDS) == (None, [], MUTANT_SEEDS)
 
 
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_the_mutant_is_caught(mutant: Mutant) -> None:
-    seed, lines, _ = tried(mutant, MUTANT_SEEDS)
+    seed, lines, _ = try_mutant(mutant, MUTANT_SEEDS)
     assert seed is not None
     print(f"{mutant.name} caught by seed {seed}: {lines[0]}")

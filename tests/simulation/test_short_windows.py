@@ -10,7 +10,7 @@ from labos.core.ids import ActionId
 from labos.core.model import Plan, Window
 from labos.planning.explain import sentence
 from tests.benchmarks.windows import Count, count
-from tests.simulation.clocked import Instance, judged, one_by_one, planned
+from tests.simulation.clocked import Instance, judge, one_by_one, run_planned
 from tests.support.bench import SECOND, Driver, hold, move, plan, small, step, take
 
 HARD = (72, 82, 83, 86, 95, 117, 168, 208, 243, 302, 402, 420, 646, 868, 910, 937)
@@ -18,7 +18,7 @@ HARD = (72, 82, 83, 86, 95, 117, 168, 208, 243, 302, 402, 420, 646, 868, 910, 93
 as their windows, decks that somebody leaves much later, labware of an experiment."""
 
 
-def told(found: Count) -> str:
+def describe_count(found: Count) -> str:
     return (
         f"{found.instances} labs, {found.windows} windows: {found.breached} breached, "
         f"{found.avoidable} of them avoidable in {found.hit} labs"
@@ -28,43 +28,43 @@ def told(found: Count) -> str:
 @pytest.mark.slow
 def test_no_window_is_breached_that_could_be_kept() -> None:
     found = count(range(25))
-    print(told(found))
+    print(describe_count(found))
     assert found.windows > 120
-    assert found.avoidable == 0, told(found)
+    assert found.avoidable == 0, describe_count(found)
 
 
 @pytest.mark.parametrize("seed", HARD)
 def test_no_window_is_breached_that_could_be_kept_where_it_is_hard(seed: int) -> None:
-    assert judged(seed).avoidable == {}
+    assert judge(seed).avoidable == {}
 
 
 def test_a_lab_that_cannot_keep_all_windows_comes_to_its_end_all_the_same() -> None:
     """Some runs have windows that nobody can keep: ``planned`` asserts that everybody ends."""
     hopeless = 0
     for seed in range(50, 65):
-        hopeless += bool(one_by_one(Instance(seed)).breached())
-        planned(Instance(seed))
+        hopeless += bool(one_by_one(Instance(seed)).find_breached())
+        run_planned(Instance(seed))
     assert hopeless > 0
 
 
 @pytest.mark.slow
 def test_durations_that_stray_keep_nobody_from_the_end() -> None:
     for seed in range(20):
-        planned(Instance(seed), stray=0.3)
+        run_planned(Instance(seed), stray=0.3)
 
 
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 def test_a_thousand_labs_with_clocks() -> None:
     found = count(range(1000))
-    print(told(found))
-    assert found.avoidable == 0, told(found)
+    print(describe_count(found))
+    assert found.avoidable == 0, describe_count(found)
 
 
 # -- one thing at a time -----------------------------------------------------------------------------
 
 
-def dosed(takes_s: float, within_s: float) -> Plan:
+def make_dosed(takes_s: float, within_s: float) -> Plan:
     """A step that is followed on ``cam`` within a time that is short beside its own."""
     window = Window(0, 0.0, within_s)
     dose = step("dev", key="dose", duration_s=takes_s)
@@ -80,7 +80,7 @@ def why(lab: Driver, run: str, index: int = 0) -> str:
 def test_a_window_that_is_short_beside_its_anchor_is_kept(within_s: float) -> None:
     """Its reader is wanted for long while the dose still takes 300 s."""
     lab = small()
-    run = lab.submit(dosed(900.0, within_s))
+    run = lab.submit(make_dosed(900.0, within_s))
     assert lab.pump() == [f"{run}#0"]
     lab.wait(600.0)
     long = lab.submit(plan(step("cam", key="film", duration_s=300.0 + within_s + 1.0), name="film"))
@@ -131,7 +131,7 @@ def live(lab: Driver) -> list[str]:
         for name, at in ends.items():
             if at <= lab.now:
                 lab.finish(name)
-    raise AssertionError(lab.stuck())
+    raise AssertionError(lab.describe_stuck())
 
 
 def _ends_at(lab: Driver, name: ActionId) -> int:

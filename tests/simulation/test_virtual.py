@@ -34,7 +34,7 @@ from tests.support.bench import (
 HOUR = 3600 * SECOND
 
 
-def carried_on(lab: Driver) -> Play:
+def carry_on(lab: Driver) -> Play:
     """The play with the nominal durations, which leaves the lab as it is."""
     before = picture(lab.state)
     told = VirtualLab(from_picture(before), lab.now, lambda _, step: int(step.duration_s * SECOND)).go_on()
@@ -52,7 +52,7 @@ def goes_on(life: Life) -> None:
         if at is None:
             return
         lab.now = at
-    raise AssertionError(lab.stuck())
+    raise AssertionError(lab.describe_stuck())
 
 
 def times(lab: Driver, kind: type) -> dict[str, int]:
@@ -70,7 +70,7 @@ def test_with_the_same_durations_a_forecast_is_what_comes(seed: int) -> None:
     ]
     life = Life(instance)
     life.submit_due()
-    told = carried_on(life.lab)
+    told = carry_on(life.lab)
     goes_on(life)
     assert told.starts == times(life.lab, RunStarted)
     assert told.ends == times(life.lab, RunCompleted)
@@ -104,7 +104,7 @@ PRINT = plan(
 )
 
 
-def asked(lab: Driver, **more: object) -> ForecastRequest:
+def make_request(lab: Driver, **more: object) -> ForecastRequest:
     return ForecastRequest(picture(lab.state), lab.now, Spreads(), **more)  # type: ignore[arg-type]
 
 
@@ -112,7 +112,7 @@ def test_what_is_used_up_calls_a_person_when_the_first_run_needs_it() -> None:
     lab = small(ink=25.0)
     for _ in range(4):
         lab.submit(PRINT)
-    told = forecast_lab(asked(lab))
+    told = forecast_lab(make_request(lab))
     assert [run.ends is None for run in told.runs] == [False, False, True, True]
     assert "ink" in told.runs[2].waits
     (touch,) = told.touches
@@ -128,7 +128,7 @@ def test_a_step_by_hand_is_a_planned_touch_and_goes_on() -> None:
     lab = small()
     by_hand = plan(step("hands", by_person=True, duration_s=60.0), *PRINT.steps, name="by hand")
     lab.submit(by_hand)
-    told = forecast_lab(asked(lab))
+    told = forecast_lab(make_request(lab))
     (touch,) = told.touches
     assert touch.planned
     assert touch.at.expected_at == lab.now
@@ -140,7 +140,7 @@ def test_a_waste_that_fills_and_a_stack_that_empties_are_told() -> None:
     lab = small(plates=1)
     for _ in range(2):
         lab.submit(PRINT)
-    told = forecast_lab(asked(lab))
+    told = forecast_lab(make_request(lab))
     assert "the stack stack is empty" in [touch.why for touch in told.touches]
     assert told.runs[0].ends is not None
     assert told.runs[1].starts is None
@@ -151,7 +151,7 @@ def test_nothing_runs_into_a_booking() -> None:
     begins = lab.now + 100 * SECOND
     lab.do(MakeBooking(f"{CELL}/dev", NewTerms(begins=begins, ends=begins + HOUR, user="bo"), "bo", lab.now))
     lab.submit(PRINT, user="ada")
-    told = forecast_lab(asked(lab, new=SubmitRun(PRINT, "bo"), actor="labos"))
+    told = forecast_lab(make_request(lab, new=SubmitRun(PRINT, "bo"), actor="labos"))
     ada, bo = (next(run for run in told.runs if run.user == user) for user in ("ada", "bo"))
     assert ada.starts is not None
     assert ada.starts.earliest_at >= begins + HOUR
@@ -165,7 +165,7 @@ def test_a_booking_of_every_day_is_not_followed_for_ever() -> None:
     terms = NewTerms(begins=begins, ends=begins + HOUR, user="bo", rule="FREQ=DAILY")
     lab.do(MakeBooking(f"{CELL}/dev", terms, "bo", lab.now))
     lab.submit(PRINT, user="ada")
-    told = forecast_lab(asked(lab))
+    told = forecast_lab(make_request(lab))
     assert told.runs[0].ends is None
     assert told.touches
 
@@ -174,7 +174,7 @@ def test_a_run_that_is_long_is_waited_for_however_long_it_is() -> None:
     lab = small()
     day_s = 24 * 3600.0
     lab.submit(plan(step("dev", duration_s=50 * day_s), step("arm", duration_s=1.0), name="long"))
-    told = carried_on(lab)
+    told = carry_on(lab)
     assert told.ends == {"R1": lab.now + int((50 * day_s + 1.0) * SECOND)}
 
 
@@ -183,11 +183,11 @@ def test_whoever_goes_first_delays_the_others() -> None:
     for _ in range(3):
         lab.submit(PRINT)
     before = picture(lab.state)
-    told = forecast_lab(asked(lab, new=SubmitRun(PRINT, "bo", priority=5), actor="labos"))
+    told = forecast_lab(make_request(lab, new=SubmitRun(PRINT, "bo", priority=5), actor="labos"))
     assert picture(lab.state) == before
     assert len(told.new) == 1
     assert {delay.run: delay.by_s for delay in told.delays} == dict.fromkeys(("R1", "R2", "R3"), 120.0)
-    last = forecast_lab(asked(lab, new=SubmitRun(PRINT, "ada"), actor="labos"))
+    last = forecast_lab(make_request(lab, new=SubmitRun(PRINT, "ada"), actor="labos"))
     assert last.delays == []
 
 
@@ -195,7 +195,7 @@ def test_rows_of_a_campaign_are_let_in_as_there_is_room_and_a_deadline_is_judged
     lab = small()
     terms = Terms(deadline=lab.now + 1000 * SECOND)
     campaign = SubmitCampaign("screen", "ada", "print", CELL, 10, "t", "d", terms)
-    told = forecast_lab(asked(lab, new=campaign, new_rows=[(PRINT,)], actor="labos"))
+    told = forecast_lab(make_request(lab, new=campaign, new_rows=[(PRINT,)], actor="labos"))
     (found,) = told.campaigns
     assert (found.rows_left, found.rows_forecast, len(told.new)) == (10, 10, 10)
     assert found.ends is not None
@@ -207,7 +207,7 @@ def test_of_long_campaigns_the_end_is_reckoned_by_their_rate() -> None:
     lab = small(plates=40, ink=100.0)
     free = plan(step("dev", duration_s=100.0), name="wait")
     campaign = SubmitCampaign("long", "ada", "wait", CELL, 1000, "t", "d")
-    told = forecast_lab(asked(lab, new=campaign, new_rows=[(free,)], actor="labos", most_runs=20))
+    told = forecast_lab(make_request(lab, new=campaign, new_rows=[(free,)], actor="labos", most_runs=20))
     (found,) = told.campaigns
     assert (found.rows_left, found.rows_forecast) == (1000, 20)
     assert found.ends is not None
@@ -217,7 +217,7 @@ def test_of_long_campaigns_the_end_is_reckoned_by_their_rate() -> None:
 def test_what_is_refused_is_told() -> None:
     lab = small()
     told = forecast_lab(
-        asked(lab, new=SubmitCampaign("none", "ada", "print", CELL, 0, "t", "d"), actor="labos")
+        make_request(lab, new=SubmitCampaign("none", "ada", "print", CELL, 0, "t", "d"), actor="labos")
     )
     assert "no rows" in told.refusal
 
@@ -226,7 +226,7 @@ def test_the_same_question_has_the_same_answer() -> None:
     lab = small()
     for _ in range(3):
         lab.submit(PRINT)
-    assert forecast_lab(asked(lab)) == forecast_lab(asked(lab))
+    assert forecast_lab(make_request(lab)) == forecast_lab(make_request(lab))
 
 
 def test_of_ten_thousand_runs_that_wait_a_bounded_part_is_looked_at() -> None:

@@ -17,7 +17,7 @@ from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab, cancelling
-from tests.simulation.invariants import folded_again
+from tests.simulation.invariants import fold_again
 from tests.simulation.stops import causes
 from tests.simulation.whole import FITS, MORTAL, cancels, mix, stand
 
@@ -62,7 +62,7 @@ def live_through(seed: int) -> Counter[str]:
         state = lab.run_for(jobs, WEEK_S)
         wrong = lab.differences(state)
         assert not wrong, f"seed {seed}, {doomed}, {mended}: {wrong}"
-        assert state_hash(folded_again(lab.store.records)) == state_hash(state)
+        assert state_hash(fold_again(lab.store.records)) == state_hash(state)
         faults = [fault for kernel in lab.opened for fault in kernel.faults]
         assert not faults, f"seed {seed}: {faults}"
         submitted = sum(record.head.type == RunSubmitted.TYPE for record in lab.store.records)

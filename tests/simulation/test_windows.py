@@ -19,7 +19,7 @@ from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import Job, SimulatedLab
-from tests.simulation.mixes import dosed_and_read, hurried, stand
+from tests.simulation.mixes import make_dosed_and_read, make_hurried, stand
 from tests.support.seeds import few_and_many
 
 KEPT = (RunFailed.TYPE, InterventionRequested.TYPE)
@@ -63,7 +63,7 @@ def compare(seeds: range) -> tuple[int, int, int]:
     """Windows in all, windows breached, windows breached with reservations switched off."""
     windows = kept = lost = 0
     for seed in seeds:
-        jobs = hurried(seed)
+        jobs = make_hurried(seed)
         windows += sum(bool(step.windows) for job in jobs for run in job.runs for step in run.plan.steps)
         kept += live_through(jobs, seed)[0]["window.breached"]
         lost += live_through(jobs, seed, plan_with=careless)[0]["window.breached"]
@@ -85,7 +85,7 @@ def test_reservations_keep_windows_that_would_be_breached_without_them() -> None
 @pytest.mark.slow
 def test_in_a_storm_nothing_is_lost_and_nobody_stands_still() -> None:
     for seed in range(4):
-        live_through(hurried(seed), seed, STORMY)
+        live_through(make_hurried(seed), seed, STORMY)
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_the_log_says_when_the_device_was_done() -> None:
     for seed in range(3):
         lab = SimulatedLab(stand(), seed, STORMY)
         try:
-            lab.run(hurried(seed), limit_s=TWO_DAYS_S)
+            lab.run(make_hurried(seed), limit_s=TWO_DAYS_S)
             for record in lab.store.records:
                 event = decode(record.head.type, record.head.schema, record.payload)
                 if isinstance(event, ActionSucceeded):
@@ -106,12 +106,12 @@ def test_the_log_says_when_the_device_was_done() -> None:
     assert max(late_ns) > 1_000_000_000
 
 
-def breached(on_breach: str, seeds: range) -> tuple[int, list[Event], Counter[str]]:
+def count_breaches(on_breach: str, seeds: range) -> tuple[int, list[Event], Counter[str]]:
     """Breaches, made likely by planning that leaves no room, and what came of them."""
     told: list[Event] = []
     count: Counter[str] = Counter()
     for seed in seeds:
-        counted, kept = live_through(hurried(seed, on_breach), seed, plan_with=careless)
+        counted, kept = live_through(make_hurried(seed, on_breach), seed, plan_with=careless)
         told += kept
         count += counted
     assert count["window.breached"] > 0
@@ -120,13 +120,13 @@ def breached(on_breach: str, seeds: range) -> tuple[int, list[Event], Counter[st
 
 @pytest.mark.slow
 def test_a_breach_may_be_no_more_than_an_event() -> None:
-    _, told, _ = breached("continue", range(2, 4))
+    _, told, _ = count_breaches("continue", range(2, 4))
     assert told == []
 
 
 @pytest.mark.slow
 def test_a_breach_may_fail_its_run() -> None:
-    breaches, told, _ = breached("fail", range(2, 4))
+    breaches, told, _ = count_breaches("fail", range(2, 4))
     failed = [event for event in told if isinstance(event, RunFailed)]
     assert len(failed) == breaches
     assert all("did not start within 240 s of the end of 'Dose'" in event.why for event in failed)
@@ -134,7 +134,7 @@ def test_a_breach_may_fail_its_run() -> None:
 
 @pytest.mark.slow
 def test_a_breach_may_ask_and_either_answer_leads_on() -> None:
-    breaches, told, count = breached("ask", range(2, 5))
+    breaches, told, count = count_breaches("ask", range(2, 5))
     asked = [e for e in told if isinstance(e, InterventionRequested) and e.kind == LateStep.KIND]
     failed = [event for event in told if isinstance(event, RunFailed)]
     assert len(asked) == breaches
@@ -149,8 +149,8 @@ def test_a_run_is_in_time_after_a_run_before_it(seeds: range) -> None:
     late = Counter[str]()
     for name, plan_with in (("reserved", Scheduler), ("careless", careless)):
         for seed in seeds:
-            others = [job for job in hurried(seed) if "timed" not in job.runs[0].plan.workflow]
-            jobs = [dosed_and_read("x", "ada", after_s=600.0), *others]
+            others = [job for job in make_hurried(seed) if "timed" not in job.runs[0].plan.workflow]
+            jobs = [make_dosed_and_read("x", "ada", after_s=600.0), *others]
             late[name] += live_through(jobs, seed, plan_with=plan_with)[0]["window.breached"]
     print(f"breaches of a clock of another run: {dict(late)}")
     assert late["reserved"] == 0

@@ -22,7 +22,7 @@ BEFORE = "name: incubate\nsteps:\n- {name: Into incubator, module: hidex, action
 """The run of the same experiment at which an example's window is anchored."""
 
 
-def compiled(text: str, payload: dict[str, Any], used: str = "") -> Any:
+def compile_example(text: str, payload: dict[str, Any], used: str = "") -> Any:
     return compile_workflow(
         parse_workflow(text, "example.yaml"),
         payload,
@@ -44,10 +44,10 @@ def test_the_example_runs(block: Block) -> None:
     outer = "incubation" in payload
     if outer:
         payload["incubation"] = "incubate"
-    found = compiled(text, payload, block.attributes.get("uses", ""))
+    found = compile_example(text, payload, block.attributes.get("uses", ""))
     runs = [SubmitRun(found.plan, "ada", payload)]
     if outer:
-        runs.insert(0, SubmitRun(compiled(BEFORE, {}).plan, "ada"))
+        runs.insert(0, SubmitRun(compile_example(BEFORE, {}).plan, "ada"))
     stock = [(item.station, item.labware, item.count) for item in CELL.bench.stock]
     stocked = {place for place, _, _ in stock}
     stock += [(place, "plate96", 1) for place in found.inputs if place not in stocked]

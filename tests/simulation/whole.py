@@ -221,9 +221,9 @@ class Way:
             last(self)
 
     def _may(self, leg: Callable[[Way], None]) -> bool:
-        if leg in (dosed, baked, cycled) and self.sealed:
+        if leg in (dose, bake, cycle) and self.sealed:
             return False
-        return leg is not (sealed if self.sealed else peeled)
+        return leg is not (seal if self.sealed else peel)
 
     def end(self, target: str) -> None:
         """The lid goes back on, and the plate away."""
@@ -234,24 +234,24 @@ class Way:
         self.to(target)
 
 
-def dosed(way: Way) -> None:
+def dose(way: Way) -> None:
     way.to("ot2.deck1")
     way.steps.append("ot2.run_protocol config_path=p.yaml")
 
 
-def sealed(way: Way) -> None:
+def seal(way: Way) -> None:
     way.to("sealer.default")
     way.steps.append("sealer.seal time=3.0 temperature=175")
     way.sealed = True
 
 
-def peeled(way: Way) -> None:
+def peel(way: Way) -> None:
     way.to("peeler.default")
     way.steps.append("peeler.peel")
     way.sealed = False
 
 
-def cycled(way: Way) -> None:
+def cycle(way: Way) -> None:
     way.to("cycler.default")
     way.steps += ["cycler.close_lid", "cycler.run_program program_n=3", "cycler.open_lid"]
 
@@ -261,13 +261,13 @@ def read(way: Way) -> None:
     way.steps += ["reader.close_lid", "reader.run_assay assay_name=od", "reader.open_lid"]
 
 
-def chilled(way: Way) -> None:
+def chill(way: Way) -> None:
     """On a shelf behind a lid."""
     way.to("fridge.default")
     way.steps += ["fridge.close_lid", "fridge.open_lid"] * way.rng.randint(1, 2)
 
 
-def pictured(way: Way) -> None:
+def take_picture(way: Way) -> None:
     """Over the bridge to the other arm's side, sometimes with a rest in its hand."""
     way.to("wc.bridge")
     if way.rng.random() < 0.4:
@@ -278,14 +278,14 @@ def pictured(way: Way) -> None:
     way.steps.append("ur.transfer source=camera.plate_station target=wc.bridge")
 
 
-def stored(way: Way) -> None:
+def store(way: Way) -> None:
     way.to("incubator.exchange")
     way.steps.append("incubator.store")
     way.steps += ["reader.close_lid", "reader.open_lid"] * way.rng.randint(0, 1)
     way.steps.append("incubator.retrieve")
 
 
-def baked(way: Way) -> None:
+def bake(way: Way) -> None:
     shelf, celsius = way.rng.choice(OvenDevice.behind), way.rng.choice([37, 55])
     way.steps += [f"oven.warm celsius={celsius}", "oven.open_lid"]
     way.to(f"oven.{shelf}")
@@ -293,7 +293,7 @@ def baked(way: Way) -> None:
     way.before, way.behind = ["oven.open_lid"], ["oven.close_lid", "oven.let_go"]
 
 
-def piled(way: Way) -> None:
+def pile(way: Way) -> None:
     way.to("wc.pile")
 
 
@@ -301,7 +301,7 @@ def by_hand(way: Way) -> None:
     way.to("wc.bench", "operator")
 
 
-LEGS = (dosed, sealed, peeled, cycled, read, chilled, pictured, stored, baked, piled, by_hand)
+LEGS = (dose, seal, peel, cycle, read, chill, take_picture, store, bake, pile, by_hand)
 
 
 REACHED = [
@@ -334,7 +334,7 @@ def route(number: int) -> SubmitRun:
 
 
 @cache
-def parted(number: int) -> tuple[SubmitRun, SubmitRun]:
+def make_parted(number: int) -> tuple[SubmitRun, SubmitRun]:
     """Two runs of one user: what the first leaves on the table, the second takes."""
     rng = random.Random(f"parted/{number}")
     first = Way(rng)
@@ -395,7 +395,7 @@ def mix(seed: int) -> list[Job]:
         if kind < 0.6:
             runs: tuple[SubmitRun, ...] = (route(which),)
         elif kind < 0.75:
-            runs = parted(which)
+            runs = make_parted(which)
         else:
             runs = parking(which)
             shelf = shelf_of(which)

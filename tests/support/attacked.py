@@ -198,7 +198,7 @@ class Attacked:
 
     async def records(self) -> list[Record]:
         """The log."""
-        await self.kernel.written()
+        await self.kernel.flush()
         store = open_store(f"sqlite:///{self.home}/labos.db", create=False, read_only=True)
         try:
             return list(store.read())
@@ -265,7 +265,7 @@ class Liar:
         return sum(b'"op":"ask"' in payload for payload in self.heard)
 
     @classmethod
-    async def of(cls, lab: Attacked, module: ModuleName = ARM, **changed: Any) -> Liar:
+    async def show_itself(cls, lab: Attacked, module: ModuleName = ARM, **changed: Any) -> Liar:
         """Shows itself, and has joined unless it ``changed`` its about."""
         liar = cls(lab, module)
         liar.about = msgspec.structs.replace(liar.about, **changed)
@@ -306,7 +306,7 @@ def encode(message: Any) -> bytes:
 
 
 @asynccontextmanager
-async def attacked(
+async def start_attacked(
     home: Path,
     *,
     nodes: tuple[ModuleName, ...] = (ARM, OTHER),

@@ -247,7 +247,7 @@ class Driver:
             raise Refused(answer)
         return answer
 
-    def refused(self, command: Command, actor: str = "labos") -> Rejection:
+    def reject(self, command: Command, actor: str = "labos") -> Rejection:
         """A command that has to be rejected."""
         answer = self.ask(command, actor)
         assert isinstance(answer, Rejection), f"accepted: {answer}"
@@ -445,7 +445,7 @@ class Driver:
             raise AssertionError("the lab does not come to rest")
         return not self.state.runs.active and not self.state.runs.queued
 
-    def missed(self) -> list[str]:
+    def find_missed(self) -> list[str]:
         """What a scheduler that looks at everything would start now, though nothing was proposed:
         a start that nobody was woken for. Whom it has passed over, and how it means to keep windows, is
         all that it is told."""
@@ -456,7 +456,7 @@ class Driver:
         start = next(iter(fresh.proposals(self.state, (), self.now)), None)
         return [] if start is None else [f"{start.run}#{start.step}"]
 
-    def stuck(self) -> str:
+    def describe_stuck(self) -> str:
         """Why the runs that are left do not go on."""
         lines = []
         for run in [*self.state.runs.active.values(), *self.state.runs.queued.values()]:

@@ -128,7 +128,7 @@ def busy_lab(folder: Path) -> Iterator[tuple[LabThread, Prometheus]]:
     takes a module out now and then; and a Prometheus that asks its kernel and nodes each second."""
     (folder / "cell.yaml").write_text(RPL.replace("modules:\n", PERSON, 1))
     cell = load_workcell(folder / "cell.yaml", descriptions())
-    settings = Settings.of(folder / "lab", speed=60.0, simulate=True, node_metrics=True)
+    settings = Settings.make(folder / "lab", speed=60.0, simulate=True, node_metrics=True)
     with LabThread(settings, [cell], nodes="processes", grace_s=2.0) as lab:
         ended = threading.Event()
         worker = threading.Thread(target=_work, args=(lab.url, ended), name="load")

@@ -87,7 +87,7 @@ Area = tuple[float, float, float, float]
 
 def _number(series: Sequence[Series], unit: str, area: Area) -> Iterator[str]:
     x, y, width, height = area
-    value = shown(series[0].last, unit) if series else "no data"
+    value = show_value(series[0].last, unit) if series else "no data"
     yield _text(x + width / 2, y + height / 2 + 12, value, size=26, anchor="middle", fill="#299c46")
 
 
@@ -103,7 +103,7 @@ def _curves(series: Sequence[Series], unit: str, area: Area) -> Iterator[str]:
     for share in (0.0, 0.5, 1.0):
         line = y + height - share * (height - 6)
         yield f'<path d="M{left:.0f} {line:.1f}H{x + width:.0f}" stroke="#e4e5e6"/>'
-        yield _text(left - 4, line + 4, shown(share * top, unit), size=10, anchor="end", fill="#6d6e71")
+        yield _text(left - 4, line + 4, show_value(share * top, unit), size=10, anchor="end", fill="#6d6e71")
     for number, one in enumerate(series):
         steps = (
             f"{left + (at - begin) / (end - begin) * (x + width - left):.1f} "
@@ -136,7 +136,7 @@ def _bars(series: Sequence[Series], unit: str, area: Area) -> Iterator[str]:
         long = max(one.last, 0.0) / top * (x + width - left - 60)
         yield _text(left - 6, line + 11, one.name, size=10, anchor="end", fill="#333")
         yield _box(left, line + 2, long, 11, COLOURS[0])
-        yield _text(left + long + 4, line + 11, shown(one.last, unit), size=10, fill="#333")
+        yield _text(left + long + 4, line + 11, show_value(one.last, unit), size=10, fill="#333")
 
 
 def _strips(series: Sequence[Series], unit: str, area: Area) -> Iterator[str]:
@@ -168,7 +168,7 @@ PAINTERS: dict[str, Callable[[Sequence[Series], str, Area], Iterator[str]]] = {
 }
 
 
-def shown(value: float, unit: str) -> str:
+def show_value(value: float, unit: str) -> str:
     """A value with its unit, short."""
     if unit == "percentunit":
         return f"{value * 100:.3g} %"

@@ -114,7 +114,7 @@ class Host:
         """Send a signal to a program that ``start`` has started: `nsenter` is its parent."""
         os.kill(_child(started), number)
 
-    def said(self, log: str = "log") -> str:
+    def read_log(self, log: str = "log") -> str:
         path = self.folder / log
         return path.read_text(errors="replace") if path.exists() else ""
 

@@ -82,20 +82,20 @@ class CaLine:
         with contextlib.suppress(OSError):
             while True:
                 data, self._client = self._near.recvfrom(65536)
-                self._far.sendto(self.asked(data), ("127.0.0.1", self.search))
+                self._far.sendto(self.name_far(data), ("127.0.0.1", self.search))
 
     def _answer(self) -> None:
         with contextlib.suppress(OSError):
             while True:
-                data = self.answered(bytearray(self._far.recv(65536)))
+                data = self.name_near(bytearray(self._far.recv(65536)))
                 if self._client:
                     self._near.sendto(data, self._client)
 
-    def asked(self, data: bytes) -> bytes:
+    def name_far(self, data: bytes) -> bytes:
         """A search, as it is passed on."""
         return data
 
-    def answered(self, data: bytearray) -> bytes:
+    def name_near(self, data: bytearray) -> bytes:
         """An answer to a search, naming this line."""
         start = 0
         while start + HEADER.size <= len(data):
@@ -103,7 +103,7 @@ class CaLine:
             if command == SEARCH:
                 HEADER.pack_into(data, start, command, size, self.port, *rest)
             start += HEADER.size + size
-        return data
+        return bytes(data)
 
     def _listen(self) -> None:
         with contextlib.suppress(OSError):
@@ -122,16 +122,16 @@ class PvaLine(CaLine):
     ANSWER_TO, SERVER = 32, 40
     """Where the ports stand: behind sequence, flags and address; behind GUID, sequence and address."""
 
-    def asked(self, data: bytes) -> bytes:
+    def name_far(self, data: bytes) -> bytes:
         return self._with_port(bytearray(data), PVA_SEARCH, self.ANSWER_TO, self._far.getsockname()[1])
 
-    def answered(self, data: bytearray) -> bytes:
+    def name_near(self, data: bytearray) -> bytes:
         return self._with_port(data, PVA_FOUND, self.SERVER, self.port)
 
     def _with_port(self, data: bytearray, command: int, place: int, port: int) -> bytes:
         if len(data) > place and data[3] == command:
             struct.pack_into(">H" if data[2] & 0x80 else "<H", data, place, port)
-        return data
+        return bytes(data)
 
 
 def _pump(source: socket.socket, target: socket.socket) -> None:

@@ -66,7 +66,7 @@ class Up:
         self.launch(*workcells)
         try:
             until(lambda: self.is_there() or self.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
-            assert self.is_there(), self.said()
+            assert self.is_there(), self.read_log()
         except BaseException:
             self.clean_up()
             raise
@@ -93,7 +93,7 @@ class Up:
         found = find_kernel(self.home)
         return found is not None and self.process is not None and found.pid == self.process.pid
 
-    def said(self) -> str:
+    def read_log(self) -> str:
         return (self.home / "up.log").read_text()[-3000:]
 
     def client(self) -> LabClient:
@@ -123,7 +123,7 @@ class Up:
     # -- afterwards --------------------------------------------------------------------------
 
     def records(self) -> list[Record]:
-        store = open_store(Settings.of(self.home).database, create=False, read_only=True)
+        store = open_store(Settings.make(self.home).database, create=False, read_only=True)
         try:
             return list(store.read())
         finally:

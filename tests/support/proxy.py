@@ -33,14 +33,14 @@ class Proxy:
         it something else may be said."""
         self.early, self.instead = early, instead
 
-        def picked(head: bytes) -> bool:
+        def is_picked(head: bytes) -> bool:
             line = head.partition(b"\r\n")[0]
             if not all(word in line for word in words):
                 return False
             self.lose = lambda head: False
             return True
 
-        self.lose = picked
+        self.lose = is_picked
 
     def close(self) -> None:
         """Answer nobody any more."""

@@ -30,7 +30,7 @@ LATER_S = 90_000
 """A day later."""
 
 
-def published_lab() -> Logbook:
+def publish_lab() -> Logbook:
     """Eve's experiment runs a PCR, takes a picture of its plate, decides, and publishes."""
     book = audit_lab()
     book.at(LATER_S)
@@ -47,7 +47,7 @@ def published_lab() -> Logbook:
 
 def save_published(home: Path) -> None:
     """The lab with its files."""
-    published_lab().save(home)
+    publish_lab().save(home)
     FolderBlobs(home / "blobs").put(PICTURE_CONTENT)
 
 

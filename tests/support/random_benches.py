@@ -187,7 +187,7 @@ class RandomBench:
 
     # -- what is to be done ------------------------------------------------------------------
 
-    def planned(self, name: StationName) -> StationName:
+    def as_planned(self, name: StationName) -> StationName:
         return self.specs[name].hotel or name
 
     def _source(self) -> StationName:
@@ -195,10 +195,10 @@ class RandomBench:
         bench, rng = self.state.bench, self.rng
         full_ = [item.station for item in bench.labware.values() if item.station and item.owner != OTHERS]
         name = rng.choice(full_) if full_ and rng.random() < 0.85 else rng.choice(self.names)
-        return self.planned(name)
+        return self.as_planned(name)
 
     def _target(self) -> StationName:
-        return self.planned(self.rng.choice(self.names))
+        return self.as_planned(self.rng.choice(self.names))
 
     def _via(self) -> StationName:
         return StationName(full("regrip")) if self.rng.random() < 0.15 else StationName("")
@@ -214,11 +214,11 @@ class RandomBench:
                 source = StationName(full(rng.choice(["stack", "stack", "pile", "oven.mag"])))
             elif what is Unlid:
                 bearing = [item.station for item in bench.labware.values() if item.lid and item.station]
-                source = self.planned(rng.choice(bearing)) if bearing and rng.random() < 0.8 else source
+                source = self.as_planned(rng.choice(bearing)) if bearing and rng.random() < 0.8 else source
                 target = StationName(full("lids")) if rng.random() < 0.6 else target
             elif what is Relid:
                 lids = [i.station for i in bench.labware.values() if i.type == "lid" and i.station]
-                source = self.planned(rng.choice(lids)) if lids and rng.random() < 0.8 else source
+                source = self.as_planned(rng.choice(lids)) if lids and rng.random() < 0.8 else source
                 target = self._source()
             if source == target or (what is not Move and self.specs[target].kind == "waste"):
                 continue

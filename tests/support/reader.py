@@ -25,6 +25,6 @@ class ReaderProcess(ForeignProcess):
     def command(self) -> list[Path | str]:
         return [self.python, ROOT / "tests" / "foreign" / f"{self.kind}_node.py", str(self.port)]
 
-    def measured(self) -> list[str]:
+    def list_measured(self) -> list[str]:
         """Every measurement that was begun."""
         return [told["assay"] for told in self.truth("measure")]

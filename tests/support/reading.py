@@ -31,5 +31,5 @@ def reading_lab(folder: Path, *, speed: float = 5000) -> Iterator[LabThread]:
     (folder / "cell.yaml").write_text(CELL)
     (folder / "read.yaml").write_text(WORKFLOW)
     cell = load_workcell(folder / "cell.yaml", descriptions())
-    with LabThread(Settings.of(folder / "lab", simulate=True, speed=speed), [cell]) as lab:
+    with LabThread(Settings.make(folder / "lab", simulate=True, speed=speed), [cell]) as lab:
         yield lab

@@ -109,7 +109,7 @@ class DatabaseOn(PostgresServer):
             check=False,
         )
         if done.returncode:
-            raise RuntimeError(f"{program} failed on {self._host.name}: {self._host.said('pg/log')}")
+            raise RuntimeError(f"{program} failed on {self._host.name}: {self._host.read_log('pg/log')}")
 
 
 class Spread:
@@ -141,11 +141,11 @@ class Spread:
         self._labos(k1, "pki", "init", "--home", str(k1.folder / "lab"))
         self._issue("r", "bus", "bus", "--address", r.address)
         self.start("r", "bus", "--listen", self.bus, "--cert", "bus")
-        until(lambda: "The bus runs" in r.said(), "the bus runs")
+        until(lambda: "The bus runs" in r.read_log(), "the bus runs")
         self.start("k1", "up", str(cell), *self.simulating, "--or-standby")
         until(lambda: "kernel" in self._members(), "the kernel has a certificate")
         self._carry_members()
-        until(lambda: "The lab " in k1.said(), "the kernel runs")
+        until(lambda: "The lab " in k1.read_log(), "the kernel runs")
         own = next((k1.folder / "lab" / "pki" / "issued").glob("*/kernel"), None)
         assert own is not None, sorted((k1.folder / "lab" / "pki" / "issued").rglob("*"))
         shutil.copytree(own, self.hosts["k2"].folder / "kernel")
@@ -157,8 +157,8 @@ class Spread:
         for name in NODES:
             self.start_node(name)
         self.start("a1", "api", "--process", "web", "--cert", "api", "--http-port", "8721")
-        until(lambda: "Standing by" in self.hosts["k2"].said(), "the standby stands by")
-        until(lambda: "serves the lab" in self.hosts["a1"].said(), "the API process serves")
+        until(lambda: "Standing by" in self.hosts["k2"].read_log(), "the standby stands by")
+        until(lambda: "serves the lab" in self.hosts["a1"].read_log(), "the API process serves")
         self._manager.start()
 
     @property
@@ -233,7 +233,7 @@ class Spread:
 
         self.hosts["a1"].inside(ask)
 
-    def answering(self) -> set[str]:
+    def list_answering(self) -> set[str]:
         """The modules whose nodes answer the kernel, as a user is told on the host of the API process; none
         while the API process or the kernel does not answer."""
 
@@ -247,20 +247,20 @@ class Spread:
 
         return self.hosts["a1"].inside(ask)
 
-    def done(self) -> int:
+    def count_done(self) -> int:
         """How many runs have ended, as the database has it."""
         return self.types().count("run.completed")
 
     def finish(self, patience_s: float = 90.0) -> None:
         """Wait until all runs have ended."""
         try:
-            until(lambda: self.done() >= len(self.runs), "all runs end", patience_s)
+            until(lambda: self.count_done() >= len(self.runs), "all runs end", patience_s)
         except AssertionError as error:
-            raise AssertionError(f"{error}\n{self.told()}") from None
+            raise AssertionError(f"{error}\n{self.describe_all()}") from None
 
-    def told(self) -> str:
+    def describe_all(self) -> str:
         """What everybody said at last, and how the log ends."""
-        said = [f"--- {host.name}\n{host.said()[-1500:]}" for host in self.hosts]
+        said = [f"--- {host.name}\n{host.read_log()[-1500:]}" for host in self.hosts]
         tail = []
         with suppress(LabosError):  # there is no log yet
             tail = [f"{r.head.position} {r.head.type} {r.payload[:200]!r}" for r in self.records()[-30:]]
@@ -326,10 +326,10 @@ class Spread:
         finally:
             store.close()
 
-    def asked_twice(self) -> list[str]:
+    def find_asked_twice(self) -> list[str]:
         """Attempts that were asked for more than once in the log."""
         told: set[tuple[str, int]] = set()
-        twice = []
+        twice: list[str] = []
         for record in self.records():
             event = decode(record.head.type, record.head.schema, record.payload)
             if isinstance(event, ActionRequested):

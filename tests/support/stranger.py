@@ -90,7 +90,10 @@ class _Session:
     def listen(self, keys: str) -> None:
         from zenoh.handlers import Callback
 
-        hear = Callback(lambda sample: self._heard.append(str(sample.key_expr)), indirect=False)
+        def note(sample: Any) -> None:
+            self._heard.append(str(sample.key_expr))
+
+        hear: Any = Callback(note, indirect=False)
         self._declared.append(self._session.declare_subscriber(keys, hear))
         self._declared.append(self._session.liveliness().declare_subscriber(keys, hear, history=True))
         self._settle()
@@ -99,7 +102,7 @@ class _Session:
         replies = self._session.get(key, payload=payload.encode(), timeout=2.0)
         return [reply.ok.payload.to_string() if reply.ok else "error" for reply in replies]
 
-    def heard(self) -> list[str]:
+    def list_heard(self) -> list[str]:
         self._settle()
         return self._heard
 

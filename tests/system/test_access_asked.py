@@ -133,13 +133,13 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
 
     elsewhere = iter(["nonsense", "wc.nowhere=P3", "wc.output=P3", "wc.output.3=P3", ""])
 
-    def told(asked: str) -> str:
+    def answer(asked: str) -> str:
         if "elsewhere" in asked:
             return next(elsewhere, "")
         return "empty" if "sealer.default" in asked or "hidex.default" in asked else ""
 
     screen = terminal(*leave)
-    screen.answer(told, b"n\n")
+    screen.answer(answer, b"n\n")
     assert screen.end() == 130
     assert "Write STATION=WHAT" in screen.said
     assert "There is no station 'wc.nowhere' here." in screen.said
@@ -149,10 +149,10 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
 
     elsewhere = iter(["wc.output.3=P3", ""])
     screen = terminal(*leave)
-    screen.answer(lambda asked: "nonsense" if "camera" in asked else told(asked), b"y\n")
+    screen.answer(lambda asked: "nonsense" if "camera" in asked else answer(asked), b"y\n")
     screen.until("Nothing was taken from what you said")  # there is no such labware
     elsewhere = iter(["wc.output.3=P3", ""])
-    screen.answer(told, b"y\n")
+    screen.answer(answer, b"y\n")
     assert screen.end() == 0
     assert screen.said.rstrip().endswith("rpl goes on.")
     assert stands(lab, *places) == [[], ["P2"], [], ["P3"]]

@@ -15,7 +15,7 @@ from labos.spec import find_spec, load_workcell
 def test_committed_events_are_published(tmp_path: Path) -> None:
     async def listen() -> tuple[list[bytes], list[bytes]]:
         cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-        settings = Settings.of(tmp_path, speed=1000.0, simulate=True)
+        settings = Settings.make(tmp_path, speed=1000.0, simulate=True)
         async with open_lab(settings, nodes="none") as lab:
             bus = await open_bus(mode="client", connect=[lab.bus_endpoint])
             heard: list[bytes] = []

@@ -53,7 +53,7 @@ class Lab:
         self.processes.append(made)
         return made.start()
 
-    def loaded(self) -> int:
+    def count_loaded(self) -> int:
         """How many plates were put on the stack, as the log has it."""
         return self.up.types().count("station.loaded")
 
@@ -88,7 +88,7 @@ def load(api: ApiProcess, key: str) -> httpx.Response | None:
         return None
 
 
-def settled(api: ApiProcess, key: str) -> httpx.Response:
+def await_answer(api: ApiProcess, key: str) -> httpx.Response:
     """The answer once there is one that says more than to ask again."""
 
     def ask() -> httpx.Response | None:
@@ -118,7 +118,7 @@ def load_all(
         return answer.status_code
 
     def repeat(name: int) -> int:
-        found = settled(again[name % len(again)], f"key-{name}")
+        found = await_answer(again[name % len(again)], f"key-{name}")
         assert found.status_code == 201, found.text
         return found.status_code
 
@@ -148,7 +148,7 @@ def test_a_kernel_that_is_killed_in_mid_command(make: Callable[..., Lab]) -> Non
             lab.start()
 
     load_all((one, two), (two, one), number, kill)
-    assert lab.loaded() == number
+    assert lab.count_loaded() == number
     # One that stands still, and is killed while somebody waits for it.
     assert lab.up.process is not None
     lab.up.process.send_signal(signal.SIGSTOP)
@@ -168,7 +168,7 @@ def test_a_kernel_that_is_killed_in_mid_command(make: Callable[..., Lab]) -> Non
         lambda: (a := load(two, "late")) is not None and a.status_code != 503 and a, "it is answered"
     )
     assert found.status_code == 201
-    assert lab.loaded() == number + 1
+    assert lab.count_loaded() == number + 1
     assert lab.up.interrupt() == 0
     verified = labos("verify", "--home", str(lab.up.home))
     assert verified.returncode == 0, verified.stdout
@@ -185,7 +185,7 @@ def test_an_api_process_that_is_killed(make: Callable[..., Lab]) -> None:
             one.kill()
 
     load_all((one, two), (two,), number, kill)
-    assert lab.loaded() == number
+    assert lab.count_loaded() == number
     one.start()
     with one.client() as client:
         assert len(client.get("/events", params={"type": "station.loaded"}).json()["events"]) == number
@@ -204,10 +204,10 @@ def test_an_api_process_on_a_secure_bus(make: Callable[..., Lab]) -> None:
     keys = (f"after-{number}" for number in itertools.count())  # the bus is closed to it within two seconds
     until(lambda: (a := load(one, next(keys))) is not None and a.status_code == 503, "it may ask no more")
     assert httpx.get(f"{one.url}/api/v1/runs").status_code == 200, "it may look"
-    before = lab.loaded()
+    before = lab.count_loaded()
     again = load(one, "again")
     assert again is not None
-    assert (again.status_code, lab.loaded()) == (503, before)
+    assert (again.status_code, lab.count_loaded()) == (503, before)
 
 
 @pytest.mark.full
@@ -233,7 +233,7 @@ def test_a_standby_takes_over_behind_api_processes(tmp_path: Path, postgres_url:
         load_all(processes, processes[::-1], number, kill)
         until(pair.second.is_there, "the second kernel answers")
         assert pair.second.types().count("station.loaded") == number
-        assert pair.second.interrupt() == 0, pair.second.said()
+        assert pair.second.interrupt() == 0, pair.second.read_log()
     finally:
         for process in processes:
             process.kill()
@@ -267,7 +267,9 @@ def test_a_replica_of_the_log_on_another_computer(
             home.set_password("ada", "correct horse battery")
             token = home.make_token("test", user="ada", scope="admin")["secret"]
         (folder,) = (lab.up.home / "pki" / "issued").glob("*/api.web")
-        bus = next(line.split()[-1] for line in lab.up.said().splitlines() if line.strip().startswith("bus "))
+        bus = next(
+            line.split()[-1] for line in lab.up.read_log().splitlines() if line.strip().startswith("bus ")
+        )
         options = ("--home", str(tmp_path / "elsewhere"), "--bus", bus, "--cert", str(folder))
         with psycopg.connect(url, autocommit=True) as connection:
             for statement in role_in_docs():

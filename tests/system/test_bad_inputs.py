@@ -240,7 +240,7 @@ def working(lab: Lab) -> Lab:
     return lab
 
 
-def refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
+def check_refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
     """One line that says it all."""
     assert done.returncode == 1, done
     lines = done.stderr.strip().splitlines()
@@ -262,7 +262,7 @@ def files_of(folder: Path) -> set[str]:
 def test_a_bad_workflow_is_refused_in_one_line(lab: Lab, what: str) -> None:
     text, payload, place, wrong, remedy = BAD[what]
     file, before, there = lab.file(text), lab.head(), files_of(lab.up.home)
-    refused(labos("submit", file, *payload, *lab.home), f"labos: {file}:{place}", wrong, remedy)
+    check_refused(labos("submit", file, *payload, *lab.home), f"labos: {file}:{place}", wrong, remedy)
     assert lab.head() == before
     assert files_of(lab.up.home) == there
 
@@ -273,8 +273,8 @@ def test_a_key_that_nothing_takes_is_refused_whoever_sends_it(lab: Lab) -> None:
     )
     file, before = lab.file(text), lab.head()
     told = ("payload.seal.tim: Nothing in the workflow takes 'seal.tim'", "Did you mean 'seal.time'?")
-    refused(labos("submit", file, "-p", "seal.tim=3", *lab.home), f"labos: {file}: ", *told)
-    refused(
+    check_refused(labos("submit", file, "-p", "seal.tim=3", *lab.home), f"labos: {file}: ", *told)
+    check_refused(
         labos("submit", file, "-p", "seal=3", *lab.home), "takes 'seal' from", "Did you mean 'seal.time'?"
     )
     with lab.up.client() as client:
@@ -294,11 +294,13 @@ def test_a_key_that_nothing_takes_is_refused_whoever_sends_it(lab: Lab) -> None:
 def test_labware_of_an_unknown_or_unwanted_type_is_not_placed(lab: Lab) -> None:
     before = lab.head()
     unknown = labos("place", "sealer.default", "plate69", *lab.home)
-    refused(unknown, "no labware type 'plate69'", "Did you mean 'plate96'?", "Known: lid96, pcr96, plate96.")
+    check_refused(
+        unknown, "no labware type 'plate69'", "Did you mean 'plate96'?", "Known: lid96, pcr96, plate96."
+    )
     unwanted = labos("place", "wc.output", "pcr96", *lab.home)
-    refused(unwanted, "wc.output does not accept pcr96; it accepts plate96.")
+    check_refused(unwanted, "wc.output does not accept pcr96; it accepts plate96.")
     nowhere = labos("place", "sealer.defalt", "plate96", *lab.home)
-    refused(nowhere, "no station 'sealer.defalt'", "Did you mean 'sealer.default'?")
+    check_refused(nowhere, "no station 'sealer.defalt'", "Did you mean 'sealer.default'?")
     assert lab.head() == before
 
 
@@ -308,7 +310,9 @@ def test_one_key_for_two_things(lab: Lab) -> None:
     before = lab.head()
     assert labos("submit", file, *key, *lab.home).stdout.strip() == first
     lab.file(workflow(seal("time: 2")))
-    refused(labos("submit", file, *key, *lab.home), f"The key 'k1' belongs to {first}", "a key of its own")
+    check_refused(
+        labos("submit", file, *key, *lab.home), f"The key 'k1' belongs to {first}", "a key of its own"
+    )
     assert lab.head() == before
     told = labos("cancel", first, "--wait", *lab.home)
     assert told.stdout == f"{first} is cancelled.\n"
@@ -416,7 +420,7 @@ def test_a_postgres_that_is_not_there(tmp_path: Path) -> None:
     url = f"postgresql://labos:secret@127.0.0.1:{port}/lab"
     for command in (("up", "rpl"), ("run", "cp_newplate")):
         done = labos(*command, "--simulate", "--home", str(home), LABOS_DATABASE_URL=url)
-        refused(done, f"127.0.0.1:{port}/lab is not available", "Check that the server runs")
+        check_refused(done, f"127.0.0.1:{port}/lab is not available", "Check that the server runs")
         assert "secret" not in done.stderr
         assert not home.exists()
 
@@ -428,7 +432,7 @@ def ended(lab: Lab, tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path]
     up = Up(home, "--simulate", "--no-nodes")
     try:
         up.start(str(lab.cell))
-        assert up.interrupt() == 0, up.said()
+        assert up.interrupt() == 0, up.read_log()
     finally:
         up.clean_up()
 
@@ -445,7 +449,9 @@ def test_a_database_of_a_newer_version(ended: Callable[[Path], Path], tmp_path: 
         database.commit()
     before, there = (home / "labos.db").read_bytes(), files_of(home)
     for command in (("up",), ("run", "cp_newplate", "--simulate")):
-        refused(labos(*command, "--home", str(home)), "written by a newer LabOS (revision 9999", "Upgrade")
+        check_refused(
+            labos(*command, "--home", str(home)), "written by a newer LabOS (revision 9999", "Upgrade"
+        )
     assert (home / "labos.db").read_bytes() == before
     assert files_of(home) - {"labos.db-wal", "labos.db-shm"} == there - {"labos.db-wal", "labos.db-shm"}
 
@@ -472,9 +478,11 @@ class TestBadDisk:
     ) -> None:
         home, new = ended(tmp_path / "disk" / "lab"), tmp_path / "disk" / "new"
         disk("remount,ro")
-        refused(labos("up", "--home", str(home)), "labos.db", "Read-only file system", "Check that its file")
+        check_refused(
+            labos("up", "--home", str(home)), "labos.db", "Read-only file system", "Check that its file"
+        )
         made = labos("up", str(lab.cell), "--simulate", "--home", str(new))
-        refused(made, str(new), "Read-only file system", "written")
+        check_refused(made, str(new), "Read-only file system", "written")
         assert not new.exists()
         assert "The log is whole" in labos("verify", "--home", str(home)).stdout
         disk("remount,rw,size=3m")
@@ -488,9 +496,9 @@ class TestBadDisk:
         with suppress(OSError), filler.open("wb", buffering=0) as file:
             while file.write(bytes(4096)):
                 pass
-        refused(labos("up", "--home", str(home)), str(home), "full", "Free some space")
+        check_refused(labos("up", "--home", str(home)), str(home), "full", "Free some space")
         made = labos("up", str(lab.cell), "--simulate", "--home", str(new))
-        refused(made, str(new), "Free some space")
+        check_refused(made, str(new), "Free some space")
         begun = {path.name: path.stat().st_size for path in new.rglob("*")} if new.exists() else {}
         assert begun.keys() <= {"labos.db", "labos.db-wal", "labos.db-shm"}
         assert not begun.get("labos.db-wal"), f"nothing is half written: {begun}"
@@ -504,7 +512,7 @@ class TestBadDisk:
         """Mended, the lab starts as if nothing had been; one of a ``new`` workcell, too."""
         up = Up(home, "--no-nodes", *(["--simulate"] if new else [])).start(*new)
         try:
-            assert up.interrupt() == 0, up.said()
+            assert up.interrupt() == 0, up.read_log()
         finally:
             up.clean_up()
 
@@ -516,7 +524,7 @@ def test_a_port_in_use(ended: Callable[[Path], Path], tmp_path: Path) -> None:
         taken.listen()
         port = str(taken.getsockname()[1])
         for option in ("--http-port", "--bus-port"):
-            refused(labos("up", "--no-nodes", "--home", str(home), option, port), port, "in use")
+            check_refused(labos("up", "--no-nodes", "--home", str(home), option, port), port, "in use")
     assert find_kernel(home) is None
     assert "The log is whole" in labos("verify", "--home", str(home)).stdout
 

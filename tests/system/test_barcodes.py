@@ -38,7 +38,7 @@ steps:
 
 
 @contextmanager
-def _told(home: Path, url: str) -> Iterator[None]:
+def _set_webhook(home: Path, url: str) -> Iterator[None]:
     """The lab of this folder tells people by a webhook."""
     (home / "contacts.yaml").write_text(f'contacts: {{duty: {{webhook: "{url}"}}}}\n')
     yield
@@ -50,7 +50,7 @@ def test_swapped_plates_are_noticed_and_put_right(tmp_path: Path) -> None:
     workflow = tmp_path / "read.yaml"
     workflow.write_text(READ)
 
-    def found(barcode: str) -> list[dict[str, Any]]:
+    def find_labware(barcode: str) -> list[dict[str, Any]]:
         done = labos("labware", "--barcode", barcode, "--json", "--home", str(home))
         assert done.returncode == 0, done.stderr
         stories: list[dict[str, Any]] = json.loads(done.stdout)
@@ -61,15 +61,15 @@ def test_swapped_plates_are_noticed_and_put_right(tmp_path: Path) -> None:
     home.mkdir()
     with (
         web_server(hook) as url,
-        _told(home, url),
-        LabThread(Settings.of(home, speed=5000.0, simulate=True), [cell]) as lab,
+        _set_webhook(home, url),
+        LabThread(Settings.make(home, speed=5000.0, simulate=True), [cell]) as lab,
         LabClient(lab.url) as client,
     ):
         run = client.submit(workflow, user="ada")
         assert client.wait(run, timeout_s=PATIENCE_S).status == "completed"
         here = next(item for item in client.state()["labware"] if item["station"].startswith("camera"))
         code = here["barcode"]
-        assert [story["id"] for story in found(code)] == [here["id"]]
+        assert [story["id"] for story in find_labware(code)] == [here["id"]]
         other = next(item["id"] for item in client.state()["labware"] if item["id"] != here["id"])
         world = lab.runtime.world("corner")
         (first,), (second,) = world.at("camera.plate_station"), world.at("wc.shelf")
@@ -100,5 +100,5 @@ def test_swapped_plates_are_noticed_and_put_right(tmp_path: Path) -> None:
         places = {item["id"]: item["station"] for item in client.state()["labware"]}
         assert places == {here["id"]: "wc.shelf", other: "camera.plate_station"}
         client.cancel(run, "ada")
-    assert found(code)[0]["stays"][-1]["places"] == ["corner/wc.shelf"]
+    assert find_labware(code)[0]["stays"][-1]["places"] == ["corner/wc.shelf"]
     assert labos("labware", "--barcode", "nobody's", "--home", str(home)).returncode == 1

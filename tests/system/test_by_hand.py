@@ -27,7 +27,7 @@ def test_nothing_moves_an_arm_that_is_guided_by_hand(tmp_path: Path) -> None:
         return done.stdout
 
     with (
-        LabThread(Settings.of(home, speed=1000.0, simulate=True), [cell]) as lab,
+        LabThread(Settings.make(home, speed=1000.0, simulate=True), [cell]) as lab,
         LabClient(lab.url) as client,
     ):
         say("do", "pf400", "free_mode", "--quiet")

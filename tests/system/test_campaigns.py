@@ -23,7 +23,7 @@ CAMPAIGN = "labos: 1\ncampaign: sealing\nworkflow: pcr\nrows: {table: rows.csv}\
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 
@@ -34,7 +34,7 @@ def client(lab: LabThread) -> Iterator[LabClient]:
         yield found
 
 
-def written(folder: Path, rows: str, more: str = "") -> Path:
+def write_campaign(folder: Path, rows: str, more: str = "") -> Path:
     (folder / "rows.csv").write_text(f"seal.time\n{rows}")
     path = folder / "screen.yaml"
     path.write_text(CAMPAIGN + more)
@@ -49,7 +49,7 @@ def labos(lab: LabThread, *words: str) -> Result:
 def test_nothing_is_submitted_if_a_row_is_wrong(client: LabClient, tmp_path: Path) -> None:
     before = client.health()["position"]
     with pytest.raises(BadInput) as error:
-        client.submit_campaign(written(tmp_path, "1\nhot\n3\ncold\n"), user="ada")
+        client.submit_campaign(write_campaign(tmp_path, "1\nhot\n3\ncold\n"), user="ada")
     assert "rows.csv:3:1: steps[1].args.time (Seal plate/Seal): Row 2:" in str(error.value)
     assert "rows.csv:5:1: steps[1].args.time (Seal plate/Seal): Row 4:" in str(error.value)
     assert "Write a number from 0 to 999.9 s" in str(error.value)
@@ -66,12 +66,14 @@ def test_nothing_is_submitted_if_a_row_is_wrong(client: LabClient, tmp_path: Pat
 )
 def test_what_only_the_lab_can_know(client: LabClient, tmp_path: Path, more: str, said: str) -> None:
     with pytest.raises(BadInput) as error:
-        client.submit_campaign(written(tmp_path, "1\n", more), user="ada", dry_run=True)
+        client.submit_campaign(write_campaign(tmp_path, "1\n", more), user="ada", dry_run=True)
     assert said in str(error.value)
 
 
 def test_a_few_runs_wait_and_the_rest_stay_rows(client: LabClient, tmp_path: Path) -> None:
-    told = client.submit_campaign(written(tmp_path, "1\n" * 20, "deadline: 12h\ntags: [x]\n"), user="ada")
+    told = client.submit_campaign(
+        write_campaign(tmp_path, "1\n" * 20, "deadline: 12h\ntags: [x]\n"), user="ada"
+    )
     name = told["campaign"]
     assert told["estimate"]["consumables"]["tips"]["needed"] == 480
     until(lambda: client.campaign(name)["queued"] == 4, "four wait")
@@ -88,16 +90,16 @@ def test_a_few_runs_wait_and_the_rest_stay_rows(client: LabClient, tmp_path: Pat
 
 
 def test_one_key_is_one_campaign(client: LabClient, tmp_path: Path) -> None:
-    path = written(tmp_path, "1\n2\n")
+    path = write_campaign(tmp_path, "1\n2\n")
     names = {client.submit_campaign(path, user="ada", request="key")["campaign"] for _ in range(3)}
     assert len(names) == 1
     with pytest.raises(Refused, match="which has other rows"):
-        client.submit_campaign(written(tmp_path, "1\n3\n"), user="ada", request="key")
+        client.submit_campaign(write_campaign(tmp_path, "1\n3\n"), user="ada", request="key")
     client.cancel_campaign(names.pop(), "ada")
 
 
 def test_the_command_line(lab: LabThread, tmp_path: Path) -> None:
-    path = str(written(tmp_path, "1\n2\n", "budget: {runs: 9}\n"))
+    path = str(write_campaign(tmp_path, "1\n2\n", "budget: {runs: 9}\n"))
     assert "2 rows of pcr in rpl" in labos(lab, "campaign", "plan", path).output
     name = labos(lab, "campaign", "submit", path, "--user", "ada").output.strip()
     paused = labos(lab, "campaign", "pause", name, "--why", "tea")
@@ -116,7 +118,7 @@ def test_the_command_line(lab: LabThread, tmp_path: Path) -> None:
 
 
 def test_one_is_cloned_and_archived(lab: LabThread, client: LabClient, tmp_path: Path) -> None:
-    path = written(tmp_path, "1\n2\n3\n", "budget: {runs: 9}\ntags: [x]\ndeadline: 90h\n")
+    path = write_campaign(tmp_path, "1\n2\n3\n", "budget: {runs: 9}\ntags: [x]\ndeadline: 90h\n")
     first = str(client.submit_campaign(path, user="ada")["campaign"])
     labos(lab, "campaign", "amend", first, "--runs", "7")
     early = labos(lab, "campaign", "archive", first)
@@ -166,10 +168,12 @@ def test_shares_are_applied_and_shown(lab: LabThread, client: LabClient, tmp_pat
 @pytest.mark.slow
 def test_each_row_is_carried_out_and_reported(tmp_path: Path) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     more = 'until: steps["Take picture"].result.bytes > 1\n'
     with LabThread(settings, [cell], nodes="processes") as lab, LabClient(lab.url) as client:
-        name = client.submit_campaign(written(tmp_path, "1\n2\n3\n4\n5\n6\n", more), user="ada")["campaign"]
+        name = client.submit_campaign(write_campaign(tmp_path, "1\n2\n3\n4\n5\n6\n", more), user="ada")[
+            "campaign"
+        ]
         until(lambda: not client.campaigns(), "its stop rule ends it", 100.0)
         rows = json.loads(labos(lab, "campaign", "report", name, "--json").output)
         shown = json.loads(labos(lab, "campaign", "show", name, "--json").output)

@@ -23,7 +23,7 @@ from tests.unit.services.logbook import two_users
 LABOS = Path(sys.executable).with_name("labos")
 
 
-def offered(line: str) -> list[str]:
+def list_offered(line: str) -> list[str]:
     """What is offered for the last word of a line."""
     *words, begun = line.split(" ")[1:]
     return [item.value for item in ShellComplete(group, {}, "labos", "_X").get_completions(words, begun)]
@@ -65,32 +65,32 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 )
 @pytest.mark.usefixtures("home")
 def test_names_are_offered_where_one_is_taken(line: str, wanted: list[str]) -> None:
-    assert offered(line) == wanted
+    assert list_offered(line) == wanted
 
 
 def test_the_home_on_the_line_counts(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("LABOS_HOME")
-    assert offered(f"labos runs --home {home} R") == ["R2", "R1"]
-    assert offered(f"labos do --home {home} seal") == ["sealer"]
+    assert list_offered(f"labos runs --home {home} R") == ["R2", "R1"]
+    assert list_offered(f"labos do --home {home} seal") == ["sealer"]
 
 
 def test_where_there_is_no_lab_nothing_is_offered_and_nothing_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LABOS_HOME", str(tmp_path / "none"))
-    assert [offered(f"labos {words} ") for words in ("runs", "do", "stations", "access")] == [[]] * 4
+    assert [list_offered(f"labos {words} ") for words in ("runs", "do", "stations", "access")] == [[]] * 4
     assert not (tmp_path / "none").exists()
 
 
 def test_a_lab_that_runs_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     monkeypatch.setenv("LABOS_HOME", str(settings.home))
     with LabThread(settings, [cell], nodes="none") as lab, LabClient(lab.url) as client:
         run = client.submit("pcr", user="ada")
-        assert offered("labos cancel R") == [run]
-        assert offered("labos reset seal") == ["sealer"]
-        assert offered("labos observe sealer.") == ["sealer.default"]
+        assert list_offered("labos cancel R") == [run]
+        assert list_offered("labos reset seal") == ["sealer"]
+        assert list_offered("labos observe sealer.") == ["sealer.default"]
 
 
 def lines() -> dict[str, str]:

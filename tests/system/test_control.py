@@ -64,12 +64,12 @@ class Lab(kills.Lab):
         fresh.replace(self.hold / PCR[step])
         return word
 
-    def held(self, step: int, word: str) -> bool:
+    def is_held(self, step: int, word: str) -> bool:
         """Whether it stands still, and the log knows that it is at work."""
         note = self.hold / f"{PCR[step]}.held"
         if not note.exists() or note.read_text() != word:
             return False
-        state, _ = self.folded()
+        state, _ = self.fold_log()
         flying = {local(a.module) for a in state.actions.open.values() if a.status == "accepted"}
         return PCR[step] in flying
 
@@ -101,7 +101,7 @@ class Lab(kills.Lab):
     def check(self) -> Counter[str]:
         """What happened, when everything has ended and the bench is as the log says."""
         until(self.at_rest, "everything has ended")
-        state, records = self.folded()
+        state, records = self.fold_log()
         world = World(str(self.home / "world" / "rpl.db"))
         try:
             assert differences(world, state, records) == []
@@ -124,7 +124,7 @@ class Flight:
 
     def arrive(self) -> None:
         """Wait until the step is in flight."""
-        until(lambda: self.lab.held(self.step, self.word), f"step {self.step} is in flight")
+        until(lambda: self.lab.is_held(self.step, self.word), f"step {self.step} is in flight")
 
     def land(self) -> None:
         """Let the step end; the next one will stand still."""
@@ -133,11 +133,11 @@ class Flight:
             self.word = self.lab.bar(step + 1)
         if step == LAST or PCR[step + 1] != PCR[step]:
             self.lab.let_go(step)
-        until(lambda: self.landed(step), f"step {step} ends")
+        until(lambda: self.has_landed(step), f"step {step} ends")
         self.step += 1
 
-    def landed(self, step: int) -> bool:
-        _, records = self.lab.folded()
+    def has_landed(self, step: int) -> bool:
+        _, records = self.lab.fold_log()
         ends = [json.loads(r.payload) for r in records if r.head.type == "action.succeeded"]
         return any((end["run"], end["step"]) == (self.run, step) for end in ends)
 
@@ -169,7 +169,7 @@ PAUSED = ("run.paused", "starts.paused")
 RESUMED = ("run.resumed", "starts.resumed")
 
 
-def started_in_a_pause(records: Sequence[Record]) -> list[str]:
+def find_started_in_pause(records: Sequence[Record]) -> list[str]:
     """Actions that were asked for while their run, experiment, module, workcell or the lab was paused."""
     paused: set[str] = set()
     homes: dict[str, str] = {}
@@ -209,7 +209,7 @@ def pause(flight: Flight, kind: str) -> None:
         flight.arrive()
 
 
-def begun(lab: Lab, kind: str) -> Flight:
+def begin_flight(lab: Lab, kind: str) -> Flight:
     """A PCR; of an experiment, if that is what somebody will lay hands on."""
     experiment = ""
     if kind == "experiment":
@@ -219,7 +219,7 @@ def begun(lab: Lab, kind: str) -> Flight:
 
 def cancel(lab: Lab, step: int, kind: str, flight: Flight | None = None) -> None:
     """What is in flight ends, then the plate goes the way out."""
-    flight = (flight or begun(lab, kind)).reach(step)
+    flight = (flight or begin_flight(lab, kind)).reach(step)
     lab.control("cancel", TARGETS[kind](flight))
     flight.drop()
     count = lab.check()
@@ -238,7 +238,7 @@ def stop(lab: Lab, step: int, target: str) -> None:
     count = lab.check()
     assert count["module.emergency_stopped"] == len(told["stopped"])
     assert count["run.completed"] + count["run.failed"] + count["run.cancelled"] == len(lab.runs) + lab.resets
-    state, _ = lab.folded()
+    state, _ = lab.fold_log()
     assert {module.status for module in state.modules.by_name.values()} == {"IDLE"}
 
 
@@ -250,12 +250,12 @@ def test_control_of_what_is_in_flight(lab: Lab) -> None:
     pause(flight.reach(4), "module")
     lab.control("cancel", flight.run)
     flight.drop()
-    assert started_in_a_pause(lab.folded()[1]) == []
+    assert find_started_in_pause(lab.fold_log()[1]) == []
     assert lab.check()["run.cancelled"] == 1
-    flight = begun(lab, "experiment")
+    flight = begin_flight(lab, "experiment")
     pause(flight.reach(1), "experiment")
     cancel(lab, 2, "experiment", flight)
-    assert started_in_a_pause(lab.folded()[1]) == []
+    assert find_started_in_pause(lab.fold_log()[1]) == []
     stop(lab, 1, "")
 
 
@@ -263,14 +263,14 @@ def test_control_of_what_is_in_flight(lab: Lab) -> None:
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", TARGETS)
 def test_a_pause_at_every_step(lab: Lab, kind: str) -> None:
-    flight = begun(lab, kind)
+    flight = begin_flight(lab, kind)
     while flight.step <= LAST:
         pause(flight, kind)
     if kind == "experiment":
         lab.ask(lambda client: client.end_experiment(flight.experiment))
     assert lab.check()["run.completed"] == 1
-    records = lab.folded()[1]
-    assert started_in_a_pause(records) == []
+    records = lab.fold_log()[1]
+    assert find_started_in_pause(records) == []
     assert sum(record.head.type in PAUSED for record in records) == len(PCR)
 
 

@@ -17,7 +17,7 @@ from tests.integration.store.records import flip, raw
 
 
 def settings(home: Path) -> Settings:
-    return Settings.of(home, f"sqlite:///{home / 'labos.db'}", speed=1000.0, simulate=True)
+    return Settings.make(home, f"sqlite:///{home / 'labos.db'}", speed=1000.0, simulate=True)
 
 
 async def live(home: Path) -> None:

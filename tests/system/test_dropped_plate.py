@@ -53,7 +53,7 @@ class Corner:
         self.folder, self.home = folder, folder / "lab"
         (folder / "corner.yaml").write_text(CELL)
         cell = load_workcell(folder / "corner.yaml", descriptions())
-        self.thread = LabThread(Settings.of(self.home, speed=2000.0, simulate=True), [cell])
+        self.thread = LabThread(Settings.make(self.home, speed=2000.0, simulate=True), [cell])
 
     def carry(self, client: LabClient, arm: str, source: str, target: str, what: str = "fail") -> str:
         file = self.folder / f"{arm}-{source}-{target}.yaml"
@@ -61,7 +61,7 @@ class Corner:
         file.write_text(text.replace("WHAT", what))
         return client.submit(file, user="ada")
 
-    def told(self, kind: str) -> list[Any]:
+    def list_payloads(self, kind: str) -> list[Any]:
         records = self.thread.runtime.store.select(LogQuery(types=(kind,)))
         return [json.loads(record.payload) for record in records]
 
@@ -86,7 +86,7 @@ def test_a_dropped_plate_is_missed(corner: Corner) -> None:
         other = corner.carry(client, "ur", "left", "right")
         assert client.wait(run, timeout_s=PATIENCE_S).status == "failed"
         assert client.wait(other, timeout_s=PATIENCE_S).status == "completed", "it does not depend on it"
-        (failed,) = corner.told("run.failed")
+        (failed,) = corner.list_payloads("run.failed")
         assert failed["kind"] == "operational"
         assert "eye saw nothing at wc.table" in failed["why"]
         (question,) = client.state(waits=False)["interventions"]
@@ -108,19 +108,19 @@ def test_who_asks_may_have_it_put_where_it_belongs(corner: Corner) -> None:
         world.trip("pf400", "drops")
         run = corner.carry(client, "pf400", "shelf", "table", "ask")
 
-        def asked() -> list[Any]:
+        def list_asked() -> list[Any]:
             return list(client.state(waits=False)["interventions"])
 
-        until(asked, "somebody is asked")
+        until(list_asked, "somebody is asked")
         assert client.status(run).status == "active"
         world.carry(plate, "wc.table")
-        assert labos("resolve", asked()[0]["id"], "done", "--home", str(corner.home)).returncode == 0
+        assert labos("resolve", list_asked()[0]["id"], "done", "--home", str(corner.home)).returncode == 0
         assert client.wait(run, timeout_s=PATIENCE_S).status == "completed"
         # It is seen by its label from now on, and goes back when all goes well.
         back = corner.carry(client, "pf400", "table", "shelf")
         assert client.wait(back, timeout_s=PATIENCE_S).status == "completed"
     assert corner.differences() == []
-    assert [event["looks"] for event in corner.told("action.reported")] == [
+    assert [event["looks"] for event in corner.list_payloads("action.reported")] == [
         ["corner/wc.shelf", "corner/wc.table"],
         ["corner/wc.table", "corner/wc.shelf"],
     ]
@@ -140,7 +140,7 @@ def test_what_a_hand_kept_is_taken_out_of_it(corner: Corner, answer: str) -> Non
         corner.thread.runtime.world("corner").trip("pf400", "keeps")
         run = corner.carry(client, "pf400", "shelf", "table")
         assert client.wait(run, timeout_s=PATIENCE_S).status == "failed"
-        until(lambda: corner.told("labware.observed"), "the arm says that it holds it")
+        until(lambda: corner.list_payloads("labware.observed"), "the arm says that it holds it")
         seen = labos("bench", "show", *home).stdout
         assert re.search(r"in the hand of pf400 +P1 \(plate96\)", seen), seen
         (question,) = client.state(waits=False)["interventions"]

@@ -64,7 +64,7 @@ def evening(tmp_path: Path) -> Iterator[Up]:
     lab.clean_up()
 
 
-def said(*argv: str) -> str:
+def run_command(*argv: str) -> str:
     done = labos(*argv)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -87,25 +87,27 @@ def is_carrying(lab: Up) -> int:
 def test_import_run_rescue_and_fetch(evening: Up, tmp_path: Path) -> None:
     home = ("--home", str(evening.home))
     mine = tmp_path / "mine"
-    assert "2 written, 0 skipped, 0 refused." in said("import", str(tmp_path / "foreign"), "-o", str(mine))
+    assert "2 written, 0 skipped, 0 refused." in run_command(
+        "import", str(tmp_path / "foreign"), "-o", str(mine)
+    )
     evening.start(str(mine / "corner.yaml"))
-    assert said("submit", str(mine / "workflows" / "look.yaml"), *home).strip() == "R1"
+    assert run_command("submit", str(mine / "workflows" / "look.yaml"), *home).strip() == "R1"
 
     os.kill(until(lambda: is_carrying(evening), "the arm moves"), signal.SIGKILL)
     with evening.client() as client:
         until(lambda: client.state(waits=False)["interventions"], "somebody is asked")
-    assert "The lab also asks for help: I1. See: labos interventions" in said("inbox", *home)
-    told = said("interventions", *home)
+    assert "The lab also asks for help: I1. See: labos interventions" in run_command("inbox", *home)
+    told = run_command("interventions", *home)
     assert "its node was restarted in mid-motion" in told
     assert "labos resolve I1 not_done" in told
-    assert "transfer for R1 (nobody knows how it ended)" in said("nodes", *home)
+    assert "transfer for R1 (nobody knows how it ended)" in run_command("nodes", *home)
 
-    bench = json.loads(said("bench", "show", "--json", *home))["workcells"][0]["places"]
+    bench = json.loads(run_command("bench", "show", "--json", *home))["workcells"][0]["places"]
     (plate,) = [place for place, plates in bench.items() if any(each.startswith("P1") for each in plates)]
     # What the hand holds, or has put down, is at the target once a person says so.
     choice = "not_done" if plate == "sciclops.exchange" else "done"
     assert (
-        said("resolve", "I1", choice, "--why", "looked", "--user", "ada", *home)
+        run_command("resolve", "I1", choice, "--why", "looked", "--user", "ada", *home)
         == f"I1 is answered: {choice}.\n"
     )
     second = labos("resolve", "I1", "gone", *home)
@@ -114,6 +116,6 @@ def test_import_run_rescue_and_fetch(evening: Up, tmp_path: Path) -> None:
 
     with evening.client() as client:
         assert client.wait("R1", timeout_s=60).status == "completed"
-    assert "labos files R1 final_image.jpg -o ." in said("files", "R1", "final_image.jpg", *home)
-    said("files", "R1", "final_image.jpg", "-o", str(tmp_path), *home)
+    assert "labos files R1 final_image.jpg -o ." in run_command("files", "R1", "final_image.jpg", *home)
+    run_command("files", "R1", "final_image.jpg", "-o", str(tmp_path), *home)
     assert (tmp_path / "final_image.jpg").read_bytes().startswith(b"\xff\xd8")

@@ -203,7 +203,7 @@ def test_a_day_of_a_shared_facility(facility: Facility) -> None:
         "greedy": "chemistry",
     }
 
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     audit(lab, wanted)
     print(f"{refused} tries were refused; {Counter(lab.types())['run.completed']} of {RUNS} runs completed")
 

@@ -25,7 +25,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     folder = tmp_path_factory.mktemp("lab")
     (folder / "cell.yaml").write_text(CELL)
     cell = load_workcell(folder / "cell.yaml", descriptions())
-    with LabThread(Settings.of(folder / "home", speed=1.0, simulate=True), [cell]) as running:
+    with LabThread(Settings.make(folder / "home", speed=1.0, simulate=True), [cell]) as running:
         yield running
 
 

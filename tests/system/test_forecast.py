@@ -60,7 +60,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Home]:
     folder = tmp_path_factory.mktemp("lab")
     (folder / "cell.yaml").write_text(CELL)
     cell = load_workcell(folder / "cell.yaml", descriptions())
-    settings = Settings.of(folder / "home", speed=1.0, simulate=True)
+    settings = Settings.make(folder / "home", speed=1.0, simulate=True)
     with LabThread(settings, [cell], nodes="processes") as running, LabClient(running.url) as client:
         until(lambda: all(node["status"] == "IDLE" for node in client.state()["modules"]), "all nodes idle")
         yield Home(running, folder)

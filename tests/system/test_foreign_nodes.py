@@ -126,7 +126,7 @@ def test_one_workflow_on_foreign_nodes(
         client.resolve(question["id"], "done", by="ada")
         assert client.wait(run, timeout_s=60).status == "completed"
     assert [line["speed"] for line in shaker.truth("shake")] == [300, 400]
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
 
 
 FORWARD = """
@@ -180,7 +180,7 @@ def test_a_file_that_a_step_has_returned_is_given_to_a_later_one(lab: Up, tmp_pa
         assert (carried["source"], carried["resource"]) == ([1, 2], "01K5HDZZCF27YHD2WDGSXFPPKF")
         (ran,) = node.truth("run")
         assert ran["bytes"] == len(b"\x89PNG") + 256
-        assert lab.interrupt() == 0, lab.said()
+        assert lab.interrupt() == 0, lab.read_log()
     finally:
         node.kill()
 
@@ -217,7 +217,7 @@ def test_an_adapter_that_is_killed_finds_its_action_again(lab: Up, tmp_path: Pat
             (note,) = (lab.home / "nodes").glob("*.json")
             os.kill(json.loads(note.read_text())["pid"], signal.SIGKILL)
             assert client.wait(run, timeout_s=60).status == "completed"
-        assert lab.interrupt() == 0, lab.said()
+        assert lab.interrupt() == 0, lab.read_log()
     finally:
         node.kill()
     assert [line["what"] for line in node.truth() if line["what"] != "startup"] == ["shake", "shaken"]
@@ -254,4 +254,4 @@ def test_a_device_that_may_still_work_is_left_alone(sealer: Sealer, lab: Up, tmp
         client.reset("sealer", by="ada")
         assert client.wait(second, timeout_s=60).status == "completed"
         assert len(sealer.seals) == 2
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()

@@ -48,7 +48,7 @@ def parent_of(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
-def shown_as(pid: int) -> str:
+def find_shown_name(pid: int) -> str:
     """What `ps` shows of a process."""
     return Path(f"/proc/{pid}/cmdline").read_text()
 
@@ -62,7 +62,7 @@ def test_nodes_are_forks_with_names_logs_and_sessions_of_their_own(tmp_path: Pat
         a, b = keeper.nodes["cell/a"], keeper.nodes["cell/b"]
         assert {parent_of(a.pid), parent_of(b.pid)} == {server.pid}
         assert len({os.getsid(pid) for pid in (os.getpid(), server.pid, a.pid, b.pid)}) == 4
-        assert shown_as(b.pid).startswith("labos node start a4s_sealer --name b")
+        assert find_shown_name(b.pid).startswith("labos node start a4s_sealer --name b")
         pids = server.pid, a.pid, b.pid
         assert await keeper.close() == []
         assert not any(map(is_alive, pids))

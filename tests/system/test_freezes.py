@@ -31,7 +31,7 @@ from tests.support.cable import Cable
 from tests.support.cells import PCR
 from tests.support.lab_process import Up, labos, statuses, until
 from tests.support.postgres import PostgresServer
-from tests.system.test_kills import KERNEL_POINTS, NODE_POINTS, Lab, submitted_twice
+from tests.system.test_kills import KERNEL_POINTS, NODE_POINTS, Lab, submit_twice
 
 CELL = """\
 labos: 1
@@ -101,7 +101,7 @@ class Corner(Up):
             process.wait()
         self.cable.cut()
 
-    def moved(self) -> int:
+    def count_moved(self) -> int:
         """How many motions the log says have ended."""
         return self.types().count("labware.moved")
 
@@ -119,7 +119,7 @@ class Corner(Up):
 
 
 @contextlib.contextmanager
-def frozen(process: subprocess.Popen[bytes] | None) -> Iterator[None]:
+def freeze(process: subprocess.Popen[bytes] | None) -> Iterator[None]:
     assert process is not None
     process.send_signal(signal.SIGSTOP)
     until(
@@ -154,18 +154,18 @@ def outlive(lab: Corner, still_s: float) -> None:
     lab.begin()
     with LabClient(home=lab.home) as client:
         run = client.submit(lab.workflow, user="ada")
-        until(lambda: lab.moved() >= 1, "the run is on its way")
+        until(lambda: lab.count_moved() >= 1, "the run is on its way")
         lab.cable.cut()
         time.sleep(still_s)
         lab.cable.mend()
-        until(lambda: lab.moved() >= 4, "it goes on when the router is back")
-        with frozen(lab.nodes["pf400"]):
+        until(lambda: lab.count_moved() >= 4, "it goes on when the router is back")
+        with freeze(lab.nodes["pf400"]):
             time.sleep(still_s)
-        until(lambda: lab.moved() >= 7, "it goes on with its node")
-        with frozen(lab.process):
+        until(lambda: lab.count_moved() >= 7, "it goes on with its node")
+        with freeze(lab.process):
             time.sleep(still_s)
         assert statuses(client, [run]) == ["completed"]
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     assert lab.faults() == []
     assert "action.unknown" not in lab.types()
     assert "module.taken_out" not in lab.types()
@@ -181,9 +181,9 @@ def test_what_stands_still_for_half_a_minute_costs_that_and_no_more(corner: Corn
     outlive(corner, LONG_S)
 
 
-def ended_well(lab: Corner, client: LabClient, run: str) -> None:
+def check_ended_well(lab: Corner, client: LabClient, run: str) -> None:
     assert statuses(client, [run]) == ["completed"]
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     assert lab.faults() == []
     assert "action.unknown" not in lab.types()
     assert "module.taken_out" not in lab.types()
@@ -203,15 +203,15 @@ def test_a_router_that_freezes_costs_that_time(new_corner: Callable[..., Corner]
     lab.begin()
     with LabClient(home=lab.home) as client:
         run = client.submit(lab.workflow, user="ada")
-        until(lambda: lab.moved() >= 1, "the run is on its way")
-        with frozen(lab.router):
+        until(lambda: lab.count_moved() >= 1, "the run is on its way")
+        with freeze(lab.router):
             until(lambda: arm(client) == "GONE", "the arm's node is missed")
-            standing = lab.moved()
+            standing = lab.count_moved()
             time.sleep(LONG_S)
             assert arm(client) == "GONE"
-            assert lab.moved() == standing
+            assert lab.count_moved() == standing
         until(lambda: arm(client) != "GONE", "the node is back")
-        ended_well(lab, client, run)
+        check_ended_well(lab, client, run)
 
 
 @pytest.mark.full
@@ -224,11 +224,11 @@ def test_a_node_that_freezes_under_a_lab_on_postgres(
     lab.begin()
     with LabClient(home=lab.home) as client:
         run = client.submit(lab.workflow, user="ada")
-        until(lambda: lab.moved() >= 1, "the run is on its way")
-        with frozen(lab.nodes["pf400"]):
+        until(lambda: lab.count_moved() >= 1, "the run is on its way")
+        with freeze(lab.nodes["pf400"]):
             time.sleep(LONG_S)
-        until(lambda: lab.moved() >= 4, "it goes on with its node")
-        ended_well(lab, client, run)
+        until(lambda: lab.count_moved() >= 4, "it goes on with its node")
+        check_ended_well(lab, client, run)
 
 
 def test_a_kernel_that_stood_still_does_not_blame_its_database(new_corner: Callable[..., Corner]) -> None:
@@ -236,10 +236,10 @@ def test_a_kernel_that_stood_still_does_not_blame_its_database(new_corner: Calla
     lab.begin()
     with LabClient(home=lab.home) as client:
         run = client.submit(lab.workflow, user="ada")
-        until(lambda: lab.moved() >= 1, "the run is on its way")
-        with frozen(lab.process):
+        until(lambda: lab.count_moved() >= 1, "the run is on its way")
+        with freeze(lab.process):
             time.sleep(2.5)
-        ended_well(lab, client, run)
+        check_ended_well(lab, client, run)
 
 
 def thaw(mark: Path) -> None:
@@ -265,7 +265,7 @@ def test_frozen_at_every_point(tmp_path: Path, point: str) -> None:
     try:
         thawing = threading.Thread(target=thaw, args=(lab.mark,), daemon=True)
         thawing.start()
-        state, records = lab.see_out(submitted_twice(lab))
+        state, records = lab.see_out(submit_twice(lab))
         assert not thawing.is_alive(), f"{point} was never reached"
         assert lab.questions == []
         assert lab.kills == 0
@@ -294,16 +294,16 @@ def test_a_kernel_frozen_longer_than_its_lease_goes_on_alone(tmp_path: Path, pos
         with lab.client() as client:
             runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
             until(lambda: lab.types().count("labware.moved") >= 2, "the runs are on their way")
-            with frozen(lab.process):
+            with freeze(lab.process):
                 time.sleep(LONG_S)
             assert statuses(client, runs) == ["completed", "completed"]
-        assert lab.interrupt() == 0, lab.said()
+        assert lab.interrupt() == 0, lab.read_log()
         assert lab.disagreements() == []
     finally:
         lab.clean_up()
 
 
-def heard(lab: Up) -> str:
+def find_refusal(lab: Up) -> str:
     """What a caller hears; empty if the command was taken."""
     try:
         with LabClient(home=lab.home, patience_s=0.5) as client:
@@ -324,7 +324,7 @@ def under_way(lab: Up, url: str, *options: str) -> list[str]:
     return runs
 
 
-def agreed(lab: Up) -> None:
+def check_agreed(lab: Up) -> None:
     """Bench and log agree, and no node did what the log does not know."""
     assert lab.disagreements() == []
     told = labos("verify", "--journals", "--home", str(lab.home))
@@ -367,23 +367,23 @@ def test_a_database_that_freezes_counts_as_lost(up: Up, server: PostgresServer, 
     if then == "SIGTERM":
         process.terminate()
     else:
-        assert heard(up)
-    until(lambda: "has not answered for 3 s" in up.said(), "the kernel says so")
+        assert find_refusal(up)
+    until(lambda: "has not answered for 3 s" in up.read_log(), "the kernel says so")
     if then == "wait":
         time.sleep(2 * SILENT_S)
         assert process.poll() is None
-        assert "cannot write its log" in heard(up)
+        assert "cannot write its log" in find_refusal(up)
         server.thaw()
     else:
         assert process.wait(60) == 1
-        assert "its log is whole" not in up.said()
+        assert "its log is whole" not in up.read_log()
         server.thaw()
         up.start()
-    until(lambda: not heard(up), "the lab takes commands again")
+    until(lambda: not find_refusal(up), "the lab takes commands again")
     with up.client() as client:
         assert statuses(client, runs) == ["completed", "completed"]
-    assert up.interrupt() == 0, up.said()
-    agreed(up)
+    assert up.interrupt() == 0, up.read_log()
+    check_agreed(up)
 
 
 @pytest.mark.full
@@ -405,11 +405,11 @@ def test_a_commit_whose_answer_never_comes_is_found_and_not_repeated(up: Up, ser
                 lambda n=times: (up.home / "up.log").read_text().count("commit_failed") >= n,
                 "the kernel says so",
             )
-            until(lambda: not heard(up), "the lab takes commands again")
+            until(lambda: not find_refusal(up), "the lab takes commands again")
         with up.client() as client:
             assert statuses(client, runs) == ["completed", "completed"]
-        assert up.interrupt() == 0, up.said()
-        agreed(up)
+        assert up.interrupt() == 0, up.read_log()
+        check_agreed(up)
     finally:
         line.cut()
 
@@ -424,11 +424,11 @@ def test_a_standby_can_be_ended_although_the_database_is_frozen(up: Up, server: 
     up.launch()
     process = up.process
     assert process is not None
-    until(lambda: "Standing by" in up.said(), "it stands by")
+    until(lambda: "Standing by" in up.read_log(), "it stands by")
     server.freeze()
     until(lambda: unread_at(server.port), "it asks a server that does not answer")
     process.terminate()
-    assert process.wait(60) == 0, up.said()
-    assert "Nobody stands by here any more." in up.said()
+    assert process.wait(60) == 0, up.read_log()
+    assert "Nobody stands by here any more." in up.read_log()
     server.thaw()
     store.close()

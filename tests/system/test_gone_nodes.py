@@ -34,7 +34,7 @@ def corner(tmp_path: Path) -> Iterator[Corner]:
         lab.clean_up()
 
 
-def killed_in_mid_seal(lab: Corner) -> str:
+def kill_in_mid_seal(lab: Corner) -> str:
     """The run whose seal is under way when its node is killed."""
     with lab.client() as client:
         run = client.submit(lab.workflow, user="ada")
@@ -48,7 +48,7 @@ def killed_in_mid_seal(lab: Corner) -> str:
 
 def test_a_node_that_stays_away_is_told_and_given_up(corner: Corner) -> None:
     lab = corner
-    run = killed_in_mid_seal(lab)
+    run = kill_in_mid_seal(lab)
     home = ("--home", str(lab.home))
     told = labos("explain", run, *home).stdout
     assert "'seal' waits: sealer is GONE" in told, told
@@ -95,6 +95,6 @@ def test_a_node_that_comes_back_at_its_work_ends_the_question(corner: Corner) ->
 @pytest.mark.timeout(300)
 def test_without_a_word_a_person_is_asked_after_a_minute(corner: Corner) -> None:
     lab = corner
-    killed_in_mid_seal(lab)
+    kill_in_mid_seal(lab)
     until(lambda: "action.unknown" in lab.types(), "a person is asked", 90.0)
     assert "its node has been gone for 60 s" in labos("resolve", "--home", str(lab.home)).stdout

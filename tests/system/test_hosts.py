@@ -54,12 +54,12 @@ def lab() -> Iterator[Spread]:
 def sound(lab: Spread) -> None:
     """Nothing was moved twice, or not at all, by the devices' own account; nobody had to be asked."""
     done = Counter(motion.verb for motion in lab.motions())
-    assert done == {verb: number * len(lab.runs) for verb, number in MOTIONS.items()}, lab.told()
+    assert done == {verb: number * len(lab.runs) for verb, number in MOTIONS.items()}, lab.describe_all()
     assert lab.disagreements() == []
-    assert lab.asked_twice() == []
+    assert lab.find_asked_twice() == []
     types = Counter(lab.types())
     assert types["run.completed"] == len(lab.runs)
-    assert not types.keys() & {"intervention.requested", "action.unknown"}, lab.told()
+    assert not types.keys() & {"intervention.requested", "action.unknown"}, lab.describe_all()
 
 
 def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
@@ -67,9 +67,9 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
     active, epoch = lab.active(), lab.epochs()[-1][0]
     (other,) = {"k1", "k2"} - {active}
     names = [{ACTIVE: active, STANDBY: other}.get(part, part) for part in parts]
-    before = lab.done()
+    before = lab.count_done()
     lab.submit(3)
-    until(lambda: lab.done() > before, "the lab is at work")
+    until(lambda: lab.count_done() > before, "the lab is at work")
     since = time.time()
     lab.hosts.cut(*names)
     with ThreadPoolExecutor(1) as user:
@@ -79,7 +79,7 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
             if ACTIVE in parts and "db" not in parts:
                 until(lambda: lab.epochs()[-1][0] > epoch, "the standby takes over", 30.0)
             if parts == (API,):
-                until(lambda: lab.done() >= before + 3, "the lab works without its API process")
+                until(lambda: lab.count_done() >= before + 3, "the lab works without its API process")
             time.sleep(max(0.0, since + seconds - time.time()))
             assert asked is None or not asked.done(), "nobody heard the request, but it was answered"
         finally:
@@ -87,7 +87,7 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
         mended = time.time()
         if asked is not None:
             asked.result(90.0)
-    until(lambda: len(lab.answering()) == len(NODES), "all nodes answer the API process", 40.0)
+    until(lambda: len(lab.list_answering()) == len(NODES), "all nodes answer the API process", 40.0)
     served = time.time() - mended
     lab.finish()
     took = lab.epochs()[-1][1] - since
@@ -100,12 +100,12 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
             40.0,
         )
     except AssertionError as error:
-        raise AssertionError(f"{error}\n{lab.told()}") from None
+        raise AssertionError(f"{error}\n{lab.describe_all()}") from None
     back = time.time() - mended
     if ACTIVE in parts and "db" not in parts:
         assert lab.epochs()[-1][0] == epoch + 1
         assert lab.active() != active
-        assert took <= TAKEN_OVER_S, lab.told()
+        assert took <= TAKEN_OVER_S, lab.describe_all()
         over = f"taken over {took:.1f} s after the cut; "
     else:
         assert lab.epochs()[-1][0] - epoch <= 1

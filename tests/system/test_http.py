@@ -27,7 +27,7 @@ PROBLEM = {"type", "title", "status", "detail", "code", "remedy", "details"}
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 
@@ -244,11 +244,11 @@ def test_a_silent_application_is_asked_about(client: LabClient, monkeypatch: pyt
     name = client.start_experiment("colors", "bo")
     monkeypatch.setattr(service, "SILENCE_S", 0.2)
 
-    def asked() -> list[str]:
+    def list_asked() -> list[str]:
         questions = client.state(waits=False)["interventions"]
         return [q["id"] for q in questions if q["kind"] == "lost_experiment" and name in q["text"]]
 
-    question = until(asked, "a person is asked")[0]
+    question = until(list_asked, "a person is asked")[0]
     client.resolve(question, "close", by="ada")
     assert "experiment.ended" in [e["type"] for e in client.events(stream=name)]
 

@@ -163,7 +163,7 @@ class Lab:
             time.sleep(0.1)
         raise AssertionError("no kernel answered:\n" + (self.home / "up.log").read_text()[-3000:])
 
-    def folded(self) -> tuple[LabState, list[Any]]:
+    def fold_log(self) -> tuple[LabState, list[Any]]:
         store = open_store(self.database, read_only=True)
         try:
             records = list(store.read())
@@ -175,7 +175,7 @@ class Lab:
 
     def be_a_person(self, world: World) -> None:
         """Look at the bench and answer what is asked; bring modules out of their errors."""
-        state, _ = self.folded()
+        state, _ = self.fold_log()
         for question in state.interventions.open.values():
             choice = look(world, state, question)
             self.questions.append(question.kind)
@@ -195,7 +195,7 @@ class Lab:
             while True:
                 assert time.monotonic() < give_up, (self.home / "up.log").read_text()[-3000:]
                 self.keep_up()
-                state, records = self.folded()
+                state, records = self.fold_log()
                 alive = state.runs.active or state.runs.queued
                 if not alive and len(runs) + self.resets == state.runs.named:
                     return state, records
@@ -205,7 +205,7 @@ class Lab:
             world.close()
 
 
-def submitted_twice(lab: Lab) -> list[str]:
+def submit_twice(lab: Lab) -> list[str]:
     """Two PCRs of two users."""
     pcr = find_spec("workflows", "pcr")
     payload = {"seal": {"time": 3.0}}
@@ -237,7 +237,7 @@ def survive(home: Path, database: str, crash: str) -> None:
     lab = Lab(home, database, crash)
     lab.start()
     try:
-        state, records = lab.see_out(submitted_twice(lab))
+        state, records = lab.see_out(submit_twice(lab))
         world = World(str(home / "world" / "rpl.db"))
         try:
             missed = [what for what, mark in zip(lab.crashes, lab.marks(), strict=True) if not mark.exists()]

@@ -46,7 +46,7 @@ def test_a_type_of_the_labs_own_is_known_to_the_lab(tmp_path: Path) -> None:
     types.parent.mkdir()
     types.write_text(SIX)
     file.write_text(CELL)
-    settings = Settings.of(home, simulate=True, speed=5000.0)
+    settings = Settings.make(home, simulate=True, speed=5000.0)
     with (
         LabThread(settings, [load_workcell(file, descriptions())]) as running,
         LabClient(running.url) as client,

@@ -38,12 +38,12 @@ def test_the_bus_may_start_after_its_kernel(tmp_path: Path) -> None:
     bus: subprocess.Popen[bytes] | None = None
     try:
         lab.launch(str(tmp_path / "corner.yaml"))
-        until(lambda: "waiting_for_the_bus" in lab.said(), "the kernel waits")
+        until(lambda: "waiting_for_the_bus" in lab.read_log(), "the kernel waits")
         bus = subprocess.Popen([sys.executable, "-m", "labos", "bus", "--listen", endpoint])
         until(lambda: lab.is_there() or lab.process.poll() is not None, "the lab answers")  # type: ignore[union-attr]
         with lab.client() as client:
             assert statuses(client, [client.submit(workflow, user="ada")]) == ["completed"]
-        assert lab.interrupt() == 0, lab.said()
+        assert lab.interrupt() == 0, lab.read_log()
     finally:
         lab.clean_up()
         if bus is not None:

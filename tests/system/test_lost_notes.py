@@ -28,7 +28,7 @@ IN_DOUBT += b"content-length: %d\r\n\r\n%s" % (len(TOLD), TOLD)
 def test_a_note_whose_answer_was_lost_is_not_repeated(tmp_path: Path) -> None:
     (tmp_path / "corner.yaml").write_text(CELL)
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=1000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as lab:
         proxy = Proxy(int(lab.url.rpartition(":")[2]))
         try:

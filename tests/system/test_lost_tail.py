@@ -31,14 +31,14 @@ def lab(tmp_path: Path) -> Iterator[Up]:
     up.clean_up()
 
 
-def said(lab: Up, *argv: str, code: int = 0) -> str:
+def run_command(lab: Up, *argv: str, code: int = 0) -> str:
     result = CliRunner().invoke(group, [*argv, "--home", str(lab.home)])
     told = result.output + (str(result.exception) if isinstance(result.exception, LabosError) else "")
     assert result.exit_code == code, told
     return told
 
 
-def done(lab: Up) -> int:
+def count_done(lab: Up) -> int:
     return lab.types().count("action.succeeded")
 
 
@@ -53,14 +53,14 @@ def cut(lab: Up, tmp_path: Path, after: int, more: int) -> str:
     copy = tmp_path / "copy.db"
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
-        until(lambda: done(lab) >= after, "the run is on its way")
+        until(lambda: count_done(lab) >= after, "the run is on its way")
         with (
             closing(sqlite3.connect(lab.home / "labos.db")) as source,
             closing(sqlite3.connect(copy)) as target,
         ):
             source.backup(target)
-        until(lambda: done(lab) >= after + more, "it has gone on")
-    assert lab.interrupt() == 0, lab.said()
+        until(lambda: count_done(lab) >= after + more, "it has gone on")
+    assert lab.interrupt() == 0, lab.read_log()
     for file in lab.home.glob("labos.db*"):
         file.unlink()
     shutil.copy(copy, lab.home / "labos.db")
@@ -81,13 +81,13 @@ def answer_by_a_look(lab: Up, client: LabClient, *kinds: str) -> LabState:
     return state
 
 
-def settled(lab: Up, client: LabClient) -> bool:
+def is_settled(lab: Up, client: LabClient) -> bool:
     """Whether all is known that the log asks about actions that it knows."""
     return not answer_by_a_look(lab, client, "unknown_action", "lost_labware").actions.open
 
 
 def the_round(lab: Up) -> dict[str, Any]:
-    told: dict[str, Any] = json.loads(said(lab, "bench", "round", "--json"))
+    told: dict[str, Any] = json.loads(run_command(lab, "bench", "round", "--json"))
     return told
 
 
@@ -105,7 +105,7 @@ def test_a_flipped_byte_in_the_write_ahead_log_of_a_lab_that_was_killed(lab: Up)
     lab.start_with(*PCR)
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
-        until(lambda: done(lab) >= 9, "the run is on its way")
+        until(lambda: count_done(lab) >= 9, "the run is on its way")
     lab.kill()
     whole = len(lab.records())
     wal = lab.home / "labos.db-wal"
@@ -123,7 +123,7 @@ def only_after_a_round(lab: Up, run: str) -> None:
     lab.start()
     with lab.client() as client:
         until(lambda: all(m["status"] != "GONE" for m in client.state()["modules"]), "all nodes are back")
-        until(lambda: settled(lab, client), "what was under way is known")
+        until(lambda: is_settled(lab, client), "what was under way is known")
         until(lambda: all(m["status"] == "IDLE" for m in client.state()["modules"]), "nothing moves")
         told = the_round(lab)
         assert told["evidence"]
@@ -131,16 +131,16 @@ def only_after_a_round(lab: Up, run: str) -> None:
         # The answer alone is none.
         with pytest.raises(Refused, match="Nobody has said what stands at"):
             client.resolve(asked["id"], "checked", by="ada")
-        assert "nothing starts before the bench was compared" in said(lab, "explain", run)
-        assert "labos bench round" in said(lab, "explain", run)
-        assert "nothing starts before the bench was compared" in said(lab, "runs")
+        assert "nothing starts before the bench was compared" in run_command(lab, "explain", run)
+        assert "labos bench round" in run_command(lab, "explain", run)
+        assert "nothing starts before the bench was compared" in run_command(lab, "runs")
         waiting = client.submit("pcr", user="bo")
-        assert "waits" in said(lab, "runs", waiting).lower()
+        assert "waits" in run_command(lab, "runs", waiting).lower()
         requested = [r for r in lab.records()[length:] if r.head.type == "action.requested"]
         assert requested == []
         assert lab.bench() == before
         # What is to be seen is said, and the lab goes on.
-        answered = said(lab, "bench", "round", "--as-simulated", "--user", "ada")
+        answered = run_command(lab, "bench", "round", "--as-simulated", "--user", "ada")
         assert "is answered" in answered
         assert client.status(run).status == "cancelled"
         assert client.status(waiting).status == "paused"
@@ -151,7 +151,7 @@ def only_after_a_round(lab: Up, run: str) -> None:
         if "Not known of biometra" in answered:
             assert statuses(client, [client.do("biometra", "open_lid", user="ada")]) == ["completed"]
         again = client.submit("pcr", user="cy")
-        assert statuses(client, [again]) == ["completed"], said(lab, "explain", again)
-    assert lab.interrupt() == 0, lab.said()
+        assert statuses(client, [again]) == ["completed"], run_command(lab, "explain", again)
+    assert lab.interrupt() == 0, lab.read_log()
     assert crashes(lab) == []
-    assert "is whole" in said(lab, "verify")
+    assert "is whole" in run_command(lab, "verify")

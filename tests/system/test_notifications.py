@@ -30,7 +30,7 @@ def write(lab: Up, url: str) -> None:
     (lab.home / "contacts.yaml").write_text(text)
 
 
-def listed(lab: Up, *options: str) -> list[dict[str, object]]:
+def list_notifications(lab: Up, *options: str) -> list[dict[str, object]]:
     done = labos("notifications", "--json", "--home", str(lab.home), *options)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -48,7 +48,10 @@ def test_a_killed_kernel_is_told_by_who_watches(lab: Up) -> None:
             lab.kill()
             until(lambda: hook.bodies, "the watcher tells of it")
             sent = [("duty", "sent")]
-            until(lambda: [(d["contact"], d["state"]) for d in listed(lab)] == sent, "it is noted as sent")
+            until(
+                lambda: [(d["contact"], d["state"]) for d in list_notifications(lab)] == sent,
+                "it is noted as sent",
+            )
             watcher.send_signal(signal.SIGINT)
             assert watcher.wait(60) == 0
         assert [body["title"] for body in hook.bodies] == ["the kernel has stopped"]
@@ -57,7 +60,7 @@ def test_a_killed_kernel_is_told_by_who_watches(lab: Up) -> None:
         lab.start()
         assert lab.interrupt() == 0
         assert len(hook.calls) == 1
-        assert [(d["contact"], d["state"]) for d in listed(lab)] == [("duty", "sent")]
+        assert [(d["contact"], d["state"]) for d in list_notifications(lab)] == [("duty", "sent")]
 
 
 def test_closed_in_order_nobody_is_told(lab: Up) -> None:
@@ -70,7 +73,7 @@ def test_closed_in_order_nobody_is_told(lab: Up) -> None:
         lab.start()
         assert lab.interrupt() == 0
     assert hook.calls == []
-    assert listed(lab) == []
+    assert list_notifications(lab) == []
 
 
 def test_a_test_message_and_its_failure(lab: Up) -> None:

@@ -36,7 +36,7 @@ def test_a_plate_is_missed_found_and_given(tmp_path: Path) -> None:
         return done.stderr if fails else done.stdout
 
     with (
-        LabThread(Settings.of(home, speed=5000.0, simulate=True), [cell]) as lab,
+        LabThread(Settings.make(home, speed=5000.0, simulate=True), [cell]) as lab,
         LabClient(lab.url) as client,
     ):
         (plate,) = [item["id"] for item in client.state()["labware"]]
@@ -98,7 +98,7 @@ def test_nodes_say_where_what_an_arm_missed_is_not(tmp_path: Path) -> None:
     home = tmp_path / "lab"
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
     with (
-        LabThread(Settings.of(home, speed=5000.0, simulate=True), [cell]) as lab,
+        LabThread(Settings.make(home, speed=5000.0, simulate=True), [cell]) as lab,
         LabClient(lab.url) as client,
     ):
         world = lab.runtime.world("corner")

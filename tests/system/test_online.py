@@ -93,11 +93,11 @@ def test_a_device_that_is_off_and_a_node_that_is_not_there(tmp_path: Path) -> No
     try:
         with up.client() as client:
 
-            def heard() -> dict[str, str]:
+            def ask_nodes() -> dict[str, str]:
                 return {found["name"]: f"{found['answer']}: {found['why']}" for found in client.ask_nodes()}
 
             off = "ERROR: The device is not connected"
-            until(lambda: heard()["rpl/pf400"].startswith(off), "it has found no device")
+            until(lambda: ask_nodes()["rpl/pf400"].startswith(off), "it has found no device")
         told = labos("validate", str(file), "--workcell", str(path), "--online", "--home", str(up.home))
         assert told.returncode == 1
         assert off in told.stdout

@@ -59,16 +59,16 @@ class Operator(Reader):
         elif "until" in block.attributes:
             self.repeat(block, where)
         else:
-            self.said = "".join(self.typed(line, where) for line in block.text.splitlines())
+            self.said = "".join(self.type_line(line, where) for line in block.text.splitlines())
 
     def repeat(self, block: Block, where: str) -> None:
         """A command that a person types until it prints something."""
         give_up = time.monotonic() + PATIENCE_S
         while block.attributes["until"] not in self.said:
             assert time.monotonic() < give_up, f"{where}: not within {PATIENCE_S:g} s:\n{self.said}"
-            self.said = self.typed(block.text.strip(), where)
+            self.said = self.type_line(block.text.strip(), where)
 
-    def typed(self, line: str, where: str) -> str:
+    def type_line(self, line: str, where: str) -> str:
         """What a line prints that a person types."""
         if line.startswith("labos ") and not set(line) & set("|>$"):
             said = io.StringIO()

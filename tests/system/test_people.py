@@ -201,7 +201,7 @@ def test_a_workcell_is_changed_while_its_lab_runs(lab: Up, tmp_path: Path) -> No
         assert labos(*back, *home).returncode == 0
         assert "rpl/operator" not in nodes()
         until(lambda: not Path(f"/proc/{pid}").exists(), "its node has ended")
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
 
 
 def test_an_arm_is_taught_a_station(lab: Up) -> None:
@@ -224,4 +224,4 @@ def test_an_arm_is_taught_a_station(lab: Up) -> None:
         now = json.loads(labos("locations", "pf400", "--json", *home).stdout)["sealer.default"]
         assert now == {"pose": pose, "version": 1, "proven": False, "types": {}}
         until(lambda: arm() not in (0, before), "its node has the new pose")
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()

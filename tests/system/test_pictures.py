@@ -43,7 +43,7 @@ def test_a_picture_is_a_file_of_the_lab(tmp_path: Path) -> None:
     workflow.write_text(LOOK)
     home = tmp_path / "lab"
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
-    settings = Settings.of(home, speed=100.0, simulate=True, wire=True)
+    settings = Settings.make(home, speed=100.0, simulate=True, wire=True)
     with LabThread(settings, [cell]) as lab, LabClient(lab.url) as client:
         run = client.submit(workflow, user="ada")
         done = client.wait(run, timeout_s=PATIENCE_S)

@@ -51,7 +51,7 @@ def test_an_arm_finds_each_type_where_it_is(tmp_path: Path) -> None:
     (tmp_path / "corner.yaml").write_text(CELL)
     (tmp_path / "carry.yaml").write_text(CARRY)
     home = tmp_path / "lab"
-    settings = Settings.of(home, speed=200.0, simulate=True, wire=True)
+    settings = Settings.make(home, speed=200.0, simulate=True, wire=True)
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
     at = ("--home", str(home))
     with LabThread(settings, [cell], nodes="none") as lab, LabClient(lab.url) as client:
@@ -60,7 +60,7 @@ def test_an_arm_finds_each_type_where_it_is(tmp_path: Path) -> None:
             told = {m["name"]: m["status"] for m in client.state(waits=False)["modules"]}
             return told["corner/arm"] == "IDLE"
 
-        def carried(kind: str) -> list[tuple[str, bool]]:
+        def carry(kind: str) -> list[tuple[str, bool]]:
             node = start_node("arm", home, tmp_path)
             try:
                 until(idle, "an idle node")
@@ -77,8 +77,8 @@ def test_an_arm_finds_each_type_where_it_is(tmp_path: Path) -> None:
             finally:
                 assert end(node) == 0
 
-        assert carried("plate96") == [("plate96", False)] * 2
-        assert carried("pcr96") == [("pcr96", False)] * 2
+        assert carry("plate96") == [("plate96", False)] * 2
+        assert carry("pcr96") == [("pcr96", False)] * 2
         with pytest.raises(NotFound, match="'pcr69'"):
             client.teach("arm", "wc.right", OTHER, "ada", labware_type="pcr69")
         with pytest.raises(BadInput, match="crane has one pose for all labware"):
@@ -86,8 +86,8 @@ def test_an_arm_finds_each_type_where_it_is(tmp_path: Path) -> None:
         pose = ",".join(map(str, OTHER))
         taught = labos("teach", "arm", "wc.right", "--type", "pcr96", "--pose", pose, *at)
         assert taught.stdout == "arm finds wc.right with a pcr96 by version 1.\n", taught.stderr
-        assert carried("plate96") == [("plate96", False)] * 2
-        assert carried("pcr96") == [("pcr96", True), ("pcr96", False)]
+        assert carry("plate96") == [("plate96", False)] * 2
+        assert carry("pcr96") == [("pcr96", True), ("pcr96", False)]
         known = client.locations("arm")
         assert known["wc.right"]["types"] == {"pcr96": {"pose": OTHER, "version": 1, "proven": True}}
         assert known["wc.left"]["types"]["pcr96"]["version"] == 0

@@ -49,7 +49,7 @@ def test_files_and_folders_are_the_owners(lab: Up) -> None:
         until(lambda: all(m["status"] == "IDLE" for m in client.state()["modules"]), "all nodes are there")
         run = client.submit("pcr", user="ada")
         client.wait(run, timeout_s=60)
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     own = {lab.home / "up.log", lab.home}  # made by this test
     found = [path for path in lab.home.rglob("*") if path not in own]
     assert len(found) > 20
@@ -66,7 +66,7 @@ def test_a_new_home_is_private(tmp_path: Path) -> None:
     try:
         cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
         home = tmp_path / "a" / "lab"
-        with LabThread(Settings.of(home, simulate=True), [cell], nodes="none"):
+        with LabThread(Settings.make(home, simulate=True), [cell], nodes="none"):
             for folder in (home, home.parent, home / "world"):
                 assert stat.S_IMODE(folder.stat().st_mode) == 0o700, folder
             assert stat.S_IMODE((home / "kernel.json").stat().st_mode) == 0o600
@@ -93,6 +93,6 @@ def test_no_process_shows_the_databases_password(lab: Up, postgres_url: str) -> 
             assert MARKER.encode() not in Path(f"/proc/{pid}/cmdline").read_bytes()
         except FileNotFoundError:
             continue
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     for log in (lab.home / "logs").iterdir():
         assert MARKER not in log.read_text(errors="replace"), log

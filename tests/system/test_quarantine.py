@@ -45,7 +45,7 @@ def is_idle(client: LabClient) -> bool:
 def test_a_lab_that_is_closed_and_started_again_and_again(tmp_path: Path) -> None:
     (tmp_path / "corner.yaml").write_text(CELL)
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True, quarantine="2/1000000")
+    settings = Settings.make(tmp_path / "lab", speed=1000.0, simulate=True, quarantine="2/1000000")
     for life in range(4):
         with LabThread(settings, [] if life else [cell]) as lab, LabClient(lab.url) as client:
             until(partial(is_idle, client), "the arm is there")
@@ -59,7 +59,7 @@ def test_a_node_that_dies_again_and_again(tmp_path: Path) -> None:
     (tmp_path / "carry.yaml").write_text(CARRY)
     home = tmp_path / "lab"
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
-    settings = Settings.of(home, speed=1000.0, simulate=True, quarantine=f"{TIMES}/1000000")
+    settings = Settings.make(home, speed=1000.0, simulate=True, quarantine=f"{TIMES}/1000000")
     with LabThread(settings, [cell]) as lab, LabClient(lab.url) as client:
 
         def arm() -> dict[str, Any]:

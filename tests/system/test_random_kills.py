@@ -113,17 +113,17 @@ class Lab(kills.Lab):
         except StoreError:
             return 0
 
-    def folded(self) -> tuple[LabState, list[Any]]:
-        self.seen, records = super().folded()
+    def fold_log(self) -> tuple[LabState, list[Any]]:
+        self.seen, records = super().fold_log()
         return self.seen, records
 
     def at_work(self) -> list[str]:
         """The modules that have an action in flight and a living node."""
-        state, _ = self.folded()
+        state, _ = self.fold_log()
         flying = {local(a.module) for a in state.actions.open.values() if a.status == "accepted"}
         return sorted(flying & self.nodes().keys())
 
-    def done(self) -> bool:
+    def is_done(self) -> bool:
         """Whether nothing was left to do when its person looked last."""
         state = self.seen
         alive = state.runs.active or state.runs.queued or state.interventions.open
@@ -138,7 +138,7 @@ class Lab(kills.Lab):
 
         def look() -> bool:
             found[:] = self.at_work()
-            return bool(found) or self.done()
+            return bool(found) or self.is_done()
 
         self.wait_for(look, world)
         return found[0] if found else ""
@@ -185,7 +185,7 @@ class Lab(kills.Lab):
             time.sleep(0.005)
 
     def last_words(self) -> str:
-        state, _ = self.folded()
+        state, _ = self.fold_log()
         alive = [(run.id, run.status) for run in (*state.runs.active.values(), *state.runs.queued.values())]
         asked = [(q.id, q.kind, q.text) for q in state.interventions.open.values()]
         at = {name: module.status for name, module in state.modules.by_name.items()}
@@ -231,11 +231,11 @@ def outlive(lab: Lab) -> None:
         try:
             for instant in lab.ordeal.instants:
                 due = lab.position() + instant.gap
-                lab.wait_for(lambda at=due: lab.position() >= at or lab.done(), world)
-                assert not lab.done(), f"all was done before {instant}"
+                lab.wait_for(lambda at=due: lab.position() >= at or lab.is_done(), world)
+                assert not lab.is_done(), f"all was done before {instant}"
                 time.sleep(instant.late_ms / 1000)  # the instant itself: it is not known what happens then
                 lab.strike(instant, world)
-            lab.wait_for(lambda: lab.done() and lab.app is not None and lab.app.poll() == 0, world)
+            lab.wait_for(lambda: lab.is_done() and lab.app is not None and lab.app.poll() == 0, world)
             sound(lab, world)
         finally:
             world.close()
@@ -247,7 +247,7 @@ def outlive(lab: Lab) -> None:
 
 def sound(lab: Lab, world: World) -> None:
     """The bench is as the log says, in every plate; nothing was done twice and nothing is missing."""
-    state, records = lab.folded()
+    state, records = lab.fold_log()
     assert differences(world, state, records) == []
     assert find_carried_wrong(world, records) == []
     kinds = ("run.completed", "run.failed", "run.cancelled")

@@ -33,7 +33,7 @@ def lab(tmp_path: Path) -> Iterator[Up]:
     up.clean_up()
 
 
-def said(*argv: str, code: int = 0) -> str:
+def run_command(*argv: str, code: int = 0) -> str:
     """What a command says. In this process: the lab runs on meanwhile, and should not be done first."""
     result = CliRunner().invoke(group, argv)
     told = result.output
@@ -43,7 +43,7 @@ def said(*argv: str, code: int = 0) -> str:
     return told
 
 
-def succeeded(lab: Up, database: str) -> int:
+def count_succeeded(lab: Up, database: str) -> int:
     store = open_store(database, create=False, read_only=True)
     try:
         return sum(record.head.type == "action.succeeded" for record in store.read())
@@ -56,10 +56,10 @@ def half_done(lab: Up, database: str, copy: Any) -> None:
     lab.start_with(*PCR)
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
-        until(lambda: succeeded(lab, database) >= 3, "three steps are done")
+        until(lambda: count_succeeded(lab, database) >= 3, "three steps are done")
         copy()
         assert statuses(client, [run]) == ["completed"]
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
 
 
 def only_after_a_round(lab: Up, database: str, restored: int, ahead: set[str]) -> None:
@@ -67,15 +67,15 @@ def only_after_a_round(lab: Up, database: str, restored: int, ahead: set[str]) -
     lab.start()
     with lab.client() as client:
 
-        def told() -> set[str]:
+        def list_tellers() -> set[str]:
             return {evidence["by"] for evidence in client.round()["evidence"]}
 
         wanted = {local(ModuleName(name)) for name in ahead}
-        until(lambda: told() >= wanted, f"all of {ahead} have told")
+        until(lambda: list_tellers() >= wanted, f"all of {ahead} have told")
         until(lambda: all(n["status"] != "GONE" for n in _nodes(lab)), "all nodes are back")
         bench = lab.bench()
         # What was under way in the old log ends by its journal or unknown; a person says how it ended.
-        until(lambda: not _unanswered(lab, client), "what was under way is known")
+        until(lambda: not _answer_open(lab, client), "what was under way is known")
         until(lambda: all(n["status"] == "IDLE" for n in _nodes(lab)), "nothing moves")
         store = open_store(database, create=False, read_only=True)
         try:
@@ -86,7 +86,7 @@ def only_after_a_round(lab: Up, database: str, restored: int, ahead: set[str]) -
         (asked,) = [q for q in client.state()["interventions"] if q["kind"] == "log_shorter"]
         with pytest.raises(Refused, match="Nobody has said what stands at"):
             client.resolve(asked["id"], "checked", by="ada")
-        assert "is answered" in said(
+        assert "is answered" in run_command(
             "bench", "round", "--as-simulated", "--user", "ada", "--home", str(lab.home)
         )
         assert lab.bench() == bench
@@ -94,24 +94,24 @@ def only_after_a_round(lab: Up, database: str, restored: int, ahead: set[str]) -
             assert statuses(client, [client.do(local(ModuleName(name)), "reset", user="ada")]) == [
                 "completed"
             ]
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     assert lab.motions("crash") == []
 
 
 def test_a_restored_older_backup_is_discovered_and_nothing_is_repeated(lab: Up, tmp_path: Path) -> None:
     database, safe = f"sqlite:///{lab.home / 'labos.db'}", str(tmp_path / "safe")
-    half_done(lab, database, lambda: said("backup", safe, "--home", str(lab.home)))
-    assert "know nothing more" in said("verify", "--journals", "--home", str(lab.home))
-    assert "not overwritten" in said("restore", safe, "--home", str(lab.home), code=1)
+    half_done(lab, database, lambda: run_command("backup", safe, "--home", str(lab.home)))
+    assert "know nothing more" in run_command("verify", "--journals", "--home", str(lab.home))
+    assert "not overwritten" in run_command("restore", safe, "--home", str(lab.home), code=1)
     for file in lab.home.glob("labos.db*"):
         file.rename(tmp_path / file.name)
-    restored = json.loads(said("restore", safe, "--home", str(lab.home), "--json"))
-    ahead = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
+    restored = json.loads(run_command("restore", safe, "--home", str(lab.home), "--json"))
+    ahead = json.loads(run_command("verify", "--journals", "--json", "--home", str(lab.home), code=1))
     assert "know more than the log" in ahead["fault"]
     modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
     assert len(modules) >= 3
     only_after_a_round(lab, database, restored["position"], modules)
-    assert "is whole" in said("verify", "--home", str(lab.home))
+    assert "is whole" in run_command("verify", "--home", str(lab.home))
 
 
 @pytest.mark.full
@@ -141,7 +141,7 @@ def test_a_database_put_back_by_hand(lab: Up, tmp_path: Path, lives: int) -> Non
     for file in lab.home.glob("labos.db*"):
         file.unlink()
     shutil.copy(copy, lab.home / "labos.db")
-    ahead = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
+    ahead = json.loads(run_command("verify", "--journals", "--json", "--home", str(lab.home), code=1))
     assert "know more than the log" in ahead["fault"]
     modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
     position = len(lab.records())
@@ -149,17 +149,17 @@ def test_a_database_put_back_by_hand(lab: Up, tmp_path: Path, lives: int) -> Non
         lab.start()
         with lab.client() as client:
 
-            def refused() -> set[str]:
+            def list_refused() -> set[str]:
                 asked = client.state()["interventions"]
                 return {q["module"] for q in asked if "labos db restored" in q["text"]}
 
-            until(lambda: refused() >= {local(ModuleName(name)) for name in modules}, "they are refused")
-            assert all(n["status"] == "GONE" for n in _nodes(lab) if local(n["name"]) in refused())
+            until(lambda: list_refused() >= {local(ModuleName(name)) for name in modules}, "they are refused")
+            assert all(n["status"] == "GONE" for n in _nodes(lab) if local(n["name"]) in list_refused())
             assert client.health()["status"] == "ok"
-        assert lab.interrupt() == 0, lab.said()
+        assert lab.interrupt() == 0, lab.read_log()
         assert not [r for r in lab.records()[position:] if r.head.type == "action.requested"]
-        said("db", "restored", "--home", str(lab.home))
-    ahead = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
+        run_command("db", "restored", "--home", str(lab.home))
+    ahead = json.loads(run_command("verify", "--journals", "--json", "--home", str(lab.home), code=1))
     modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
     only_after_a_round(lab, database, position, modules)
 
@@ -173,7 +173,7 @@ def test_one_file_is_the_whole_log_of_a_lab_that_was_closed(lab: Up, tmp_path: P
         with lab.client() as client:
             assert statuses(client, [client.submit("pcr", user="ada")]) == ["completed"]
         assert reader.head().position > 0
-        assert lab.interrupt() == 0, lab.said()
+        assert lab.interrupt() == 0, lab.read_log()
     finally:
         reader.close()
     alone = tmp_path / "alone"
@@ -190,19 +190,19 @@ def test_one_file_is_the_whole_log_of_a_lab_that_was_closed(lab: Up, tmp_path: P
     process = lab.process
     assert process is not None
     assert process.wait(60) == 1
-    assert "holds journals of the lab" in lab.said()
-    assert "labos restore" in lab.said()
-    told = said("verify", "--journals", "--home", str(lab.home), code=1)
+    assert "holds journals of the lab" in lab.read_log()
+    assert "labos restore" in lab.read_log()
+    told = run_command("verify", "--journals", "--home", str(lab.home), code=1)
     assert "of which this log has not one event" in told
     for part in lab.home.glob("labos.db*"):
         part.unlink()
     shutil.copy(alone / "labos.db", file)
     lab.start()
-    assert lab.interrupt() == 0, lab.said()
-    assert "know nothing more" in said("verify", "--journals", "--home", str(lab.home))
+    assert lab.interrupt() == 0, lab.read_log()
+    assert "know nothing more" in run_command("verify", "--journals", "--home", str(lab.home))
 
 
-def _unanswered(lab: Up, client: LabClient) -> set[str]:
+def _answer_open(lab: Up, client: LabClient) -> set[str]:
     """Answer what became of open actions, by a look at the bench; returns those still open."""
     state = LabState()
     fold(state, lab.records())

@@ -71,7 +71,7 @@ class Program:
         finally:
             process.kill()
             process.wait()
-        assert process.returncode in (0, -signal.SIGKILL), self.up.said()
+        assert process.returncode in (0, -signal.SIGKILL), self.up.read_log()
         return json.loads(said) if process.returncode == 0 else None
 
     def events(self, client: LabClient) -> list[dict[str, Any]]:

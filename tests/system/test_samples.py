@@ -49,7 +49,7 @@ def lab(home: Path) -> Iterator[LabThread]:
     (home / "corner.yaml").write_text(CELL)
     (home / "read.yaml").write_text(READ)
     cell = load_workcell(home / "corner.yaml", descriptions())
-    with LabThread(Settings.of(home, speed=5000.0, simulate=True), [cell]) as running:
+    with LabThread(Settings.make(home, speed=5000.0, simulate=True), [cell]) as running:
         yield running
 
 

@@ -65,7 +65,7 @@ def works(lab: Up, client: LabClient) -> None:
     for module in (SCICLOPS, PF400):
         until(lambda name=module: status(client, name) == "IDLE", f"{module} has joined")  # type: ignore[misc]
     run = client.submit(lab.home.parent / "away.yaml", user="ada")
-    assert statuses(client, [run]) == ["completed"], lab.said()
+    assert statuses(client, [run]) == ["completed"], lab.read_log()
 
 
 def test_a_secure_lab(lab: Up, cell: str, stranger: Stranger, tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_a_secure_lab(lab: Up, cell: str, stranger: Stranger, tmp_path: Path) ->
         listed = {entry.identity for entry in issuing.members().entries}
         assert listed == {Identity("kernel", "", found.lab), Identity("node", SCICLOPS, found.lab), own}
         # Somebody has got hold of a node's key, and plays a kernel of a later epoch.
-        stolen = copied(issuing.credentials(own), tmp_path / "stolen")
+        stolen = copy(issuing.credentials(own), tmp_path / "stolen")
         stranger("open", "thief", endpoint, str(stolen))
         question = msgspec.json.encode(Ask(keys.lab, 1000, "a1", 1, 1, void=True)).decode()
         assert stranger("get", "thief", keys.operation(SCICLOPS, "action"), question) == []
@@ -130,7 +130,7 @@ def test_a_bus_by_itself_and_nodes_of_other_computers(lab: Up, cell: str, tmp_pa
     issuing = authority(lab)
     issuing.init("test")
     issuing.issue(Identity("bus"), addresses=["127.0.0.1"])
-    bus = copied(issuing.credentials(Identity("bus")), tmp_path / "bus")
+    bus = copy(issuing.credentials(Identity("bus")), tmp_path / "bus")
     lab.options = (*lab.options, "--no-nodes", "--bus", endpoint)
     with contextlib.ExitStack() as stack:
         bus_log = tmp_path / "bus.log"
@@ -143,7 +143,7 @@ def test_a_bus_by_itself_and_nodes_of_other_computers(lab: Up, cell: str, tmp_pa
         assert found is not None
         for module in (SCICLOPS, PF400):
             issuing.issue(who := Identity("node", module, found.lab))
-            own = copied(issuing.credentials(who), tmp_path / module.partition("/")[2])
+            own = copy(issuing.credentials(who), tmp_path / module.partition("/")[2])
             words = ("node", "start", "--simulate", "--workcell", "rpl", "--name", own.name)
             stack.enter_context(
                 process(
@@ -158,7 +158,7 @@ def test_a_bus_by_itself_and_nodes_of_other_computers(lab: Up, cell: str, tmp_pa
         assert lab.interrupt() == 0
 
 
-def copied(issued: Credentials, to: Path) -> Path:
+def copy(issued: Credentials, to: Path) -> Path:
     shutil.copytree(issued.folder, to)
     return to
 

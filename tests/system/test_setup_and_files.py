@@ -34,7 +34,7 @@ def with_lab(tmp_path: Path, scenario: Callable[[LabRuntime, Bus], Awaitable[Non
         file = tmp_path / "corner.yaml"
         file.write_text(CELL)
         cell = load_workcell(file, descriptions())
-        settings = Settings.of(tmp_path / "home", speed=1000.0, simulate=True)
+        settings = Settings.make(tmp_path / "home", speed=1000.0, simulate=True)
         async with open_lab(settings, nodes="none") as lab:
             await lab.apply(cell, declare=True)
             bus = await open_bus(mode="client", connect=[lab.bus_endpoint])

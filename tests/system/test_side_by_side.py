@@ -15,7 +15,7 @@ import pytest
 from labos.node import World
 from labos.settings import free_port
 from labos_drivers.a4s_sealer.wire import SealerOnWire
-from tests.drivers.wires import powered
+from tests.drivers.wires import power_on
 from tests.support.foreign import ForeignProcess
 from tests.support.ioc import Ioc
 from tests.support.lab_process import Up
@@ -67,16 +67,16 @@ def shakers(tmp_path: Path) -> Iterator[dict[str, tuple[ForeignProcess, str, dic
     """By name: the process, its interface, its config."""
     with ExitStack() as stack:
 
-        def started(process: ForeignProcess) -> Any:
+        def start(process: ForeignProcess) -> Any:
             stack.callback(process.kill)
             return process.start()
 
-        wei = started(ForeignProcess("wei", tmp_path / "wei", free_port()))
-        madsci = started(ForeignProcess("madsci", tmp_path / "madsci", free_port()))
-        ros = started(RosProcess("ros", tmp_path / "ros", 160 + os.getpid() % 60))
-        tcp = started(ProtobufProcess("protobuf", tmp_path / "protobuf", free_port()))
-        ioc = started(Ioc(tmp_path / "epics"))
-        sila = started(SilaProcess(tmp_path / "sila", encrypted=True))
+        wei = start(ForeignProcess("wei", tmp_path / "wei", free_port()))
+        madsci = start(ForeignProcess("madsci", tmp_path / "madsci", free_port()))
+        ros = start(RosProcess("ros", tmp_path / "ros", 160 + os.getpid() % 60))
+        tcp = start(ProtobufProcess("protobuf", tmp_path / "protobuf", free_port()))
+        ioc = start(Ioc(tmp_path / "epics"))
+        sila = start(SilaProcess(tmp_path / "sila", encrypted=True))
         yield {
             "wei": (wei, "wei_rest_node", {"rest_node_address": wei.url}),
             "madsci": (madsci, "madsci_rest_node", {"node_url": madsci.url}),
@@ -117,12 +117,12 @@ def test_one_workflow_over_nodes_of_seven_kinds(
     flow.write_text(json.dumps({"labos": 1, "name": "seven kinds", "steps": steps}))
     world = World(str(tmp_path / "world.sqlite"))
     world.stock("sealer.default", "plate")
-    with powered(SealerOnWire, "sealer", world, port):
+    with power_on(SealerOnWire, "sealer", world, port):
         lab.start(str(cell))
         with lab.client() as client:
             run = client.submit(flow, user="ada")
             assert client.wait(run, timeout_s=120).status == "completed"
-        assert lab.interrupt() == 0, lab.said()
+        assert lab.interrupt() == 0, lab.read_log()
     assert len(world.motions("seal")) == 1
     world.close()
     for name, (process, _, _) in shakers.items():

@@ -46,7 +46,7 @@ def run(folder: Path, *words: str, typed: str = "", fails: bool = False, **envir
 
 
 def test_from_the_first_user_to_a_program(lab: Up, folder: Path) -> None:
-    until(lambda: "this lab has no users" in lab.said(), "it says that it is open")
+    until(lambda: "this lab has no users" in lab.read_log(), "it says that it is open")
     told = json.loads(run(folder, "whoami", "--json"))
     assert told["how"] == "open"
     said = run(folder, "user", "add", "ada", "--name", NAME, "--mail", MAIL)

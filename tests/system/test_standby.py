@@ -78,12 +78,12 @@ class Pair:
     def start(self, workcell: str) -> None:
         self.first.start(workcell)
         self.second.launch()
-        until(lambda: "Standing by" in self.second.said(), "the second kernel stands by")
+        until(lambda: "Standing by" in self.second.read_log(), "the second kernel stands by")
 
     def runs_ended(self, runs: list[str]) -> None:
         """Every run has reached its end, on the second kernel."""
         with self.second.client() as client:
-            assert statuses(client, runs) == ["completed"] * len(runs), self.second.said()
+            assert statuses(client, runs) == ["completed"] * len(runs), self.second.read_log()
 
     def nodes(self) -> dict[str, int]:
         with self.second.client() as client:
@@ -131,7 +131,7 @@ def under_way(pair: Pair, actions: int) -> None:
     until(lambda: pair.first.types().count("action.requested") >= actions, "the lab is at work")
 
 
-def taken_over(pair: Pair, since: float) -> float:
+def measure_take_over(pair: Pair, since: float) -> float:
     """Seconds from ``since`` (wall time) until the second kernel's start was on disk."""
 
     def start_of_second() -> int:
@@ -145,7 +145,7 @@ def taken_over(pair: Pair, since: float) -> float:
     try:
         return until(start_of_second, "the standby takes over", 30.0) / 1e9 - since
     except AssertionError as error:
-        raise AssertionError(f"{error}\n{pair.second.said()}") from None
+        raise AssertionError(f"{error}\n{pair.second.read_log()}") from None
 
 
 def sound(pair: Pair) -> None:
@@ -179,12 +179,12 @@ def test_a_standby_takes_the_place_of_a_kernel_that_is_killed(
         before = {m["name"]: m["process"]["pid"] for m in client.state(waits=False)["modules"]}
     killed = time.time()
     pair.first.kill()
-    took = taken_over(pair, killed)
+    took = measure_take_over(pair, killed)
     assert took <= TAKEN_OVER_S
     until(pair.second.is_there, "the second kernel answers")
     pair.runs_ended(runs)
     assert pair.nodes() == before, "its nodes lived on, and are the same"
-    assert pair.second.interrupt() == 0, pair.second.said()
+    assert pair.second.interrupt() == 0, pair.second.read_log()
     sound(pair)
     print(f"taken over {took:.2f} s after the kill")
 
@@ -199,7 +199,7 @@ def test_a_standby_takes_over_on_a_secure_bus(secure_pair: Pair, workcell: str, 
     secure_pair.first.kill()
     until(secure_pair.second.is_there, "the second kernel answers")
     secure_pair.runs_ended(runs)
-    assert secure_pair.second.interrupt() == 0, secure_pair.second.said()
+    assert secure_pair.second.interrupt() == 0, secure_pair.second.read_log()
     sound(secure_pair)
 
 
@@ -213,17 +213,17 @@ def test_a_kernel_and_its_bus_die_together(pair: Pair, workcell: str, workflow: 
     pair.bus.kill()
     pair.first.kill()
     pair.bus.wait()
-    until(lambda: "waiting_for_the_bus" in pair.second.said(), "the standby has taken over")
+    until(lambda: "waiting_for_the_bus" in pair.second.read_log(), "the standby has taken over")
     pair.start_bus()
     until(pair.second.is_there, "the second kernel answers")
     pair.runs_ended(runs)
-    assert pair.second.interrupt() == 0, pair.second.said()
+    assert pair.second.interrupt() == 0, pair.second.read_log()
     sound(pair)
 
 
 def stays_frozen(pair: Pair, since: float, workflow: Path, runs: list[str]) -> float:
     """The frozen kernel is replaced; it wakes up later, in the midst of new work, and ends by itself."""
-    took = taken_over(pair, since)
+    took = measure_take_over(pair, since)
     assert took <= TAKEN_OVER_S
     until(pair.second.is_there, "the second kernel answers")
     with pair.second.client() as client:
@@ -241,7 +241,7 @@ def stays_frozen(pair: Pair, since: float, workflow: Path, runs: list[str]) -> f
     return took
 
 
-def struck(pair: Pair, workcell: str, workflow: Path, by: str, crash: str) -> tuple[list[str], float]:
+def strike(pair: Pair, workcell: str, workflow: Path, by: str, crash: str) -> tuple[list[str], float]:
     """The first kernel is killed or frozen at a point; four runs, and when it was (wall time, s)."""
     mark = pair.home / "crashed"
     pair.first.environment = {
@@ -272,15 +272,15 @@ POINTS = ("before_commit", "in_commit", "in_pipeline", "in_copy", "after_commit"
 def test_at_each_point_of_the_protocol(
     pair: Pair, workcell: str, workflow: Path, by: str, point: str, visit: int
 ) -> None:
-    runs, since = struck(pair, workcell, workflow, by, f"kernel.{point}:{visit}")
+    runs, since = strike(pair, workcell, workflow, by, f"kernel.{point}:{visit}")
     if by == "SIGSTOP":
         took = stays_frozen(pair, since, workflow, runs)
     else:
-        took = taken_over(pair, since)
+        took = measure_take_over(pair, since)
         assert took <= TAKEN_OVER_S
         until(pair.second.is_there, "the second kernel answers")
         pair.runs_ended(runs)
-    assert pair.second.interrupt() == 0, pair.second.said()
+    assert pair.second.interrupt() == 0, pair.second.read_log()
     sound(pair)
     print(f"{by} at {point}:{visit}: taken over {took:.2f} s after")
 
@@ -292,13 +292,13 @@ def test_frozen_with_the_head_row_locked(
     pair: Pair, workcell: str, workflow: Path, point: str, again: int
 ) -> None:
     """It never wakes up again; whoever claims cannot wait for the row until its session is ended."""
-    runs, since = struck(pair, workcell, workflow, "SIGSTOP", f"kernel.{point}:{again + 10}")
-    took = taken_over(pair, since)
+    runs, since = strike(pair, workcell, workflow, "SIGSTOP", f"kernel.{point}:{again + 10}")
+    took = measure_take_over(pair, since)
     assert took <= TAKEN_OVER_S
     until(pair.second.is_there, "the second kernel answers")
     pair.runs_ended(runs)
     pair.first.kill()
-    assert pair.second.interrupt() == 0, pair.second.said()
+    assert pair.second.interrupt() == 0, pair.second.read_log()
     sound(pair)
     print(f"SIGSTOP at {point}:{again + 10}: taken over {took:.2f} s after")
 
@@ -321,12 +321,12 @@ def test_a_database_that_was_away_costs_no_kernel(
             server.stop(immediate=True)
             time.sleep(away_s)
             server.start()
-            assert statuses(client, runs) == ["completed"] * 2, pair.first.said()
+            assert statuses(client, runs) == ["completed"] * 2, pair.first.read_log()
             time.sleep(SETTLED_S)  # so long the standby looks again and again
             assert client.health()["epoch"] == 1
         assert pair.second.process is not None
         assert pair.second.process.poll() is None, "it still stands by"
-        assert pair.first.interrupt() == 0, pair.first.said()
+        assert pair.first.interrupt() == 0, pair.first.read_log()
         time.sleep(2 * SURE_S)
         assert pair.second.process.poll() is None
         assert not pair.second.is_there(), "a lab that was closed in order stays closed"

@@ -23,7 +23,7 @@ from labos.cli.app import group
 from labos.client import LabClient
 from labos.errors import LabosError
 from labos.store import open_store
-from tests.integration.store.records import batch, filled
+from tests.integration.store.records import batch, write_records
 from tests.support.bad_disk import BadDisk
 from tests.support.cells import PCR
 from tests.support.lab_process import Up, statuses, until
@@ -55,7 +55,7 @@ def mount(*arguments: str) -> int:
     return subprocess.run(["mount", *arguments], capture_output=True, check=False).returncode
 
 
-def said(*argv: str, code: int = 0) -> str:
+def run_command(*argv: str, code: int = 0) -> str:
     result = CliRunner().invoke(group, argv)
     told = result.output + (str(result.exception) if isinstance(result.exception, LabosError) else "")
     assert result.exit_code == code, told
@@ -64,7 +64,7 @@ def said(*argv: str, code: int = 0) -> str:
 
 def whole(lab: Up) -> None:
     """The chain holds, and no node did what the log does not know."""
-    told = said("verify", "--journals", "--home", str(lab.home))
+    told = run_command("verify", "--journals", "--home", str(lab.home))
     assert "is whole" in told
     assert "know nothing more" in told
     assert lab.disagreements() == []
@@ -112,19 +112,19 @@ def outlive(lab: Up, database: str, then: str, fail: Callable[[], None], mend: C
         assert process.poll() is None
         mend()
         until(lambda: not refusal(lab), "the lab takes commands again")
-        assert "log_reopened" in lab.said()
+        assert "log_reopened" in lab.read_log()
     else:
         until(lambda: refusal(lab) and process.poll() is not None, "the kernel stops")
         assert process.returncode == 1
-        assert "not available" in lab.said()
-        whole_so_far = said("verify", "--journals", "--home", str(lab.home))
+        assert "not available" in lab.read_log()
+        whole_so_far = run_command("verify", "--journals", "--home", str(lab.home))
         assert "know nothing more" in whole_so_far
         mend()
         lab.options = (*SPEED, "--database", database)
         lab.start()
     with lab.client() as client:
         assert statuses(client, runs) == ["completed", "completed"]
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     whole(lab)
 
 
@@ -170,14 +170,14 @@ def test_a_server_that_crashes_under_load(
             if then == "stop":
                 until(lambda: process.poll() is not None, "the kernel stops")
                 assert process.returncode == 1
-                assert "PostgreSQL database" in lab.said()
+                assert "PostgreSQL database" in lab.read_log()
             server.start()
             if then == "stop":
                 lab.start()
             until(lambda: not refusal(lab), "the lab takes commands again")
     with lab.client() as client:
         assert statuses(client, runs) == ["completed", "completed"]
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     whole(lab)
 
 
@@ -188,7 +188,7 @@ def test_a_flipped_bit_in_the_file_is_found_and_located(tmp_path: Path) -> None:
     home = tmp_path / "lab"
     home.mkdir()
     store = open_store(f"sqlite:///{home / 'labos.db'}")
-    filled(store, 300)
+    write_records(store, 300)
     records = list(store.read())
     store.close()
     with closing(sqlite3.connect(home / "labos.db")) as connection:
@@ -198,10 +198,10 @@ def test_a_flipped_bit_in_the_file_is_found_and_located(tmp_path: Path) -> None:
     for record in (records[0], records[150], records[299]):
         at = good.find(record.envelope) + len(record.envelope) // 2
         file.write_bytes(good[:at] + bytes([good[at] ^ 4]) + good[at + 1 :])
-        told = said("verify", "--home", str(home), code=1)
+        told = run_command("verify", "--home", str(home), code=1)
         assert f"Position {record.head.position}: the hash does not follow" in told
     file.write_bytes(good)
-    said("verify", "--home", str(home))
+    run_command("verify", "--home", str(home))
 
 
 def test_a_truncated_write_ahead_log_is_found_by_a_checkpoint(tmp_path: Path) -> None:
@@ -209,11 +209,11 @@ def test_a_truncated_write_ahead_log_is_found_by_a_checkpoint(tmp_path: Path) ->
     home.mkdir()
     cut.mkdir()
     store = open_store(f"sqlite:///{home / 'labos.db'}")
-    head = filled(store, 20)
+    head = write_records(store, 20)
     for _ in range(5):
         head = store.append(head, batch(head, 20))
     checkpoint = str(tmp_path / "checkpoint.json")
-    said("verify", "--home", str(home), "--checkpoint", checkpoint)
+    run_command("verify", "--home", str(home), "--checkpoint", checkpoint)
     for name in ("labos.db", "labos.db-wal"):
         shutil.copy(home / name, cut / name)
     store.close()
@@ -221,8 +221,8 @@ def test_a_truncated_write_ahead_log_is_found_by_a_checkpoint(tmp_path: Path) ->
     with wal.open("r+b") as file:
         file.truncate(wal.stat().st_size * 2 // 3)
     # The chain alone does not show it: what is left is a whole log.
-    assert "is whole" in said("verify", "--home", str(cut))
-    told = said("verify", "--home", str(cut), "--checkpoint", checkpoint, code=1)
+    assert "is whole" in run_command("verify", "--home", str(cut))
+    told = run_command("verify", "--home", str(cut), "--checkpoint", checkpoint, code=1)
     assert "its tail was cut off" in told
 
 
@@ -239,8 +239,8 @@ def test_a_truncated_write_ahead_log_is_found_by_its_last_position_and_the_nodes
     wal = lab.home / "labos.db-wal"
     with wal.open("r+b") as file:
         file.truncate(wal.stat().st_size * 2 // 3)
-    assert "its tail is lost" in said("verify", "--home", str(lab.home), code=1)
+    assert "its tail is lost" in run_command("verify", "--home", str(lab.home), code=1)
     (lab.home / "labos.head").unlink()  # the disk lost that too
-    assert "is whole" in said("verify", "--home", str(lab.home))
-    told = json.loads(said("verify", "--journals", "--json", "--home", str(lab.home), code=1))
+    assert "is whole" in run_command("verify", "--home", str(lab.home))
+    told = json.loads(run_command("verify", "--journals", "--json", "--home", str(lab.home), code=1))
     assert "know more than the log" in told["fault"]

@@ -21,7 +21,7 @@ from labos.spec import find_spec
 CALLS = "trace=pwrite64,write,writev,fsync,fdatasync,sendto,sendmsg"
 
 
-def traced_run(home: Path, trace: Path) -> None:
+def trace_run(home: Path, trace: Path) -> None:
     """One colour plate is fetched in a lab that runs under strace."""
     argv = ["strace", "-f", "-tt", "-s", "65535", "-y", "-e", CALLS, "-o", str(trace)]
     argv += [sys.executable, "-m", "labos", "up", "rpl", "--simulate", "--speed", "500", "--quiet"]
@@ -67,7 +67,7 @@ def traced_run(home: Path, trace: Path) -> None:
 def test_a_request_is_synced_before_it_is_sent(tmp_path: Path) -> None:
     home, trace = tmp_path / "lab", tmp_path / "trace"
     home.mkdir()
-    traced_run(home, trace)
+    trace_run(home, trace)
     lines = trace.read_text(errors="replace").splitlines()
     sends = [
         (number, match.group(1))

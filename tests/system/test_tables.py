@@ -15,7 +15,7 @@ from labos.node import World
 from labos_drivers.axis.wire import DriveOnSlcan
 from labos_drivers.plc.interface import HATCH
 from labos_drivers.plc.wire import HatchOnTcp
-from tests.drivers.wires import powered
+from tests.drivers.wires import power_on
 from tests.support.lab_process import Up, labos, until
 
 CELL = """
@@ -79,8 +79,8 @@ def test_a_workflow_over_both_and_a_node_that_is_killed(lab: Up, world: World, t
     (tmp_path / "hatch.yaml").write_text(HATCH.read_text())
     flow.write_text(FLOW)
     with (
-        powered(HatchOnTcp, "hatch", world, pace=20) as hatch,
-        powered(DriveOnSlcan, "stage", world, pace=20) as stage,
+        power_on(HatchOnTcp, "hatch", world, pace=20) as hatch,
+        power_on(DriveOnSlcan, "stage", world, pace=20) as stage,
     ):
         cell.write_text(CELL.format(hatch=hatch.address, stage=stage.address))
         assert labos("validate", str(cell)).returncode == 0
@@ -106,7 +106,7 @@ def test_a_workflow_over_both_and_a_node_that_is_killed(lab: Up, world: World, t
             os.kill(pid, signal.SIGKILL)
             assert client.wait(run, timeout_s=90).status == "completed"
         assert verbs(world).count("closes") == 2
-        assert lab.interrupt() == 0, lab.said()
+        assert lab.interrupt() == 0, lab.read_log()
     assert "intervention.requested" not in lab.types()
     assert "action.unknown" not in lab.types()
 

@@ -35,13 +35,13 @@ def pair(tmp_path: Path, postgres_url: str) -> Iterator[Pair]:
     made.clean_up()
 
 
-def taken_over(pair: Pair, before: Up, after: Up) -> dict[str, object]:
+def take_over(pair: Pair, before: Up, after: Up) -> dict[str, object]:
     """The kernel leaves the lab to the other one, and ends."""
     done = labos("take-over", "--json", "--home", str(pair.home))
-    assert done.returncode == 0, f"{done.stdout}{done.stderr}{after.said()}"
+    assert done.returncode == 0, f"{done.stdout}{done.stderr}{after.read_log()}"
     told: dict[str, object] = json.loads(done.stdout)
     assert before.process is not None
-    assert before.process.wait(30) == 0, before.said()
+    assert before.process.wait(30) == 0, before.read_log()
     until(after.is_there, "the other kernel answers")
     return told
 
@@ -57,7 +57,7 @@ def test_a_newer_version_takes_over_and_gives_back(
             for user in ("ada", "bo", "cy", "di", "ed", "flo")
         ]
     under_way(pair, 2)
-    there = taken_over(pair, pair.first, pair.second)
+    there = take_over(pair, pair.first, pair.second)
     assert there["stood_by"] == [f"{NEWER} on {_host()}"]
     nodes = pair.nodes()
     asked = pair.first.types().count("action.requested")
@@ -67,9 +67,9 @@ def test_a_newer_version_takes_over_and_gives_back(
     try:
         until(lambda: "Standing by" in (pair.home / "up.log").read_text()[said:], "the older one stands by")
         under_way(pair, asked + 1)
-        here = taken_over(pair, pair.second, back)
+        here = take_over(pair, pair.second, back)
         with back.client() as client:
-            assert statuses(client, runs) == ["completed"] * len(runs), back.said()
+            assert statuses(client, runs) == ["completed"] * len(runs), back.read_log()
             modules = client.state(waits=False)["modules"]
         assert {m["name"]: m["process"]["pid"] for m in modules} == nodes, "its nodes are the same"
         assert back.interrupt() == 0

@@ -45,7 +45,7 @@ def test_interrupted_it_goes_on_where_it_was(lab: Up) -> None:
     with lab.client() as client:
         runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
         until(lambda: cycling(lab), "the thermocycler works")
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     assert find_kernel(lab.home) is None
     # What was under way was finished: nobody has to be asked.
     assert "action.unknown" not in lab.types()
@@ -86,7 +86,7 @@ def test_killed_it_goes_on_where_it_was(lab: Up, detach: tuple[str, ...]) -> Non
         assert statuses(client, [run]) == ["completed"]
         kept = {m["name"]: m["process"]["pid"] for m in client.state()["modules"]}
     assert (kept == nodes) is bool(detach)
-    assert lab.interrupt() == 0, lab.said()
+    assert lab.interrupt() == 0, lab.read_log()
     assert lab.disagreements() == []
     assert lab.types().count("run.completed") == 1
     assert "intervention.requested" not in lab.types()
@@ -134,9 +134,9 @@ def test_what_is_cut_short_by_closing_is_said(lab: Up) -> None:
         until(lambda: "action.accepted" in lab.types(), "it moves")
     assert lab.process is not None
     lab.process.send_signal(signal.SIGINT)
-    until(lambda: "for 30 s at the most" in lab.said(), "it closes")
+    until(lambda: "for 30 s at the most" in lab.read_log(), "it closes")
     assert lab.interrupt() == 0, "in a hurry"
-    assert f"sciclops.home of {run} was cut short: the next start finds out" in lab.said()
+    assert f"sciclops.home of {run} was cut short: the next start finds out" in lab.read_log()
 
 
 def test_a_port_in_use_is_named(lab: Up) -> None:
@@ -173,16 +173,16 @@ def test_a_node_by_hand_finds_its_lab(lab: Up) -> None:
         lab.start("rpl")
         with lab.client() as client:
 
-            def joined() -> bool:
+            def has_joined() -> bool:
                 modules = client.state(waits=False)["modules"]
                 return any(m["name"] == "rpl/sealer" and m["status"] == "IDLE" for m in modules)
 
-            until(joined, "the node has joined")
+            until(has_joined, "the node has joined")
             # Its kernel is killed, and another takes over.
             lab.kill()
             lab.options = ("--no-nodes",)
             lab.start()
-            until(lambda: lab.types().count("node.joined") >= 1 and joined(), "the node is back")
+            until(lambda: lab.types().count("node.joined") >= 1 and has_joined(), "the node is back")
         node.terminate()
         assert node.wait(10) == 0
         assert lab.interrupt() == 0

@@ -41,7 +41,7 @@ def test_a_plate_is_sealed_over_a_wire(tmp_path: Path) -> None:
     (tmp_path / "wf.yaml").write_text(WORKFLOW)
     home = tmp_path / "lab"
     cell = load_workcell(tmp_path / "corner.yaml", descriptions())
-    settings = Settings.of(home, speed=100.0, simulate=True, wire=True)
+    settings = Settings.make(home, speed=100.0, simulate=True, wire=True)
     with LabThread(settings, [cell], nodes="none") as lab, LabClient(lab.url) as client:
         assert "--wire" in lab.runtime._argv(ModuleName("corner/sealer"), detach=False)
         node = start_node("sealer", home, tmp_path)
@@ -62,7 +62,7 @@ def test_a_plate_is_sealed_over_a_wire(tmp_path: Path) -> None:
     ]
     assert world.crashes() == []
     world.close()
-    assert said(tmp_path / "sealer.txt").endswith(b"*00DT=0025zz!*00DH=0170zz!*00GS=zz!")
+    assert read_sent(tmp_path / "sealer.txt").endswith(b"*00DT=0025zz!*00DH=0170zz!*00GS=zz!")
 
 
 @pytest.mark.full
@@ -75,7 +75,7 @@ def test_pcr_and_color_picker_behind_their_wires(tmp_path: Path) -> None:
         up.start("rpl")
         with up.client() as client, running(app, stdout=subprocess.PIPE, text=True) as picker:
             pcr = client.submit("pcr", user="ada")
-            assert picker.wait(600) == 0, up.said()
+            assert picker.wait(600) == 0, up.read_log()
             until(lambda: statuses(client, [pcr]) == ["completed"], "the PCR is done", 600)
         assert up.interrupt() == 0
         assert up.disagreements() == []
@@ -104,5 +104,5 @@ def end(node: subprocess.Popen[bytes]) -> int:
     return node.wait(30)
 
 
-def said(transcript: Path) -> bytes:
+def read_sent(transcript: Path) -> bytes:
     return b"".join(record.data for record in read_transcript(transcript) if record.mark == ">")

@@ -24,7 +24,7 @@ NOT_ASKED = {"follow_events"}
 """For browsers; the client asks for pages of events and waits for the next."""
 
 
-def called() -> set[tuple[str, str]]:
+def find_called() -> set[tuple[str, str]]:
     """Method and path of all that the client asks for; what is filled in is a star."""
     found = set()
     for file in Path(labos.client.__file__).parent.rglob("*.py"):
@@ -47,7 +47,7 @@ def _text(node: ast.expr) -> str:
     return ""
 
 
-def meant(path: str, operation: str) -> bool:
+def is_meant(path: str, operation: str) -> bool:
     declared = re.sub(r"\{\w+\}", "*", operation)
     return all(a == b or "*" in (a, b) for a, b in zip(path.split("/"), declared.split("/"), strict=True))
 
@@ -55,15 +55,15 @@ def meant(path: str, operation: str) -> bool:
 def matches(method: str, path: str) -> list[str]:
     same = [op for op in OPERATIONS if op.method == method and op.path.count("/") == path.count("/")]
     exact = [op.id for op in same if re.sub(r"\{\w+\}", "*", op.path) == path]
-    return exact or [op.id for op in same if meant(path, op.path)]
+    return exact or [op.id for op in same if is_meant(path, op.path)]
 
 
 def test_the_client_asks_for_nothing_that_is_not_declared() -> None:
-    assert [call for call in called() if not matches(*call)] == []
+    assert [call for call in find_called() if not matches(*call)] == []
 
 
 def test_each_operation_can_be_asked_for_by_the_client() -> None:
-    asked = {name for call in called() for name in matches(*call)}
+    asked = {name for call in find_called() for name in matches(*call)}
     assert {op.id for op in OPERATIONS} - asked == NOT_ASKED
 
 
@@ -94,10 +94,10 @@ def test_the_twin_has_the_same_methods_with_the_same_parameters(cls: type, twin:
         said = [str(p).replace("'Async", "'") for p in theirs.parameters.values()]
         assert said == [str(p) for p in ours.parameters.values()], name
     public = {name for name in dir(twin) if not name.startswith("_")}
-    assert public - {name for name in dir(cls) if not name.startswith("_")} <= set(vars(made(cls)))
+    assert public - {name for name in dir(cls) if not name.startswith("_")} <= set(vars(make(cls)))
 
 
-def made(cls: type) -> object:
+def make(cls: type) -> object:
     lab = LabClient("http://127.0.0.1:9")
     return lab if cls is LabClient else Experiment(lab, "name", "ada")
 

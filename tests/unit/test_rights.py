@@ -7,7 +7,7 @@ from pathlib import Path
 
 import labos
 from labos.core.decide.rights import RIGHTS
-from labos.http.rights import ASKED_BY, BY_ITSELF, GIVES, needed_by
+from labos.http.rights import ASKED_BY, BY_ITSELF, GIVES, find_least_role
 from labos.http.routes import OPERATIONS
 from tests.docs.generate import commands
 
@@ -16,7 +16,7 @@ BY_NOBODY = {"RecordStops"}
 
 
 def test_each_operation_needs_what_its_commands_need() -> None:
-    assert {op.id: op.needs for op in OPERATIONS} == {op.id: needed_by(op.id) for op in OPERATIONS}
+    assert {op.id: op.needs for op in OPERATIONS} == {op.id: find_least_role(op.id) for op in OPERATIONS}
 
 
 def test_no_operation_changes_something_without_a_right() -> None:

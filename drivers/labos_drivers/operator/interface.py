@@ -51,7 +51,7 @@ class Operator(Node):
     async def observe(self) -> dict[str, Any]:
         return self.device.look() if self.device is not None else {}
 
-    async def settled(self, action: str, done: bool) -> None:
+    async def settle(self, action: str, done: bool) -> None:
         """Somebody has confirmed it, or said that it cannot be done."""
         told = self._told.get(action)
         if told is not None and not told.done():

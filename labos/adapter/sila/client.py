@@ -114,7 +114,7 @@ class Client:
             if name.split("/")[-2:-1] == [SERVICE.name]:
                 continue
             asking = SERVICE.commands[0]
-            data = self.encoded(asking, {"FeatureIdentifier": name})
+            data = self.encode(asking, {"FeatureIdentifier": name})
             try:
                 told = await self.call(asking, data, limit_s=READ_S)
             except (NoResponse, SilaError) as error:
@@ -155,7 +155,7 @@ class Client:
 
     # -- commands ----------------------------------------------------------------------------
 
-    def encoded(self, command: Command, values: dict[str, Any]) -> bytes:
+    def encode(self, command: Command, values: dict[str, Any]) -> bytes:
         """The parameters of a command. Raises DeviceError (``none``)."""
         name = f"{command.name}_Parameters"
         return self._messages.encode(command.package, name, command.parameters, values)

@@ -17,7 +17,7 @@ from labos.adapter.sila.features import (
     ListOf,
     Property,
     Structure,
-    unwrapped,
+    unwrap,
 )
 from labos.core.model import ActionSpec, Arg
 
@@ -94,7 +94,7 @@ def actions_of(features: Iterable[Feature]) -> tuple[ActionSpec, ...]:
 
 def _arg(feature: Feature, element: Element) -> Arg:
     types = {told.name: told.type for told in feature.types}
-    layers = list(unwrapped(element.type, types))
+    layers = list(unwrap(element.type, types))
     limits = [told.limits for told in layers if isinstance(told, Constrained)]
     lows = [each.minimum for each in limits if each.minimum is not None]
     highs = [each.maximum for each in limits if each.maximum is not None]

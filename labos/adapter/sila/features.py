@@ -256,7 +256,7 @@ def _is_observable(found: ET.Element) -> bool:
     return _text(found, "Observable") == "Yes"
 
 
-def unwrapped(told: DataType, types: dict[str, DataType]) -> Iterator[Any]:
+def unwrap(told: DataType, types: dict[str, DataType]) -> Iterator[Any]:
     """A type and what it is made of while it is only a limited or a named form of another, until a name
     comes again."""
     named: set[str] = set()

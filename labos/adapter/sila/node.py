@@ -214,7 +214,7 @@ class SilaNode(ForeignNode):
         await self.learn()
         command = self._command(name)
         try:
-            data = self.client.encoded(command, self._values(command, {}))
+            data = self.client.encode(command, self._values(command, {}))
             if not command.observable:
                 await self.client.call(command, data, limit_s=self.patience_s)
                 return
@@ -231,9 +231,9 @@ class SilaNode(ForeignNode):
         command = self._command(name)
         given = {
             key: await read_file(value) if self.is_file(spec, key) else value
-            for key, value in self.placed(spec, args).items()
+            for key, value in self.name_places(spec, args).items()
         }
-        data = self.client.encoded(command, self._values(command, given))
+        data = self.client.encode(command, self._values(command, given))
         await self.note_handle(SENT)
         try:
             if not command.observable:

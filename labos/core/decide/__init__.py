@@ -9,7 +9,7 @@ from collections.abc import Callable
 from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
 from labos.core.decide.limits import bare_report, cut_report, misfit
 from labos.core.decide.reactions import REACTIONS
-from labos.core.decide.rights import Denied, denied  # its table loads every command
+from labos.core.decide.rights import Denied, check_rights  # its table loads every command
 from labos.core.decide.submissions import attribute, hold_for_approval
 from labos.core.decide.wording import refer_to_words
 from labos.core.registry import Event
@@ -52,7 +52,7 @@ def carry_out(
 def decide(state: LabState, command: Command, actor: str, keep: Keep | None = None) -> Decision:
     """The events that carry out a command of ``actor``, or why it cannot be carried out (``Denied`` if the
     actor may not). Changes nothing. What follows from the events is not among them."""
-    if refusal := denied(state, command, actor):
+    if refusal := check_rights(state, command, actor):
         return refusal
     if isinstance(command, Report):
         command = cut_report(command)

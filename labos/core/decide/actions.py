@@ -37,16 +37,16 @@ from labos.core.effects import (
     Needs,
     Take,
     Transfers,
-    carried,
     find_labware_changed,
     find_labware_used,
-    moved,
+    list_carried,
+    list_moved,
 )
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan, PlanStep
-from labos.core.modules import ModuleStatus, NodeStateChanged, unproven
+from labos.core.modules import ModuleStatus, NodeStateChanged, find_unproven
 from labos.core.registry import Event
 from labos.core.rules import ends_by, examine
 from labos.core.runs import RunStarted, RunState, RunStatus, results_of
@@ -151,7 +151,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     events += _become_its_own(state, run, found)
     module = state.modules.by_name[step.module]
     args = _add_labware_types(state, args, effects)
-    if "slow" in args and unproven(module, effects, args):
+    if "slow" in args and find_unproven(module, effects, args):
         args = {**args, "slow": True}
     events.append(
         ActionRequested(
@@ -217,7 +217,7 @@ def _add_labware_types(
     if args.get(LABWARE_TYPE) != "" and args.get(PLATE_TYPE) != "":
         return args
     told = dict(args)
-    for effect in carried(effects):
+    for effect in list_carried(effects):
         if effect.stock:
             types = {LABWARE_TYPE: parts(state.bench.stations[effect.stock].stock[-1])[0]}
         elif effect.labware in state.bench.labware:
@@ -437,7 +437,7 @@ def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:
     """Its node is back and knows nothing more, but where its labware stands has been seen while the node was
     away."""
     question = state.interventions.about(action.id)
-    name = next((move.labware for move in moved(action.effects)), None)
+    name = next((move.labware for move in list_moved(action.effects)), None)
     item = state.bench.labware.get(name) if name is not None else None
     choice = find_shown_outcome(state, action, item.station) if item is not None else ""
     if question is None or not choice:

@@ -309,7 +309,7 @@ def _conflicts(
 ) -> tuple[str, ...] | Rejection:
     mine = _as_booking(name, target, command.terms)
     whole = target in state.lab.workcells
-    others = state.bookings.in_cell(target) if whole else state.bookings.of(ModuleName(target))
+    others = state.bookings.in_cell(target) if whole else state.bookings.list_for(ModuleName(target))
     since = max(command.now, mine.begins)
     until = since + CONFLICT_DAYS * DAY_NS if mine.rule else mine.ends
     times = mine.spans(since, until)

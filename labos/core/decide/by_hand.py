@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labos.core.effects import carried, moved
+from labos.core.effects import list_carried, list_moved
 from labos.core.ids import LabwareId
 from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.labware import LabwareObserved, LabwareRemoved
@@ -36,6 +36,6 @@ def _find_settled(state: LabState, event: Event) -> LabwareId | None:
 
 def _find_asked_for(question: Intervention) -> set[LabwareId]:
     """The labware whose place is asked for; none if some of it has no name yet."""
-    if question.kind not in WHERE_IT_IS or any(what.stock for what in carried(question.motions)):
+    if question.kind not in WHERE_IT_IS or any(what.stock for what in list_carried(question.motions)):
         return set()
-    return {move.labware for move in moved(question.motions)} | {*question.labware}
+    return {move.labware for move in list_moved(question.motions)} | {*question.labware}

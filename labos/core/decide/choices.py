@@ -34,7 +34,7 @@ def bind_anew(state: LabState, command: BindAnew) -> Decision:
 def bind(state: LabState, run: RunState, why: str = "") -> RunBound:
     """A run is bound to the plan that it has here."""
     chosen = modules_chosen(state.runs, run)
-    return RunBound(run.id, run.plan, chosen, state.runs.planned_by(run.plan), why)
+    return RunBound(run.id, run.plan, chosen, state.runs.find_plan_stream(run.plan), why)
 
 
 def can_change_to(state: LabState, run: RunState, plan: str) -> bool:

@@ -141,7 +141,7 @@ def ending(
     if experiment is not None and not run.closing:
         heir = experiment_owner(run.experiment)
     in_the_way = []
-    for item, lender in [(item, item.lender) for item in state.bench.owned(run_owner(run.id))]:
+    for item, lender in [(item, item.lender) for item in state.bench.list_owned(run_owner(run.id))]:
         yield LabwareHandedOver(item.id, run.id, lender or Owner(heir))
         if not lender and item.station and not state.bench.stations[item.station].spec.is_storage:
             in_the_way.append(item)

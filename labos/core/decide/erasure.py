@@ -47,7 +47,7 @@ def erase_words(state: LabState, command: EraseWords) -> Decision:
     if wrong:
         return wrong
     if not state.approvals.policy.erasure and not command.erasure:
-        return list(_erased(command, command.by, ""))
+        return list(_erase(command, command.by, ""))
     if not command.erasure:
         name, terms = state.erasures.next_id, (command.because, command.by)
         return [ErasureAsked(name, *terms, command.records, command.user)]
@@ -62,10 +62,10 @@ def erase_words(state: LabState, command: EraseWords) -> Decision:
         )
     if (asked.because, asked.records, asked.user) != (command.because, command.records, command.user):
         return Rejection("changed", f"{command.erasure} was asked for otherwise.", "Look: labos erase")
-    return list(_erased(command, asked.by, command.by))
+    return list(_erase(command, asked.by, command.by))
 
 
-def _erased(command: EraseWords, by: str, approved_by: str) -> Iterator[Event]:
+def _erase(command: EraseWords, by: str, approved_by: str) -> Iterator[Event]:
     for begin in range(0, len(command.found), PER_EVENT):
         some = command.found[begin : begin + PER_EVENT]
         yield WordsErased(

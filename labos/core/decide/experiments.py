@@ -240,7 +240,7 @@ def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Even
     experiment = state.experiments.open.get(name)
     if experiment is None or experiment.status == ExperimentStatus.CLOSING:
         return []
-    owned = state.bench.owned(experiment_owner(name))
+    owned = state.bench.list_owned(experiment_owner(name))
     if owned and experiment.closing and not experiment.held:
         workflow = state.runs.plans[experiment.closing].plan.workflow
         return [
@@ -255,7 +255,7 @@ def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Even
                 payload={},
                 pins={},
                 closing=True,
-                planned_by=state.runs.planned_by(experiment.closing),
+                planned_by=state.runs.find_plan_stream(experiment.closing),
             ),
         ]
     return _end(state, experiment, why)
@@ -263,7 +263,7 @@ def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Even
 
 def _end(state: LabState, experiment: Experiment, why: str = "") -> list[Event]:
     """An experiment is over; what was not cleared away is its user's."""
-    owned = state.bench.owned(experiment_owner(experiment.id))
+    owned = state.bench.list_owned(experiment_owner(experiment.id))
     return [
         *(LabwareHandedOver(item.id, "", user_owner(experiment.user)) for item in owned),
         ExperimentEnded(experiment.id, experiment.closing, why),

@@ -232,4 +232,4 @@ def _is_awaited(state: LabState, item: Labware | None, place: StationName) -> bo
         return False
     effects = state.bench.reserved.get(ActionId(item.moving), ())
     way = arrivals(tuple(e for e in effects if isinstance(e, Move) and e.labware == item.id))
-    return place in way or place in map(state.bench.planned, way)
+    return place in way or place in map(state.bench.as_planned, way)

@@ -10,7 +10,7 @@ from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Labware, Station
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
-from labos.core.effects import carried, hand_of, moved, places
+from labos.core.effects import hand_of, list_carried, list_moved, places
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import (
     Intervention,
@@ -88,7 +88,7 @@ def _refuse_sight(state: LabState, station: Station, command: ObserveStation) ->
     for action in state.actions.open.values():
         if action.status == ActionStatus.UNKNOWN:
             continue
-        motions = carried(action.effects)
+        motions = list_carried(action.effects)
         hand = hand_of(action.module) if motions else ""
         moving = labware is not None and labware.moving == action.id
         if moving or command.station == hand or command.station in places(motions):
@@ -180,7 +180,7 @@ class Sight:
         """Questions that answered themselves, and where things stand."""
         told: set[LabwareId] = set()
         for question in list(self._state.interventions.open.values()):
-            yield from self._answered(question, told)
+            yield from self._answer(question, told)
         for name, place in self._found.items():
             if name not in told:
                 yield self._stands_at(name, place)
@@ -194,7 +194,7 @@ class Sight:
             return LabwareRemoved(name, "", place, "discarded")
         return LabwareObserved(name, "", place, self._by)
 
-    def _answered(self, question: Intervention, told: set[LabwareId]) -> Iterator[Event]:
+    def _answer(self, question: Intervention, told: set[LabwareId]) -> Iterator[Event]:
         """What follows for a question about labware that was found; ``told`` is labware whose place
         its events tell."""
         withdrawn = InterventionResolved(
@@ -203,13 +203,13 @@ class Sight:
         topic = question.topic
         if isinstance(topic, UnknownAction):
             action = self._state.actions.open.get(ActionId(question.subject))
-            choice = self._shown(action, told) if action is not None else ""
+            choice = self._find_outcome(action, told) if action is not None else ""
             if action is not None and choice:
                 yield withdrawn
                 yield from settle(self._state, action, choice, self._by)
             return
-        names = {e.labware for e in moved(question.motions)} | set(question.labware)
-        nameless = any(e.stock for e in carried(question.motions))
+        names = {e.labware for e in list_moved(question.motions)} | set(question.labware)
+        nameless = any(e.stock for e in list_carried(question.motions))
         if not isinstance(topic, LabwareInDoubt) or nameless:
             return
         known = self._state.bench.labware
@@ -218,13 +218,13 @@ class Sight:
             return
         yield withdrawn
         if isinstance(topic, LostLabware):
-            yield from self._left_behind(topic)
+            yield from self._tell_left_behind(topic)
 
-    def _left_behind(self, topic: LostLabware) -> Iterator[Event]:
+    def _tell_left_behind(self, topic: LostLabware) -> Iterator[Event]:
         """Nobody stood there: a person hears of what a run that has ended left in the way."""
         stations = self._state.bench.stations
         left = {n: p for n, p in self._found.items() if not stations[p].spec.is_storage}
-        mine = {e.labware for e in moved(topic.motions)}
+        mine = {e.labware for e in list_moved(topic.motions)}
         left = {name: place for name, place in left.items() if name in mine}
         if not left or self._state.runs.get(topic.run) is not None:
             return
@@ -239,9 +239,9 @@ class Sight:
         place = self._found.get(name)
         return place is None or self._state.bench.stations[place].spec.kind == "gripper"
 
-    def _shown(self, action: Action, told: set[LabwareId]) -> str:
+    def _find_outcome(self, action: Action, told: set[LabwareId]) -> str:
         """The outcome of an unknown action, if where its labware stands shows it; else empty."""
-        names = [e.labware for e in moved(action.effects)]
+        names = [e.labware for e in list_moved(action.effects)]
         choice = find_shown_outcome(self._state, action, self._found.get(names[0])) if names else ""
         if choice:
             told.add(names[0])
@@ -281,7 +281,7 @@ def _decide_count(
 def _find_take(state: LabState, place: StationName) -> Action | None:
     """An action of which nobody knows whether it has brought something from a stack to a place."""
     for action in state.actions.open.values():
-        takes = [e for e in carried(action.effects) if e.stock]
+        takes = [e for e in list_carried(action.effects) if e.stock]
         hand = hand_of(action.module)
         if action.status == ActionStatus.UNKNOWN and any(place in (hand, e.source, e.target) for e in takes):
             return action
@@ -290,7 +290,7 @@ def _find_take(state: LabState, place: StationName) -> Action | None:
 
 def _settle_take(state: LabState, action: Action, place: StationName, by: str) -> Iterable[Event]:
     """What came off a stack was seen: at its target the action was done."""
-    motions = carried(action.effects)
+    motions = list_carried(action.effects)
     question = state.interventions.about(action.id)
     there = len(motions) == 1 and motions[0].target == place
     if question is None or not there or is_read_later(state, action) or may_still_act(state, action):

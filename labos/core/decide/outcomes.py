@@ -26,9 +26,9 @@ from labos.core.effects import (
     Sets,
     Take,
     Transfers,
-    carried,
     hand_of,
-    moved,
+    list_carried,
+    list_moved,
     places,
     resolve_value,
 )
@@ -75,7 +75,7 @@ def question_about(
     if maybe:
         places = ", ".join(local(p) or "nowhere on the bench" for p in maybe[0].places)
         text = f"{text} {maybe[0].labware} may be at: {places}."
-    moves = moved(action.effects)
+    moves = list_moved(action.effects)
     topic = UnknownAction(run=action.run, module=action.module, action=action.id)
     if moves:
         topic = msgspec.structs.replace(topic, source=moves[0].source, target=moves[0].target)
@@ -104,7 +104,7 @@ def is_read_later(state: LabState, action: Action) -> bool:
 def find_shown_outcome(state: LabState, action: Action, place: StationName | None) -> str:
     """The answer about an unknown action that the place of its labware gives; empty if it gives none. What is
     in the hand, or on the way, shows nothing: somebody has to put it down first."""
-    motions = carried(action.effects)
+    motions = list_carried(action.effects)
     move = motions[0] if len(motions) == 1 else None
     if move is None or move.stock or may_still_act(state, action):
         return ""
@@ -185,7 +185,7 @@ def effect_events(
                 yield from _replace_pack(state, effect)
             case _:
                 pass
-    lost = tuple(e for e in carried(action.effects) if e.labware not in seen)
+    lost = tuple(e for e in list_carried(action.effects) if e.labware not in seen)
     if done != "all" and lost:
         yield _ask_where(state, action, lost, why)
 
@@ -204,7 +204,7 @@ def record_usage(state: LabState, action: Action, effect: Consumes) -> list[Even
 def _replace_pack(state: LabState, effect: Replaces) -> list[Event]:
     """A full pack is in; nothing where nobody ever said how much the module holds."""
     module = ModuleName(effect.module)
-    level = state.resources.of(module, effect.resource)
+    level = state.resources.find(module, effect.resource)
     if level is None:
         return []
     put_in = (level.capacity, effect.lot, effect.expires)
@@ -245,7 +245,7 @@ def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, Station
     """Where somebody has seen labware of a motion since nobody knew how that ended, if that is on none of
     its places: that is later than what the device tells now."""
     own = {StationName(""), hand_of(action.module), *places(action.effects)}
-    items = [state.bench.labware[e.labware] for e in moved(action.effects)]
+    items = [state.bench.labware[e.labware] for e in list_moved(action.effects)]
     astray = state.shorter.astray  # an action that came after this one may have taken it further
     return {item.id: item.station for item in items if item.station not in own or item.id in astray}
 
@@ -296,7 +296,7 @@ def take_from_stack(
 def back_in_place(state: LabState, action: Action) -> list[Event]:
     return [
         LabwareObserved(effect.labware, action.run, effect.source, local(action.module))
-        for effect in moved(action.effects)
+        for effect in list_moved(action.effects)
         if _is_in_doubt(state, effect)
     ]
 

@@ -71,7 +71,7 @@ class Right(msgspec.Struct, frozen=True):
     asker: str = ""
 
 
-def denied(state: LabState, command: Command, actor: str) -> Denied | None:
+def check_rights(state: LabState, command: Command, actor: str) -> Denied | None:
     """Why ``actor`` (a user's id, or ``on_behalf``) may not give a command; None if they may. Takes no
     longer than the command has targets."""
     if _is_free(state, actor) or isinstance(command, nodes.RecordStops):
@@ -94,7 +94,7 @@ def denied(state: LabState, command: Command, actor: str) -> Denied | None:
         wrong = _refuse_target(state, target, person, service)
         if wrong:
             return wrong
-    return next((wrong for part in command.parts() if (wrong := denied(state, part, actor))), None)
+    return next((wrong for part in command.parts() if (wrong := check_rights(state, part, actor))), None)
 
 
 def lacking(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> Denied | None:
@@ -212,79 +212,84 @@ RIGHTS: dict[type[Command], Right] = {
     runs.SubmitRun: Right(
         "submitter",
         "a submitter; to reset a module, an operator; in an experiment, only its owner",
-        targets.of_submission,
+        targets.list_submission_targets,
         "user",
     ),
     composites.SubmitWithLabware: Right("submitter", "as for the run; for labware, an operator"),
-    runs.PauseRun: Right("submitter", _OWN, targets.of_run),
-    runs.ResumeRun: Right("submitter", _OWN, targets.of_run),
-    cancelling.CancelRun: Right("submitter", _OWN, targets.of_run),
-    experiments.StartExperiment: Right("submitter", "a submitter", targets.of_start, "user"),
-    experiments.NoteExperiment: Right("submitter", _OWN, targets.of_experiment),
-    experiments.ResumeExperiment: Right("submitter", _OWN, targets.of_experiment),
-    experiments.EndExperiment: Right("submitter", _OWN, targets.of_experiment),
-    control.CancelExperiment: Right("submitter", _OWN, targets.of_experiment, "by"),
-    campaigns.SubmitCampaign: Right("submitter", "a submitter", targets.of_new_campaign, "user"),
-    campaigns.PauseCampaign: Right("submitter", _OWN, targets.of_campaign),
-    campaigns.ResumeCampaign: Right("submitter", _OWN, targets.of_campaign),
-    campaigns.AmendCampaign: Right("submitter", _OWN, targets.of_campaign),
-    campaigns.CancelCampaign: Right("submitter", _OWN, targets.of_campaign),
-    campaigns.ArchiveCampaign: Right("submitter", _OWN, targets.of_campaign),
-    control.PauseStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
-    control.ResumeStarts: Right("submitter", "an experiment: " + _OWN, targets.of_target, "by"),
-    control.CancelRuns: Right("operator", _OPERATOR, targets.of_target),
+    runs.PauseRun: Right("submitter", _OWN, targets.find_run_target),
+    runs.ResumeRun: Right("submitter", _OWN, targets.find_run_target),
+    cancelling.CancelRun: Right("submitter", _OWN, targets.find_run_target),
+    experiments.StartExperiment: Right("submitter", "a submitter", targets.find_start_target, "user"),
+    experiments.NoteExperiment: Right("submitter", _OWN, targets.find_experiment_target),
+    experiments.ResumeExperiment: Right("submitter", _OWN, targets.find_experiment_target),
+    experiments.EndExperiment: Right("submitter", _OWN, targets.find_experiment_target),
+    control.CancelExperiment: Right("submitter", _OWN, targets.find_experiment_target, "by"),
+    campaigns.SubmitCampaign: Right("submitter", "a submitter", targets.find_new_campaign_target, "user"),
+    campaigns.PauseCampaign: Right("submitter", _OWN, targets.find_campaign_target),
+    campaigns.ResumeCampaign: Right("submitter", _OWN, targets.find_campaign_target),
+    campaigns.AmendCampaign: Right("submitter", _OWN, targets.find_campaign_target),
+    campaigns.CancelCampaign: Right("submitter", _OWN, targets.find_campaign_target),
+    campaigns.ArchiveCampaign: Right("submitter", _OWN, targets.find_campaign_target),
+    control.PauseStarts: Right("submitter", "an experiment: " + _OWN, targets.find_named_target, "by"),
+    control.ResumeStarts: Right("submitter", "an experiment: " + _OWN, targets.find_named_target, "by"),
+    control.CancelRuns: Right("operator", _OPERATOR, targets.find_named_target),
     signatures.SignRun: _SIGNING,
     signatures.SignRecords: _SIGNING,
     proposals.ApproveProposal: Right(
-        "operator", "an operator; what is one's own only if the policy says so", targets.of_proposal, "by"
+        "operator",
+        "an operator; what is one's own only if the policy says so",
+        targets.find_proposal_target,
+        "by",
     ),
-    proposals.RefuseProposal: Right("operator", _OPERATOR, targets.of_proposal, "by"),
+    proposals.RefuseProposal: Right("operator", _OPERATOR, targets.find_proposal_target, "by"),
     # labware
-    handover.HandOver: Right("submitter", "its owner; with `force`, an operator", targets.of_handover, "by"),
-    labware.RegisterSamples: Right("submitter", "its owner; else an operator", targets.of_plates),
-    labware.NameBarcode: Right("submitter", _OWN, targets.of_label, "by"),
+    handover.HandOver: Right(
+        "submitter", "its owner; with `force`, an operator", targets.list_handover_targets, "by"
+    ),
+    labware.RegisterSamples: Right("submitter", "its owner; else an operator", targets.list_plate_targets),
+    labware.NameBarcode: Right("submitter", _OWN, targets.find_label_target, "by"),
     # the bench
-    lab.DeclareStation: Right("operator", _OPERATOR, targets.of_station),
+    lab.DeclareStation: Right("operator", _OPERATOR, targets.find_station_target),
     composites.DeclareStations: Right("operator", _OPERATOR),
-    stock.LoadStation: Right("operator", _OPERATOR, targets.of_station),
-    stock.UnloadStation: Right("operator", _OPERATOR, targets.of_station, "by"),
-    stock.Replenish: Right("operator", _OPERATOR, targets.of_module),
-    observation.ObserveStation: Right("operator", _OPERATOR, targets.of_station, "by"),
-    shorter.SayContents: Right("operator", _OPERATOR, targets.of_station, "by"),
-    shorter.ConfirmStations: Right("operator", _OPERATOR, targets.of_stations, "by"),
+    stock.LoadStation: Right("operator", _OPERATOR, targets.find_station_target),
+    stock.UnloadStation: Right("operator", _OPERATOR, targets.find_station_target, "by"),
+    stock.Replenish: Right("operator", _OPERATOR, targets.find_module_target),
+    observation.ObserveStation: Right("operator", _OPERATOR, targets.find_station_target, "by"),
+    shorter.SayContents: Right("operator", _OPERATOR, targets.find_station_target, "by"),
+    shorter.ConfirmStations: Right("operator", _OPERATOR, targets.list_station_targets, "by"),
     composites.ReportRound: Right(
-        "operator", "an operator; to finish it, of the whole lab", targets.of_round, "by"
+        "operator", "an operator; to finish it, of the whole lab", targets.find_round_target, "by"
     ),
     interventions.ResolveIntervention: Right(
         "submitter",
         "an operator; what becomes of a run or an experiment: also its owner",
-        targets.of_question,
+        targets.list_question_targets,
         "by",
     ),
     # modules and workcells
-    nodes.TakeOut: Right("operator", _OPERATOR, targets.of_module),
-    nodes.PutBack: Right("operator", _OPERATOR, targets.of_module),
-    teach.TeachLocation: Right("operator", _OPERATOR, targets.of_module, "by"),
-    access.RequestAccess: Right("operator", _OPERATOR, targets.of_workcell, "by"),
-    access.EndAccess: Right("operator", _OPERATOR, targets.of_workcell, "by"),
+    nodes.TakeOut: Right("operator", _OPERATOR, targets.find_module_target),
+    nodes.PutBack: Right("operator", _OPERATOR, targets.find_module_target),
+    teach.TeachLocation: Right("operator", _OPERATOR, targets.find_module_target, "by"),
+    access.RequestAccess: Right("operator", _OPERATOR, targets.find_workcell_target, "by"),
+    access.EndAccess: Right("operator", _OPERATOR, targets.find_workcell_target, "by"),
     lab.ApplyWorkcell: Right(
-        "admin", "an admin of the workcell; for a new one, of the whole lab", targets.of_file
+        "admin", "an admin of the workcell; for a new one, of the whole lab", targets.find_file_target
     ),
-    suggestions.SuggestOrder: Right("operator", _OPERATOR, targets.of_workcell, "by"),
+    suggestions.SuggestOrder: Right("operator", _OPERATOR, targets.find_workcell_target, "by"),
     # bookings
     bookings.MakeBooking: Right(
         "submitter",
         "for oneself or the own group, within a quota: a submitter; else an operator; by force: an admin",
-        targets.of_new_booking,
+        targets.find_new_booking_target,
         "by",
     ),
     bookings.ChangeBooking: Right(
         "submitter",
         "its owner, within the same limits; else an operator; by force: an admin",
-        targets.of_changed_booking,
+        targets.list_changed_booking_targets,
         "by",
     ),
-    bookings.CancelBooking: Right("submitter", _OWN, targets.of_booking, "by"),
+    bookings.CancelBooking: Right("submitter", _OWN, targets.find_booking_target, "by"),
     # people
     shares.ApplyShares: Right("admin", _ADMIN, targets.in_lab("admin")),
     submissions.ApplyPolicy: Right("admin", _ADMIN, targets.in_lab("admin")),
@@ -293,13 +298,13 @@ RIGHTS: dict[type[Command], Right] = {
     users.AddUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.DisableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.EnableUser: Right("admin", _ADMIN, targets.in_lab("admin")),
-    users.EraseUser: Right("viewer", "the user, or " + _ADMIN, targets.of_erasure, "by"),
+    users.EraseUser: Right("viewer", "the user, or " + _ADMIN, targets.find_erasure_target, "by"),
     users.AddGroup: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.RemoveGroup: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.AddMember: Right("admin", _ADMIN, targets.in_lab("admin")),
     users.RemoveMember: Right("admin", _ADMIN, targets.in_lab("admin")),
-    users.GrantRole: Right("admin", "an admin of where the role is granted", targets.of_grant),
-    users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.of_grant),
+    users.GrantRole: Right("admin", "an admin of where the role is granted", targets.find_grant_target),
+    users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.find_grant_target),
     # what LabOS asks of itself
     access.GrantAccess: _INSIDE,
     actions.AcceptAction: _INSIDE,

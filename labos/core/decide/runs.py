@@ -17,7 +17,7 @@ from labos.core.decide.windows import (
     lateness,
     questions_of,
 )
-from labos.core.effects import Consumes, carried, places
+from labos.core.effects import Consumes, list_carried, places
 from labos.core.ids import (
     CampaignId,
     ExperimentId,
@@ -185,7 +185,7 @@ def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
 def _beyond_capacity(state: LabState, step: PlanStep) -> Rejection | None:
     """Why a step could not even start on a full module."""
     for effect in step.effects:
-        level = state.resources.of(step.module, effect.resource) if isinstance(effect, Consumes) else None
+        level = state.resources.find(step.module, effect.resource) if isinstance(effect, Consumes) else None
         if level is None or not isinstance(effect, Consumes):
             continue
         amount = sum_needed(step.effects, effect.resource)
@@ -242,7 +242,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             pins=command.pins,
             request=command.request,
             anchors=anchors,
-            planned_by=state.runs.planned_by(name),
+            planned_by=state.runs.find_plan_stream(name),
             choices=tuple(plans) if len(plans) > 1 else (),
         ),
     ]
@@ -256,7 +256,7 @@ def _parks_elsewhere(state: LabState, plan: Plan, experiment: Experiment) -> Rej
         return None
     ends: dict[StationName, str] = {}
     for step in plan.steps:
-        for what in carried(step.effects):
+        for what in list_carried(step.effects):
             ends.pop(what.emptied, None)
             if what.filled:
                 ends[what.filled] = step.key

@@ -12,7 +12,7 @@ from labos.core.bench import parts, removal
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.contents import contents_events, list_recorded
 from labos.core.decide.endings import ending, under_way
-from labos.core.effects import AnyEffect, Carrying, Needs, carried, hand_of, places
+from labos.core.effects import AnyEffect, Carrying, Needs, hand_of, list_carried, places
 from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareUncertain
@@ -303,7 +303,7 @@ def _refuse_at_work(state: LabState, command: SayContents) -> Rejection | None:
     words = {LabwareId(word) for item in command.contents for word in parts(item)}
     meant = words | {*bench.stations[name].labware}
     for action in state.actions.open.values():
-        motions = carried(action.effects)
+        motions = list_carried(action.effects)
         reached = places(motions) | ({hand_of(action.module)} if motions else set())
         held = [item for item in meant if item in bench.labware and bench.labware[item].moving == action.id]
         if name not in reached and not held:

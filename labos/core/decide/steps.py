@@ -21,7 +21,7 @@ from labos.core.decide._base import Command, Decision, decides
 from labos.core.decide.endings import fail_run, give_up
 from labos.core.decide.outcomes import find_carried_off, question_about, uncertain
 from labos.core.decide.waiting import ask_about_waiting_device
-from labos.core.effects import Requires, Sets, carried, moved
+from labos.core.effects import Requires, Sets, list_carried, list_moved
 from labos.core.expressions import ExpressionError
 from labos.core.ids import ActionId, RunId, local
 from labos.core.interventions import InterventionRequested
@@ -67,7 +67,7 @@ def doubt(
     events: list[Event] = [ActionUnknown(*ids, why)]
     if maybe is None:
         seen = find_carried_off(state, action)
-        moves = [move for move in moved(action.effects) if move.labware not in seen]
+        moves = [move for move in list_moved(action.effects) if move.labware not in seen]
         maybe = [uncertain(action, effect, why) for effect in moves]
     return [*events, *maybe, question_about(state, action, why, maybe)]
 
@@ -205,7 +205,7 @@ def answer_failed(state: LabState, topic: FailedStep, choice: str, by: str) -> I
 def can_be_repeated(step: PlanStep) -> bool:
     """Whether a step may be done again after nobody knows how far it went: its driver says so, it
     carries nothing, and it changes nothing that it needs itself."""
-    if not step.safe_to_repeat or carried(step.effects):
+    if not step.safe_to_repeat or list_carried(step.effects):
         return False
     changed = {(e.of, e.variable) for e in step.effects if isinstance(e, Sets)}
     needed = {(e.of, e.variable) for e in step.effects if isinstance(e, Requires)}

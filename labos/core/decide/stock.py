@@ -9,7 +9,7 @@ from itertools import chain, islice
 from labos.core.bench import Station, arrival, parts, taking
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import withdraw_answered
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.expiry import DATE, first_old
 from labos.core.ids import (
     SHARED,
@@ -92,7 +92,7 @@ class UnloadStation(Command, frozen=True):
 @decides(Replenish)
 def replenish(state: LabState, command: Replenish) -> Decision:
     module, resource = command.module, command.resource
-    level = state.resources.of(module, resource)
+    level = state.resources.find(module, resource)
     if module not in state.modules.by_name:
         return Rejection("no_module", f"There is no module {local(module)}.")
     if level is None:
@@ -256,11 +256,11 @@ def _lacks(step: PlanStep, level: Level, module: ModuleName, resource: str, toda
 
 
 def _takes(step: PlanStep, stack: StationName) -> bool:
-    return any(what.stock == stack for what in carried(step.effects))
+    return any(what.stock == stack for what in list_carried(step.effects))
 
 
 def _throws(step: PlanStep, waste: StationName) -> bool:
-    return any(what.filled == waste for what in carried(step.effects))
+    return any(what.filled == waste for what in list_carried(step.effects))
 
 
 def _expect_free_of_doubt(state: LabState, name: StationName) -> Station | Rejection:

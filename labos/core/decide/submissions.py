@@ -89,19 +89,19 @@ def hold_for_approval(state: LabState, command: Command, decision: Decision, act
     if not events:
         return events  # it is known already
     if isinstance(command, SubmitRow):
-        return _of_row(state, command, events)
+        return _decide_row(state, command, events)
     high = refuse_priority(state, command, actor)
     if high is not None:
         return high
     match command:
         case SubmitRun():
-            request = _of_run(state, command, events, actor)
+            request = _request_for_run(state, command, events, actor)
         case SubmitCampaign():
-            request = _of_campaign(state, command, events, actor)
+            request = _request_for_campaign(state, command, events, actor)
         case StartExperiment():
-            request = _of_experiment(state, command, events, actor)
+            request = _request_for_experiment(state, command, events, actor)
         case AmendCampaign():
-            return _of_amendment(state, command, events, actor)
+            return _decide_amendment(state, command, events, actor)
     return [*events, *([request] if request is not None else [])]
 
 
@@ -135,7 +135,9 @@ def _not_by_program(state: LabState, actor: str) -> Rejection | None:
     return Rejection("no_person", f"{service} is a program, and changes no policy.", "Ask an admin to do it.")
 
 
-def _of_run(state: LabState, command: SubmitRun, events: list[Event], actor: str) -> ApprovalRequested | None:
+def _request_for_run(
+    state: LabState, command: SubmitRun, events: list[Event], actor: str
+) -> ApprovalRequested | None:
     event = next(event for event in events if isinstance(event, RunSubmitted))
     pins = {name: value for name, value in event.pins.items() if name != "request"}
     parts = {
@@ -151,17 +153,17 @@ def _of_run(state: LabState, command: SubmitRun, events: list[Event], actor: str
     return _request(state, event.run, "run", event.workflow, asked, actor, why, parts, [event.priority])
 
 
-def _of_campaign(
+def _request_for_campaign(
     state: LabState, command: SubmitCampaign, events: list[Event], actor: str
 ) -> ApprovalRequested | None:
     name = f"C{state.campaigns.named + 1}"
     demand = msgspec.structs.replace(command.demand, rows=command.rows)
     asked = Submission(command.user, command.workcell, demand, command.propose, command.terms)
     why = reasons_for(state, asked, actor)
-    return _of_table(state, name, command, asked, actor, why)
+    return _request_for_table(state, name, command, asked, actor, why)
 
 
-def _of_table(
+def _request_for_table(
     state: LabState,
     name: str,
     of: SubmitCampaign,
@@ -173,7 +175,7 @@ def _of_table(
     return _request(state, name, "campaign", of.name, asked, actor, why, parts, [], of.terms)
 
 
-def _of_experiment(
+def _request_for_experiment(
     state: LabState, command: StartExperiment, events: list[Event], actor: str
 ) -> ApprovalRequested | None:
     event = next(event for event in events if isinstance(event, ExperimentStarted))
@@ -187,7 +189,7 @@ def _of_experiment(
     )
 
 
-def _of_amendment(state: LabState, command: AmendCampaign, events: list[Event], actor: str) -> Decision:
+def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Event], actor: str) -> Decision:
     """A campaign that waits for an approval waits anew under its new terms. Of one that goes on, a change by
     which it may do more waits, and the campaign goes on as before."""
     campaign = state.campaigns.open[command.campaign]
@@ -216,7 +218,7 @@ def _of_amendment(state: LabState, command: AmendCampaign, events: list[Event], 
     return events if request is None else [request]
 
 
-def _of_row(state: LabState, command: SubmitRow, events: list[Event]) -> list[Event]:
+def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> list[Event]:
     """A campaign waits for an approval before a row that does something dangerous, if nobody knew of that
     when it was submitted, or approved."""
     campaign = state.campaigns.open[command.campaign]

@@ -66,28 +66,28 @@ def anywhere(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
     return lambda state, command: (Target(needs, (ANYWHERE,)),)
 
 
-def of_module(state: LabState, command: Any) -> Iterable[Target]:
+def find_module_target(state: LabState, command: Any) -> Iterable[Target]:
     return (Target("operator", (workcell_of(command.module),)),)
 
 
-def of_station(state: LabState, command: Any) -> Iterable[Target]:
+def find_station_target(state: LabState, command: Any) -> Iterable[Target]:
     return (Target("operator", (workcell_of(command.station),)),)
 
 
-def of_stations(state: LabState, command: shorter.ConfirmStations) -> Iterable[Target]:
+def list_station_targets(state: LabState, command: shorter.ConfirmStations) -> Iterable[Target]:
     return [Target("operator", (workcell_of(name),)) for name in command.stations]
 
 
-def of_round(state: LabState, command: Any) -> Iterable[Target]:
+def find_round_target(state: LabState, command: Any) -> Iterable[Target]:
     """Its stations are looked at one by one."""
     return (Target("operator", (WHOLE_LAB if command.finish else ANYWHERE,)),)
 
 
-def of_new_campaign(state: LabState, command: campaigns.SubmitCampaign) -> Iterable[Target]:
+def find_new_campaign_target(state: LabState, command: campaigns.SubmitCampaign) -> Iterable[Target]:
     return (Target("submitter", (command.workcell,)),)
 
 
-def of_workcell(state: LabState, command: Any) -> Iterable[Target]:
+def find_workcell_target(state: LabState, command: Any) -> Iterable[Target]:
     return (Target("operator", (command.workcell,)),)
 
 
@@ -98,7 +98,7 @@ def the_run(state: LabState, name: str) -> Target:
     return Target("submitter", (state.runs.plan_of(run).workcell,), run.user, f"The run {run.id}")
 
 
-def of_run(state: LabState, command: Any) -> Iterable[Target]:
+def find_run_target(state: LabState, command: Any) -> Iterable[Target]:
     return (the_run(state, command.run),)
 
 
@@ -109,18 +109,18 @@ def the_experiment(state: LabState, name: str, *, owner_only: bool = False) -> T
     found = [state.runs.get(run) for run in experiment.runs]
     cells = [state.runs.plan_of(run).workcell for run in found if run is not None]
     cells += [state.runs.plans[experiment.closing].plan.workcell] if experiment.closing else []
-    owned = state.bench.owned(experiment_owner(experiment.id))
+    owned = state.bench.list_owned(experiment_owner(experiment.id))
     places = [*experiment.parking, *(item.station for item in owned if item.station)]
     cells += map(workcell_of, places)
     there = tuple(dict.fromkeys(cells)) or (ANYWHERE,)
     return Target("submitter", there, experiment.user, f"The experiment {experiment.id}", owner_only)
 
 
-def of_experiment(state: LabState, command: Any) -> Iterable[Target]:
+def find_experiment_target(state: LabState, command: Any) -> Iterable[Target]:
     return (the_experiment(state, command.experiment),)
 
 
-def of_campaign(state: LabState, command: Any) -> Iterable[Target]:
+def find_campaign_target(state: LabState, command: Any) -> Iterable[Target]:
     name = CampaignId(command.campaign)
     campaign = state.campaigns.open.get(name) or state.campaigns.ended.get(name)
     if campaign is None:
@@ -151,17 +151,17 @@ def owner_of(state: LabState, item: Labware) -> str:
     return found.user if found is not None else ""
 
 
-def of_label(state: LabState, command: labware.NameBarcode) -> Iterable[Target]:
+def find_label_target(state: LabState, command: labware.NameBarcode) -> Iterable[Target]:
     """What is shared is everybody's to use, but not to call by another name."""
     target = the_labware(state, command.labware)
     yield target if target.owner else msgspec.structs.replace(target, needs="operator")
 
 
-def of_plates(state: LabState, command: labware.RegisterSamples) -> Iterable[Target]:
+def list_plate_targets(state: LabState, command: labware.RegisterSamples) -> Iterable[Target]:
     return [the_labware(state, plate.labware) for plate in command.plates]
 
 
-def of_handover(state: LabState, command: handover.HandOver) -> Iterable[Target]:
+def list_handover_targets(state: LabState, command: handover.HandOver) -> Iterable[Target]:
     target = the_labware(state, command.labware)
     kind, _, name = command.to.partition(":")
     if kind == "experiment":
@@ -169,24 +169,24 @@ def of_handover(state: LabState, command: handover.HandOver) -> Iterable[Target]
     yield msgspec.structs.replace(target, needs="operator") if command.force else target
 
 
-def of_submission(state: LabState, command: runs.SubmitRun) -> Iterable[Target]:
+def list_submission_targets(state: LabState, command: runs.SubmitRun) -> Iterable[Target]:
     if command.experiment:
         yield the_experiment(state, command.experiment, owner_only=True)
     for plan in command.plans:
         yield Target(role_for(plan), (plan.workcell,))
 
 
-def of_start(state: LabState, command: experiments.StartExperiment) -> Iterable[Target]:
+def find_start_target(state: LabState, command: experiments.StartExperiment) -> Iterable[Target]:
     plan = command.closing
     yield Target(role_for(plan), (plan.workcell,)) if plan else Target("submitter", (ANYWHERE,))
 
 
-def of_file(state: LabState, command: lab.ApplyWorkcell) -> Iterable[Target]:
+def find_file_target(state: LabState, command: lab.ApplyWorkcell) -> Iterable[Target]:
     name = command.workcell.name
     yield Target("admin", (name if name in state.lab.workcells else WHOLE_LAB,))
 
 
-def of_target(state: LabState, command: Any) -> Iterable[Target]:
+def find_named_target(state: LabState, command: Any) -> Iterable[Target]:
     """A module, a workcell or the whole lab; or an experiment."""
     if ExperimentId(command.target) in state.experiments.open:
         yield the_experiment(state, command.target)
@@ -195,7 +195,7 @@ def of_target(state: LabState, command: Any) -> Iterable[Target]:
         yield Target("operator", (workcell_of(ModuleName(command.target)) if known else command.target,))
 
 
-def of_question(state: LabState, command: interventions.ResolveIntervention) -> Iterable[Target]:
+def list_question_targets(state: LabState, command: interventions.ResolveIntervention) -> Iterable[Target]:
     question = state.interventions.open.get(command.intervention)
     if question is None:
         yield Target("submitter", (ANYWHERE,))
@@ -217,7 +217,7 @@ def of_question(state: LabState, command: interventions.ResolveIntervention) -> 
         yield Target("operator", target.cells)
 
 
-def of_proposal(
+def find_proposal_target(
     state: LabState, command: proposals.ApproveProposal | proposals.RefuseProposal
 ) -> Iterable[Target]:
     yield Target("operator", cells_of(state, command.subject))
@@ -233,12 +233,12 @@ def cells_of(state: LabState, subject: str) -> tuple[str, ...]:
     return the_run(state, subject).cells
 
 
-def of_new_booking(state: LabState, command: bookings.MakeBooking) -> Iterable[Target]:
+def find_new_booking_target(state: LabState, command: bookings.MakeBooking) -> Iterable[Target]:
     yield Target(_find_role_to_book(state, command), (workcell_of(ModuleName(command.target)),))
 
 
-def of_changed_booking(state: LabState, command: bookings.ChangeBooking) -> Iterable[Target]:
-    for target in of_booking(state, command):
+def list_changed_booking_targets(state: LabState, command: bookings.ChangeBooking) -> Iterable[Target]:
+    for target in find_booking_target(state, command):
         yield target
         yield Target(_find_role_to_book(state, command), target.cells)
 
@@ -254,7 +254,7 @@ def _find_role_to_book(state: LabState, command: bookings.MakeBooking | bookings
     return "submitter" if own and not terms.rule and not terms.maintenance else "operator"
 
 
-def of_booking(state: LabState, command: Any) -> Iterable[Target]:
+def find_booking_target(state: LabState, command: Any) -> Iterable[Target]:
     booking = state.bookings.open.get(command.booking)
     if booking is None:
         return (Target("submitter", (ANYWHERE,)),)
@@ -262,10 +262,10 @@ def of_booking(state: LabState, command: Any) -> Iterable[Target]:
     return (Target("submitter", (booking.cell,), owner, f"The booking {booking.id}"),)
 
 
-def of_erasure(state: LabState, command: users.EraseUser) -> Iterable[Target]:
+def find_erasure_target(state: LabState, command: users.EraseUser) -> Iterable[Target]:
     own = command.by == command.user
     return (Target("viewer", (ANYWHERE,)) if own else Target("admin", (WHOLE_LAB,)),)
 
 
-def of_grant(state: LabState, command: Any) -> Iterable[Target]:
+def find_grant_target(state: LabState, command: Any) -> Iterable[Target]:
     yield Target("admin", (command.scope,))

@@ -56,7 +56,7 @@ def teach_location(state: LabState, command: TeachLocation) -> Decision:
             "bad_pose",
             f"A pose of {local(command.module)} has {len(last)} numbers there, not {len(command.pose)}.",
         )
-    known = module.taught_for(command.station, kind)
+    known = module.find_taught(command.station, kind)
     if known is not None and known.pose == command.pose:
         return []
     version = known.version + 1 if known is not None else 1

@@ -19,7 +19,7 @@ from labos.core.decide._base import Decision, Report, decides
 from labos.core.decide.actions import FinishAction, finish
 from labos.core.decide.outcomes import effect_events, uncertain
 from labos.core.decide.steps import doubt
-from labos.core.effects import Carrying, carried, moved
+from labos.core.effects import Carrying, list_carried, list_moved
 from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
 from labos.core.labware import LabwareUncertain, StationObserved
 from labos.core.registry import Event
@@ -61,7 +61,7 @@ def verify_action(state: LabState, command: VerifyAction) -> Decision:
     ]
     verdicts = [
         _judge_motion(state, action, effect, sights)
-        for effect in carried(action.effects)
+        for effect in list_carried(action.effects)
         if {*ends((effect,))} & {*action.looks}
     ]
     what = _describe_sights(sights.values()) or command.unseen
@@ -135,7 +135,7 @@ def _count_others(state: LabState, action: Action, effect: Carrying, station: St
     item = bench.labware.get(effect.labware)
     most += bench.haunted.get(place, 0) - bool(item is not None and place in item.maybe)
     for other in state.actions.within(workcell_of(action.module)):
-        for motion in carried(other.effects) if other.id != action.id else ():
+        for motion in list_carried(other.effects) if other.id != action.id else ():
             # Labware of a move whose end nobody knows is uncertain already; what came off a stack is not.
             if motion.stock or other.status == ActionStatus.REPORTED:
                 least -= motion.emptied == place
@@ -167,7 +167,7 @@ def _find_whereabouts(
     """Where labware may be that did not arrive as its module says: a place seen without it is none, and
     it may have fallen down."""
     found: list[LabwareUncertain] = []
-    for effect in moved(action.effects):
+    for effect in list_moved(action.effects):
         event = uncertain(action, effect, why)
         stands = {place: _was_seen_at(state, action, effect, place, sights) for place in event.places}
         certain = [place for place, is_there in stands.items() if is_there]

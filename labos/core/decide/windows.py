@@ -103,7 +103,7 @@ def ask_about_breach(state: LabState, run: RunState, step: int, what: str) -> li
 
 def questions_of(state: LabState, run: RunId, *topics: type[Topic]) -> list[InterventionId]:
     """The open questions of these types about a run."""
-    return [q.id for q in state.interventions.of_run(run) if isinstance(q.topic, topics)]
+    return [q.id for q in state.interventions.find_by_run(run) if isinstance(q.topic, topics)]
 
 
 # -- reactions -----------------------------------------------------------------------------------

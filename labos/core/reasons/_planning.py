@@ -86,9 +86,9 @@ class Unsafe(Reason, frozen=True):
     trapped: tuple[str, ...]
 
     def _in_words(self) -> dict[str, Any]:
-        return {"step": in_words(self.step), "who": ", ".join(_who(name) for name in self.trapped)}
+        return {"step": in_words(self.step), "who": ", ".join(_describe_owner(name) for name in self.trapped)}
 
 
-def _who(name: str) -> str:
+def _describe_owner(name: str) -> str:
     kind, _, which = name.rpartition(":")
     return f"experiment {which}" if kind == "experiment" else f"run {which}"

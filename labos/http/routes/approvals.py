@@ -132,7 +132,7 @@ async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     begin = names.index(query.after) + 1 if query.after in names else 0
     shown = names[begin : begin + query.limit]
     found = [_view(state, state.approvals.open[name]) for name in shown]
-    await call.kernel.written()
+    await call.kernel.flush()
     return Proposals(found, begin + query.limit < len(names))
 
 
@@ -140,7 +140,7 @@ async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     state = call.kernel.state
     proposal = _proposal(call, path)
     view = _view(state, proposal)
-    await call.kernel.written()
+    await call.kernel.flush()
     parts = call.service.parts
     changed = await asyncio.to_thread(differences, parts.store, parts.blobs, state, proposal)
     return ProposalDetail(view, changed)
@@ -199,7 +199,7 @@ async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -
 async def get_policy(call: Call) -> PolicyView:
     approvals = call.kernel.state.approvals
     found = PolicyView(approvals.applied, approvals.policy)
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 

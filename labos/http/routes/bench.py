@@ -71,7 +71,7 @@ async def get_round(call: Call) -> Round:
     """What is known of a log that has lost its end, and what has to be said of the bench before anything
     starts; without such a log, there is nothing to say."""
     view = round_view(call.kernel.state)
-    await call.kernel.written()
+    await call.kernel.flush()
     return view
 
 

@@ -24,7 +24,7 @@ from labos.http.bookings import (
     OfBooking,
     bookings_of,
     calendar,
-    changed_terms,
+    change_terms,
     target_of,
     terms_of,
     the_booking,
@@ -41,13 +41,13 @@ async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
     """Those that are not over, in the order of their next times."""
     views = [view(booking) for booking in bookings_of(call.service, query.target)]
     found = BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
 async def get_booking(call: Call, path: OfBooking) -> BookingView:
     found = view(the_booking(call.kernel.state, path.booking))
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
@@ -63,7 +63,7 @@ async def make_booking(call: Call, body: NewBooking) -> BookingView:
 async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> BookingView:
     """What is left out stays. A new begin alone moves the end along."""
     booking, now = the_booking(call.kernel.state, path.booking), call.kernel.clock.now_ns()
-    terms = changed_terms(call.kernel.state, booking, body)
+    terms = change_terms(call.kernel.state, booking, body)
     events = await call.kernel.execute(ChangeBooking(booking.id, terms, body.by, now, body.force), body.by)
     return view(the_booking(call.kernel.state, booking.id), events[0].over)  # type: ignore[attr-defined]
 
@@ -78,7 +78,7 @@ async def cancel_booking(call: Call, path: OfBooking, body: BookingCancel) -> Bo
 async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
     """Each time of each booking, repeated ones too."""
     found = calendar(call.service, query, call.kernel.clock.now_ns())
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
@@ -88,7 +88,7 @@ async def export_calendar(call: Call, query: LinkQuery) -> Response:
     from labos.services.ical import ical  # a large library, which most labs never use
 
     bookings = bookings_of(call.service, query.target)
-    await call.kernel.written()
+    await call.kernel.flush()
     named = references_in("\n".join(booking.why for booking in bookings).encode())
     texts = await asyncio.to_thread(texts_of, call.service.parts.store, named)
     shown = [msgspec.structs.replace(each, why=put_into_text(each.why, texts)) for each in bookings]

@@ -48,13 +48,13 @@ from labos.spec.shares import parse_shares
 async def list_campaigns(call: Call) -> Campaigns:
     state = call.kernel.state
     found = [view_of(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden]
-    await call.kernel.written()
+    await call.kernel.flush()
     return Campaigns(found)
 
 
 async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
     found = view_of(call.kernel.state, _open_campaign(call, path))
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
@@ -114,7 +114,7 @@ async def archive_campaign(call: Call, path: OfCampaign, body: Archiving) -> Cam
 
 async def list_shares(call: Call) -> Shares:
     accounts = ledger(call.kernel.state, call.kernel.clock.now_ns())
-    await call.kernel.written()
+    await call.kernel.flush()
     return Shares(accounts)
 
 

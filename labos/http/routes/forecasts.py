@@ -63,7 +63,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
         others=compiled.others,
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
-    forecast = await service.forecasts.of_run(command, body.user)
+    forecast = await service.forecasts.forecast_run(command, body.user)
     return RunForecast(shown(forecast, call), compiled.findings)
 
 

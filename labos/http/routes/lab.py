@@ -41,7 +41,7 @@ async def get_health(call: Call) -> Health:
 
 async def get_state(call: Call, query: StateQuery) -> Response:
     """Those who ask at the same time get one answer, which is newer than their questions."""
-    return wire.encoded(await call.api.state_for(call.sight, waits=query.waits).get())
+    return wire.answer_encoded(await call.api.state_for(call.sight, waits=query.waits).get())
 
 
 async def get_inventory(call: Call) -> Inventory:
@@ -49,14 +49,14 @@ async def get_inventory(call: Call) -> Inventory:
     run that would find too little. Times in UTC nanoseconds."""
     now = call.kernel.clock.now_ns()
     found = inventory(call.kernel.state, now, iso_time(now)[:10])
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
 async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:
     """Asks the modules' nodes over the bus, now, for two seconds at most. Nothing moves."""
     found = await ask_nodes(call.service, query.module, check=query.check)
-    await call.kernel.written()
+    await call.kernel.flush()
     return NodeAnswers(found)
 
 

@@ -40,7 +40,7 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
     )
     if query.stored:
         call.request.scope[STORED] = True
-    return wire.encoded(await call.service.tail.page(wanted, stored=query.stored, sight=call.sight))
+    return wire.answer_encoded(await call.service.tail.page(wanted, stored=query.stored, sight=call.sight))
 
 
 async def follow_events(call: Call, query: EventFilter) -> Response:

@@ -40,13 +40,13 @@ from labos.http.queries import OfGroup, OfUser
 async def list_users(call: Call) -> UserList:
     state = call.kernel.state
     found = UserList(user_views(state), state.users.is_open)
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
 async def get_user(call: Call, path: OfUser) -> UserView:
     found = user_view(call.kernel.state, path.user)
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
@@ -59,32 +59,32 @@ async def add_user(call: Call, body: NewUser) -> UserView:
             "who that is.",
             remedy=f"On the lab's computer: labos user add {body.user} --home FOLDER",
         )
-    return await _changed_user(call, AddUser(body.user, body.kind, body.role, body.scope), body.by)
+    return await _change_user(call, AddUser(body.user, body.kind, body.role, body.scope), body.by)
 
 
 async def disable_user(call: Call, path: OfUser, body: By) -> UserView:
     """The user may do nothing any more. Runs go on; campaigns are paused."""
-    return await _changed_user(call, DisableUser(path.user), body.by)
+    return await _change_user(call, DisableUser(path.user), body.by)
 
 
 async def enable_user(call: Call, path: OfUser, body: By) -> UserView:
-    return await _changed_user(call, EnableUser(path.user), body.by)
+    return await _change_user(call, EnableUser(path.user), body.by)
 
 
-async def _changed_user(call: Call, command: AddUser | DisableUser | EnableUser, by: str) -> UserView:
+async def _change_user(call: Call, command: AddUser | DisableUser | EnableUser, by: str) -> UserView:
     await call.kernel.execute(command, by)
     return user_view(call.kernel.state, command.user)
 
 
 async def list_groups(call: Call) -> GroupList:
     found = GroupList(group_views(call.kernel.state))
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
 async def add_group(call: Call, body: NewGroup) -> GroupView:
     """Of weight 1; a shares file may say another one."""
-    return await _changed_group(call, AddGroup(body.group), body.group, body.by)
+    return await _change_group(call, AddGroup(body.group), body.group, body.by)
 
 
 async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
@@ -95,14 +95,14 @@ async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
 
 async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
     """Nobody is in two groups."""
-    return await _changed_group(call, AddMember(path.group, body.user), path.group, body.by)
+    return await _change_group(call, AddMember(path.group, body.user), path.group, body.by)
 
 
 async def remove_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
-    return await _changed_group(call, RemoveMember(path.group, body.user), path.group, body.by)
+    return await _change_group(call, RemoveMember(path.group, body.user), path.group, body.by)
 
 
-async def _changed_group(call: Call, command: Command, group: str, by: str) -> GroupView:
+async def _change_group(call: Call, command: Command, group: str, by: str) -> GroupView:
     await call.kernel.execute(command, by)
     return group_view(call.kernel.state, group)
 

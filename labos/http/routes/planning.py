@@ -23,7 +23,7 @@ from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.choices import list_choices
 from labos.spec.findings import Finding
 
@@ -94,7 +94,7 @@ async def list_actions(call: Call, path: OfModule) -> Actions:
     """Its actions, with the arguments that a step of a workflow gives them."""
     name = call.service.module(path.module)
     spec = call.kernel.state.modules.by_name[name].spec
-    found = described(spec, call.service.parts.descriptions)
+    found = find_description(spec, call.service.parts.descriptions)
     if found is None:
         raise NotFound(f"Nobody has described what {local(name)} can do.", remedy="Install its driver.")
     actions = [
@@ -150,7 +150,7 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         for step in plan.steps
         if step.part == MAIN
     ]
-    await call.kernel.written()
+    await call.kernel.flush()
     return CheckedRun(
         workflow=plan.workflow,
         workcell=plan.workcell,

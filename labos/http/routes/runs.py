@@ -44,19 +44,19 @@ async def list_runs(call: Call, query: RunsQuery) -> Runs:
     alive = sorted((*runs.active.values(), *runs.queued.values()), key=lambda run: run.position)
     left = [run for run in alive if run.position > query.after and run.campaign not in call.hidden]
     shown = left[: query.limit]
-    await call.kernel.written()
-    over = await _ended(call, query) if query.ended else []
+    await call.kernel.flush()
+    over = await _read_ends(call, query) if query.ended else []
     names = [*(record.head.stream for record in over), *(str(run.id) for run in shown)]
     stories = [await call.service.story(name) for name in names]
     return Runs(
-        runs=[RunDetail.of(story) for story in stories if story.campaign not in call.hidden],
+        runs=[RunDetail.make(story) for story in stories if story.campaign not in call.hidden],
         position=shown[-1].position if shown else query.after,
         more=len(left) > len(shown),
         ended_position=over[0].head.position if over else 0,
     )
 
 
-async def _ended(call: Call, query: RunsQuery) -> list[Record]:
+async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
     """The last ends of runs before a position, in order."""
     upto = query.before - 1 if query.before else None
     wanted = LogQuery(types=RUN_ENDS, last=query.ended, upto=upto)
@@ -68,7 +68,7 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     story = await call.service.story(path.run, query.wait)
     if story.campaign in call.hidden:
         raise NotFound(f"There is no run {path.run!r}.", remedy="List them: labos runs")
-    return RunDetail.of(story)
+    return RunDetail.make(story)
 
 
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
+from typing import Any
+
 from labos.http.answers import Signatures
 from labos.http.bodies import RunSignature
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.queries import OfCampaign, OfExperiment, OfRun
 from labos.http.signing_runs import list_signatures_under, sign
-from labos.services.signatures import Signature
+from labos.services.signatures import Kind, Signature
 
 
 async def sign_run(call: Call, path: OfRun, body: RunSignature) -> Signature:
@@ -62,77 +65,49 @@ _SIGNATURE = {
 _EXPERIMENT = {**_SIGNATURE, "subject": "E1", "kind": "experiment", "run": "", "runs": 3, "records": 97}
 _CAMPAIGN = {**_EXPERIMENT, "subject": "C1", "kind": "campaign"}
 
+
+def _declare(
+    kind: Kind,
+    sign_it: Callable[..., Awaitable[Signature]],
+    list_its: Callable[..., Awaitable[Signatures]],
+    signatures: str,
+    example: dict[str, Any],
+) -> tuple[Operation, Operation]:
+    """To sign such a record, and to list who has. ``signatures`` is the client's method for the list."""
+    path = f"/{kind}s/{{{kind}}}/signatures"
+    record = f"the record of {'an' if kind == 'experiment' else 'a'} {kind}"
+    return (
+        Operation(
+            method="POST",
+            path=path,
+            handler=sign_it,
+            client=Method(f"sign_{kind}", repeat=True),
+            summary=f"Sign {record} that has ended",
+            tag=f"{kind}s",
+            needs="viewer",
+            secret=True,
+            problems=("refused", "not_found", "too_many_tries"),
+            example=_ASKED,
+            example_answer=example,
+        ),
+        Operation(
+            method="GET",
+            path=path,
+            handler=list_its,
+            client=Method(signatures, take="signatures"),
+            summary=f"Who has signed {record}",
+            tag=f"{kind}s",
+            needs="viewer",
+            problems=("not_found",),
+            example_answer={"signatures": [example]},
+        ),
+    )
+
+
 OPERATIONS = (
-    Operation(
-        method="POST",
-        path="/runs/{run}/signatures",
-        handler=sign_run,
-        client=Method("sign_run", repeat=True),
-        summary="Sign the record of a run that has ended",
-        tag="runs",
-        needs="viewer",
-        secret=True,
-        problems=("refused", "not_found", "too_many_tries"),
-        example=_ASKED,
-        example_answer=_SIGNATURE,
+    *_declare("run", sign_run, list_signatures, "signatures", _SIGNATURE),
+    *_declare(
+        "experiment", sign_experiment, list_experiment_signatures, "experiment_signatures", _EXPERIMENT
     ),
-    Operation(
-        method="GET",
-        path="/runs/{run}/signatures",
-        handler=list_signatures,
-        client=Method("signatures", take="signatures"),
-        summary="Who has signed the record of a run",
-        tag="runs",
-        needs="viewer",
-        problems=("not_found",),
-        example_answer={"signatures": [_SIGNATURE]},
-    ),
-    Operation(
-        method="POST",
-        path="/experiments/{experiment}/signatures",
-        handler=sign_experiment,
-        client=Method("sign_experiment", repeat=True),
-        summary="Sign the record of an experiment that has ended",
-        tag="experiments",
-        needs="viewer",
-        secret=True,
-        problems=("refused", "not_found", "too_many_tries"),
-        example=_ASKED,
-        example_answer=_EXPERIMENT,
-    ),
-    Operation(
-        method="GET",
-        path="/experiments/{experiment}/signatures",
-        handler=list_experiment_signatures,
-        client=Method("experiment_signatures", take="signatures"),
-        summary="Who has signed the record of an experiment",
-        tag="experiments",
-        needs="viewer",
-        problems=("not_found",),
-        example_answer={"signatures": [_EXPERIMENT]},
-    ),
-    Operation(
-        method="POST",
-        path="/campaigns/{campaign}/signatures",
-        handler=sign_campaign,
-        client=Method("sign_campaign", repeat=True),
-        summary="Sign the record of a campaign that has ended",
-        tag="campaigns",
-        needs="viewer",
-        secret=True,
-        problems=("refused", "not_found", "too_many_tries"),
-        example=_ASKED,
-        example_answer=_CAMPAIGN,
-    ),
-    Operation(
-        method="GET",
-        path="/campaigns/{campaign}/signatures",
-        handler=list_campaign_signatures,
-        client=Method("campaign_signatures", take="signatures"),
-        summary="Who has signed the record of a campaign",
-        tag="campaigns",
-        needs="viewer",
-        problems=("not_found",),
-        example_answer={"signatures": [_CAMPAIGN]},
-    ),
+    *_declare("campaign", sign_campaign, list_campaign_signatures, "campaign_signatures", _CAMPAIGN),
 )

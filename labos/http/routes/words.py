@@ -59,7 +59,7 @@ class ErasureReference(msgspec.Struct, frozen=True):
 async def list_erasures(call: Call) -> Erasures:
     waiting = call.kernel.state.erasures.open
     found = Erasures([_view(name, each) for name, each in waiting.items()])
-    await call.kernel.written()
+    await call.kernel.flush()
     return found
 
 
@@ -72,18 +72,18 @@ async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
 
 async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureDone:
     """Whoever asked cannot agree. What stands there now is erased."""
-    asked = _asked(call, path.erasure)
+    asked = _find_erasure(call, path.erasure)
     return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
 
 
 async def refuse_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureReference:
     """Nothing is erased. Whoever asked may take it back so."""
-    _asked(call, path.erasure)
+    _find_erasure(call, path.erasure)
     await call.kernel.execute(RefuseErasure(path.erasure, body.by), body.by)
     return ErasureReference(path.erasure)
 
 
-def _asked(call: Call, name: str) -> Erasure:
+def _find_erasure(call: Call, name: str) -> Erasure:
     """Raises NotFound."""
     found = call.kernel.state.erasures.open.get(name)
     if found is None:

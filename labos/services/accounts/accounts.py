@@ -72,7 +72,7 @@ class Accounts:
 
     # -- who it is -----------------------------------------------------------------------------
 
-    async def of(self, secret: str) -> Credential:
+    async def find(self, secret: str) -> Credential:
         """Whose secret it is. Raises NotSignedIn."""
         digest = digest_of(secret)
         known, fresh_until = self._known.get(digest, (None, 0.0))

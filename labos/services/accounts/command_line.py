@@ -19,12 +19,12 @@ import msgspec
 from labos.errors import NotFound, TooManyTries
 from labos.services.accounts.oidc import (
     TIMEOUT_S,
-    Begun,
+    AuthorizationRequest,
     Claims,
     Client,
     Provider,
     Tokens,
-    asked_of,
+    ask_provider,
     auth_of,
     wrong,
 )
@@ -91,12 +91,12 @@ class CommandLineSignIn:
             way_back_of(told.lab, port),
         )
 
-    async def begin(self, port: int) -> Begun:
+    async def begin(self, port: int) -> AuthorizationRequest:
         """Where a browser goes; it comes back to a port of the computer on which it runs. Raises NotFound,
         NotSignedIn."""
         return await self.provider.begin(self._client(port))
 
-    async def begin_device(self) -> tuple[Begun, Shown]:
+    async def begin_device(self) -> tuple[AuthorizationRequest, Shown]:
         """What is to be typed in, and where. Raises NotFound, NotSignedIn, TooManyTries."""
         client, now = self._client(), self.provider.clock.monotonic()
         known = await self.provider.discover()
@@ -110,7 +110,7 @@ class CommandLineSignIn:
             raise TooManyTries("Too many people are typing codes in.", wait_s=60.0)
         form = {"client_id": client.id, "scope": " ".join(self.provider.told.scopes)}
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
-            shown = await asked_of(
+            shown = await ask_provider(
                 http,
                 "POST",
                 known.device_authorization_endpoint,
@@ -123,7 +123,7 @@ class CommandLineSignIn:
         until = now + min(shown.expires_in, LONGEST_S)
         self._devices[state] = Device(browser, shown, until, interval, now + interval)
         address = shown.verification_uri_complete or shown.verification_uri
-        return Begun(address, state, browser), shown
+        return AuthorizationRequest(address, state, browser), shown
 
     async def finish(self, answer: Mapping[str, str], browser: str) -> Claims | Wait:
         """Who has signed in. Raises NotSignedIn."""

@@ -91,7 +91,7 @@ class Discovery(msgspec.Struct, frozen=True):
     id_token_signing_alg_values_supported: tuple[str, ...] = ("RS256",)
 
 
-class Begun(msgspec.Struct, frozen=True):
+class AuthorizationRequest(msgspec.Struct, frozen=True):
     """Where somebody goes to sign in, what brings them back (``state``), and what they show then."""
 
     address: str
@@ -123,7 +123,7 @@ class Provider:
         self._known: tuple[Discovery, float] | None = None
         self._keys: KeySet | None = None
 
-    async def begin(self, client: Client | None = None) -> Begun:
+    async def begin(self, client: Client | None = None) -> AuthorizationRequest:
         """Send somebody to the provider: a browser, or as another ``client``. Raises NotSignedIn if the
         provider does not answer."""
         client = client or self._browsers
@@ -141,11 +141,11 @@ class Provider:
             "scope": " ".join(self.told.scopes),
             "state": state,
             "nonce": nonce,
-            "code_challenge": _unpadded(hashlib.sha256(verifier.encode()).digest()),
+            "code_challenge": _encode_unpadded(hashlib.sha256(verifier.encode()).digest()),
             "code_challenge_method": "S256",
         }
         mark = "&" if "?" in known.authorization_endpoint else "?"
-        return Begun(f"{known.authorization_endpoint}{mark}{urlencode(asked)}", state, browser)
+        return AuthorizationRequest(f"{known.authorization_endpoint}{mark}{urlencode(asked)}", state, browser)
 
     async def finish(
         self, answer: Mapping[str, str], browser: str, *, by_command_line: bool = False
@@ -173,7 +173,7 @@ class Provider:
         self, http: httpx.AsyncClient, known: Discovery, tokens: Tokens, client: Client, nonce: str = ""
     ) -> Claims:
         """Whom the tokens mean that the provider has given to ``client``. Raises NotSignedIn."""
-        claims = await self._verified(http, known, tokens.id_token, client.id, nonce)
+        claims = await self._verify(http, known, tokens.id_token, client.id, nonce)
         return await self._with_user_info(http, known, tokens, claims)
 
     # -- the provider ------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ class Provider:
             return self._known[0]
         address = self.told.issuer.rstrip("/") + "/.well-known/openid-configuration"
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
-            found = await asked_of(http, "GET", address, Discovery)
+            found = await ask_provider(http, "GET", address, Discovery)
         if found.issuer != self.told.issuer:
             raise wrong(f"{address} is of {found.issuer[:100]!r}, not of {self.told.issuer!r}")
         self._known, self._keys = (found, now + KNOWN_S), None
@@ -201,21 +201,21 @@ class Provider:
             "client_id": client.id,
             "code_verifier": pending.verifier,
         }
-        return await asked_of(http, "POST", known.token_endpoint, Tokens, data=form, auth=auth_of(client))
+        return await ask_provider(http, "POST", known.token_endpoint, Tokens, data=form, auth=auth_of(client))
 
     async def _keys_of(self, http: httpx.AsyncClient, known: Discovery) -> KeySet:
         from joserfc.errors import JoseError
         from joserfc.jwk import KeySet
 
         if self._keys is None:
-            told: Any = await asked_of(http, "GET", known.jwks_uri, dict)
+            told: Any = await ask_provider(http, "GET", known.jwks_uri, dict)
             try:
                 self._keys = KeySet.import_key_set(told)
             except (JoseError, ValueError, KeyError, TypeError) as error:
                 raise wrong(f"its keys cannot be read ({type(error).__name__})") from None
         return self._keys
 
-    async def _verified(
+    async def _verify(
         self, http: httpx.AsyncClient, known: Discovery, token: str, client: str, nonce: str
     ) -> dict[str, Any]:
         """The claims of an id token, checked as OpenID Connect Core 1.0, 3.1.3.7 says; one that no browser
@@ -257,7 +257,7 @@ class Provider:
         """Name and groups, which some providers tell only who asks for them."""
         if known.userinfo_endpoint and self.told.groups_claim not in claims:
             shown = {"authorization": f"Bearer {tokens.access_token}"}
-            more = await asked_of(http, "GET", known.userinfo_endpoint, dict, headers=shown)
+            more = await ask_provider(http, "GET", known.userinfo_endpoint, dict, headers=shown)
             if more.get("sub") != claims["sub"]:
                 raise wrong("it tells of somebody else")
             claims = {**more, **claims}
@@ -270,7 +270,7 @@ class Provider:
         )
 
 
-async def asked_of(http: httpx.AsyncClient, method: str, url: str, kind: type[T], **options: Any) -> T:
+async def ask_provider(http: httpx.AsyncClient, method: str, url: str, kind: type[T], **options: Any) -> T:
     """What a provider answers. Raises NotSignedIn."""
     try:
         answer = await http.request(method, url, **options)
@@ -299,5 +299,5 @@ def wrong(why: str) -> NotSignedIn:
     return NotSignedIn(f"The identity provider has not signed anybody in: {why}.", remedy=AGAIN)
 
 
-def _unpadded(data: bytes) -> str:
+def _encode_unpadded(data: bytes) -> str:
     return urlsafe_b64encode(data).rstrip(b"=").decode()

@@ -86,5 +86,5 @@ def load_provider(source: Source | str | Path) -> ProviderFile:
     report = Report(source.file)
     found = validate(ProviderFile, source, report)
     if found is None or report.errors:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     return found

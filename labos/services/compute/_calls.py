@@ -13,7 +13,7 @@ import msgspec
 from labos.errors import BadInput, LabosError
 from labos.services.compute._places import open_place
 from labos.services.compute._sent import ComputesOnce, Forgotten, PlaceUnavailable, Sent
-from labos.services.compute._work import Measured, code_digest, encoded, measure, name_of, value_digest
+from labos.services.compute._work import Measured, code_digest, encode, measure, name_of, value_digest
 
 MOST_WAITING = 64
 """So many computations are waited for at once; others stand in line."""
@@ -129,7 +129,7 @@ class Computing:
                     measured = executor.compute_once(attempt, measure, (function, args, named), {})
                 else:
                     measured = executor.submit(measure, function, args, named).result()
-                encoded(measured.value)  # what cannot be written down is no result
+                encode(measured.value)  # what cannot be written down is no result
             except PlaceUnavailable:
                 raise
             except (Exception, CancelledError) as error:

@@ -96,10 +96,10 @@ def _bytes_of(code: CodeType) -> bytes:
 
 def value_digest(value: Any) -> str:
     """SHA-256 of a value: of its canonical JSON if it has one, else of its pickle."""
-    return hashlib.sha256(encoded(value)[1]).hexdigest()
+    return hashlib.sha256(encode(value)[1]).hexdigest()
 
 
-def encoded(value: Any) -> tuple[str, bytes]:
+def encode(value: Any) -> tuple[str, bytes]:
     """A value as bytes, and their form: json or pickle. Raises BadInput for what has neither."""
     if _is_json(value):
         try:

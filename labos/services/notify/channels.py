@@ -87,7 +87,7 @@ def _mail(smtp: Smtp, address: str, message: Message) -> None:
     letter = mail(smtp, address, message)
     name = f"The mail server {smtp.host}:{smtp.port}"
     try:
-        with _connected(smtp) as server:
+        with _connect(smtp) as server:
             if smtp.security == "starttls":
                 server.starttls(context=ssl.create_default_context())
             if smtp.password is not None:
@@ -100,7 +100,7 @@ def _mail(smtp: Smtp, address: str, message: Message) -> None:
         raise Undelivered(why, unreachable=True, remedy="Check `smtp:` in the contacts file.") from None
 
 
-def _connected(smtp: Smtp) -> smtplib.SMTP:
+def _connect(smtp: Smtp) -> smtplib.SMTP:
     if smtp.security == "tls":
         context = ssl.create_default_context()
         return smtplib.SMTP_SSL(smtp.host, smtp.port, timeout=TIMEOUT_S, context=context)

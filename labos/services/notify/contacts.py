@@ -158,7 +158,7 @@ def load_contacts(source: Source | str | Path) -> Book:
     if book is not None:
         _check(book, source, report)
     if book is None or report.errors:
-        raise SpecErrors(report.sorted())
+        raise SpecErrors(report.sort_findings())
     return book
 
 

@@ -78,22 +78,24 @@ def read_event(event: Event, head: Envelope) -> Notice | Answer | None:
             return Answer(intervention_key(event.intervention), describe(event, head))
         case InterventionOverdue():
             key, title = intervention_key(event.intervention), f"{event.intervention}: work is overdue"
-            return _told(event, head, "interventions", key, title, urgent=True)
+            return _make_notice(event, head, "interventions", key, title, urgent=True)
         case WindowBreached():
-            return _told(event, head, "windows", "", f"{event.run} missed a time window")
+            return _make_notice(event, head, "windows", "", f"{event.run} missed a time window")
         case RunFailed():
-            return _told(event, head, "runs", "", f"{event.run} failed")
+            return _make_notice(event, head, "runs", "", f"{event.run} failed")
         case ModuleTakenOut(failures=failures) if failures:
             key, title = quarantine_key(event.module), f"{local(event.module)} is quarantined"
-            return _told(event, head, "modules", key, title, urgent=True)
+            return _make_notice(event, head, "modules", key, title, urgent=True)
         case ModulePutBack():
             return Answer(quarantine_key(event.module), describe(event, head))
         case NodeLeft() if not event.stopped:
-            return _told(event, head, "modules", module_key(event.module), f"{local(event.module)} is gone")
+            return _make_notice(
+                event, head, "modules", module_key(event.module), f"{local(event.module)} is gone"
+            )
         case NodeStateChanged() | NodeJoined():
             if event.status == "ERROR":
                 title = f"{local(event.module)} reports an error"
-                return _told(event, head, "modules", module_key(event.module), title)
+                return _make_notice(event, head, "modules", module_key(event.module), title)
             return Answer(module_key(event.module), describe(event, head))
     return None
 
@@ -148,6 +150,8 @@ def _question(event: InterventionRequested, head: Envelope) -> Notice:
     )
 
 
-def _told(event: Event, head: Envelope, topic: str, key: str, title: str, *, urgent: bool = False) -> Notice:
+def _make_notice(
+    event: Event, head: Envelope, topic: str, key: str, title: str, *, urgent: bool = False
+) -> Notice:
     text = describe(event, head)
     return Notice(head.id, head.position, head.recorded_at, topic, key, title, text, urgent)

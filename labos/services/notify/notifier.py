@@ -199,7 +199,7 @@ class Notifier:
     def _take_in(self, event: Event, head: Envelope) -> None:
         now = self.clock.now_ns()
         if isinstance(event, KernelStarted):
-            told = self._restarted(event, head, now)
+            told = self._tell_restart(event, head, now)
             self._started = (head.id, head.position)
             self.outbox.take_in(told, now, position=head.position, epoch=event.epoch)
             return
@@ -215,7 +215,7 @@ class Notifier:
             return True
         return bool(notice.key) and self.outbox.is_open(notice.key)
 
-    def _restarted(self, event: KernelStarted, head: Envelope, now: int) -> list[Told]:
+    def _tell_restart(self, event: KernelStarted, head: Envelope, now: int) -> list[Told]:
         """A new kernel finds out by itself which nodes live; and it is one that runs."""
         told: list[Told] = [
             Answer(module_key(""), "a new kernel looks for its nodes", all=True, quietly=True)
@@ -255,7 +255,7 @@ class Notifier:
         for delivery in self.outbox.due(self.clock.now_ns()):
             if delivery.contact not in self.book.contacts:
                 why = "the contacts file has no such contact any more"
-                self.outbox.failed(delivery, why, self.clock.now_ns(), None, tried=False)
+                self.outbox.mark_failed(delivery, why, self.clock.now_ns(), None, tried=False)
             elif delivery.id in self._sent:
                 self._note_sent(delivery)  # it could not be noted before
             else:
@@ -282,7 +282,7 @@ class Notifier:
         return ""
 
     def _note_sent(self, delivery: Delivery) -> None:
-        self.outbox.sent(delivery, self.clock.now_ns())
+        self.outbox.mark_sent(delivery, self.clock.now_ns())
         self._sent.discard(delivery.id)
 
     def _message(self, delivery: Delivery) -> channels.Message:
@@ -298,7 +298,7 @@ class Notifier:
         now = self.clock.now_ns()
         late = now - delivery.due_at > GIVEN_UP_S * SECOND
         try_at = None if late else now + pause_ns(delivery.attempts + 1)
-        self.outbox.failed(delivery, why, now, try_at)
+        self.outbox.mark_failed(delivery, why, now, try_at)
 
 
 def pause_ns(failures: int) -> int:

@@ -142,10 +142,10 @@ class Outbox:
         rows = self._rows("SELECT min(try_at) FROM delivery WHERE state = 'waiting'", ())
         return None if rows[0][0] is None else int(rows[0][0])
 
-    def sent(self, delivery: Delivery, now: int) -> None:
+    def mark_sent(self, delivery: Delivery, now: int) -> None:
         self._mark(delivery, "sent", delivery.attempts + 1, now, now, "")
 
-    def failed(
+    def mark_failed(
         self, delivery: Delivery, error: str, now: int, try_at: int | None, *, tried: bool = True
     ) -> None:
         """It was not taken: once more at ``try_at``, or never again."""

@@ -196,7 +196,7 @@ def _read(log: Log, subject: str, head: TreeHead) -> tuple[Tree, list[Record], t
             position=tree.size,
             remedy="Look with labos verify --checkpoint FILE.",
         )
-    for name in tuple(planned_by(found.values())):
+    for name in tuple(list_plan_streams(found.values())):
         found |= {record.head.position: record for record in plans.get(name, ())}
     return tree, [found[position] for position in sorted(found)], tuple(runs)
 
@@ -221,7 +221,7 @@ def signs(kind: str, payload: bytes, names: Container[str]) -> bool:
     return (found.get("run") or found.get("subject")) in names
 
 
-def planned_by(records: Iterable[Planned]) -> Iterator[str]:
+def list_plan_streams(records: Iterable[Planned]) -> Iterator[str]:
     """In which streams the plans of submitted runs stand, besides their own."""
     for record in records:
         if record.head.type == RunSubmitted.TYPE:

@@ -121,13 +121,13 @@ class TrustedKeys:
             if fresh not in self.keys:
                 self.keys.append(fresh)
 
-    def of(self, origin: str) -> list[PublicKey]:
+    def list_for(self, origin: str) -> list[PublicKey]:
         """The keys whose word counts about one lab: no lab speaks for another, and no witness for a lab."""
         return [key for key in self.keys if key.name == origin and key.kind == SIGNS]
 
     def signers(self, note: Note, head: TreeHead) -> list[PublicKey]:
         """Those of its lab's keys that have signed a checkpoint. Raises BadInput."""
-        signed = note.signers(self.of(head.origin))
+        signed = note.signers(self.list_for(head.origin))
         return [key for key in signed if head.size <= self._ended.get(key.text, head.size)]
 
 
@@ -158,7 +158,7 @@ def read_public_keys(path: Path) -> list[PublicKey]:
     return [parse_public_key(line) for line in lines if line.strip()]
 
 
-def given_keys(said: Sequence[str]) -> list[PublicKey]:
+def read_given_keys(said: Sequence[str]) -> list[PublicKey]:
     """Public keys as they are given to a command: each a file, or the key itself. Raises BadInput."""
     found: list[PublicKey] = []
     for each in said:

@@ -52,7 +52,7 @@ class PublicKey(msgspec.Struct, frozen=True):
         if self.kind == COSIGNS:
             if len(signature) != 72:
                 return False
-            text, signature = _cosigned(text, int.from_bytes(signature[:8])), signature[8:]
+            text, signature = _encode_cosigned(text, int.from_bytes(signature[:8])), signature[8:]
         try:
             Ed25519PublicKey.from_public_bytes(self.raw).verify(signature, text)
         except (InvalidSignature, ValueError):
@@ -83,7 +83,7 @@ class SigningKey(msgspec.Struct, frozen=True):
         """Sign a text; ``time_s`` (UTC, since 1970) is for a cosignature."""
         said = text.encode()
         if self.kind == COSIGNS:
-            signature = time_s.to_bytes(8) + self._key().sign(_cosigned(said, time_s))
+            signature = time_s.to_bytes(8) + self._key().sign(_encode_cosigned(said, time_s))
         else:
             signature = self._key().sign(said)
         return Signature(self.name, self.public.id, signature)
@@ -201,7 +201,7 @@ def parse_signatures(lines: str) -> tuple[Signature, ...]:
     return tuple(found)
 
 
-def _cosigned(text: bytes, time_s: int) -> bytes:
+def _encode_cosigned(text: bytes, time_s: int) -> bytes:
     return b"cosignature/v1\ntime %d\n" % time_s + text
 
 

@@ -35,13 +35,13 @@ from labos.services.trust.bundle import (
     ProvenEvent,
     ToldWords,
     belongs_to,
-    planned_by,
+    list_plan_streams,
     signs,
 )
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import TrustedKeys, parse_rotations
 from labos.services.trust.notes import Note, PublicKey, parse_note
-from labos.services.trust.timestamp import stamped_at
+from labos.services.trust.timestamp import read_stamp_time
 from labos.services.verification import Part, find_needed_blobs
 
 LARGEST = 4 << 30
@@ -88,7 +88,7 @@ class _Event(msgspec.Struct, frozen=True):
 def prove_bundle(path: Path, trust: Trust) -> Proof:
     """Check a bundle. Raises BadInput for a file that is none."""
     files = _unpack(path)
-    about = _said(files, path)
+    about = _read_about(files, path)
     note, head = _checkpoint(files)
     signed, signer = _check_signature(files, note, head, trust)
     inside, events = _check_events(files, head)
@@ -121,7 +121,7 @@ def _unpack(path: Path) -> dict[str, bytes]:
         raise _no_bundle(path, f"it cannot be unpacked ({error})") from None
 
 
-def _said(files: dict[str, bytes], path: Path) -> About:
+def _read_about(files: dict[str, bytes], path: Path) -> About:
     missing = [name for name in (ABOUT, NOTE, EVENTS) if name not in files]
     if missing:
         raise _no_bundle(path, f"it holds no {', '.join(missing)}")
@@ -148,7 +148,7 @@ def _check_signature(files: dict[str, bytes], note: Note, head: TreeHead, trust:
         signers = known.signers(note, head)
     except BadInput as error:
         return Part("signature", 1, error.message, (str(error),)), ""
-    if not known.of(head.origin):
+    if not known.list_for(head.origin):
         fault = f"The checkpoint is of {head.origin}, and no key was given that bears this name."
         return Part("signature", 1, fault, (fault,)), ""
     if not signers:
@@ -185,7 +185,7 @@ def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[
         yield Part("time stamp", 0, fault, (fault,))
     else:
         try:
-            at = stamped_at(stamp, note.text.encode(), trust.authorities)
+            at = read_stamp_time(stamp, note.text.encode(), trust.authorities)
             yield Part("time stamp", 1, f"The checkpoint existed at {at.isoformat()}, says its time stamp.")
         except BadInput as error:
             yield Part("time stamp", 1, error.message, (str(error),))
@@ -241,7 +241,7 @@ def _check_story(about: About, events: Sequence[_Event]) -> Part:
         if name != about.of and not any(_submits(event, about.of) for event in own):
             faults.append(f"The run {name} is none of {about.of}.")
     own = [event for event in events if event.head.stream in streams]
-    planned = set(planned_by(own))
+    planned = set(list_plan_streams(own))
     for event in events:
         is_plan = event.head.type in PLANS and event.head.stream in planned
         if event.head.stream in streams or is_plan or signs(event.head.type, event.payload, streams):

@@ -57,7 +57,7 @@ def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
         _check_newest(log, home)
     head = TreeHead(key.name, growth.after.size, growth.after.root())
     store_tree(home, growth.kept)  # before anybody sees the signature: another tree is never signed
-    note = _signed_before(home, head).with_signatures(sign_tree(head, key).signatures)
+    note = _read_signed(home, head).with_signatures(sign_tree(head, key).signatures)
     faults: list[str] = []
     for url in targets.witnesses:
         try:
@@ -82,7 +82,7 @@ def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
     return PublishResult(head, note, tuple(written), tuple(faults), len(files) > 1)
 
 
-def _signed_before(home: Path, head: TreeHead) -> Note:
+def _read_signed(home: Path, head: TreeHead) -> Note:
     """The checkpoint of this tree as it was signed before, cosignatures included: none of them is lost when
     it is asked for once more."""
     try:

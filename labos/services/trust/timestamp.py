@@ -41,7 +41,7 @@ def request_stamp(url: str, text: bytes) -> bytes:
     return bytes(answer.content)
 
 
-def stamped_at(stamp: bytes, text: bytes, roots: Path) -> datetime:
+def read_stamp_time(stamp: bytes, text: bytes, roots: Path) -> datetime:
     """When an authority has stamped a text, by a stamp that rests on one of the certificates in a PEM file.
     Raises BadInput if it does not."""
     try:

@@ -78,13 +78,13 @@ def grow(log: Log, kept: StoredTree) -> Growth:
     after, added = before.copy(), []
     for record in log.read(kept.size, head.position):
         if fault := damage(previous, record):
-            raise _damaged(record.head.position, fault)
+            raise _report_damage(record.head.position, fault)
         leaf = leaf_hash(record.envelope)
         after.add(leaf)
         added.append(leaf)
         previous = record.hash
     if after.size != head.position:
-        raise _damaged(after.size + 1, "the record is missing")
+        raise _report_damage(after.size + 1, "the record is missing")
     fresh = StoredTree(head.lab, after.size, previous.hex(), tuple(each.hex() for each in after.hashes))
     return Growth(before, added, after, fresh)
 
@@ -92,15 +92,15 @@ def grow(log: Log, kept: StoredTree) -> Growth:
 def _check_same(log: Log, kept: StoredTree, chain: bytes) -> None:
     head = log.head()
     if head.lab != kept.lab:
-        raise _damaged(1, f"the log is of the lab {head.lab}, the checkpoints are of {kept.lab}")
+        raise _report_damage(1, f"the log is of the lab {head.lab}, the checkpoints are of {kept.lab}")
     if head.position < kept.size:
-        raise _damaged(
+        raise _report_damage(
             head.position + 1, f"the log ends here, but a checkpoint of size {kept.size} was signed"
         )
     record = next(iter(log.read(kept.size - 1, kept.size)), None)
     if record is None or record.hash != chain:
-        raise _damaged(kept.size, "it bears another hash than when the last checkpoint was signed")
+        raise _report_damage(kept.size, "it bears another hash than when the last checkpoint was signed")
 
 
-def _damaged(position: int, fault: str) -> LogDamaged:
+def _report_damage(position: int, fault: str) -> LogDamaged:
     return LogDamaged(f"Position {position}: {fault}.", position=position, remedy=_LOOK)

@@ -88,7 +88,7 @@ class Parameters:
             return
         for section, entries in value.items():
             if section not in SECTIONS:
-                self.reader.ignored((*path, section))
+                self.reader.ignore((*path, section))
             elif entries is not None:
                 rows = self.reader.sequence(entries, (*path, section), "the parameters")
                 for index, entry in enumerate(rows):

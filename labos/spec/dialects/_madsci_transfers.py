@@ -38,7 +38,7 @@ class Transfers:
             self._capacity(told, (key, "capacity_cost_config"))
             for name in told:
                 if name not in ("transfer_templates", OVERRIDES, "capacity_cost_config"):
-                    self.reader.ignored((key, name))
+                    self.reader.ignore((key, name))
         return self.found
 
     def _overrides(self, told: Table, path: Path_) -> None:
@@ -57,14 +57,14 @@ class Transfers:
                 self._templates(rows, there, source=source, target=target)
         for name in overrides:
             if name not in ("source_overrides", *OF_TARGETS, key):
-                self.reader.ignored((*path, name))
+                self.reader.ignore((*path, name))
 
     def _templates(self, rows: object, path: Path_, *, source: str = "", target: str = "") -> None:
         if rows is None:
             return
         ends = {"from": source, "to": target}
         for name in (name for name in ends.values() if name and name not in self.places):
-            self.reader.assumed(
+            self.reader.assume(
                 path,
                 f"No location is called {name!r}: these transfers are left out.",
                 "Check the name.",
@@ -119,7 +119,7 @@ class Transfers:
     def _capacity(self, told: Table, path: Path_) -> None:
         config = self.reader.table(told.get("capacity_cost_config"), path, "`capacity_cost_config`")
         if config.get("enabled"):
-            self.reader.assumed(
+            self.reader.assume(
                 path,
                 "A transfer costs the same however full its target is: what has no room is waited for.",
                 "Give places that are to be avoided a higher `cost:` by a way of their own.",

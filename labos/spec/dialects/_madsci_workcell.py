@@ -82,7 +82,7 @@ class _Workcell:
         if ways:
             out.put("transfers", ways, at, at)
         self._tell_unused(nodes)
-        done = self.reader.done(out)
+        done = self.reader.finish(out)
         done.moved = self.moved
         return done
 
@@ -95,7 +95,7 @@ class _Workcell:
             self.reader.name(out, Table())
         if _BAD.search(out["name"]):
             out["name"] = _BAD.sub("_", out["name"])
-            self.reader.assumed((), f"The workcell is called {out['name']!r} here.", "Give it another name.")
+            self.reader.assume((), f"The workcell is called {out['name']!r} here.", "Give it another name.")
 
     def _node(self, name: str, url: Any, path: Path_) -> None:
         if not isinstance(url, str) or "://" not in url:
@@ -108,13 +108,13 @@ class _Workcell:
         module, config = Table(at), Table(at)
         scheme = url.partition("://")[0].lower()
         if scheme not in INTERFACES:
-            self.reader.assumed(
+            self.reader.assume(
                 path, f"LabOS does not know how to reach {url!r}.", "Write http:// or sila://."
             )
         config.put("node_url", url, at, at)
         called = _BAD.sub("_", name)
         if called != name:
-            self.reader.assumed(path, f"The node {name!r} is called {called!r} here.", "Rename it.", key=True)
+            self.reader.assume(path, f"The node {name!r} is called {called!r} here.", "Rename it.", key=True)
         module.put("name", called, self.source.place(path, key=True), self.source.place(path, key=True))
         module.put("interface", INTERFACES.get(scheme, scheme), at, at)
         module.put("config", config, at, at)
@@ -224,7 +224,7 @@ class _Workcell:
         used = {nodes, "name", "description", "locations", "manager_type", "manager_id", "workcell_id"}
         for key in self.data:
             if key not in (*used, *KEYS) and not _SERVERS.fullmatch(key):
-                self.reader.ignored((key,))
+                self.reader.ignore((key,))
 
 
 class _Location:
@@ -244,7 +244,7 @@ class _Location:
         self.kind, self.capacity = "nest", 1
 
     def warn(self, message: str, remedy: str = "Check the name.") -> None:
-        self.reader.assumed(self.path, message, remedy)
+        self.reader.assume(self.path, message, remedy)
 
     def read(self, templates: dict[str, Table], ways: dict[str, Table], resources: dict[str, Table]) -> None:
         for key in ("representations", "references", "lookup"):
@@ -252,14 +252,14 @@ class _Location:
                 table = self.reader.table(self.written[key], (*self.path, key), f"`{key}`")
                 self.ways |= {node: plain(value) for node, value in table.items()}
         resource = self.written.get("resource_template_name")
-        template = self._found(templates, self.written.get("template_name"), "location template")
+        template = self._find(templates, self.written.get("template_name"), "location template")
         if template is not None:
             self._bind(template, ways)
             resource = resource or template.get("resource_template_name")
-        found = self._found(resources, resource, "resource template")
+        found = self._find(resources, resource, "resource template")
         self._hold([found.get("base_resource") if found else None, self.written.get("resource_definition")])
 
-    def _found(self, known: dict[str, Table], name: Any, what: str) -> Table | None:
+    def _find(self, known: dict[str, Table], name: Any, what: str) -> Table | None:
         if name is None:
             return None
         if str(name) not in known:
@@ -278,7 +278,7 @@ class _Location:
                     (*self.path, "node_bindings"),
                     remedy=f"Write `{role}: …` below `node_bindings:`.",
                 )
-            defaults = self._found(ways, name, "representation template") or Table()
+            defaults = self._find(ways, name, "representation template") or Table()
             own = over.get(role)
             self.ways[node] = {
                 **plain(defaults.get("default_values") or {}),

@@ -73,7 +73,7 @@ class _Workflow:
                 steps.put(form, step.at)
                 last = index
         if self.pause is not None:
-            self.reader.assumed(
+            self.reader.assume(
                 ("steps", len(self.steps) - 1),
                 "Nothing comes after the waiting at the end; it is left out.",
                 "Add a step.",
@@ -85,8 +85,8 @@ class _Workflow:
         known = {"name", "description", "steps", "workflow_definition_id", *METADATA, *ALIASES}
         for key in data:
             if key not in known:
-                self.reader.ignored((key,))
-        done = self.reader.done(out)
+                self.reader.ignore((key,))
+        done = self.reader.finish(out)
         done.moved = moved
         return done
 
@@ -112,8 +112,8 @@ class _Workflow:
         used_key = next((key for key in USED if step.get(key) is not None), "")
         used = self.reader.table(step.get(used_key), (*path, used_key), f"`{used_key}`")
         arguments = self._arguments(index, step, used, used_key)
-        node = self._settled(step, used, "node", (*path, used_key))
-        action = self._settled(step, used, "action", (*path, used_key))
+        node = self._find_named(step, used, "node", (*path, used_key))
+        action = self._find_named(step, used, "action", (*path, used_key))
         self._tell_unused(step, used, path, used_key)
         if action is None:
             raise self.source.error("A step has no action.", path, remedy="Write `action:`.")
@@ -142,7 +142,7 @@ class _Workflow:
             self.pause = None
         return out
 
-    def _settled(self, step: Table, used: Table, key: str, path: Path_) -> tuple[str, Any] | None:
+    def _find_named(self, step: Table, used: Table, key: str, path: Path_) -> tuple[str, Any] | None:
         """The node or action with its places; a parameter that decides it stands in the payload."""
         if used.get(key) is None:
             return None if step.get(key) is None else (str(step[key]), places(step, key))
@@ -209,15 +209,15 @@ class _Workflow:
         if key in self.parameters.inputs:
             return f"payload.{key}"
         if key in self.parameters.forward:
-            return self._returned(index, *self.parameters.forward[key])
+            return self._read_source(index, *self.parameters.forward[key])
         known = [*self.parameters.inputs, *self.parameters.forward]
         raise self.source.error(
             f"The parameter {key!r} is not declared.", path, remedy=near(key, known, "parameter")
         )
 
-    def _returned(self, index: int, entry: Table, path: Path_) -> str:
+    def _read_source(self, index: int, entry: Table, path: Path_) -> str:
         step, label = entry.get("step"), entry.get("label")
-        found = self._labelled(index, label) if step is None else self._numbered(step)
+        found = self._find_labelled(index, label) if step is None else self._find_step(step)
         if found is None or not self._has_node(found):
             raise self.source.error(
                 f"No step gives {label or step!r} before step {self.names[index]!r}.",
@@ -244,7 +244,7 @@ class _Workflow:
         used = [step[key] for key in USED if isinstance(step.get(key), Table)]
         return step.get("node") is not None or any("node" in table for table in used)
 
-    def _labelled(self, index: int, label: Any) -> int | None:
+    def _find_labelled(self, index: int, label: Any) -> int | None:
         """The last step before this one that labels a result so."""
         for number in reversed(range(index)):
             labels = self.steps[number].get("data_labels")
@@ -252,7 +252,7 @@ class _Workflow:
                 return number
         return None
 
-    def _numbered(self, step: Any) -> int | None:
+    def _find_step(self, step: Any) -> int | None:
         if is_number(step):
             return int(step) if 0 <= step < len(self.steps) else None
         keys = [candidate.get("key") or candidate.get("step_key") for candidate in self.steps]
@@ -277,7 +277,7 @@ class _Workflow:
         for name, value in arguments.items():
             if name == "await_completion":
                 if value is False:
-                    self.reader.assumed(
+                    self.reader.assume(
                         path,
                         "The next step begins when the transfer has ended.",
                         "Leave it out, or say `after:`.",
@@ -285,7 +285,7 @@ class _Workflow:
                 continue
             out.put(TRANSFERS[action].get(name, name), value, *places(arguments, name))
         if action == TRANSFER_CONTENTS:
-            self.reader.assumed(
+            self.reader.assume(
                 path,
                 "One piece of labware is carried: on a stack, the one on top.",
                 "Repeat the step if the location holds more.",
@@ -303,11 +303,11 @@ class _Workflow:
         seconds: Any = arguments.get("seconds")
         if isinstance(seconds, str) and seconds.startswith("payload."):
             seconds = self.parameters.default(seconds.removeprefix("payload."))
-            self.reader.assumed(path, "The time to wait is the parameter's default.", "Write the seconds.")
+            self.reader.assume(path, "The time to wait is the parameter's default.", "Write the seconds.")
         if not is_number(seconds) or seconds < 0:
             raise self.source.error("The step does not say how long.", path, remedy="Write `seconds:`.")
         if last is None:
-            self.reader.assumed(path, "Nothing is done before the waiting; it is left out.", "Remove it.")
+            self.reader.assume(path, "Nothing is done before the waiting; it is left out.", "Remove it.")
             return
         self.pause = (seconds + (self.pause[0] if self.pause else 0), last)
 
@@ -326,9 +326,9 @@ class _Workflow:
         known |= {*ARGUMENTS, *LOCATIONS, used_key}
         for key, value in step.items():
             if key == "conditions" and value:
-                self.reader.ignored((*path, key), "names conditions; LabOS checks itself what stands where")
+                self.reader.ignore((*path, key), "names conditions; LabOS checks itself what stands where")
             elif key not in known and value is not None:
-                self.reader.ignored((*path, key))
+                self.reader.ignore((*path, key))
         for key, value in used.items():
             if key not in {"action", "node", *ARGUMENTS, *LOCATIONS} and value is not None:
-                self.reader.ignored((*path, used_key, key))
+                self.reader.ignore((*path, used_key, key))

@@ -16,7 +16,7 @@ class Reader:
     def __init__(self, source: Source, report: Report) -> None:
         self.source, self.report = source, report
 
-    def ignored(self, path: Path_, why: str = "is not used by LabOS") -> None:
+    def ignore(self, path: Path_, why: str = "is not used by LabOS") -> None:
         self.report.warning(
             f"The key {path[-1]!r} {why}.",
             self.source.place(path, key=True),
@@ -47,7 +47,7 @@ class Reader:
         remedy = f"Write {what} below it, each with a dash."
         raise self.source.error(f"`{path[-1]}` must be a list.", path, remedy=remedy)
 
-    def assumed(self, path: Path_, message: str, remedy: str, *, key: bool = False) -> None:
+    def assume(self, path: Path_, message: str, remedy: str, *, key: bool = False) -> None:
         """Warn of what the file does not say and LabOS takes for granted."""
         place = self.source.place(path, key=key)
         self.report.warning(message, place, field=field_name(path), remedy=remedy)
@@ -68,7 +68,7 @@ class Reader:
         for key, item in self.table(value, path, what).items():
             yield key, item, (*path, key)
 
-    def done(self, out: Table) -> Source:
+    def finish(self, out: Table) -> Source:
         return Source(self.source.file, out, self.source.digest, self.source.folder)
 
 

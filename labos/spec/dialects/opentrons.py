@@ -42,7 +42,7 @@ def labware(source: Source, report: Report) -> Source:
     types.put(name, kind, at, at)
     out = Table(at)
     out.put("labware", types, at, at)
-    return reader.done(out)
+    return reader.finish(out)
 
 
 def _spot(source: Source, key: str) -> tuple[Any, Any]:
@@ -84,7 +84,7 @@ def _wells(reader: Reader, footprint: Table) -> Table | None:
     if pitch > 0:
         volume = _number(reader, written[names[0][0]], "totalLiquidVolume", ("wells", names[0][0]))
     if volume <= 0:
-        reader.assumed(
+        reader.assume(
             ("wells",),
             "The wells stand in no grid with one pitch; they are left out.",
             "Write them yourself.",

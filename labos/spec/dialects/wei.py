@@ -65,8 +65,8 @@ def workcell(source: Source, report: Report) -> Source:
             out.take(metadata, key, "description")
     for key in data:
         if key not in WORKCELL_KEYS:
-            reader.ignored((key,))
-    return reader.done(out)
+            reader.ignore((key,))
+    return reader.finish(out)
 
 
 def _module(reader: Reader, module: Table, path: Path_, locations: Table) -> Table:
@@ -93,7 +93,7 @@ def _module(reader: Reader, module: Table, path: Path_, locations: Table) -> Tab
         elif key in ("comment", "comments", "description"):
             out.take(module, key, "comment")
         else:
-            reader.ignored(at)
+            reader.ignore(at)
     out.put("config", config, *places(module, "config"))
     return out
 
@@ -200,8 +200,8 @@ def workflow(source: Source, report: Report) -> Source:
     known = {"name", "metadata", "modules", "flowdef", "workcell", "parameters"}
     for key in data:
         if key not in known and key not in ABOUT:
-            reader.ignored((key,))
-    form = reader.done(out)
+            reader.ignore((key,))
+    form = reader.finish(out)
     form.written_as = {"steps": "flowdef"}
     form.moved = {f"flowdef[{index}]": f"steps[{index}]" for index in range(len(steps))}
     return form
@@ -259,7 +259,7 @@ class _Step:
             out["comment"] = str(out["comment"])
         for key in ("module", "action"):
             if key in out:
-                out[key] = self._filled(out[key])
+                out[key] = self._fill(out[key])
         out.put("args", self.arguments, *places(step, "args"))
         return out
 
@@ -287,9 +287,9 @@ class _Step:
         elif key == "comments":
             out.take(step, key, "comment")
         elif key == "checks":
-            reader.ignored(at, "names checks that LabOS makes itself")
+            reader.ignore(at, "names checks that LabOS makes itself")
         else:
-            reader.ignored(at)
+            reader.ignore(at)
 
     def _take_command(self, command: Table, at: Path_) -> None:
         """The oldest files: ``command: {instruction, args, checks, comment}``."""
@@ -301,25 +301,25 @@ class _Step:
             elif key in ("comment", "comments") and value is not None:
                 self.out.take(command, key, "comment")
             elif value is not None:
-                self.reader.ignored((*at, key))
+                self.reader.ignore((*at, key))
 
     def _take_arguments(self, value: Any, at: Path_) -> None:
         """``args`` and ``files``; nothing written under a name counts as not given."""
         written = self.reader.table(value, at, f"`{at[-1]}`")
         for name, item in written.items():
             if name == PLACEHOLDER and (len(written) == 1 or item in ("foo", "bar")):
-                self.reader.ignored((*at, name), "is a placeholder")
+                self.reader.ignore((*at, name), "is a placeholder")
             elif item is not None:
                 self.arguments.take(written, name)
-                self.arguments[name] = self._filled(item)
+                self.arguments[name] = self._fill(item)
 
-    def _filled(self, value: Any) -> Any:
+    def _fill(self, value: Any) -> Any:
         """WEI's ``$x`` and ``${x}`` for declared parameters become ``payload.x``, at any depth."""
         if isinstance(value, Table):
             for key in value:
-                value[key] = self._filled(value[key])
+                value[key] = self._fill(value[key])
         elif isinstance(value, Row):
-            value[:] = [self._filled(item) for item in value]
+            value[:] = [self._fill(item) for item in value]
         elif isinstance(value, str) and "$" in value:
             whole = _PARAMETER.fullmatch(value)
             if whole and (whole[1] or whole[2]) in self.parameters:

@@ -31,7 +31,7 @@ class Bench:
 
     def __init__(self, folder: Path, cells: Sequence[str], speed: float, *, detach: bool = False) -> None:
         self.folder, self.cells = folder, tuple(cells)
-        self.settings = Settings.of(folder / "lab")
+        self.settings = Settings.make(folder / "lab")
         self._detach = ("--detach-nodes",) if detach else ()
         self.up = Up(folder / "lab", "--simulate", "--quiet", "--speed", f"{speed:g}", *self._detach)
         self.beamline = (
@@ -101,7 +101,7 @@ class Bench:
         process = self.up.process
         assert process is not None
         until(lambda: self.up.is_there() or process.poll() is not None, "the lab answers", START_S)
-        assert self.up.is_there(), self.up.said()
+        assert self.up.is_there(), self.up.read_log()
 
     def _cell_files(self) -> list[Path]:
         """The packaged workcells; the beamline is reached at the port that it has here."""

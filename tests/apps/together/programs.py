@@ -159,10 +159,10 @@ class Program:
         if not self.has_ended():
             return False
         assert self._process is not None
-        assert self._process.returncode in (0, -signal.SIGKILL), f"{self.app.name}: {self.said()}"
+        assert self._process.returncode in (0, -signal.SIGKILL), f"{self.app.name}: {self.read_log()}"
         return self._process.returncode == 0
 
-    def said(self) -> str:
+    def read_log(self) -> str:
         return self.log.read_text("utf-8", "replace")[-3000:] if self.log.exists() else ""
 
     def workers(self) -> list[int]:

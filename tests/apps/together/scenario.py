@@ -88,7 +88,7 @@ def run_together(
             program.find()
         with bench.client("olga") as olga:
             until(lambda: not unclean(olga), "nothing is left over", 60)
-        assert bench.up.interrupt() == 0, bench.up.said()
+        assert bench.up.interrupt() == 0, bench.up.read_log()
         records = bench.up.records()
         check_log(bench, records, programs)
         check_owners(records, programs)
@@ -134,5 +134,5 @@ def _watch(bench: Bench, programs: Sequence[Program], killer: Killer, operator: 
 def _why(bench: Bench, programs: Sequence[Program], operator: Operator) -> Any:
     with bench.client("olga", patience_s=5.0) as olga:
         left = unclean(olga)
-    said = {program.app.name: program.said() for program in programs if not program.has_ended()}
+    said = {program.app.name: program.read_log() for program in programs if not program.has_ended()}
     return {"left": left, "said": said, "asked": operator.answered, "failed": operator.failed}

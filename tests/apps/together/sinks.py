@@ -37,7 +37,7 @@ class Sink:
             self._process.kill()
             self._process.wait()
 
-    def said(self) -> str:
+    def read_log(self) -> str:
         return self._log.read_text("utf-8", "replace")[-2000:]
 
 
@@ -81,14 +81,14 @@ class Sinks:
         last = records[-1].head.position
         until(
             lambda: _last(self.in_file()) >= last,
-            f"the file's last event: {self.sinks[-1].said()}",
+            f"the file's last event: {self.sinks[-1].read_log()}",
             PATIENCE_S,
         )
         found = {"file": self.in_file()}
         if self.broker is not None:
             until(
                 lambda: _last(self.in_topic()) >= last,
-                f"the topic's last event: {self.sinks[0].said()}",
+                f"the topic's last event: {self.sinks[0].read_log()}",
                 PATIENCE_S,
             )
             found["topic"] = self.in_topic()

@@ -143,7 +143,7 @@ class Player:
 
     # -- what is listened to ------------------------------------------------------------------
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             event, now = entry.event, self.loop.time()
             if isinstance(event, RunSubmitted):
@@ -160,7 +160,7 @@ class Player:
         if self.watch is not None:
             self._let_plan()
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         raise AssertionError("a log in memory is never read again")
 
     def _let_plan(self) -> None:

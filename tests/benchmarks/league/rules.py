@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import msgspec
 
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.model import MAIN, PlanStep, StationSpec, Workcell
 from tests.benchmarks.league.play import Work
 
@@ -134,7 +134,7 @@ class _Reader:
     def _takes(self, step: PlanStep) -> Iterator[str]:
         if step.exclusive:
             yield step.module
-        for what in carried(step.effects):
+        for what in list_carried(step.effects):
             if what.via:
                 yield what.via
             for place in what.entered:
@@ -143,7 +143,7 @@ class _Reader:
                     yield spec.module
 
     def _carry(self, number: int, task: int, step: PlanStep) -> None:
-        for what in carried(step.effects):
+        for what in list_carried(step.effects):
             for place in self._counted(what.emptied):
                 if place in self._open:
                     self.stays.append(Stay(number, place, self._open.pop(place), task))

@@ -89,7 +89,7 @@ class Bench:
         self.kernel.journal = (await self.kernel.about()).journal
         return process
 
-    async def gone(self) -> None:
+    async def await_node_gone(self) -> None:
         await until(lambda: not any(self.kernel.alive.values()), 10.0)
 
     async def start(self, action: str, name: str, files: dict[str, bytes] | None = None, **args: Any) -> Any:
@@ -116,7 +116,7 @@ class Bench:
             assert asyncio.get_running_loop().time() < give_up, told
             await asyncio.sleep(0.05)
 
-    async def taken(self) -> None:
+    async def await_taken(self) -> None:
         """The foreign node has answered a start whose end it tells later, and the adapter has noted that."""
         await until(lambda: b"taken" in (self.folder / "arm.journal").read_bytes(), 20.0)
 

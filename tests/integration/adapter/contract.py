@@ -143,7 +143,7 @@ class Contract:
             )
             await here.in_error("does not offer dance")
             await mine.close()
-            await here.gone()
+            await here.await_node_gone()
             # A driver may know more than this node.
             await here.adapter(
                 foreign.interface, replace(told, version="1", actions=more), node_url=foreign.url
@@ -196,7 +196,7 @@ class Contract:
             await here.start("a1", "shake", speed=4, time_s=8.0, label="killed")
             await until(lambda: len(foreign.truth("shake", label="killed")) == 1, 20)
             first.kill()
-            await here.gone()
+            await here.await_node_gone()
             await here.process(foreign.interface, description, node_url=foreign.url)
             if not foreign.truth("shaken", label="killed"):
                 assert (await here.kernel.ask("a1", void=True)).status == "running"

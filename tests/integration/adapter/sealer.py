@@ -57,14 +57,14 @@ class Sealer:
         if self.broken:
             return 200, {"status": "failed", "error": self.broken}
         self.working += 1
-        self.begun(told)
+        self.note_begin(told)
         self.seal(told)
         self.working -= 1
         if self.ends_with:
             return self.ends_with, {"detail": "the foil is torn"}
         return 200, {"status": "succeeded", "data": {"foil": 1000 - len(self.seals)}}
 
-    def begun(self, told: dict[str, Any]) -> None:
+    def note_begin(self, told: dict[str, Any]) -> None:
         """A seal begins."""
         self.seals.append(told)
 
@@ -157,12 +157,12 @@ class LastingSealer(Sealer):
                 if job["state"] == "running":
                     job.update(state="failed", error="The power was lost.")
 
-    def begun(self, told: dict[str, Any]) -> None:
+    def note_begin(self, told: dict[str, Any]) -> None:
         with self.truth.open("a") as file:
             file.write(json.dumps({"what": "seal", **told}) + "\n")
             file.flush()
             os.fsync(file.fileno())
-        super().begun(told)
+        super().note_begin(told)
 
     def seal(self, told: dict[str, Any]) -> None:
         time.sleep(told["time"])

@@ -17,9 +17,9 @@ from labos.adapter._decode import LARGEST_JSON, read_json_text
 from labos.adapter._http import Http, NoResponse, read_json
 from labos.adapter.protobuf import _from_json
 from labos.adapter.ros import _table
-from labos.adapter.sila.features import Named, read_feature, unwrapped
+from labos.adapter.sila.features import Named, read_feature, unwrap
 from labos.adapter.tcp import _object as tcp_object
-from labos.adapter.wei import _in_header, _unzipped
+from labos.adapter.wei import _in_header, _unzip
 from labos.adapter.zeromq import _object as zmq_object
 from labos.errors import DeviceError, OutcomeUnknown
 
@@ -27,7 +27,7 @@ DEEP = b"[" * 100_000 + b"]" * 100_000
 ABSURD = (DEEP, b'{"a":' * 50_000, b"\xff\xfe", b'{"a":"\xff"}', b"9" * 10_000, b"", b'"' + b"x" * 500)
 
 
-def answered(body: bytes, headers: dict[str, str] | None = None, status: int = 200) -> httpx.Response:
+def make_response(body: bytes, headers: dict[str, str] | None = None, status: int = 200) -> httpx.Response:
     request = httpx.Request("GET", "http://device/state")
     return httpx.Response(status, headers=headers, content=body, request=request)
 
@@ -87,7 +87,7 @@ def test_an_http_answer_that_cannot_be_read_is_an_error_of_the_device() -> None:
     for body in ABSURD:
         for status in (400, 500):
             with pytest.raises(DeviceError) as caught:
-                read_json(answered(body, status=status))
+                read_json(make_response(body, status=status))
             assert len(str(caught.value)) < 1_000
 
 
@@ -116,7 +116,7 @@ def test_a_packed_answer_is_read_as_before() -> None:
 
 def test_headers_and_archives_of_wei() -> None:
     for status, effects in (("StepStatus.SUCCEEDED", "all"), ("failed", "unknown")):
-        answer = answered(b"", {"x-wei-status": status, "x-wei-data": "[" * 50_000})
+        answer = make_response(b"", {"x-wei-status": status, "x-wei-data": "[" * 50_000})
         with pytest.raises(DeviceError, match="cannot be read as JSON") as caught:
             _in_header(answer, "x-wei-data")
         assert caught.value.effects == effects
@@ -125,7 +125,7 @@ def test_headers_and_archives_of_wei() -> None:
         archive.writestr("scan.tif", b"0" * 300_000_000)
     assert len(packed.getvalue()) < 1_000_000
     with pytest.raises(DeviceError, match="more than") as caught:
-        _unzipped(packed.getvalue(), "scan.tif")
+        _unzip(packed.getvalue(), "scan.tif")
     assert caught.value.effects == "all"
 
 
@@ -165,4 +165,4 @@ def test_a_feature_definition_that_cannot_be_read(inside: str) -> None:
 
 def test_a_data_type_that_is_itself() -> None:
     types: dict[str, Any] = {"A": Named("B"), "B": Named("A")}
-    assert len(list(unwrapped(Named("A"), types))) == 3
+    assert len(list(unwrap(Named("A"), types))) == 3

@@ -265,7 +265,7 @@ def test_a_motion_is_waited_for_across_a_broken_line(
         await adapter(here, ioc, **on(line), boot=boot)
         await here.start("a1", "travel", target=target)
         await until(lambda: len(ioc.truth("travel", target=target)) == 1, 20)
-        await here.taken()
+        await here.await_taken()
         line.cut()
         if boot:
             assert (await here.outcome("a1", 40)).result == target
@@ -291,7 +291,7 @@ def test_an_ioc_killed_in_mid_motion(tmp_path: Path, action: str, protocol: str)
         await here.start("a1", action, **args)
         await until(lambda: len(ioc.truth(action)) == 1, 20)
         if action == "travel":  # its put was answered; the end of the motion is waited for
-            await here.taken()
+            await here.await_taken()
         ioc.kill()
         await here.in_error("Nobody answers for")
         ioc.start()
@@ -329,9 +329,9 @@ def test_the_adapter_is_killed_in_mid_action(ioc: Ioc, tmp_path: Path, action: s
         await here.start("a1", action, **args)
         await until(lambda: len(ioc.truth(what, **told)) == 1, 20)
         if action == "travel":
-            await here.taken()
+            await here.await_taken()
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await here.process("epics_node", DESCRIPTION, **ioc.config, patience_s=20.0, epics=mapping)
         if action == "shake":
             assert "restarted" in (await here.status("a1", "interrupted", 40)).why
@@ -369,7 +369,7 @@ def test_an_ioc_that_says_nothing_any_more(tmp_path: Path, action: str, protocol
         await here.start("a1", action, **args)
         await until(lambda: len(ioc.truth(action)) == 1, 20)
         if action == "travel":  # its put was answered; the end of the motion is waited for
-            await here.taken()
+            await here.await_taken()
         ioc.send(signal.SIGSTOP)
         told = await here.status("a1", "interrupted", 60)
         assert told.why

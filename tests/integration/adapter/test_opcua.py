@@ -154,7 +154,7 @@ def test_a_motion_is_waited_for_across_a_broken_line(
         await adapter(here, cable.port)
         await here.start("a1", "travel", target=7.0)
         await until(lambda: len(server.truth("travel", target=7.0)) == 1, 20)
-        await here.taken()
+        await here.await_taken()
         cable.cut()
         await here.in_error("Nobody answers for")
         cable.mend()
@@ -179,9 +179,9 @@ def test_the_adapter_is_killed_in_mid_action(server: OpcuaProcess, tmp_path: Pat
         await here.start("a1", action, **args)
         await until(lambda: len(server.truth(what, **told)) == 1, 20)
         if action == "travel":
-            await here.taken()
+            await here.await_taken()
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         config = {"opcua_url": f"opc.tcp://127.0.0.1:{server.port}/", "opcua": MAPPING, "patience_s": 20.0}
         await here.process("opcua_node", DESCRIPTION, **config)
         if action == "shake":

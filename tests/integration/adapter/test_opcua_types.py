@@ -167,10 +167,10 @@ def test_an_encrypted_server_lets_the_right_user_in(tmp_path: Path, monkeypatch:
         wrong = tmp_path / "wrong"
         wrong.write_text("guessed")
 
-        async def refused(node: Any) -> None:
+        async def check_refused(node: Any) -> None:
             assert "BadUserAccessDenied" in await node.trouble()
 
-        with_node(server.port, refused, **{**told, "opcua_password": str(wrong)})
+        with_node(server.port, check_refused, **{**told, "opcua_password": str(wrong)})
 
         async def not_encrypted(node: Any) -> None:
             assert "Nobody answers for" in await node.trouble()

@@ -174,7 +174,7 @@ def test_the_adapter_is_killed_in_mid_action(node: ProtobufProcess, tmp_path: Pa
         await here.start("a21", "shake", speed=4, time_s=6.0, label="killed")
         await until(lambda: len(node.truth("shake", label="killed")) == 1, 20)
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await here.process("tcp_node", DESCRIPTION, **config)
         assert (await here.outcome("a21", 40)).result == {"turns": 24.0}
         assert len(node.truth("shake", label="killed")) == 1

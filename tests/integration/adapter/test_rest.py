@@ -271,7 +271,7 @@ def test_the_adapter_is_killed_in_mid_action(sealer: Sealer, tmp_path: Path, map
         if mapping is JOBS:  # its id has come
             await until(lambda: b'"j1"' in (tmp_path / "arm.journal").read_bytes(), 20)
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await process(here, sealer, mapping)
         if "job" not in mapping:
             assert "restarted" in (await here.status("a1", "interrupted", 40)).why
@@ -301,7 +301,7 @@ def test_the_adapter_is_killed_before_the_device_gave_an_id(sealer: Sealer, tmp_
         await here.start("a1", "seal", time=3.0)
         await until(lambda: len(sealer.seals) == 1, 20)
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await process(here, sealer, JOBS)
         assert "before the device had given an id" in (await here.status("a1", "interrupted", 40)).why
         assert (await here.start("a1", "seal", time=3.0)).status == "interrupted"

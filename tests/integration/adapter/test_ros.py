@@ -109,7 +109,7 @@ def test_a_goal_and_a_picture(foreign: RosProcess, tmp_path: Path) -> None:
         assert "the goal was aborted" in failed.error
         assert [told["order"] for told in foreign.truth("grow")] == [4, 13]
         await first.close()
-        await here.gone()
+        await here.await_node_gone()
         await here.adapter("wei_ros_camera", CAMERA, **foreign.config)
         await here.idle()
         await here.start("a3", "take_picture")
@@ -181,7 +181,7 @@ def test_the_node_is_killed_in_mid_action(tmp_path: Path, action: str) -> None:
 def test_the_bridge_is_killed_in_mid_action(foreign: RosProcess, tmp_path: Path, action: str) -> None:
     """A service's answer is lost with it; a goal's result is asked for again."""
 
-    def begun() -> bool:
+    def has_begun() -> bool:
         """Once, and only once."""
         which = {"label": "bridge"} if action == "shake" else {"order": 31}
         return len(foreign.truth(action, **which)) == 1
@@ -196,14 +196,14 @@ def test_the_bridge_is_killed_in_mid_action(foreign: RosProcess, tmp_path: Path,
             )
             await here.idle()
             await here.start("a31", "grow", order=31)
-        await until(begun, 20)
+        await until(has_begun, 20)
         (await bridge_of(server)).kill()
         if action == "shake":
             assert "bridge to ROS ended" in (await here.status("a31", "interrupted")).why
         else:
             assert (await here.outcome("a31", 40)).result == list(range(31))
         await here.idle(30)
-        assert begun()
+        assert has_begun()
 
     run(tmp_path, scenario)
 
@@ -214,7 +214,7 @@ def test_the_adapter_is_killed_in_mid_action(foreign: RosProcess, tmp_path: Path
     interface, description = ("wei_ros_node", DESCRIPTION) if action == "shake" else ("ros_node", GROWING)
     config = {**foreign.config, "patience_s": 30.0, "ros": WEI if action == "shake" else GOAL}
 
-    def begun() -> bool:
+    def has_begun() -> bool:
         """Once, and only once."""
         which = {"label": "killed"} if action == "shake" else {"order": 61}
         return len(foreign.truth(action, **which)) == 1
@@ -224,9 +224,9 @@ def test_the_adapter_is_killed_in_mid_action(foreign: RosProcess, tmp_path: Path
         await here.idle()
         args = {"speed": 4, "time_s": 6.0, "label": "killed"} if action == "shake" else {"order": 61}
         await here.start("a61", action, **args)
-        await until(begun, 20)
+        await until(has_begun, 20)
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await here.process(interface, description, **config)
         if action == "shake":
             assert "keeps no record" in (await here.status("a61", "interrupted", 40)).why
@@ -234,7 +234,7 @@ def test_the_adapter_is_killed_in_mid_action(foreign: RosProcess, tmp_path: Path
             assert (await here.outcome("a61", 40)).result == list(range(61))
         await here.idle(40)
         assert (await here.start("a61", action, **args)).status in ("interrupted", "finished")
-        assert begun()
+        assert has_begun()
 
     run(tmp_path, scenario)
 

@@ -134,14 +134,14 @@ def test_commands_properties_errors_and_files(
 
 
 async def fail(here: Bench, action: str, **args: Any) -> Any:
-    await recovered(here)
+    await recover(here)
     await here.start(action, "shake_plate", **args)
     outcome = await here.outcome(action)
     assert not outcome.succeeded
     return outcome
 
 
-async def recovered(here: Bench) -> None:
+async def recover(here: Bench) -> None:
     """Out of the error that a failure leaves."""
     if (await here.kernel.state()).status == "ERROR":
         assert (await here.kernel.recover(f"a{100 + len(here.kernel.results)}")).succeeded
@@ -273,7 +273,7 @@ def test_the_adapter_is_killed_in_mid_motion(
         await until(lambda: len(server.truth(WORDS[action], label=label)) == 1, 20)
         await asyncio.sleep(0.5)  # the answer to the start is there, if one comes
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         cable.deaf_after = b""
         await here.process("sila_node", description, **config(server, cable.port))
         if action == "shake_plate" and heard:
@@ -364,12 +364,12 @@ def test_a_server_on_other_software(description: Description, tmp_path: Path) ->
         assert json.loads(kept[-1]) == {"Elapsed": 0.3}
         refused = await fail(here, "a2", **{**SHAKE, "label": "x" * 41})
         assert (refused.effects, "Label" in refused.error) == ("none", True)
-        await recovered(here)
+        await recover(here)
         await here.start("a3", "shake_plate", **motion("shake_plate", "killed", 6.0))
         await until(lambda: len(server.truth("shake", label="killed")) == 1, 20)
         await asyncio.sleep(0.5)  # the answer to the start is there
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await here.process("sila_node", description, **told)
         assert (await here.outcome("a3", 60)).result["Turns"] == 30.0
         await here.idle()
@@ -413,7 +413,7 @@ def test_encrypted_by_the_servers_own_certificate(
             node = await here.adapter("sila_node", description, **{**config(server, **name), **wrong})
             await here.in_error("does not tell")
             await node.close()
-            await here.gone()
+            await here.await_node_gone()
         await here.adapter("sila_node", description, **config(server, **name))
         await here.idle()
         await here.start("a1", "shake_plate", **{**SHAKE, "label": "secret"})
@@ -436,12 +436,12 @@ def test_what_the_server_lacks_is_said(server: SilaProcess, description: Descrip
         node = await here.adapter("sila_node", more, **config(server))
         await here.in_error("does not offer dance")
         await node.close()
-        await here.gone()
+        await here.await_node_gone()
         lacking = {**MAPPING, "stop": "ShakingController.Freeze", "resources": {"foil": "Sealer.Foil"}}
         node = await here.adapter("sila_node", description, **{**config(server), "sila": lacking})
         await here.in_error("does not offer Sealer.Foil, ShakingController.Freeze")
         await node.close()
-        await here.gone()
+        await here.await_node_gone()
         # Names that are otherwise are mapped as for all adapters.
         shake = ActionSpec(name="mix", args=(Arg(name="rpm", type="int"), Arg(name="time_s", type="float")))
         called = {"mix": {"name": "ShakingController.ShakePlate", "args": {"rpm": "Speed"}}}

@@ -81,7 +81,7 @@ class Odd(grpc.GenericRpcHandler):  # type: ignore[misc]
 
 
 @asynccontextmanager
-async def served(odd: Odd) -> AsyncIterator[dict[str, Any]]:
+async def serve(odd: Odd) -> AsyncIterator[dict[str, Any]]:
     server = grpc.aio.server()
     server.add_generic_rpc_handlers((odd,))
     port = server.add_insecure_port("127.0.0.1:0")
@@ -92,12 +92,12 @@ async def served(odd: Odd) -> AsyncIterator[dict[str, Any]]:
         await server.stop(0.1)
 
 
-def ended(folder: Path, odd: Odd, how: str) -> Any:
+def find_end(folder: Path, odd: Odd, how: str) -> Any:
     """What the node says of an action on it when it is ``finished`` or ``interrupted``."""
     told: list[Any] = []
 
     async def scenario(here: Bench) -> None:
-        async with served(odd) as where:
+        async with serve(odd) as where:
             node = await here.adapter("sila_node", DESCRIPTION, **where)
             await here.idle()
             await here.start("a1", "shake_plate", **ARGS)
@@ -113,17 +113,17 @@ def ended(folder: Path, odd: Odd, how: str) -> Any:
 def test_a_question_that_is_refused_says_nothing_of_the_motion(tmp_path: Path, question: str) -> None:
     refused = {question: grpc.StatusCode.PERMISSION_DENIED}
     odd = Odd(**{"ShakePlate_Result": field(1, b""), **refused})
-    assert "not to you" in ended(tmp_path, odd, "interrupted").why
+    assert "not to you" in find_end(tmp_path, odd, "interrupted").why
 
 
 def test_a_server_that_contradicts_itself_is_not_asked_for_ever(tmp_path: Path) -> None:
     """It says that the execution has finished, and then that it has not."""
-    outcome = ended(tmp_path, Odd(ShakePlate_Result=NOT_FINISHED), "interrupted")
+    outcome = find_end(tmp_path, Odd(ShakePlate_Result=NOT_FINISHED), "interrupted")
     assert "has not answered" in outcome.why
 
 
 def test_a_start_that_is_refused_has_moved_nothing(tmp_path: Path) -> None:
-    outcome = ended(tmp_path, Odd(ShakePlate=grpc.StatusCode.UNAUTHENTICATED), "finished").outcome
+    outcome = find_end(tmp_path, Odd(ShakePlate=grpc.StatusCode.UNAUTHENTICATED), "finished").outcome
     assert (outcome.succeeded, outcome.effects) == (False, "none")
     assert "not to you" in outcome.error
 
@@ -132,11 +132,11 @@ def test_a_start_that_is_refused_has_moved_nothing(tmp_path: Path) -> None:
     "confirmation", [b"", field(1, b""), b"\xff"], ids=["empty", "no UUID", "no message"]
 )
 def test_a_start_without_a_uuid_is_unknown(tmp_path: Path, confirmation: bytes) -> None:
-    assert "UUID" in ended(tmp_path, Odd(ShakePlate=confirmation), "interrupted").why
+    assert "UUID" in find_end(tmp_path, Odd(ShakePlate=confirmation), "interrupted").why
 
 
 def test_responses_that_cannot_be_read_are_those_of_something_done(tmp_path: Path) -> None:
-    outcome = ended(tmp_path, Odd(ShakePlate_Result=b"\xff"), "finished").outcome
+    outcome = find_end(tmp_path, Odd(ShakePlate_Result=b"\xff"), "finished").outcome
     assert (outcome.succeeded, outcome.effects) == (False, "all")
     assert "its responses cannot be read" in outcome.error
 
@@ -148,6 +148,6 @@ def test_a_server_that_falls_silent_ends_as_unknown(
     """It answers other questions still; what it was asked about the motion it never answers."""
     for module, name in ((client, "READ_S"), (node, "START_S"), (node, "WATCH_S")):
         monkeypatch.setattr(module, name, 0.3)
-    why = ended(tmp_path, Odd(**{"ShakePlate_Result": field(1, b""), question: SILENT}), "interrupted").why
+    why = find_end(tmp_path, Odd(**{"ShakePlate_Result": field(1, b""), question: SILENT}), "interrupted").why
     assert "127.0.0.1:" in why, why
     assert f"{question}: no answer within 0.3 s" in why.replace("ShakingController/", ""), why

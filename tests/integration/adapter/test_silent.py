@@ -37,7 +37,7 @@ MAPPED = {
 SIGNALS = {"actions": {"go": {"start": {"node": "Go"}}}, "reset": {"node": "R"}, "observe": {"x": "X"}}
 
 
-def reached(interface: str, port: int) -> dict[str, Any]:
+def configure(interface: str, port: int) -> dict[str, Any]:
     """The configuration of a module whose foreign node listens there."""
     url = f"http://127.0.0.1:{port}"
     tcp = {"tcp_node_address": "127.0.0.1", "tcp_node_port": port}
@@ -104,7 +104,7 @@ def test_questions_to_a_server_that_says_nothing_end(interface: str) -> None:
             await fails(made.is_idle(), where, may_have_moved=False)
             assert where in await made.trouble()
 
-        with_node(interface, reached(interface, server.port), use)
+        with_node(interface, configure(interface, server.port), use)
         assert server.heard.is_set()
 
 
@@ -138,7 +138,7 @@ def test_an_answer_that_comes_byte_by_byte_ends(
                 with pytest.raises(OutcomeUnknown):
                     await made.methods()["go"]()
 
-        with_node(interface, reached(interface, server.port), use)
+        with_node(interface, configure(interface, server.port), use)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_an_action_that_was_sent_and_is_never_answered_is_unknown(interface: str
         async def use(made: Any) -> None:
             await fails(made.methods()["go"](), f"127.0.0.1:{server.port}", may_have_moved=True)
 
-        with_node(interface, reached(interface, server.port), use)
+        with_node(interface, configure(interface, server.port), use)
 
 
 @pytest.mark.parametrize("interface", ["madsci_rest_node", "wei_zmq_node", "opcua_node", "sila_node"])
@@ -169,7 +169,7 @@ def test_an_action_that_could_not_be_sent_has_moved_nothing(interface: str) -> N
                 return
             await fails(made.methods()["go"](), f"127.0.0.1:{server.port}", may_have_moved=False)
 
-        with_node(interface, reached(interface, server.port), use)
+        with_node(interface, configure(interface, server.port), use)
 
 
 def test_an_opcua_client_closes_at_whatever_moment(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,7 +62,7 @@ def test_measures_fails_and_loses_an_answer(reader: ReaderProcess, tmp_path: Pat
         failed = await here.outcome("a3")
         assert (failed.succeeded, failed.effects) == (False, "unknown")
         assert "The drawer is stuck." in failed.error
-        assert reader.measured() == ["pieces", "lost"]
+        assert reader.list_measured() == ["pieces", "lost"]
         assert (await here.kernel.recover("a4")).succeeded
         proxy.close()
         await here.in_error("does not answer")
@@ -81,7 +81,7 @@ def test_a_node_that_stays_mute_is_not_waited_for_for_ever(reader: ReaderProcess
         await here.idle()
         await here.start("a2", "measure", assay="next")
         assert (await here.outcome("a2")).succeeded
-        assert reader.measured() == ["mute", "next"]
+        assert reader.list_measured() == ["mute", "next"]
 
     run(tmp_path, scenario)
 
@@ -93,9 +93,9 @@ def test_a_device_that_may_still_work_is_busy(reader: ReaderProcess, tmp_path: P
         first = await here.process("wei_tcp_node", DESCRIPTION, **where(reader.port), **LONG)
         await here.idle()
         await here.start("a1", "measure", assay="mute")
-        await until(lambda: reader.measured() == ["mute"], 20)
+        await until(lambda: reader.list_measured() == ["mute"], 20)
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await here.process("wei_tcp_node", DESCRIPTION, **where(reader.port), **LONG)
         assert "restarted" in (await here.status("a1", "interrupted", 40)).why
         assert (await here.kernel.state()).status == "BUSY"
@@ -108,7 +108,7 @@ def test_a_device_that_may_still_work_is_busy(reader: ReaderProcess, tmp_path: P
         await here.idle()
         await here.start("a4", "measure", assay="next")
         assert (await here.outcome("a4")).succeeded
-        assert reader.measured() == ["mute", "next"]
+        assert reader.list_measured() == ["mute", "next"]
 
     run(tmp_path, scenario)
 
@@ -121,9 +121,9 @@ def test_the_adapter_is_killed_in_mid_action(reader: ReaderProcess, tmp_path: Pa
         first = await here.process("wei_tcp_node", DESCRIPTION, **where(reader.port))
         await here.idle()
         await here.start("a1", "measure", assay="killed", time_s=8.0)
-        await until(lambda: reader.measured() == ["killed"], 20)
+        await until(lambda: reader.list_measured() == ["killed"], 20)
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await here.process("wei_tcp_node", DESCRIPTION, **where(reader.port))
         assert "restarted" in (await here.status("a1", "interrupted", 40)).why
         await here.idle(40)
@@ -131,7 +131,7 @@ def test_the_adapter_is_killed_in_mid_action(reader: ReaderProcess, tmp_path: Pa
         assert again.status == "interrupted"
         await here.start("a2", "measure", assay="next")
         assert (await here.outcome("a2")).succeeded
-        assert reader.measured() == ["killed", "next"]
+        assert reader.list_measured() == ["killed", "next"]
 
     run(tmp_path, scenario)
 
@@ -142,7 +142,7 @@ def test_the_node_is_killed_in_mid_action(reader: ReaderProcess, tmp_path: Path)
         await here.adapter("wei_tcp_node", DESCRIPTION, **where(reader.port))
         await here.idle()
         await here.start("a1", "measure", assay="mute")
-        await until(lambda: reader.measured() == ["mute"], 20)
+        await until(lambda: reader.list_measured() == ["mute"], 20)
         reader.kill()
         assert "line was" in (await here.status("a1", "interrupted")).why
         await here.in_error("does not answer")
@@ -151,7 +151,7 @@ def test_the_node_is_killed_in_mid_action(reader: ReaderProcess, tmp_path: Path)
         assert (await here.start("a1", "measure", assay="mute")).status == "interrupted"
         await here.start("a2", "measure", assay="next")
         assert (await here.outcome("a2")).succeeded
-        assert reader.measured() == ["mute", "next"]
+        assert reader.list_measured() == ["mute", "next"]
 
     run(tmp_path, scenario)
 
@@ -163,4 +163,4 @@ def test_weis_own_client_drives_the_same_node(reader: ReaderProcess) -> None:
         [python, "-c", WEI_CLIENT, str(reader.port)], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.stdout.splitlines()[-1].strip() == "succeeded /data/by WEI.csv", done.stderr
-    assert reader.measured() == ["by WEI"]
+    assert reader.list_measured() == ["by WEI"]

@@ -14,13 +14,13 @@ from labos.bootstrap import descriptions
 from labos.core.effects import Sets
 from labos.errors import DeviceError
 from labos.node import World
-from labos.spec.about import described
+from labos.spec.about import find_description
 from labos.spec.workcell import parse_workcell
 from labos_drivers.ur import UR
 from labos_drivers.ur import driver as ur_driver
 from labos_drivers.ur.wire import UROnWire
 from tests.docs.markdown import DOCS, blocks
-from tests.drivers.wires import at_port, powered
+from tests.drivers.wires import at_port, power_on
 from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play
 from tests.support.ioc import Ioc
@@ -45,7 +45,7 @@ async def changer(here: Bench, ioc: Ioc) -> None:
     known = descriptions()
     cell = parse_workcell(PAGE.text, known).workcell
     (module,) = (m for m in cell.modules if m.name.endswith("changer"))
-    about = described(module, known)
+    about = find_description(module, known)
     assert about is not None
     assert [e for spec in about.actions for e in spec.effects if isinstance(e, Sets)]
     mapping = module.config["config"]["epics"]
@@ -93,7 +93,7 @@ def test_the_pipette_is_fetched_and_put_back(
         assert [len(ioc.truth(what)) for what in ("lock", "locked", "unlock", "unlocked")] == [1, 1, 1, 1]
         await arm.close()
 
-    with powered(UROnWire, "ur3", world, told={"config": arm_config()}, pace=200) as device:
+    with power_on(UROnWire, "ur3", world, told={"config": arm_config()}, pace=200) as device:
         run(tmp_path, lambda here: scenario(here, device))
     assert [m.verb for m in world.motions() if "dock" in m.verb] == ["dock", "undock", "dock", "undock"]
     assert world.crashes() == []
@@ -108,7 +108,7 @@ def test_a_bolt_that_stays_is_told(ioc: Ioc, tmp_path: Path) -> None:
         air = {"start": {"pv": "Air", "value": 0}}
         known = descriptions()
         (module,) = (m for m in parse_workcell(PAGE.text, known).workcell.modules if m.driver != "ur")
-        about = described(module, known)
+        about = find_description(module, known)
         assert about is not None
         mapping = {**module.config["config"]["epics"]}
         lock = {**mapping["actions"]["lock"], "timeout": 1.0}

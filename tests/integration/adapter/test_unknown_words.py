@@ -26,9 +26,7 @@ INFO = {"actions": {"go": {"name": "go"}}, "module_version": "1"}
 ABOUT = {"name": "x", "actions": [{"name": "go"}], "admin_commands": ["reset"]}
 
 
-def asked(
-    interface: str, answers: dict[str, Any], use: Callable[[Any], Awaitable[None]], **more: Any
-) -> None:
+def ask(interface: str, answers: dict[str, Any], use: Callable[[Any], Awaitable[None]], **more: Any) -> None:
     """An adapter of a server that answers each path with the same JSON."""
 
     async def main() -> None:
@@ -74,7 +72,7 @@ def test_a_node_of_wei(state: Any, idle: bool, says: str) -> None:
         trouble = await node.trouble()
         assert says in trouble if says else trouble == ""
 
-    asked("wei_rest_node", {"/state": state, "/about": ABOUT}, use)
+    ask("wei_rest_node", {"/state": state, "/about": ABOUT}, use)
 
 
 @pytest.mark.parametrize("status", [{}, {"ready": True}, {"busy": None}, {"busy": "no"}])
@@ -84,7 +82,7 @@ def test_a_node_of_madsci_that_does_not_say_that_it_is_not_busy(status: dict[str
             await node.is_idle()
         assert "does not say `busy`" in await node.trouble()
 
-    asked("madsci_rest_node", {"/status": status, "/info": INFO}, use)
+    ask("madsci_rest_node", {"/status": status, "/info": INFO}, use)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +95,7 @@ def test_a_command_of_madsci_that_does_not_say_that_it_succeeded(told: Any) -> N
             await node.stop()
 
     answers = {"/status": {"busy": False}, "/info": INFO, "/admin/safety_stop": told}
-    asked("madsci_rest_node", answers, use)
+    ask("madsci_rest_node", answers, use)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +114,7 @@ def test_a_device_by_a_mapping(state: dict[str, Any], idle: bool, says: str) -> 
         trouble = await node.trouble()
         assert says in trouble if says else trouble == ""
 
-    asked("rest_node", {"/state": state}, use, rest={"action": {"path": "/go"}, "state": told})
+    ask("rest_node", {"/state": state}, use, rest={"action": {"path": "/go"}, "state": told})
 
 
 @pytest.mark.parametrize("answer", [{}, {"state": "WORKS"}, [], {"State": None}])
@@ -128,7 +126,7 @@ def test_a_device_that_tells_no_status_is_not_idle(answer: Any) -> None:
             await node.is_idle()
         assert "tells no 'State'" in await node.trouble()
 
-    asked("rest_node", {"/state": answer}, use, rest={"action": {"path": "/go"}, "state": told})
+    ask("rest_node", {"/state": answer}, use, rest={"action": {"path": "/go"}, "state": told})
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_measures_fails_and_loses_an_answer(node: ReaderProcess, cable: Cable, t
         await here.start("a1", "measure", assay="blue")
         assert (await here.outcome("a1")).result == "/data/blue.csv"
         await here.start("a2", "measure", assay="lost", time_s=1.0)
-        await until(lambda: node.measured() == ["blue", "lost"], 20)
+        await until(lambda: node.list_measured() == ["blue", "lost"], 20)
         cable.cut()
         assert "line was cut" in (await here.status("a2", "interrupted")).why
         await here.in_error("does not answer")
@@ -72,7 +72,7 @@ def test_measures_fails_and_loses_an_answer(node: ReaderProcess, cable: Cable, t
         assert (failed.succeeded, failed.effects) == (False, "unknown")
         assert "The drawer is stuck." in failed.error
         assert (await here.kernel.recover("a4")).succeeded
-        assert node.measured() == ["blue", "lost"]
+        assert node.list_measured() == ["blue", "lost"]
 
     run(tmp_path, scenario)
 
@@ -85,7 +85,7 @@ def test_a_node_that_stays_mute_is_not_waited_for_for_ever(node: ReaderProcess, 
         assert "has not answered" in (await here.status("a1", "interrupted")).why
         await here.idle()
         assert (await here.start("a1", "measure", assay="mute")).status == "interrupted"
-        assert node.measured() == ["mute"]
+        assert node.list_measured() == ["mute"]
 
     run(tmp_path, scenario)
 
@@ -95,7 +95,7 @@ def test_weis_own_client_drives_the_same_node(node: ReaderProcess) -> None:
     command = [node.python, "-c", WEI_CLIENT, str(node.port)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.splitlines()[-1].strip() == "succeeded /data/by WEI.csv", done.stderr
-    assert node.measured() == ["by WEI"]
+    assert node.list_measured() == ["by WEI"]
 
 
 @pytest.mark.full
@@ -104,15 +104,15 @@ def test_the_adapter_is_killed_in_mid_action(node: ReaderProcess, tmp_path: Path
         first = await here.process("wei_zmq_node", DESCRIPTION, **where(node.port))
         await here.idle()
         await here.start("a1", "measure", assay="killed", time_s=4.0)
-        await until(lambda: node.measured() == ["killed"], 20)
+        await until(lambda: node.list_measured() == ["killed"], 20)
         first.kill()
-        await here.gone()
+        await here.await_node_gone()
         await here.process("wei_zmq_node", DESCRIPTION, **where(node.port))
         assert "restarted" in (await here.status("a1", "interrupted", 40)).why
         await here.idle(40)
         await here.start("a2", "measure", assay="next")
         assert (await here.outcome("a2")).succeeded
-        assert node.measured() == ["killed", "next"]
+        assert node.list_measured() == ["killed", "next"]
 
     run(tmp_path, scenario)
 
@@ -126,7 +126,7 @@ def test_the_node_is_killed_in_mid_action(node: ReaderProcess, tmp_path: Path) -
         adapter = (await here.adapter("wei_zmq_node", DESCRIPTION, **where(node.port))).node
         await here.idle()
         await here.start("a1", "measure", assay="died", time_s=30.0)
-        await until(lambda: node.measured() == ["died"], 20)
+        await until(lambda: node.list_measured() == ["died"], 20)
         node.kill()
         assert "line was cut" in (await here.status("a1", "interrupted")).why
         assert (await here.start("a1", "measure", assay="died", time_s=30.0)).status == "interrupted"
@@ -138,6 +138,6 @@ def test_the_node_is_killed_in_mid_action(node: ReaderProcess, tmp_path: Path) -
         await here.idle(40)
         await here.start("a3", "measure", assay="next")
         assert (await here.outcome("a3")).succeeded
-        assert node.measured() == ["died", "next"]
+        assert node.list_measured() == ["died", "next"]
 
     run(tmp_path, scenario)

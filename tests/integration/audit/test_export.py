@@ -89,7 +89,7 @@ def ids(value: Any) -> list[str]:
 # -- crates ------------------------------------------------------------------------------------
 
 
-def validated(*crates: str) -> list[dict[str, Any]]:
+def validate(*crates: str) -> list[dict[str, Any]]:
     """What foreign software says of crates, as Provenance Run Crates."""
     wanted = [f"{name}=provenance-run-crate" for name in crates]
     command = [python_of("exports"), ROOT / "tests" / "foreign" / "crate_check.py", "cache", *wanted]
@@ -100,7 +100,7 @@ def validated(*crates: str) -> list[dict[str, Any]]:
 
 def test_foreign_software_finds_a_crate_in_order(kept: Path) -> None:
     export(kept, "crate", "R2", "--to", "R2", "--license", "https://spdx.org/licenses/CC-BY-4.0")
-    (told,) = validated("R2")
+    (told,) = validate("R2")
     assert told["wrong"] == []
     assert told["name"] == "Run R2: cp_mixcolor"
     assert told["main"] == "workflows/cp_mixcolor.yaml"
@@ -119,7 +119,7 @@ def test_an_experiment_is_in_order_too_and_a_spoilt_crate_is_not(kept: Path) -> 
     told = json.loads(metadata.read_text())
     next(each for each in told["@graph"] if each["@type"] == "ControlAction").pop("instrument")
     metadata.write_text(json.dumps(told))
-    experiment, failed, under_way, bad = validated("E1.zip", "R5", "R6", "bad")
+    experiment, failed, under_way, bad = validate("E1.zip", "R5", "R6", "bad")
     assert experiment["wrong"] == failed["wrong"] == under_way["wrong"] == []
     assert {"#run-R3", "#run-R4"} < {*experiment["actions"]}
     assert len(bad["wrong"]) == 1
@@ -161,7 +161,7 @@ def test_an_experiment_of_several_workflows_is_in_order_with_its_program_and_wit
     Path("app.py").write_text("print('mixing')\n")
     export(finished, "crate", "E1", "--to", "bare")
     export(finished, "crate", "E1", "--to", "whole.zip", "--program", "app.py")
-    bare, whole = validated("bare", "whole.zip")
+    bare, whole = validate("bare", "whole.zip")
     assert bare["wrong"] == whole["wrong"] == []
     assert (bare["main"], whole["main"]) == ("experiments/E1/course.json", "application/app.py")
     assert {"#experiment-E1", "#run-R1", "#run-R2", "#run-R3"} < {*whole["actions"]}

@@ -19,7 +19,7 @@ from labos.core.labware import Sample, SamplesRegistered
 from labos.errors import BadInput
 from tests.integration.audit.logs import GrowingLog, project
 from tests.support.audited import PLATE, SHEET
-from tests.support.published import PICTURE, TITLE, published_lab
+from tests.support.published import PICTURE, TITLE, publish_lab
 from tests.unit.services.logbook import START_NS
 
 
@@ -38,7 +38,7 @@ def url(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(projector, "BATCH", 40)
     lite = f"sqlite:///{tmp_path / 'labos.db'}"
     where = lite if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    records = published_lab().records
+    records = publish_lab().records
     log = GrowingLog(records, len(records) // 2)
     made = open_audit(where)
     project(log, made)
@@ -121,7 +121,7 @@ def test_a_question_that_cannot_be_answered_says_why(url: str) -> None:
 
 
 def test_samples_of_a_new_sheet_take_the_place_of_the_old(tmp_path: Path) -> None:
-    book = published_lab()
+    book = publish_lab()
     book.write([SamplesRegistered(PLATE, "", SHEET, 1, (Sample("A1", "ethanol", 5.0),))], "bo")
     url = f"sqlite:///{tmp_path / 'labos.db'}"
     made = open_audit(url)
@@ -135,7 +135,7 @@ def test_samples_of_a_new_sheet_take_the_place_of_the_old(tmp_path: Path) -> Non
 def test_the_index_agrees_with_its_rows_after_each_change(tmp_path: Path) -> None:
     """FTS5 compares its index with the table: rows that were replaced have left it."""
     url = f"sqlite:///{tmp_path / 'labos.db'}"
-    log = GrowingLog(published_lab().records)
+    log = GrowingLog(publish_lab().records)
     for end in (*range(20, log.end, 37), log.end):
         log.end = end
         made = open_audit(url)
@@ -150,7 +150,7 @@ def test_find_answers_at_the_shell_and_is_rebuilt_by_one_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     home = tmp_path / "lab"
-    published_lab().save(home)
+    publish_lab().save(home)
     monkeypatch.setenv("LABOS_HOME", str(home))
     monkeypatch.delenv("LABOS_DATABASE_URL", raising=False)
 

@@ -46,7 +46,7 @@ event of its own."""
 
 
 @cache
-def simulated(seed: int) -> list[Record]:
+def simulate(seed: int) -> list[Record]:
     """The log of a simulated lab; every other one has a bad day."""
     lab = SimulatedLab(stand(), seed, STORMY if seed % 2 else QUIET)
     try:
@@ -72,7 +72,7 @@ def records_of(name: str | int) -> list[Record]:
         return campaign_lab().records
     if name == "campaigns on a bad day":
         return stormy_campaign()
-    return simulated(name) if isinstance(name, int) else golden(name)
+    return simulate(name) if isinstance(name, int) else golden(name)
 
 
 @pytest.mark.parametrize("name", LOGS)

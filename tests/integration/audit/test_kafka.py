@@ -114,10 +114,10 @@ def test_a_broker_that_is_killed_gets_everything_after_all(tmp_path: Path) -> No
             broker.kill()
             book.submit("pcr", "bo")
             grow(book, tmp_path / "lab")
-            until(lambda: "is away" in exporter.said(), "a word that it is away", 120)
+            until(lambda: "is away" in exporter.read_log(), "a word that it is away", 120)
             broker.start()
             until(lambda: len(broker.values("lab")) >= book.position, "the later events", 120)
-            assert "takes events again" in exporter.said()
+            assert "takes events again" in exporter.read_log()
         expect(broker.values("lab"), book.records)
 
 
@@ -147,7 +147,7 @@ class Exporter:
         self._process.kill()
         self._process.wait()
 
-    def said(self) -> str:
+    def read_log(self) -> str:
         return (self._folder / "exporter.log").read_text()
 
 
@@ -197,7 +197,7 @@ def test_bad_targets_and_settings_are_told(
 ) -> None:
     for url in ("kafka://broker", "kafka://broker:1/a/b", "kafka://ada:secret@broker:1/lab"):
         with pytest.raises(BadInput, match="BROKER:9092") as refused:
-            Topic.of(url)
+            Topic.parse(url)
         assert "secret" not in str(refused.value)
     file = tmp_path / "kafka.properties"
     file.write_text("# of the broker\n\nsasl.username = labos\nsasl.password=a=b\n")

@@ -21,13 +21,13 @@ LATER_NS = START_NS + 3600 * 10**9
 Answer = list[dict[str, Any]]
 
 
-def filled(url: str) -> None:
+def fill(url: str) -> None:
     database = open_audit(url)
     project(GrowingLog(campaign_lab().records), database)
     database.close()
 
 
-def of(plugin: str) -> list[Question]:
+def list_questions(plugin: str) -> list[Question]:
     return [question for question in questions() if question.plugin == plugin]
 
 
@@ -35,7 +35,7 @@ def from_sqlite(folder: Path, since_ns: int = START_NS, until_ns: int = LATER_NS
     """What each question gives, by dashboard and panel."""
     told = {}
     with closing(sqlite3.connect(f"file:{folder / 'labos-audit.db'}?mode=ro", uri=True)) as connection:
-        for question in of(SQLITE.plugin):
+        for question in list_questions(SQLITE.plugin):
             cursor = connection.execute(limit_to_span(question.sql, since_ns, until_ns))
             names = [column[0] for column in cursor.description]
             name = f"{question.board.removesuffix(SQLITE.ending)}: {question.panel}"
@@ -58,7 +58,7 @@ def from_postgres(url: str, since_ns: int = START_NS, until_ns: int = LATER_NS) 
         connection.execute("CREATE ROLE panels_reader")
         database.allow_reading("panels_reader")
         connection.execute("SET ROLE panels_reader")
-        for question in of(POSTGRES.plugin):
+        for question in list_questions(POSTGRES.plugin):
             sql = limit_to_span(question.sql, since_ns, until_ns).encode()
             told[f"{question.board}: {question.panel}"] = connection.execute(sql).fetchall()
         connection.execute("RESET ROLE")
@@ -93,7 +93,7 @@ def says_what_happened(told: dict[str, Answer]) -> None:
 
 
 def test_sqlite_answers_every_panel(tmp_path: Path) -> None:
-    filled(f"sqlite:///{tmp_path / 'labos.db'}")
+    fill(f"sqlite:///{tmp_path / 'labos.db'}")
     told = from_sqlite(tmp_path)
     says_what_happened(told)
     for rows in told.values():  # the plug-in takes these for times
@@ -102,12 +102,12 @@ def test_sqlite_answers_every_panel(tmp_path: Path) -> None:
 
 @pytest.mark.postgres
 def test_postgres_answers_every_panel(postgres_url: str) -> None:
-    filled(postgres_url)
+    fill(postgres_url)
     says_what_happened(from_postgres(postgres_url))
 
 
 def test_the_time_shown_matters(tmp_path: Path) -> None:
-    filled(f"sqlite:///{tmp_path / 'labos.db'}")
+    fill(f"sqlite:///{tmp_path / 'labos.db'}")
     told = from_sqlite(tmp_path, START_NS - 2 * 10**9, START_NS - 10**9)
     empty = {name for name, rows in told.items() if not rows}
     assert empty == {
@@ -118,8 +118,8 @@ def test_the_time_shown_matters(tmp_path: Path) -> None:
 
 
 def test_both_kinds_of_data_source_are_asked_the_same() -> None:
-    lite = [(q.board.removesuffix(SQLITE.ending), q.panel, q.sql) for q in of(SQLITE.plugin)]
-    server = [(q.board, q.panel, q.sql.replace("labos.", "")) for q in of(POSTGRES.plugin)]
+    lite = [(q.board.removesuffix(SQLITE.ending), q.panel, q.sql) for q in list_questions(SQLITE.plugin)]
+    server = [(q.board, q.panel, q.sql.replace("labos.", "")) for q in list_questions(POSTGRES.plugin)]
     assert sorted(lite) == sorted(server)
 
 

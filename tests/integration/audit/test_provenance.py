@@ -25,7 +25,7 @@ from labos.errors import NotFound
 from labos.runtime.ledger import fold
 from tests.integration.audit.logs import GrowingLog, project
 from tests.support.audited import OT2, PLATE, audit_lab, before_the_pool
-from tests.unit.services.logbook import sealed
+from tests.unit.services.logbook import seal_records
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,9 @@ def mixed(tmp_path: Path) -> Iterator[Mixed]:
         def mix(*events: Event) -> Asker:
             url = f"sqlite:///{tmp_path / 'labos.db'}"
             database = open_audit(url)
-            project(GrowingLog(sealed([(at, str(OT2), event) for at, event in enumerate(events)])), database)
+            project(
+                GrowingLog(seal_records([(at, str(OT2), event) for at, event in enumerate(events)])), database
+            )
             database.close()
             return stack.enter_context(open_asker(url))
 
@@ -266,7 +268,7 @@ def test_postgres_gives_the_same_answers(lab: Asker, end: int, postgres_url: str
     project(GrowingLog(audit_lab().records), database)
     database.close()
 
-    def told(asker: Asker) -> str:
+    def describe_graphs(asker: Asker) -> str:
         subjects = ("P1", "P1/B7", "R2", "R2#3", "R2#0", "water", "A-17", "user:ada")
         graphs = [
             plain(trace(asker, subject_of(asker, subject, at), at, direction))
@@ -278,4 +280,4 @@ def test_postgres_gives_the_same_answers(lab: Asker, end: int, postgres_url: str
         return json.dumps([graphs, moments], sort_keys=True).replace("true", "1").replace("false", "0")
 
     with open_asker(postgres_url) as server:
-        assert told(server) == told(lab)
+        assert describe_graphs(server) == describe_graphs(lab)

@@ -55,7 +55,7 @@ ONLY_POSTGRES = (
 )
 
 
-def filled(url: str) -> str:
+def fill(url: str) -> str:
     database = open_audit(url)
     project(GrowingLog(golden("simulated-1")), database)
     database.close()
@@ -64,13 +64,13 @@ def filled(url: str) -> str:
 
 @pytest.fixture
 def lite(tmp_path: Path) -> Iterator[Asker]:
-    with open_asker(filled(f"sqlite:///{tmp_path / 'labos.db'}")) as asker:
+    with open_asker(fill(f"sqlite:///{tmp_path / 'labos.db'}")) as asker:
         yield asker
 
 
 @pytest.fixture
 def server(postgres_url: str) -> Iterator[Asker]:
-    with open_asker(filled(postgres_url)) as asker:
+    with open_asker(fill(postgres_url)) as asker:
         yield asker
 
 
@@ -109,7 +109,7 @@ def test_sqlite_changes_nothing(lite: Asker, tmp_path: Path) -> None:
 
 
 def test_sqlite_gives_up_in_time(tmp_path: Path) -> None:
-    url = filled(f"sqlite:///{tmp_path / 'labos.db'}")
+    url = fill(f"sqlite:///{tmp_path / 'labos.db'}")
     with open_asker(url, limit_s=0.2) as asker:
         began = time.monotonic()
         with pytest.raises(BadInput, match="took longer than"):
@@ -138,7 +138,7 @@ def test_postgres_changes_nothing(server: Asker) -> None:
 
 @pytest.mark.postgres
 def test_postgres_gives_up_in_time(postgres_url: str) -> None:
-    with open_asker(filled(postgres_url), limit_s=0.2) as asker:
+    with open_asker(fill(postgres_url), limit_s=0.2) as asker:
         for query in ("SELECT pg_sleep(30)", "SELECT count(*) FROM events a, events b, events c"):
             with pytest.raises(BadInput, match="took longer than"):
                 list(asker.ask(query).rows)
@@ -151,7 +151,7 @@ def test_a_reader_sees_the_views_and_nothing_else(postgres_url: str) -> None:
 
     from labos.audit._postgres import PostgresAudit
 
-    database = open_audit(filled(postgres_url))
+    database = open_audit(fill(postgres_url))
     assert isinstance(database, PostgresAudit)
     with psycopg.connect(postgres_url, autocommit=True) as owner:
         owner.execute("DROP ROLE IF EXISTS grafana")

@@ -41,7 +41,7 @@ def test_who_runs_the_bus_makes_an_authority_and_a_certificate(settings: Setting
     found, lab = node(settings, None)
     assert found == Security(Authority(settings.pki).credentials(NODE))
     assert lab == LAB
-    assert kernel.of_node(MODULE) == found.credentials.folder
+    assert kernel.find_node_folder(MODULE) == found.credentials.folder
 
 
 def test_a_kernel_on_the_bus_of_another_makes_no_authority(settings: Settings) -> None:

@@ -34,7 +34,7 @@ class Site:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.endpoint = folder, f"tls/127.0.0.1:{free_port()}"
-        self.settings = Settings.of(folder / "lab", bus=(self.endpoint,), secure=True)
+        self.settings = Settings.make(folder / "lab", bus=(self.endpoint,), secure=True)
         self.authority = Authority(self.settings.pki)
         self.authority.init("test")
         self.authority.issue(BUS, addresses=["127.0.0.1"])
@@ -66,7 +66,7 @@ def site(tmp_path: Path) -> Site:
     return Site(tmp_path)
 
 
-async def joined(security: Security, site: Site) -> ZenohBus:
+async def join(security: Security, site: Site) -> ZenohBus:
     return await open_bus(mode="client", connect=[site.endpoint], security=security)
 
 
@@ -76,18 +76,18 @@ def test_a_kernel_brings_the_list_in_which_it_stands_and_each_newer_one(site: Si
     async def lead() -> None:
         guard = Guard(KERNEL, site.settings, runs_bus=False)
         security = await asyncio.to_thread(guard.prepare)
-        assert site.present().of(KERNEL) is None
-        kernel = await joined(security, site)
+        assert site.present().find(KERNEL) is None
+        kernel = await join(security, site)
         await guard.watch(kernel)
         try:
             await asyncio.to_thread(site.until_known)
-            assert site.present().of(KERNEL) is not None
+            assert site.present().find(KERNEL) is not None
             await asyncio.to_thread(site.authority.issue, NODE)
             await asyncio.to_thread(site.until_known)
             older = site.authority.members_file.read_bytes()
             await asyncio.to_thread(site.authority.revoke, site.authority.find("rpl/sealer"), "stolen")
             await asyncio.to_thread(site.until_known)
-            assert site.present().of(NODE) is None
+            assert site.present().find(NODE) is None
             # Whoever has the list of before its revocation sends it, and one of his own making.
             forged = msgspec.structs.replace(site.authority.members(), number=1_000)
             # Again and again: the bus begins anew when somebody is revoked, and hears nothing meanwhile.
@@ -100,7 +100,7 @@ def test_a_kernel_brings_the_list_in_which_it_stands_and_each_newer_one(site: Si
             await asyncio.to_thread(site.authority.issue, OTHER)
             await asyncio.to_thread(site.until_known)
             assert site.present() == site.authority.members()
-            assert site.present().of(NODE) is None
+            assert site.present().find(NODE) is None
         finally:
             await guard.close()
             await kernel.close()
@@ -116,14 +116,14 @@ def test_a_kernel_elsewhere_has_the_list_from_the_bus(site: Site) -> None:
     site.authority.issue(KERNEL)
     own = site.folder / "kernel"
     shutil.copytree(site.authority.credentials(KERNEL).folder, own)
-    away = Settings.of(site.folder / "away", bus=(site.endpoint,), secure=True)
+    away = Settings.make(site.folder / "away", bus=(site.endpoint,), secure=True)
 
     async def lead() -> None:
         leads = Guard(KERNEL, site.settings, runs_bus=False)
         stands_by = Guard(KERNEL, away, runs_bus=False, own=own)
         buses = []
         for guard in (leads, stands_by):
-            bus = await joined(await asyncio.to_thread(guard.prepare), site)
+            bus = await join(await asyncio.to_thread(guard.prepare), site)
             buses.append(bus)
             await guard.watch(bus)
         try:
@@ -154,7 +154,7 @@ def test_a_node_cannot_send_a_list_and_a_stranger_neither_hears_one(site: Site) 
         evil.issue(Identity("node", f"rpl/m{number}", LAB))
 
     async def lead() -> None:
-        node = await joined(Security(Credentials(site.authority.credentials(NODE).folder)), site)
+        node = await join(Security(Credentials(site.authority.credentials(NODE).folder)), site)
         heard: list[bytes] = []
         await node.subscribe(KEY, lambda _, data: heard.append(data))
         before = site.present()
@@ -162,7 +162,7 @@ def test_a_node_cannot_send_a_list_and_a_stranger_neither_hears_one(site: Site) 
         await asyncio.to_thread(until, lambda: "members_refused" in site.log.read_text(), "it says so")
         assert site.present() == before
         guard = Guard(KERNEL, site.settings, runs_bus=False)
-        kernel = await joined(await asyncio.to_thread(guard.prepare), site)
+        kernel = await join(await asyncio.to_thread(guard.prepare), site)
         await guard.watch(kernel)
         await asyncio.to_thread(site.authority.issue, OTHER)
         await asyncio.to_thread(site.until_known)

@@ -125,8 +125,8 @@ class Site:
         self.does("listen", who, keys)
         self.run(self.kernel.publish(KEYS.events("run"), b"{}"))
         self.run(self.sealer._publish_state())
-        self.run(settled(self.kernel))
-        self.run(settled(self.sealer_bus))
+        self.run(settle(self.kernel))
+        self.run(settle(self.sealer_bus))
         return list(self.does("heard", who))
 
     def in_order(self) -> None:
@@ -136,7 +136,7 @@ class Site:
         self.run(until(lambda: key in self.heard))
 
 
-async def settled(bus: ZenohBus) -> None:
+async def settle(bus: ZenohBus) -> None:
     await bus._round_trip()
 
 
@@ -228,7 +228,7 @@ def test_nobody_plays_the_kernel(site: Site, who: str) -> None:
     seen: list[str] = []
     ours = site.run(site.sealer_bus.watch_alive("labos/*/@kernel", lambda key, _: seen.append(key)))
     site.does("token", who, "labos/lab-3/@kernel")
-    site.run(settled(site.sealer_bus))
+    site.run(settle(site.sealer_bus))
     assert ("labos/lab-3/@kernel" not in seen) is site.secure
     ours.close()
 
@@ -333,7 +333,7 @@ def test_the_kernel_of_another_lab_has_its_own_keys(site: Site) -> None:
 
 def test_who_is_connected_and_not_heard_is_told_to_the_operator(site: Site) -> None:
     if not site.secure:
-        assert site.router.connected() == []
+        assert site.router.list_connected() == []
         return
     onlooker = Onlooker(site.router, patience_s=0.0)
     site.run(onlooker.start())
@@ -341,7 +341,7 @@ def test_who_is_connected_and_not_heard_is_told_to_the_operator(site: Site) -> N
     admitted = members.admitted
     (revoked,) = [entry.common_name for entry in members.entries if entry.revoked_at]
     site.does("rest", "peeler")
-    site.run(settled(site.router))
+    site.run(settle(site.router))
 
     async def look() -> Unheard:
         return onlooker.look(admitted)
@@ -364,9 +364,9 @@ def test_a_session_that_is_opened_anew_says_and_hears_what_it_did(site: Site) ->
     watch = site.run(site.kernel.watch_alive(KEYS.all_alive, lambda _, living: told.append(living)))
     for bus, who in ((site.kernel, KERNEL), (site.router, BUS)):
         site.run(bus.reopen(site.security(who, runs_bus=who == BUS)))
-        site.run(heard_again(site))
+        site.run(await_heard_again(site))
     site.run(site.kernel.reopen(site.security(KERNEL)))
-    site.run(heard_again(site))
+    site.run(await_heard_again(site))
     assert told.count(False) <= 1, "only the bus that ended under it"
     watch.close()
 
@@ -377,7 +377,7 @@ def test_a_renewed_certificate_is_used(site: Site) -> None:
         site.authority.renew(site.authority.find(SEALER))
         assert site.authority.credentials(NODE).certificate.read_bytes() != before
     site.run(site.sealer_bus.reopen(site.security(NODE)))
-    site.run(heard_again(site))
+    site.run(await_heard_again(site))
 
 
 def test_a_revoked_certificate_speaks_no_more(site: Site) -> None:
@@ -387,14 +387,14 @@ def test_a_revoked_certificate_speaks_no_more(site: Site) -> None:
     if site.secure:
         site.authority.revoke(site.authority.find("viewer.wall"), "nobody knows where it is")
     site.run(site.router.reopen(site.security(BUS, runs_bus=True)))
-    site.run(heard_again(site))
+    site.run(await_heard_again(site))
     wait_until(
         lambda: site.does("get", "stop", KEYS.operation(SEALER, "admin"), "{}"), "the stranger is back"
     )
     assert (site.hears("viewer", KEYS.events("*")) == []) is site.secure
 
 
-async def heard_again(site: Site) -> None:
+async def await_heard_again(site: Site) -> None:
     """The kernel asks the node again, and hears it."""
     async with asyncio.timeout(20.0):
         while True:
@@ -486,6 +486,6 @@ def test_a_certificate_that_ends_while_it_is_used(site: Site) -> None:
     site.does("open", "ending", site.endpoint, folder)
     site.does("token", "ending", KEYS.alive("cell/ending", "own"))
     site.run(until(lambda: KEYS.alive("cell/ending", "own") in site.living))
-    assert entry.common_name in site.router.connected()
+    assert entry.common_name in site.router.list_connected()
     site.run(until(lambda: KEYS.alive("cell/ending", "own") not in site.living))
-    assert entry.common_name not in site.router.connected()
+    assert entry.common_name not in site.router.list_connected()

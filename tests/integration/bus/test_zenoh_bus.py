@@ -39,15 +39,15 @@ class TestClientAndRouter(BusContract):
 
 
 def router(endpoint: str) -> AbstractAsyncContextManager[ZenohBus]:
-    return opened("router", endpoint)
+    return open_at("router", endpoint)
 
 
 def client(endpoint: str) -> AbstractAsyncContextManager[ZenohBus]:
-    return opened("client", endpoint)
+    return open_at("client", endpoint)
 
 
 @asynccontextmanager
-async def opened(mode: str, endpoint: str) -> AsyncIterator[ZenohBus]:
+async def open_at(mode: str, endpoint: str) -> AsyncIterator[ZenohBus]:
     if mode == "router":
         bus = await open_bus(mode="router", listen=[endpoint])
     else:
@@ -94,7 +94,7 @@ def test_a_peer_waits_for_the_other_to_come() -> None:
         try:
             await peer.serve(KEY, echo)
             async with router(endpoint) as hub:
-                await answered(hub)
+                await await_answer(hub)
         finally:
             await peer.close()
 
@@ -111,7 +111,7 @@ def test_a_router_that_restarts_is_found_again() -> None:
             assert await hub.query(KEY, b"", 2.0) == b"!"
             await hub.close()
             async with router(endpoint) as hub:
-                await answered(hub)
+                await await_answer(hub)
                 seen: list[bool] = []
                 await hub.watch_alive("labos/lab/@alive/**", lambda key, living: seen.append(living))
                 await until(lambda: seen == [True])
@@ -119,7 +119,7 @@ def test_a_router_that_restarts_is_found_again() -> None:
     asyncio.run(main())
 
 
-async def answered(bus: Bus, timeout_s: float = 10.0) -> None:
+async def await_answer(bus: Bus, timeout_s: float = 10.0) -> None:
     """Wait until somebody answers."""
 
     async def ask() -> None:

@@ -37,7 +37,7 @@ Say = Callable[..., str]
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     """Its nodes run."""
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [parse_workcell(CELL, descriptions())], nodes="processes") as running:
         yield running
 
@@ -228,8 +228,8 @@ def test_metrics_count_bookings(lab: LabThread, say: Say) -> None:
     say("book", "reader", "--from", "now", "--to", "+1h")
     say("book", "reader", "--from", "+2h", "--to", "+1h")
 
-    def counted() -> Any:
+    def are_counted() -> Any:
         text = httpx.get(f"{lab.url}/metrics").text
         return 'labos_bookings{when="now"} 1' in text and 'labos_bookings{when="later"} 1' in text
 
-    until(counted, "both are counted")
+    until(are_counted, "both are counted")

@@ -34,7 +34,7 @@ transfers:
 FLOW = "labos: 1\nname: f\nsteps: [{name: x, action: transfer, args: {source: wc.here, target: wc.there}}]\n"
 
 
-def carried_by(client: LabClient, name: str) -> str:
+def find_carrier(client: LabClient, name: str) -> str:
     client.place("wc.here", "plate96", "ada")
     run = client.wait(client.submit({"name": name, "text": FLOW, "files": {}}, user="ada"))
     assert run.status == "completed"
@@ -42,11 +42,11 @@ def carried_by(client: LabClient, name: str) -> str:
 
 
 def test_costs_that_are_applied_to_a_running_lab_hold_from_then_on(tmp_path: Path) -> None:
-    settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=1000.0, simulate=True)
     with LabThread(settings, [parse_workcell(CELL, descriptions())]) as lab, LabClient(lab.url) as client:
-        assert carried_by(client, "before.yaml").endswith("quick")
+        assert find_carrier(client, "before.yaml").endswith("quick")
         client.unload("wc.there", "ada")
         found = client.apply_workcell(CELL + WAYS, "corner.yaml", "ada", dry_run=True)
         assert found["transfers"]["added"] == ["quick.move", "slow.move"]
         client.apply_workcell(CELL + WAYS, "corner.yaml", "ada")
-        assert carried_by(client, "after.yaml").endswith("slow")
+        assert find_carrier(client, "after.yaml").endswith("slow")

@@ -32,7 +32,7 @@ modules:
 
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[LabClient]:
-    settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=1000.0, simulate=True)
     with LabThread(settings, [parse_workcell(CELL, descriptions())]) as lab, LabClient(lab.url) as found:
         yield found
 

@@ -21,7 +21,7 @@ from labos.client import (
     ReplayMismatch,
     TransferFailed,
 )
-from labos.client._transfers import shown
+from labos.client._transfers import show_place
 from labos.errors import BadInput
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
@@ -33,7 +33,7 @@ SHA256 = hashlib.sha256(CONTENT).hexdigest()
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabClient]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running, LabClient(running.url) as found:
         yield found
 
@@ -70,7 +70,7 @@ class Line:
         return Flow("analyse", steps)
 
 
-def begun(lab: LabClient, work: Any) -> str:
+def begin_program(lab: LabClient, work: Any) -> str:
     """Let a program run until it is interrupted; returns its experiment."""
     with contextlib.suppress(Stopped), Experiment(lab, "plates", "ada") as experiment:
         work(experiment)
@@ -110,7 +110,7 @@ def test_a_flow_that_fails_says_at_which_step(lab: LabClient) -> None:
 
 def test_a_flow_goes_on_at_the_step_at_which_it_was(lab: LabClient) -> None:
     killed, later, last = Line(stops=True), Line(), Line()
-    name = begun(lab, lambda experiment: experiment.run_flow(killed.flow(), values=[1.0]))
+    name = begin_program(lab, lambda experiment: experiment.run_flow(killed.flow(), values=[1.0]))
     with contextlib.suppress(Stopped), Experiment(lab, "plates", "ada", resume=name) as experiment:
         result = experiment.run_flow(later.flow(), values=[1.0])
         raise Stopped
@@ -156,7 +156,7 @@ def test_a_file_is_transferred_with_its_digest(lab: LabClient, tmp_path: Path) -
 def test_what_was_transferred_is_not_transferred_again(lab: LabClient, tmp_path: Path) -> None:
     here, there = tmp_path / "here.csv", tmp_path / "there.csv"
     here.write_bytes(CONTENT)
-    name = begun(lab, lambda experiment: experiment.transfer(here, there))
+    name = begin_program(lab, lambda experiment: experiment.transfer(here, there))
     there.unlink()
     here.unlink()
     with Experiment(lab, "plates", "ada", resume=name) as experiment:
@@ -193,4 +193,4 @@ def test_what_cannot_be_transferred_is_said_and_may_be_tried_again(lab: LabClien
     ],
 )
 def test_no_secret_is_written_into_the_log(place: str, is_shown: str) -> None:
-    assert shown(place) == is_shown
+    assert show_place(place) == is_shown

@@ -34,7 +34,7 @@ LONG = FLOW.replace("squeeze it", "rest").replace("action: squeeze", "action: re
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[LabThread]:
-    settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=1000.0, simulate=True)
     with LabThread(settings, [parse_workcell(CELL, descriptions())]) as running:
         yield running
 

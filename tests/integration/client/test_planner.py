@@ -37,7 +37,7 @@ def flow(name: str, *steps: str) -> dict[str, object]:
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[LabThread]:
-    settings = Settings.of(tmp_path / "lab", speed=100.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=100.0, simulate=True)
     with LabThread(settings, [parse_workcell(CELL, descriptions())]) as running:
         yield running
 

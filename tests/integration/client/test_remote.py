@@ -147,7 +147,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
     screen = tmp_path_factory.mktemp("campaign") / "screen.yaml"
     screen.write_text(CAMPAIGN)
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         with LabClient(running.url) as client:
             client.submit("pcr", user="ada")

@@ -45,7 +45,7 @@ class Stopped(KeyboardInterrupt):
     """Where a program is interrupted."""
 
 
-def begun(lab: LabClient, work: Any, **options: Any) -> str:
+def begin_program(lab: LabClient, work: Any, **options: Any) -> str:
     """Let a program run until it is interrupted; returns its experiment."""
     with contextlib.suppress(Stopped), Experiment(lab, "plates", "ada", **options) as experiment:
         work(experiment)
@@ -79,7 +79,7 @@ def read_twice(experiment: Experiment) -> list[Any]:
 
 def test_everything_is_answered_from_the_log(lab: LabClient) -> None:
     first: list[Any] = []
-    name = begun(lab, lambda experiment: first.extend(read_twice(experiment)))
+    name = begin_program(lab, lambda experiment: first.extend(read_twice(experiment)))
     before = lab.health()["position"]
     with again(lab, name) as experiment:
         assert experiment.id == name
@@ -98,7 +98,7 @@ def test_it_goes_on_in_the_middle_of_a_loop(lab: LabClient) -> None:
         experiment.decide("assay", lambda: ("A0", 7))
         experiment.run(READ, {"assay": "A0"})
 
-    name = begun(lab, half)
+    name = begin_program(lab, half)
     with again(lab, name) as experiment:
         found = read_twice(experiment)
     assert found[0][1] == ["A0", 7]
@@ -117,7 +117,7 @@ def test_it_goes_on_in_the_middle_of_a_loop(lab: LabClient) -> None:
 
 
 def test_another_payload_is_refused_and_both_are_shown(lab: LabClient) -> None:
-    name = begun(lab, lambda experiment: experiment.run(READ, {"assay": "OD590"}))
+    name = begin_program(lab, lambda experiment: experiment.run(READ, {"assay": "OD590"}))
     with pytest.raises(ReplayMismatch) as caught, again(lab, name) as experiment:
         experiment.run(READ, {"assay": "OD600"})
     assert caught.value.recorded == {"assay": "OD590"}
@@ -129,7 +129,7 @@ def test_another_payload_is_refused_and_both_are_shown(lab: LabClient) -> None:
 
 
 def test_a_workflow_that_was_changed_is_another_one(lab: LabClient) -> None:
-    name = begun(lab, lambda experiment: experiment.run(READ))
+    name = begin_program(lab, lambda experiment: experiment.run(READ))
     changed = {**READ, "text": WORKFLOW.replace("OD590", "OD450")}
     with pytest.raises(ReplayMismatch, match="changed"), again(lab, name) as experiment:
         experiment.run(changed)
@@ -138,7 +138,7 @@ def test_a_workflow_that_was_changed_is_another_one(lab: LabClient) -> None:
 
 def test_a_run_that_is_under_way_is_waited_for(lab: LabClient) -> None:
     lab.control("pause", "lab", "ada")
-    name = begun(lab, lambda experiment: experiment.submit(READ))
+    name = begin_program(lab, lambda experiment: experiment.submit(READ))
     with again(lab, name) as experiment:
         run = experiment.submit(READ)
         lab.control("resume", "lab", "ada")
@@ -153,7 +153,7 @@ def test_a_run_that_failed_fails_again_without_a_run(lab: LabClient) -> None:
         lab.cancel(run, "ada")
         lab.control("resume", "lab", "ada")
 
-    name = begun(lab, fail)
+    name = begin_program(lab, fail)
     with again(lab, name) as experiment, pytest.raises(RunFailed, match="cancelled"):
         experiment.run(READ, key="lost")
     assert len(events(lab, name, "run.submitted")) == 1
@@ -164,7 +164,7 @@ def test_a_key_finds_a_call_wherever_it_stands(lab: LabClient) -> None:
         for assay in ("A", "B"):
             experiment.submit(READ, {"assay": assay}, key=f"plate {assay}")
 
-    name = begun(lab, forwards)
+    name = begin_program(lab, forwards)
     with again(lab, name) as experiment:
         runs = [experiment.submit(READ, {"assay": assay}, key=f"plate {assay}") for assay in ("B", "A")]
         list(experiment.as_completed(runs))
@@ -188,10 +188,10 @@ def test_those_of_many_that_were_submitted_are_not_submitted_again(lab: LabClien
 
 def test_a_computation_with_other_arguments_is_told(lab: LabClient) -> None:
     pairs = [(1, 2), numpy.arange(3.0)]
-    name = begun(lab, lambda experiment: experiment.compute(len, pairs, where="local"))
+    name = begin_program(lab, lambda experiment: experiment.compute(len, pairs, where="local"))
     with again(lab, name) as experiment:
         assert experiment.compute(len, [(1, 2), numpy.arange(3.0)], where="local") == 2
-    name = begun(lab, lambda experiment: experiment.compute(work.square, 2.0, where="local"))
+    name = begin_program(lab, lambda experiment: experiment.compute(work.square, 2.0, where="local"))
     with pytest.raises(ReplayMismatch, match=r"\(3\.0\)"), again(lab, name) as experiment:
         experiment.compute(work.square, 3.0, where="local")
     lab.end_experiment(name, "ended", "ada")
@@ -205,7 +205,7 @@ def test_what_a_computation_returned_or_raised_comes_again(lab: LabClient) -> No
         return [experiment.compute(work.pair, 1, where="local"), large]
 
     first: list[Any] = []
-    name = begun(lab, lambda experiment: first.extend(compute(experiment)))
+    name = begin_program(lab, lambda experiment: first.extend(compute(experiment)))
     with again(lab, name) as experiment:
         assert compute(experiment) == first
     assert first[0] == (1, 2)
@@ -213,7 +213,7 @@ def test_what_a_computation_returned_or_raised_comes_again(lab: LabClient) -> No
 
 
 def test_a_decision_may_be_large_and_must_be_json(lab: LabClient) -> None:
-    name = begun(lab, lambda experiment: experiment.decide("grid", lambda: numpy.arange(9000)))
+    name = begin_program(lab, lambda experiment: experiment.decide("grid", lambda: numpy.arange(9000)))
     with again(lab, name) as experiment:
         assert experiment.decide("grid", lambda: 0) == list(range(9000))
         with pytest.raises(BadInput, match="cannot be written"):
@@ -227,7 +227,7 @@ def test_a_program_that_goes_another_way_is_told_and_a_time_may_differ(lab: LabC
         experiment.log_local_compute("fit", seconds=time.monotonic())
         experiment.log_check("enough", met)
 
-    name = begun(lab, lambda experiment: tell(experiment, False))
+    name = begin_program(lab, lambda experiment: tell(experiment, False))
     with pytest.raises(ReplayMismatch, match='"result":false'), again(lab, name) as experiment:
         tell(experiment, True)
     with again(lab, name) as experiment:
@@ -237,7 +237,7 @@ def test_a_program_that_goes_another_way_is_told_and_a_time_may_differ(lab: LabC
 
 def test_what_the_killed_program_told_at_last_holds(lab: LabClient) -> None:
     """Its last word reached the lab after the log was read."""
-    name = begun(lab, lambda experiment: None)
+    name = begin_program(lab, lambda experiment: None)
     with again(lab, name) as experiment:
         lab.note(name, "decision", "next", {"value": 1}, "ada", key="decision next#1")
         assert experiment.decide("next", lambda: 2) == 1
@@ -264,7 +264,7 @@ def test_one_that_has_ended_can_be_read_again_but_does_nothing(lab: LabClient) -
 def test_what_cannot_be_resumed_is_said(lab: LabClient) -> None:
     with pytest.raises(NotFound, match="no experiment 'E99'"), again(lab, "E99"):
         pass
-    name = begun(lab, lambda experiment: None)
+    name = begin_program(lab, lambda experiment: None)
     with (
         pytest.raises(Refused, match="is 'plates', not 'growth'"),
         Experiment(lab, "growth", "ada", resume=name),
@@ -276,7 +276,7 @@ def test_what_cannot_be_resumed_is_said(lab: LabClient) -> None:
 
 
 def test_runs_of_others_in_the_experiment_are_named(lab: LabClient) -> None:
-    name = begun(lab, lambda experiment: lab.submit(READ, user="ada", experiment=experiment.id))
+    name = begin_program(lab, lambda experiment: lab.submit(READ, user="ada", experiment=experiment.id))
     with again(lab, name) as experiment:
         (stray,) = events(lab, name, "run.submitted")
         assert lab.warnings == [
@@ -362,7 +362,7 @@ def test_a_programs_other_experiments_go_on_with_its_first(lab: LabClient) -> No
             parts.append([second.id, third.id])
             raise Stopped
 
-    name = begun(lab, start_two)
+    name = begin_program(lab, start_two)
     for _ in range(2):
         with contextlib.suppress(Stopped), again(lab, name) as first:
             start_two(first)

@@ -147,7 +147,7 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     assert check_permissions([tmp_path / "none"]).state == "ok"
 
 
-def heard(answer: str = "IDLE", **checked: Any) -> dict[str, Any]:
+def make_answer(answer: str = "IDLE", **checked: Any) -> dict[str, Any]:
     whole = {"labos": VERSION, "clock_ahead_s": 0.01, **checked}
     return {"name": "rpl/sealer", "answer": answer, "why": "it is off.", "checked": whole}
 
@@ -155,14 +155,14 @@ def heard(answer: str = "IDLE", **checked: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("one", "state", "said"),
     [
-        (heard(), "ok", "rpl/sealer answers: IDLE."),
-        (heard("out"), "warning", "cannot work (out): it is off."),
-        (heard("silent"), "fault", "cannot work (silent)"),
-        ({**heard("frozen"), "checked": None}, "fault", "cannot work (frozen)"),
-        (heard(labos="0.0.9"), "warning", f"is LabOS 0.0.9, the kernel {VERSION}"),
-        (heard(clock_ahead_s=-1.5), "warning", "computer is 1.5 s behind the kernel's"),
-        (heard(clock_ahead_s=90.0), "fault", "computer is 90.0 s ahead of the kernel's"),
-        (heard(clock_ahead_s=None), "ok", "answers"),
+        (make_answer(), "ok", "rpl/sealer answers: IDLE."),
+        (make_answer("out"), "warning", "cannot work (out): it is off."),
+        (make_answer("silent"), "fault", "cannot work (silent)"),
+        ({**make_answer("frozen"), "checked": None}, "fault", "cannot work (frozen)"),
+        (make_answer(labos="0.0.9"), "warning", f"is LabOS 0.0.9, the kernel {VERSION}"),
+        (make_answer(clock_ahead_s=-1.5), "warning", "computer is 1.5 s behind the kernel's"),
+        (make_answer(clock_ahead_s=90.0), "fault", "computer is 90.0 s ahead of the kernel's"),
+        (make_answer(clock_ahead_s=None), "ok", "answers"),
     ],
 )
 def test_what_nodes_answer(one: dict[str, Any], state: str, said: str) -> None:

@@ -61,7 +61,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
     home = tmp_path_factory.mktemp("install") / "lab"
     with LabThread(
-        Settings.of(home, simulate=True, speed=1000.0, secure=True), [cell], nodes="none"
+        Settings.make(home, simulate=True, speed=1000.0, secure=True), [cell], nodes="none"
     ) as running:
         yield running
 

@@ -118,14 +118,16 @@ class Site:
                 )
                 out.seek(began)
                 text = out.read()
-            assert done.returncode == 0, f"{part.heading}, on {name}: {part.commands}\n{text}\n{self.told()}"
+            assert done.returncode == 0, (
+                f"{part.heading}, on {name}: {part.commands}\n{text}\n{self.read_logs()}"
+            )
             said += text
         if (restart := self.hosts["db"].folder / "units" / "postgresql").exists():
             restart.unlink()
             self.database.restart()
         return said
 
-    def told(self) -> str:
+    def read_logs(self) -> str:
         logs = [log for host in self.hosts for log in (host.folder / "units").glob("*.log")]
         return "\n".join(f"--- {log}\n{log.read_text()[-1500:]}" for log in logs)
 
@@ -159,7 +161,7 @@ def test_the_page_installs_a_lab_and_upgrades_it(site: Site) -> None:
     last = ""
     for part in parts():
         if part.heading != last:
-            _reached(site, last)
+            _await_chapter(site, last)
             last = part.heading
         if part.heading.startswith("Upgrade") and part.hosts == ("k1",):
             until(lambda: f"{NEW} on k2" in site.standing_by(), "the newer version stands by on k2")
@@ -182,7 +184,7 @@ def _names_kernel(members: Path) -> bool:
     return '"kernel"' in members.read_text()
 
 
-def _reached(site: Site, heading: str) -> None:
+def _await_chapter(site: Site, heading: str) -> None:
     """What the page says of a chapter is so before the next one begins."""
     served = site.hosts["db"].folder / "units" / "labos-api@web.log"
     look = Part("", ("k1",), "LABOS_HOME=/var/lib/labos/lab labos nodes")
@@ -196,4 +198,4 @@ def _reached(site: Site, heading: str) -> None:
         until(holds.get(heading, lambda: True), f"what is done in {heading!r} has its effect")
     except AssertionError as error:
         seen = site.say(look) if heading == "A node" else ""
-        raise AssertionError(f"{error}\n{seen}{site.told()}") from None
+        raise AssertionError(f"{error}\n{seen}{site.read_logs()}") from None

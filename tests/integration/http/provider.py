@@ -64,9 +64,7 @@ def lab_with_provider(folder: Path, issuer: Issuer) -> Iterator[LabThread]:
         yield running
 
 
-def signed_in_at_provider(
-    browser: httpx.Client, answer: httpx.Response, name: str, way_back: str
-) -> httpx.URL:
+def sign_in_at_provider(browser: httpx.Client, answer: httpx.Response, name: str, way_back: str) -> httpx.URL:
     """Sign in and agree on the pages to which an answer leads; the address to which the provider sends the
     browser back, not yet gone to. Without a ``way_back``: the last page."""
     for _ in range(14):
@@ -90,4 +88,4 @@ def signed_in_at_provider(
 if __name__ == "__main__":  # a browser that a person uses: NAME ADDRESS
     with httpx.Client(timeout=30) as _browser:
         _page = _browser.get(sys.argv[2])
-        _browser.get(signed_in_at_provider(_browser, _page, sys.argv[1], "/login/"))
+        _browser.get(sign_in_at_provider(_browser, _page, sys.argv[1], "/login/"))

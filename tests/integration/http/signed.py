@@ -32,7 +32,7 @@ def execute(lab: LabThread, command: Command, by: str) -> Any:
 def lab_with_users(folder: Path, **settings: Any) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
     with LabThread(
-        Settings.of(folder / "lab", speed=5000.0, simulate=True, **settings), [cell], nodes="none"
+        Settings.make(folder / "lab", speed=5000.0, simulate=True, **settings), [cell], nodes="none"
     ) as lab:
         if lab.runtime.kernel.state.users.is_open:
             for user, kind in (("ada", "person"), ("bob", "person"), ("agent", "service")):

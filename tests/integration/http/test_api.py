@@ -32,7 +32,7 @@ OLD = ("/state", "/events", "/runs", "/nodes", "/inventory", "/round")
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 

@@ -46,7 +46,7 @@ def lab(folder: Path) -> Iterator[LabThread]:
 
 @pytest.fixture(scope="module")
 def both(lab: LabThread, folder: Path) -> Iterator[Sequence[ApiThread]]:
-    home = Settings.of(folder / "lab")
+    home = Settings.make(folder / "lab")
     with ApiThread(ApiSettings(home, "one")) as one, ApiThread(ApiSettings(home, "two")) as two:
         yield one, two
 
@@ -56,7 +56,7 @@ def ada(lab: LabThread, folder: Path) -> str:
     return token_of(folder, "ada", scope="admin")
 
 
-def placed(lab: LabThread) -> int:
+def count_placed(lab: LabThread) -> int:
     """How many plates people have put on stacks and stations."""
     with LabClient(home=lab.settings.home) as client:
         return sum(event["payload"].get("count", 1) for event in client.events(type="station.loaded"))
@@ -74,12 +74,12 @@ def load(client: httpx.Client, key: str = "", count: int = 1) -> httpx.Response:
 def test_a_key_at_one_process_is_known_at_the_other(
     lab: LabThread, both: Sequence[ApiThread], ada: str
 ) -> None:
-    key, before = next(keys), placed(lab)
+    key, before = next(keys), count_placed(lab)
     with both[0].client(ada) as one, both[1].client(ada) as two, client_of(lab, ada) as kernel:
         answers = [load(client, key) for client in (one, two, kernel, one)]
         assert {(a.status_code, a.content) for a in answers} == {(201, answers[0].content)}
         is_problem(load(two, key, count=2), 409, "key_reused")
-        assert placed(lab) == before + 1
+        assert count_placed(lab) == before + 1
 
 
 def test_a_run_submitted_at_one_process_is_the_same_run_at_the_other(
@@ -124,13 +124,13 @@ def test_what_is_refused_does_not_reach_the_kernel(
 
 def test_a_restarted_kernel_does_nothing_twice(tmp_path: Path) -> None:
     """Its memory is gone, and the log bears the request's mark."""
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     key = next(keys)
     with lab_with_users(tmp_path) as lab, client_of(lab, token_of(tmp_path, "ada", scope="admin")) as client:
         first = load(client, key)
         assert first.status_code == 201
         assert load(client, key).content == first.content
-        assert placed(lab) == 1
+        assert count_placed(lab) == 1
     with LabThread(settings, nodes="none") as lab, ApiThread(ApiSettings(settings)) as api:
         token = token_of(tmp_path, "ada", scope="admin")
         for there in (api.client(token), client_of(lab, token)):
@@ -140,7 +140,7 @@ def test_a_restarted_kernel_does_nothing_twice(tmp_path: Path) -> None:
                 is_problem(load(client, key, count=2), 409, "key_reused")
         with api.client(token) as client:
             assert load(client, next(keys)).status_code == 201
-        assert placed(lab) == 2
+        assert count_placed(lab) == 2
 
 
 def test_what_was_answered_is_answered_again_while_the_kernel_is_away(tmp_path: Path) -> None:
@@ -331,7 +331,7 @@ ADMIN = Who("token", "ada", credential=Credential("ada", "token", "admin", "k", 
 STOP = SentOn("POST", "/api/v1/groups", b"", ((b"content-type", b"application/json"),), b"{}", ADMIN)
 
 
-async def asked(lab: LabThread, payloads: Sequence[bytes], epoch: int = 0) -> list[bytes | None]:
+async def ask_as_stranger(lab: LabThread, payloads: Sequence[bytes], epoch: int = 0) -> list[bytes | None]:
     """What the kernel answers to a stranger on the bus; None for nothing."""
     bus = await open_bus(connect=[lab.runtime.bus_endpoint])
     key = Keys(lab.runtime.kernel.lab).requests_of("one", epoch or lab.runtime.kernel.epoch)
@@ -349,16 +349,16 @@ async def asked(lab: LabThread, payloads: Sequence[bytes], epoch: int = 0) -> li
 
 def test_a_stranger_on_the_bus_is_not_believed(lab: LabThread) -> None:
     without = [Letters(key, SystemClock()).ask(STOP)[0] for key in (b"", b"x" * 40)]
-    assert asyncio.run(asked(lab, [*without, b"", b"\x93", b"x" * 10_000])) == [None] * 5
+    assert asyncio.run(ask_as_stranger(lab, [*without, b"", b"\x93", b"x" * 10_000])) == [None] * 5
 
 
 def test_a_question_is_good_once_and_for_its_kernel(lab: LabThread) -> None:
     letters = Letters(lab.settings.api_key.read_bytes().strip(), SystemClock())
     payload, nonce = letters.ask(Hello(""))
-    first, again = asyncio.run(asked(lab, [payload, payload]))
+    first, again = asyncio.run(ask_as_stranger(lab, [payload, payload]))
     assert isinstance(letters.read_reply(first or b"", nonce), Welcome)
     assert again is None
-    assert asyncio.run(asked(lab, [letters.ask(Hello(""))[0]], epoch=99)) == [None]
+    assert asyncio.run(ask_as_stranger(lab, [letters.ask(Hello(""))[0]], epoch=99)) == [None]
     with pytest.raises(Unreadable):
         letters.read_reply(first or b"", b"another")
 
@@ -380,7 +380,7 @@ def test_even_with_the_key_only_users_of_the_lab_may_act(lab: LabThread, who: Wh
     payload, nonce = letters.ask(
         SentOn(STOP.method, STOP.path, b"", STOP.headers, json.dumps({"group": "evil"}).encode(), who)
     )
-    (answer,) = asyncio.run(asked(lab, [payload]))
+    (answer,) = asyncio.run(ask_as_stranger(lab, [payload]))
     reply = letters.read_reply(answer or b"", nonce)
     assert isinstance(reply, Answer)
     assert reply.status in (401, 403), reply.body
@@ -391,12 +391,12 @@ def test_even_with_the_key_only_users_of_the_lab_may_act(lab: LabThread, who: Wh
 def test_nothing_but_operations_is_carried_out_for_others(lab: LabThread, path: str) -> None:
     letters = Letters(lab.settings.api_key.read_bytes().strip(), SystemClock())
     payload, nonce = letters.ask(SentOn("GET", path, b"", (), b"", ADMIN))
-    (answer,) = asyncio.run(asked(lab, [payload]))
+    (answer,) = asyncio.run(ask_as_stranger(lab, [payload]))
     reply = letters.read_reply(answer or b"", nonce)
     assert isinstance(reply, Answer)
     assert reply.status == 503
     payload, nonce = letters.ask(Recall("/api/v1/groups", "never", "", "ada"))
-    (answer,) = asyncio.run(asked(lab, [payload]))
+    (answer,) = asyncio.run(ask_as_stranger(lab, [payload]))
     assert letters.read_reply(answer or b"", nonce) == Answer(0)
 
 
@@ -404,15 +404,15 @@ def test_nothing_but_operations_is_carried_out_for_others(lab: LabThread, path: 
 
 
 def test_an_api_process_says_what_it_misses(lab: LabThread, folder: Path, tmp_path: Path) -> None:
-    home = Settings.of(folder / "lab")
+    home = Settings.make(folder / "lab")
     for settings, error, words in (
         (ApiSettings(home, "One/two"), BadInput, "name of an API process"),
-        (ApiSettings(Settings.of(folder / "lab", host="0.0.0.0")), BadInput, "in clear"),
-        (ApiSettings(Settings.of(tmp_path / "none")), NotFound, "No kernel runs"),
+        (ApiSettings(Settings.make(folder / "lab", host="0.0.0.0")), BadInput, "in clear"),
+        (ApiSettings(Settings.make(tmp_path / "none")), NotFound, "No kernel runs"),
     ):
         with pytest.raises(error, match=words), ApiThread(settings):
             pass
-    elsewhere = Settings.of(tmp_path, home.database, bus=(lab.runtime.bus_endpoint,))
+    elsewhere = Settings.make(tmp_path, home.database, bus=(lab.runtime.bus_endpoint,))
     with pytest.raises(NotFound, match="key of API processes"), ApiThread(ApiSettings(elsewhere)):
         pass
 

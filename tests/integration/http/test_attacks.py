@@ -49,7 +49,7 @@ def eve(lab: LabThread, folder: Path) -> Iterator[httpx.Client]:
         yield client
 
 
-def refused(answer: httpx.Response) -> dict[str, Any]:
+def check_refused(answer: httpx.Response) -> dict[str, Any]:
     assert 400 <= answer.status_code < 500, answer.text
     told: dict[str, Any] = answer.json()
     return told
@@ -62,7 +62,7 @@ def refused(answer: httpx.Response) -> dict[str, Any]:
 def test_a_workflow_uses_no_file_of_the_server(eve: httpx.Client, folder: Path, name: str) -> None:
     (folder / "secret.yaml").write_text(FLOW.replace("name: seal", "name: hunter2"))
     text = f"labos: 1\nname: f\nsteps:\n  - {{name: x, use: '{name}'}}\n"
-    told = refused(eve.post("/runs", json={"workflow": {"text": text, "name": str(folder / "f.yaml")}}))
+    told = check_refused(eve.post("/runs", json={"workflow": {"text": text, "name": str(folder / "f.yaml")}}))
     assert "root:" not in json.dumps(told)
     assert "hunter2" not in json.dumps(told)
 
@@ -70,7 +70,7 @@ def test_a_workflow_uses_no_file_of_the_server(eve: httpx.Client, folder: Path, 
 @pytest.mark.parametrize("name", ["/etc/passwd", "../../secret.csv"])
 def test_a_campaign_reads_no_table_of_the_server(eve: httpx.Client, name: str) -> None:
     text = f"labos: 1\ncampaign: c\nworkflow: f\nrows: {{table: '{name}'}}\n"
-    told = refused(eve.post("/campaigns", json={"text": text, "workflow": {"text": FLOW}}))
+    told = check_refused(eve.post("/campaigns", json={"text": text, "workflow": {"text": FLOW}}))
     assert "root:" not in json.dumps(told)
 
 
@@ -112,8 +112,8 @@ def test_ids_of_others_open_nothing(lab: LabThread, bob: httpx.Client, eve: http
     )
     before = lab.runtime.kernel.state.position
     for path, body in tries:
-        refused(eve.post(path, json=body))
-        refused(eve.post(path, json=body | {"by": "bob"} if "workflow" not in body else body))
+        check_refused(eve.post(path, json=body))
+        check_refused(eve.post(path, json=body | {"by": "bob"} if "workflow" not in body else body))
     # Bob's own run goes on meanwhile; only the lab itself writes about it.
     written = bob.get("/events", params={"after": before}).json()["events"]
     assert {event["actor"] for event in written} <= {"labos"}, "what is refused leaves no event"
@@ -149,9 +149,9 @@ def test_a_key_of_somebody_else_tells_nothing(bob: httpx.Client, eve: httpx.Clie
 def test_no_other_host_is_taken_for_the_labs(lab: LabThread, eve: httpx.Client, host: str) -> None:
     answer = eve.get("/state", headers={"host": host})
     if not host.startswith("["):
-        assert refused(answer)["code"] in ("forbidden", "bad_input")
+        assert check_refused(answer)["code"] in ("forbidden", "bad_input")
     origin = eve.post("/control/pause", json={"target": "lab"}, headers={"origin": f"http://{host}"})
-    assert refused(origin)["code"] == "forbidden"
+    assert check_refused(origin)["code"] == "forbidden"
 
 
 @pytest.mark.parametrize(

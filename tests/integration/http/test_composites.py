@@ -47,7 +47,7 @@ def holds(state: LabState, station: str) -> bool:
     return bool(state.bench.stations[StationName(station)].labware)
 
 
-def submitted(state: LabState) -> list[bool]:
+def list_submitted(state: LabState) -> list[bool]:
     return [*standing(state), any(run.workflow == "f" for run in state.runs.queued.values())]
 
 
@@ -81,7 +81,7 @@ class Copies:
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    with LabThread(Settings.of(tmp_path / "lab", simulate=True), [cell], nodes="none") as running:
+    with LabThread(Settings.make(tmp_path / "lab", simulate=True), [cell], nodes="none") as running:
         yield running
 
 
@@ -118,9 +118,9 @@ def test_a_kill_between_two_commits_leaves_no_half(lab: LabThread, tmp_path: Pat
         refused = http.post("/stations/declare", json={"stations": full, "by": "ada"})
         assert refused.status_code == 409, refused.text
     wholes: list[Callable[[LabState], list[bool]]] = [
-        submitted,
+        list_submitted,
         lambda state: ["rpl" in state.lab.access, state.runs.named == 1 + len(ARMS)],
-        lambda state: ["corner" in state.lab.workcells, known(state, "corner/oven.nest")],
+        lambda state: ["corner" in state.lab.workcells, is_known(state, "corner/oven.nest")],
         lambda state: [holds(state, f"rpl/{name}.default") for name in ("hidex", "peeler")],
     ]
     assert len(parked["parking"]) == len(ARMS)
@@ -133,7 +133,7 @@ def test_a_kill_between_two_commits_leaves_no_half(lab: LabThread, tmp_path: Pat
             assert len(set(whole(state))) == 1, "a half"
 
 
-def known(state: LabState, station: str) -> bool:
+def is_known(state: LabState, station: str) -> bool:
     found = state.bench.stations.get(StationName(station))
     return found is not None and found.known
 

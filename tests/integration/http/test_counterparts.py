@@ -39,7 +39,7 @@ ENDLESS = f"{PREFIX}/events/stream"
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[LabThread]:
     cell = parse_workcell(CELL.format(name="fuzz"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="processes") as running:
         yield running
 
@@ -77,7 +77,7 @@ def test_nothing_is_answered_that_is_not_described(lab: LabThread, tmp_path: Pat
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_nor_by_an_api_process(lab: LabThread, tmp_path: Path) -> None:
-    with ApiThread(ApiSettings(Settings.of(tmp_path / "lab"))) as api:
+    with ApiThread(ApiSettings(Settings.make(tmp_path / "lab"))) as api:
         assert ask_everything(api.url, tmp_path, 1, 1, "examples,fuzzing") > 40
     expect_normal(lab, "afterwards")
 

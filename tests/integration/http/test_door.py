@@ -20,7 +20,7 @@ from labos.http import server
 from labos.node.protocol import SetupReply
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
-from labos.spec.onsite import named_on_site
+from labos.spec.onsite import list_on_site
 from labos_drivers.plc.interface import HATCH
 
 CELL = """
@@ -34,7 +34,7 @@ modules:
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 
@@ -108,7 +108,7 @@ def test_only_json_is_read(raw: httpx.Client, kind: str) -> None:
 def test_another_address_needs_users_and_tls(
     tmp_path: Path, said: dict[str, Any], wrong: str, remedy: str
 ) -> None:
-    settings = Settings.of(tmp_path / "lab", simulate=True, host="0.0.0.0", **said)
+    settings = Settings.make(tmp_path / "lab", simulate=True, host="0.0.0.0", **said)
     with pytest.raises(BadInput, match=wrong) as refused, LabThread(settings, nodes="none"):
         pass
     assert "Other computers reach 0.0.0.0" in refused.value.message or "0.0.0.0" in refused.value.message
@@ -187,7 +187,7 @@ def test_addresses_of_devices_may_be_said() -> None:
         {"source": "rtsp://10.0.0.9/1"},
         {"waste": ["wc.trash"], "speed_percent": 30},
     ):
-        assert named_on_site(config) == [], config
+        assert list_on_site(config) == [], config
 
 
 def test_what_the_lab_has_already_may_be_said_again(tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_what_the_lab_has_already_may_be_said_again(tmp_path: Path) -> None:
     file.write_text(CELL.format(name="c", more=config))
     cell = load_workcell(file, descriptions())
     with (
-        LabThread(Settings.of(tmp_path / "lab", simulate=True), [cell], nodes="none") as lab,
+        LabThread(Settings.make(tmp_path / "lab", simulate=True), [cell], nodes="none") as lab,
         httpx.Client(base_url=lab.url + API) as raw,
     ):
         same = apply(raw, file.read_text() + "  - {name: peeler, model: brooks_xpeel}\n")
@@ -228,7 +228,7 @@ def test_a_node_is_told_by_its_own_computer(tmp_path: Path) -> None:
 # -- slow and large requests -------------------------------------------------------------------------
 
 
-def connected(lab: LabThread) -> socket.socket:
+def connect(lab: LabThread) -> socket.socket:
     host, _, port = lab.url.removeprefix("http://").partition(":")
     return socket.create_connection((host, int(port)), timeout=20)
 
@@ -236,10 +236,10 @@ def connected(lab: LabThread) -> socket.socket:
 def test_a_head_that_does_not_come_is_not_waited_for(lab: LabThread, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "HEAD_S", 0.3)
     for begun in (b"", b"GET /health HTTP/1.1\r\nhost: localhost\r\nx: "):
-        with connected(lab) as slow:
+        with connect(lab) as slow:
             slow.sendall(begun)
             assert slow.recv(100) == b""
-    with connected(lab) as patient:  # also after an answered request
+    with connect(lab) as patient:  # also after an answered request
         patient.sendall(b"GET /health HTTP/1.1\r\nhost: localhost\r\n\r\n")
         assert b"200 OK" in patient.recv(4000)
         patient.sendall(b"GET /health HTT")
@@ -250,7 +250,7 @@ def test_a_head_that_does_not_come_is_not_waited_for(lab: LabThread, monkeypatch
 def test_a_body_that_does_not_come_is_not_waited_for(lab: LabThread, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labos.http.body_reader.FIRST_S", 0.3)
     head = b"POST /api/v1/estop HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
-    with connected(lab) as slow:
+    with connect(lab) as slow:
         slow.sendall(head + b'content-length: 100\r\n\r\n{"tar')
         assert b"408" in slow.recv(4000).splitlines()[0]
 
@@ -258,7 +258,7 @@ def test_a_body_that_does_not_come_is_not_waited_for(lab: LabThread, monkeypatch
 @pytest.mark.parametrize("chunked", [False, True])
 def test_a_body_counts_while_it_comes(lab: LabThread, chunked: bool) -> None:
     how = b"transfer-encoding: chunked" if chunked else b"content-length: 100000000000"
-    with connected(lab) as endless:
+    with connect(lab) as endless:
         endless.sendall(
             b"POST /api/v1/estop HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
             + how
@@ -294,8 +294,8 @@ def test_connections_have_an_end(lab: LabThread, raw: httpx.Client) -> None:
     try:
         protocol.most_connections = 5
         for _ in range(12):
-            held.append(connected(lab))
-        with connected(lab) as late:
+            held.append(connect(lab))
+        with connect(lab) as late:
             assert b"503" in late.recv(4000).splitlines()[0]
     finally:
         protocol.most_connections = before

@@ -58,7 +58,7 @@ class Lab:
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     home = tmp_path_factory.mktemp("files") / "lab"
     cell = parse_workcell(CELL, descriptions())
-    with LabThread(Settings.of(home, speed=1000.0, simulate=True, wire=True), [cell]) as running:
+    with LabThread(Settings.make(home, speed=1000.0, simulate=True, wire=True), [cell]) as running:
         found = Lab(home, running)
         yield found
         found.client.close()
@@ -82,7 +82,7 @@ def test_a_picture_and_a_table_in_one_call(lab: Lab) -> None:
     assert (image.format, image.mode, image.width) == ("PNG", "RGB", 800)
     with pytest.raises(BadInput, match=r"plate\.png is no table"):
         lab.client.table(lab.picture)
-    name = kept(lab, b"well;OD\r\nA1;0,25\r\nA2;1\r\n")
+    name = keep_file(lab, b"well;OD\r\nA1;0,25\r\nA2;1\r\n")
     assert lab.client.table(name) == [{"well": "A1", "OD": 0.25}, {"well": "A2", "OD": 1}]
     with pytest.raises(BadInput, match="is no picture"):
         lab.client.image(name)
@@ -90,7 +90,7 @@ def test_a_picture_and_a_table_in_one_call(lab: Lab) -> None:
         lab.client.table("0" * 64)
 
 
-def kept(lab: Lab, content: bytes) -> str:
+def keep_file(lab: Lab, content: bytes) -> str:
     """A file that the lab has, by its SHA-256."""
     return FolderBlobs(lab.home / "blobs").put(content)
 

@@ -33,7 +33,7 @@ FLOW = {"text": "labos: 1\nname: f\nsteps:\n  - {name: seal, module: sealer, act
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 
@@ -50,7 +50,7 @@ def raw(lab: LabThread) -> Iterator[httpx.Client]:
         yield found
 
 
-def followed(lines: Iterator[str], count: int) -> list[dict[str, Any]]:
+def read_followed(lines: Iterator[str], count: int) -> list[dict[str, Any]]:
     """The next so many events of a stream."""
     found: list[dict[str, Any]] = []
     for line in lines:
@@ -78,7 +78,7 @@ def test_what_is_followed_is_what_is_paged(raw: httpx.Client, client: LabClient)
     for _ in range(2):  # first from the log, then as it comes
         with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
             assert "text/event-stream" in stream.headers["content-type"]
-            assert [e["position"] for e in followed(stream.iter_lines(), len(paged))] == paged
+            assert [e["position"] for e in read_followed(stream.iter_lines(), len(paged))] == paged
     with raw.stream("GET", "/events/stream", params={"after": 2**63 - 1, "type": "run"}) as stream:
         assert stream.status_code == 200
 
@@ -112,10 +112,10 @@ def test_a_filter_means_the_same_everywhere(
 def test_a_follower_goes_on_where_it_was(raw: httpx.Client, client: LabClient) -> None:
     before = some_events(client)
     with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
-        first = followed(stream.iter_lines(), 3)
+        first = read_followed(stream.iter_lines(), 3)
     known = {"last-event-id": str(first[-1]["position"])}
     with raw.stream("GET", "/events/stream", params={"after": before}, headers=known) as stream:
-        (then,) = followed(stream.iter_lines(), 1)
+        (then,) = read_followed(stream.iter_lines(), 1)
     assert then["position"] == first[-1]["position"] + 1
 
 
@@ -126,7 +126,7 @@ def test_a_browser_that_comes_again_goes_on_where_it_was(raw: httpx.Client, clie
     for after in (0, before, paged[3]):
         known = {"last-event-id": str(paged[1])}
         with raw.stream("GET", "/events/stream", params={"after": after}, headers=known) as stream:
-            assert [e["position"] for e in followed(stream.iter_lines(), 2)] == paged[2:4]
+            assert [e["position"] for e in read_followed(stream.iter_lines(), 2)] == paged[2:4]
 
 
 def test_nothing_keeps_a_stream_back(raw: httpx.Client, lab: LabThread, client: LabClient) -> None:
@@ -142,7 +142,7 @@ def test_nothing_keeps_a_stream_back(raw: httpx.Client, lab: LabThread, client: 
                 assert stream.headers["content-type"] == "text/event-stream; charset=utf-8"
                 lines = stream.iter_lines()
                 assert next(lines).startswith("retry: ")
-                assert followed(lines, 1)[0]["position"] == before + 1
+                assert read_followed(lines, 1)[0]["position"] == before + 1
     finally:
         service.viewers = viewers
 
@@ -150,7 +150,7 @@ def test_nothing_keeps_a_stream_back(raw: httpx.Client, lab: LabThread, client: 
 def test_followers_outlive_their_process(lab: LabThread, raw: httpx.Client, client: LabClient) -> None:
     before = some_events(client)
     with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
-        followed(stream.iter_lines(), 1)
+        read_followed(stream.iter_lines(), 1)
         viewers = lab.runtime.service.viewers
         assert viewers is not None
         assert viewers._process is not None
@@ -159,7 +159,7 @@ def test_followers_outlive_their_process(lab: LabThread, raw: httpx.Client, clie
         os.kill(pid, signal.SIGKILL)
     until(lambda: viewers._process is None, "its end is seen")
     with raw.stream("GET", "/events/stream", params={"after": before}) as stream:
-        assert followed(stream.iter_lines(), 1)
+        assert read_followed(stream.iter_lines(), 1)
     assert client.health()["status"] == "ok"
 
 
@@ -291,7 +291,7 @@ def test_nothing_is_left_out_when_the_log_was_read_again() -> None:
         seen = [await first]
         # What was written before the kernel lost its database, and of which nobody told.
         log.records += [record(3), record(4)]
-        tail.reopened()
+        tail.on_reopened()
         grow(log, tail, 1)
         while ids(seen)[-1] < 5:
             seen.append(await anext(stream))
@@ -352,11 +352,11 @@ def test_many_who_ask_for_the_state_share_the_work() -> None:
         time.sleep(0.01)
         return str(len(worked)).encode()
 
-    async def written() -> None:
+    async def flush() -> None:
         await asyncio.sleep(0)
 
     async def go() -> None:
-        shared = Shared(work, written)
+        shared = Shared(work, flush)
         found = await asyncio.gather(*(shared.get() for _ in range(100)))
         assert set(found) == {b"1"}
         began = time.monotonic()

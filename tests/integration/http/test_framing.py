@@ -20,7 +20,7 @@ ESTOP = b"POST /api/v1/estop HTTP/1.1\r\n"
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), simulate=True)
     with LabThread(settings, nodes="none") as running:
         yield running
 
@@ -40,20 +40,20 @@ def say(lab: LabThread, *pieces: bytes) -> bytes:
     return bytes(found)
 
 
-def chunked(*more: bytes) -> bytes:
+def frame_chunks(*more: bytes) -> bytes:
     return ESTOP + JSON + b"transfer-encoding: chunked\r\n" + b"".join(more)
 
 
 AMBIGUOUS = {
-    "length and chunks": chunked(b"content-length: 6\r\n\r\n0\r\n\r\n"),
+    "length and chunks": frame_chunks(b"content-length: 6\r\n\r\n0\r\n\r\n"),
     "chunks and length": ESTOP + JSON + b"Content-Length: 6\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n",
     "two lengths": ESTOP + JSON + b"content-length: 2\r\ncontent-length: 40\r\n\r\n{}",
     "two lengths in one": ESTOP + JSON + b"content-length: 2, 40\r\n\r\n{}",
     "a length with a sign": ESTOP + JSON + b"content-length: +2\r\n\r\n{}",
     "a length in hexadecimal": ESTOP + JSON + b"content-length: 0x2\r\n\r\n{}",
-    "chunks twice": chunked(b"transfer-encoding: identity\r\n\r\n0\r\n\r\n"),
+    "chunks twice": frame_chunks(b"transfer-encoding: identity\r\n\r\n0\r\n\r\n"),
     "other chunks": ESTOP + JSON + b"transfer-encoding: xchunked\r\n\r\n0\r\n\r\n",
-    "chunks in HTTP/1.0": chunked(b"\r\n0\r\n\r\n").replace(b"HTTP/1.1", b"HTTP/1.0"),
+    "chunks in HTTP/1.0": frame_chunks(b"\r\n0\r\n\r\n").replace(b"HTTP/1.1", b"HTTP/1.0"),
     "a space before the colon": ESTOP + JSON + b"content-length : 2\r\n\r\n{}",
     "a continued header": ESTOP + JSON + b"x: a\r\n content-length: 2\r\n\r\n",
     "a continued coding": ESTOP + JSON + b"transfer-encoding:\r\n chunked\r\n\r\n0\r\n\r\n",
@@ -92,7 +92,7 @@ def test_an_ambiguous_request_is_refused_and_nothing_behind_it_is_read(
     ],
 )
 def test_chunks_that_can_be_read_in_two_ways_end_the_connection(lab: LabThread, body: bytes) -> None:
-    answer = say(lab, chunked(b"\r\n"), body + HIDDEN)
+    answer = say(lab, frame_chunks(b"\r\n"), body + HIDDEN)
     assert b"HTTP/1.1 200" not in answer, answer
 
 
@@ -126,6 +126,6 @@ def test_what_is_clear_is_answered_also_in_one_piece_and_byte_by_byte(lab: LabTh
     last = HIDDEN.replace(b"\r\n\r\n", b"\r\nconnection: close\r\n\r\n")
     assert say(lab, HIDDEN + last).count(b"HTTP/1.1 200 OK") == 2
     assert say(lab, *(last[n : n + 1] for n in range(len(last)))).count(b"HTTP/1.1 200 OK") == 1
-    pieces = (chunked(b"connection: close\r\n\r\n"), b"2;a=b\r\n{}\r\n", b"0\r\nx: a\r\n\r\n")
+    pieces = (frame_chunks(b"connection: close\r\n\r\n"), b"2;a=b\r\n{}\r\n", b"0\r\nx: a\r\n\r\n")
     assert b"HTTP/1.1 4" in (found := say(lab, *pieces))
     assert b"bad_input" in found  # the body was read: it lacks its fields

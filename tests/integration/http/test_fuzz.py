@@ -442,7 +442,7 @@ class Fuzzer:
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = parse_workcell(CELL.format(name="fuzz"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="processes") as running:
         yield running
 
@@ -517,7 +517,7 @@ def test_some_hundred_odd_requests(lab: LabThread) -> None:
 @pytest.mark.parametrize("seed", range(10, 14))
 def test_thousands_of_odd_requests(tmp_path: Path, seed: int) -> None:
     cell = parse_workcell(CELL.format(name="fuzz"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="processes") as lab:
         attack(lab, seed_of(seed), 5_000)
         expect_normal(lab, "afterwards")

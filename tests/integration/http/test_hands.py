@@ -38,7 +38,7 @@ steps:
 
 @pytest.fixture
 def settings(tmp_path: Path) -> Settings:
-    return Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+    return Settings.make(tmp_path / "lab", speed=1000.0, simulate=True)
 
 
 @pytest.fixture

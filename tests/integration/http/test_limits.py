@@ -25,7 +25,7 @@ NUMBERS = (("GET", "/events?after="), ("GET", "/events?last="), ("GET", "/runs?e
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 
@@ -37,7 +37,7 @@ def raw(lab: LabThread) -> Iterator[httpx.Client]:
         assert found.get("/health").json()["status"] == "ok"
 
 
-def refused(answer: httpx.Response, *words: str) -> None:
+def check_refused(answer: httpx.Response, *words: str) -> None:
     assert 400 <= answer.status_code < 500, answer.text[:300]
     told = answer.json()
     for word in words:
@@ -97,7 +97,7 @@ LONG = "x" * 70_000
     ],
 )
 def test_long_texts_are_refused(raw: httpx.Client, path: str, body: dict[str, Any]) -> None:
-    refused(raw.post(path, json=body), "at most")
+    check_refused(raw.post(path, json=body), "at most")
 
 
 @pytest.mark.parametrize(
@@ -116,22 +116,24 @@ def test_nobody_asks_in_the_name_of_labos_or_a_module(raw: httpx.Client, name: s
         ("/workcells", {"text": "labos: 1", "by": name}),
         ("/labware/P1/owner", {"to": f"user:{name}", "by": "ada"}),
     ):
-        refused(raw.post(path, json=body))
+        check_refused(raw.post(path, json=body))
 
 
 def test_why_is_one_line(raw: httpx.Client) -> None:
     body = {"why": "broken\nrun.completed R1", "by": "ada"}
-    refused(raw.post("/modules/sealer/out-of-service", json=body), "why", "line break")
+    check_refused(raw.post("/modules/sealer/out-of-service", json=body), "why", "line break")
 
 
 def test_headers_have_limits(raw: httpx.Client) -> None:
     body = {"name": "e", "user": "ada"}
-    refused(raw.post("/experiments", json=body, headers={"idempotency-key": "k" * 300}), "Idempotency-Key")
-    refused(raw.post("/experiments", json=body, headers={"idempotency-key": b"\xff\xfe"}), "UTF-8")
+    check_refused(
+        raw.post("/experiments", json=body, headers={"idempotency-key": "k" * 300}), "Idempotency-Key"
+    )
+    check_refused(raw.post("/experiments", json=body, headers={"idempotency-key": b"\xff\xfe"}), "UTF-8")
     started = raw.post("/experiments", json=body)
     path = f"/experiments/{started.json()['experiment']}/end"
     for name in ("labos", "rpl/pf400", "a" * 200):
-        refused(raw.post(path, json={}, headers={"labos-user": name}), "LabOS-User")
+        check_refused(raw.post(path, json={}, headers={"labos-user": name}), "LabOS-User")
     assert raw.post(path, json={}, headers={"labos-user": "Zoë".encode()}).status_code == 200
 
 
@@ -147,9 +149,9 @@ def test_an_emergency_stop_is_not_refused_for_a_name(raw: httpx.Client) -> None:
 @pytest.mark.parametrize("number", [2**63, 2**64, 10**30, "9" * 5000, "x", "1.5"])
 def test_numbers_of_queries_fit(raw: httpx.Client, number: Any) -> None:
     for method, path in NUMBERS:
-        refused(raw.request(method, f"{path}{number}"))
+        check_refused(raw.request(method, f"{path}{number}"))
     for wait in ("nan", "inf", "1e309", "x"):
-        refused(raw.get(f"/events?wait={wait}"))
+        check_refused(raw.get(f"/events?wait={wait}"))
 
 
 def test_the_end_of_the_log_can_be_asked_for(raw: httpx.Client) -> None:
@@ -158,14 +160,14 @@ def test_the_end_of_the_log_can_be_asked_for(raw: httpx.Client) -> None:
 
 
 def test_queries_have_limits(raw: httpx.Client) -> None:
-    refused(raw.get("/events?" + "&".join(f"type=t{n}" for n in range(1500))))
-    refused(raw.get("/events?" + "&".join("type=t" for _ in range(60))), "60 parameters")
-    refused(raw.get("/events", params={"mentions": "x" * 300}), "mentions")
-    refused(raw.get("/events", params={"actor": "a\x00b"}), "actor")
-    refused(raw.get("/events?actor=%ff"), "UTF-8")
-    refused(raw.get("/runs/%ff%fe"), "UTF-8")
-    refused(raw.get("/runs/R%00"), "run")
-    refused(raw.get("/runs/" + "R" * 300), "run")
+    check_refused(raw.get("/events?" + "&".join(f"type=t{n}" for n in range(1500))))
+    check_refused(raw.get("/events?" + "&".join("type=t" for _ in range(60))), "60 parameters")
+    check_refused(raw.get("/events", params={"mentions": "x" * 300}), "mentions")
+    check_refused(raw.get("/events", params={"actor": "a\x00b"}), "actor")
+    check_refused(raw.get("/events?actor=%ff"), "UTF-8")
+    check_refused(raw.get("/runs/%ff%fe"), "UTF-8")
+    check_refused(raw.get("/runs/R%00"), "run")
+    check_refused(raw.get("/runs/" + "R" * 300), "run")
 
 
 @pytest.mark.parametrize(
@@ -184,7 +186,7 @@ def test_queries_have_limits(raw: httpx.Client) -> None:
 )
 def test_broken_json_is_refused(raw: httpx.Client, raw_body: bytes) -> None:
     head = {"content-type": "application/json"}
-    refused(raw.post("/control/pause", content=raw_body, headers=head), "cannot be read")
+    check_refused(raw.post("/control/pause", content=raw_body, headers=head), "cannot be read")
 
 
 @pytest.mark.parametrize(
@@ -202,17 +204,17 @@ def test_broken_json_is_refused(raw: httpx.Client, raw_body: bytes) -> None:
 )
 def test_tables_have_limits(raw: httpx.Client, facts: dict[str, Any]) -> None:
     experiment = raw.post("/experiments", json={"name": "e", "user": "ada"}).json()["experiment"]
-    refused(
+    check_refused(
         raw.post(f"/experiments/{experiment}/notes", json={"kind": "decision", "name": "n", "facts": facts})
     )
-    refused(raw.post("/runs", json={"workflow": FLOW, "user": "ada", "payload": facts}))
+    check_refused(raw.post("/runs", json={"workflow": FLOW, "user": "ada", "payload": facts}))
     assert raw.post(f"/experiments/{experiment}/end", json={}).status_code == 200
 
 
 def test_deep_and_long_files_are_refused(raw: httpx.Client) -> None:
     for text in ("[" * 5_000, "- " * 5_000 + "1", "a:\n" + "".join(" " * n + "b:\n" for n in range(1, 400))):
-        refused(raw.post("/workcells", json={"text": text, "by": "ada"}))
-        refused(raw.post("/runs", json={"workflow": {"text": text}, "user": "ada"}))
+        check_refused(raw.post("/workcells", json={"text": text, "by": "ada"}))
+        check_refused(raw.post("/runs", json={"workflow": {"text": text}, "user": "ada"}))
 
 
 HUGE = "9" * 40
@@ -246,7 +248,7 @@ def test_numbers_of_campaigns_fit(raw: httpx.Client, more: str) -> None:
     text += "" if "rows:" in more else "\nrows: {list: [{}]}"
     for dry_run in (True, False):
         body = {"text": text, "user": "ada", "workflow": FLOW, "dry_run": dry_run}
-        refused(raw.post("/campaigns", json=body))
+        check_refused(raw.post("/campaigns", json=body))
 
 
 @pytest.mark.parametrize("field", ["when", "expect"])
@@ -254,14 +256,14 @@ def test_numbers_of_campaigns_fit(raw: httpx.Client, more: str) -> None:
 def test_numbers_of_conditions_fit(raw: httpx.Client, field: str, what: str) -> None:
     asked = what.replace("result", "steps.seal.result") if field == "when" else what
     text = FLOW["text"] + f"  - {{name: s, module: sealer, action: seal, {field}: '{asked}'}}\n"
-    refused(raw.post("/runs", json={"workflow": {"text": text}, "user": "ada"}))
+    check_refused(raw.post("/runs", json={"workflow": {"text": text}, "user": "ada"}))
 
 
 def test_a_run_is_not_put_into_somebody_elses_experiment(lab: LabThread, raw: httpx.Client) -> None:
     with LabClient(lab.url) as client:
         experiment = client.start_experiment("e", "ada")
         body = {"workflow": FLOW, "user": "eve", "experiment": experiment}
-        refused(raw.post("/runs", json=body), "ada's")
+        check_refused(raw.post("/runs", json=body), "ada's")
         run = client.submit(FLOW, user="ada", experiment=experiment)
         client.cancel(run, "ada")
         client.end_experiment(experiment)

@@ -33,7 +33,7 @@ ODD_SHEETS: dict[str, Callable[[int], str]] = {
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 
@@ -57,7 +57,7 @@ def test_a_sheet_is_read_in_linear_time(kind: str) -> None:
 def test_a_sheet_has_an_end() -> None:
     report = Report("sheet")
     assert read_sheet("well,sample\n" + "A1,x\n" * (MOST_ROWS + 1), report) == []
-    assert "Divide it." in str(report.sorted())
+    assert "Divide it." in str(report.sort_findings())
     report = Report("sheet")
     read_sheet("well,sample\n" + "??,x\n" * 30_000, report)
     assert report.errors <= MOST_FAULTS + 1

@@ -76,12 +76,12 @@ class Agent:
         return str(found.content[0].text)
 
     def tools(self) -> Any:
-        async def listed() -> Any:
+        async def list_tools() -> Any:
             async with Client(self.server) as session:
                 assert session.instructions == INSTRUCTIONS
                 return (await session.list_tools()).tools
 
-        return asyncio.run(listed())
+        return asyncio.run(list_tools())
 
 
 @pytest.fixture(scope="module")

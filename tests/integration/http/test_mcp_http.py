@@ -55,7 +55,7 @@ def lab(folder: Path) -> Iterator[LabThread]:
 
 
 @contextmanager
-def served(*words: str, **environment: str) -> Iterator[str]:
+def serve(*words: str, **environment: str) -> Iterator[str]:
     """The server as a process; its address."""
     with subprocess.Popen(
         [sys.executable, "-m", "labos", "mcp", "--http-port", "0", *words],
@@ -79,7 +79,7 @@ def url(lab: LabThread, folder: Path) -> Iterator[str]:
     """A server that finds the key of the lab's folder, and a token that would allow everything, if it looked
     for them."""
     mighty = token_of(folder, "agent", scope="admin")
-    with served("--home", str(folder / "lab"), LABOS_TOKEN=mighty) as found:
+    with serve("--home", str(folder / "lab"), LABOS_TOKEN=mighty) as found:
         yield found
 
 

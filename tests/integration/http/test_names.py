@@ -33,7 +33,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabClient]:
         parse_workcell(CELL.format(name=name, odd=odd, alias=alias), descriptions())
         for name, odd, alias in [("left", "door", "Front"), ("right", "hatch", "Back")]
     ]
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=1000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=1000.0, simulate=True)
     with LabThread(settings, cells) as lab, LabClient(lab.url) as client:
         yield client
 

@@ -17,7 +17,7 @@ from tests.integration.http.provider import (
     Issuer,
     lab_with_provider,
     running_provider,
-    signed_in_at_provider,
+    sign_in_at_provider,
 )
 from tests.integration.http.signed import execute
 
@@ -46,7 +46,7 @@ def to_the_way_back(browser: httpx.Client, name: str) -> httpx.URL:
     """Go to the provider, sign in and agree there; the address to which it sends the browser back."""
     answer = browser.get("/login/oidc")
     assert answer.status_code == 303, answer.text
-    return signed_in_at_provider(browser, answer, name, "/login/oidc/callback")
+    return sign_in_at_provider(browser, answer, name, "/login/oidc/callback")
 
 
 def sign_in(browser: httpx.Client, name: str) -> httpx.Response:
@@ -55,7 +55,7 @@ def sign_in(browser: httpx.Client, name: str) -> httpx.Response:
     return browser.get(to_the_way_back(browser, name), headers={"sec-fetch-site": "cross-site"})
 
 
-def refused(answer: httpx.Response) -> str:
+def check_refused(answer: httpx.Response) -> str:
     told: dict[str, Any] = answer.json()
     assert (answer.status_code, told["code"]) == (401, "not_signed_in"), answer.text
     assert "labos-session" not in answer.headers.get("set-cookie", "")
@@ -68,7 +68,7 @@ def whoami(browser: httpx.Client) -> dict[str, Any]:
 
 
 def test_whom_the_lab_does_not_know_it_does_not_let_in(browser: httpx.Client) -> None:
-    assert "this lab does not" in refused(sign_in(browser, "eve-heads"))
+    assert "this lab does not" in check_refused(sign_in(browser, "eve-heads"))
 
 
 def test_groups_and_roles_are_those_of_the_provider(
@@ -96,11 +96,11 @@ def test_groups_and_roles_are_those_of_the_provider(
 def test_a_way_back_is_good_once_and_for_one_browser(lab: LabThread, browser: httpx.Client) -> None:
     address = to_the_way_back(browser, "bob")
     with httpx.Client(base_url=lab.url) as another:
-        assert "another browser" in refused(another.get(address))
-    refused(browser.get(address))  # it was tried
+        assert "another browser" in check_refused(another.get(address))
+    check_refused(browser.get(address))  # it was tried
     address = to_the_way_back(browser, "bob")
     assert browser.get(address).status_code == 200
-    assert "nobody went there" in refused(browser.get(address))
+    assert "nobody went there" in check_refused(browser.get(address))
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_a_way_back_is_good_once_and_for_one_browser(lab: LabThread, browser: ht
 )
 def test_a_forged_answer_is_refused(browser: httpx.Client, change: dict[str, str], why: str) -> None:
     address = to_the_way_back(browser, "bob")
-    assert why in refused(browser.get(address.copy_merge_params(change)))
+    assert why in check_refused(browser.get(address.copy_merge_params(change)))
 
 
 @pytest.mark.parametrize(
@@ -131,12 +131,12 @@ def test_a_code_of_somebody_else_is_refused(
     assert provider is not None
     for state, pending in provider._pending.items():
         provider._pending[state] = msgspec.structs.replace(pending, **{field: "another" * 8})
-    assert why in refused(browser.get(address))
+    assert why in check_refused(browser.get(address))
 
 
 def test_a_disabled_user_stays_out(lab: LabThread, browser: httpx.Client) -> None:
     execute(lab, DisableUser("bob"), "ada")
-    assert "disabled" in refused(sign_in(browser, "bob"))
+    assert "disabled" in check_refused(sign_in(browser, "bob"))
     execute(lab, EnableUser("bob"), "ada")
 
 

@@ -26,7 +26,7 @@ from tests.integration.http.provider import (
     Issuer,
     lab_with_provider,
     running_provider,
-    signed_in_at_provider,
+    sign_in_at_provider,
 )
 
 pytestmark = pytest.mark.slow
@@ -126,7 +126,7 @@ def test_a_code_is_typed_into_a_browser_elsewhere(lab: LabThread, shell: Shell) 
         code = line_with(process, "Its code is").removeprefix("Its code is ").partition(";")[0]
         assert code in address
         with httpx.Client(timeout=30) as browser:
-            signed_in_at_provider(browser, browser.get(address), "bob", "")
+            sign_in_at_provider(browser, browser.get(address), "bob", "")
         said, complained = process.communicate(timeout=120)
     assert process.returncode == 0, complained
     assert "You are bob" in said
@@ -137,7 +137,7 @@ def test_an_address_is_pasted(lab: LabThread, shell: Shell) -> None:
     with shell.start("login", lab.url, "--code") as process:
         address = line_with(process, "http")
         with httpx.Client(timeout=30) as browser:
-            back = signed_in_at_provider(browser, browser.get(address), "bob", "/login/")
+            back = sign_in_at_provider(browser, browser.get(address), "bob", "/login/")
         said, complained = process.communicate(f"{back}\n", timeout=120)
     assert process.returncode == 0, complained
     assert "You are bob" in said
@@ -160,13 +160,13 @@ def way_back(client: LabClient, name: str = "bob", port: int = 9) -> tuple[dict[
     """A sign-in that has begun, and what the provider's page sends with the browser."""
     begun = client.begin_sign_in(port)
     with httpx.Client(timeout=30) as browser:
-        back = signed_in_at_provider(browser, browser.get(begun["address"]), name, "/login/")
+        back = sign_in_at_provider(browser, browser.get(begun["address"]), name, "/login/")
     sent = dict(back.params)
     assert sent.pop("state") == begun["state"]
     return begun, {name: text for name, text in sent.items() if name in ("code", "iss")}
 
 
-def refused(client: LabClient, state: str, key: str, sent: dict[str, Any]) -> str:
+def check_refused(client: LabClient, state: str, key: str, sent: dict[str, Any]) -> str:
     with pytest.raises(NotSignedIn) as told:
         client.finish_sign_in(state, key, **sent)
     return str(told.value)
@@ -175,20 +175,20 @@ def refused(client: LabClient, state: str, key: str, sent: dict[str, Any]) -> st
 def test_a_code_is_good_once(anybody: LabClient) -> None:
     begun, sent = way_back(anybody)
     assert anybody.finish_sign_in(begun["state"], begun["key"], **sent)["user"] == "bob"  # type: ignore[arg-type]
-    assert "nobody went there" in refused(anybody, begun["state"], begun["key"], sent)
+    assert "nobody went there" in check_refused(anybody, begun["state"], begun["key"], sent)
     # The provider does not take it again either, for another sign-in.
     other = anybody.begin_sign_in(9)
-    assert "invalid_grant" in refused(anybody, other["state"], other["key"], sent)
+    assert "invalid_grant" in check_refused(anybody, other["state"], other["key"], sent)
 
 
 def test_a_code_that_was_caught_is_good_for_nobody_else(anybody: LabClient) -> None:
     """Another program of the computer has seen the address to which the browser was sent."""
     begun, sent = way_back(anybody)
-    assert "another browser" in refused(anybody, begun["state"], "x" * 43, sent)
+    assert "another browser" in check_refused(anybody, begun["state"], "x" * 43, sent)
     begun, sent = way_back(anybody)
     thief = anybody.begin_sign_in(9)  # PKCE: the code belongs to another verifier
-    assert "invalid_grant" in refused(anybody, thief["state"], thief["key"], sent)
-    assert "nobody went there" in refused(anybody, "x", begun["key"], sent)
+    assert "invalid_grant" in check_refused(anybody, thief["state"], thief["key"], sent)
+    assert "nobody went there" in check_refused(anybody, "x", begun["key"], sent)
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_a_code_that_was_caught_is_good_for_nobody_else(anybody: LabClient) -> N
 )
 def test_a_forged_answer_is_refused(anybody: LabClient, change: dict[str, str], why: str) -> None:
     begun, sent = way_back(anybody)
-    assert why in refused(anybody, begun["state"], begun["key"], sent | change)
+    assert why in check_refused(anybody, begun["state"], begun["key"], sent | change)
 
 
 def test_a_browsers_sign_in_and_a_command_lines_are_no_other(
@@ -212,10 +212,10 @@ def test_a_browsers_sign_in_and_a_command_lines_are_no_other(
     """What was begun for a cookie gives no token, and the other way round."""
     with httpx.Client(base_url=lab.url, timeout=30) as browser:
         answer = browser.get("/login/oidc")
-        back = signed_in_at_provider(browser, answer, "bob", "/login/oidc/callback")
+        back = sign_in_at_provider(browser, answer, "bob", "/login/oidc/callback")
         sent, cookie = dict(back.params), browser.cookies["labos-way-back"]
         asked = {name: sent[name] for name in ("code", "iss")}
-        assert "somebody else" in refused(anybody, sent["state"], cookie, asked)
+        assert "somebody else" in check_refused(anybody, sent["state"], cookie, asked)
         begun, asked = way_back(anybody)
         browser.cookies.set("labos-way-back", begun["key"], domain="127.0.0.1")
         answer = browser.get("/login/oidc/callback", params={"state": begun["state"], **asked})
@@ -228,12 +228,12 @@ def test_a_device_is_asked_for_no_faster_than_the_provider_says(lab: LabThread, 
     found = anybody.finish_sign_in(begun["state"], begun["key"])
     assert 0 < found["wait_s"] <= begun["wait_s"]
     assert (found["user"], found["token"]) == ("", "")
-    assert "another command line" in refused(anybody, begun["state"], "x" * 43, {})
+    assert "another command line" in check_refused(anybody, begun["state"], "x" * 43, {})
     command_line = lab.runtime.gate.command_line
     assert command_line is not None
     command_line._devices[begun["state"]].until = 0.0
-    assert "nobody has typed" in refused(anybody, begun["state"], begun["key"], {})
-    assert "nobody went there" in refused(anybody, begun["state"], begun["key"], {})
+    assert "nobody has typed" in check_refused(anybody, begun["state"], begun["key"], {})
+    assert "nobody went there" in check_refused(anybody, begun["state"], begun["key"], {})
 
 
 # -- what is tried at the command line ----------------------------------------------------------------

@@ -55,7 +55,7 @@ def lab_with_people(tmp_path: Path, scene: Callable[[LabRuntime], Awaitable[None
     service account that submits."""
 
     async def play() -> None:
-        settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+        settings = Settings.make(tmp_path / "lab", speed=1000.0, simulate=True)
         cell = parse_workcell(CELL, descriptions())
         async with open_lab(settings, workcells=[cell]) as lab:
             people: dict[str, Role] = {"ada": "submitter", "bo": "submitter", "olga": "operator"}
@@ -161,13 +161,13 @@ def test_a_second_person_approves_what_is_dangerous(tmp_path: Path) -> None:
     async def scene(lab: LabRuntime) -> None:
         service, asked = lab.service, lab.kernel.state.interventions
         run, _ = await service.submit(BURN, {}, user="olga")
-        (question,) = asked.of_run(run)
+        (question,) = asked.find_by_run(run)
         with pytest.raises(Refused, match="second person"):
             await service.resolve(question.id, "approve", "olga", "", None)
         with pytest.raises(Forbidden):
             await service.resolve(question.id, "approve", "ada", "", None)
         await service.resolve(question.id, "approve", "root-1", "", None)
-        assert not asked.of_run(run)
+        assert not asked.find_by_run(run)
         assert [r.head.actor for r in lab.store.read() if r.head.type == "run.approved"] == ["root-1"]
 
     lab_with_people(tmp_path, scene)
@@ -190,7 +190,7 @@ def test_a_lab_with_users_starts_again(tmp_path: Path) -> None:
     lab_with_people(tmp_path, scene)
 
     async def again() -> None:
-        settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+        settings = Settings.make(tmp_path / "lab", speed=1000.0, simulate=True)
         changed = parse_workcell(CELL.replace("duration: 2", "duration: 3"), descriptions())
         async with open_lab(settings, workcells=[changed]) as lab:
             assert list(lab.kernel.state.users.known) == ["root-1", "ada", "bo", "olga", "vic", "robot"]

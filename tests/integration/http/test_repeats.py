@@ -34,7 +34,7 @@ LOAD = {"station": "hidex.default", "labware": "plate96", "by": "ada"}
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 
@@ -45,7 +45,7 @@ def raw(lab: LabThread) -> Iterator[httpx.Client]:
         yield found
 
 
-def keyed(key: str) -> dict[str, str]:
+def make_key_header(key: str) -> dict[str, str]:
     return {"idempotency-key": key}
 
 
@@ -59,9 +59,9 @@ def stock(raw: httpx.Client, station: str) -> int:
 
 
 def test_the_same_request_is_carried_out_once(raw: httpx.Client) -> None:
-    first = raw.post("/stations/load", json=LOAD, headers=keyed("load"))
+    first = raw.post("/stations/load", json=LOAD, headers=make_key_header("load"))
     after = position(raw)
-    again = [raw.post("/stations/load", json=LOAD, headers=keyed("load")) for _ in range(3)]
+    again = [raw.post("/stations/load", json=LOAD, headers=make_key_header("load")) for _ in range(3)]
     assert first.status_code == 201
     assert {(found.status_code, found.content) for found in again} == {(201, first.content)}
     assert position(raw) == after
@@ -75,7 +75,7 @@ def test_requests_that_cross_are_one(raw: httpx.Client, lab: LabThread) -> None:
 
     def send() -> None:
         with httpx.Client(base_url=lab.url + API, timeout=30) as own:
-            found.append(own.post("/stations/unload", json=body, headers=keyed("crossing")).content)
+            found.append(own.post("/stations/unload", json=body, headers=make_key_header("crossing")).content)
 
     threads = [threading.Thread(target=send) for _ in range(6)]
     for thread in threads:
@@ -96,8 +96,8 @@ def test_requests_that_cross_are_one(raw: httpx.Client, lab: LabThread) -> None:
     ],
 )
 def test_a_key_belongs_to_one_request(raw: httpx.Client, path: str, body: dict[str, Any]) -> None:
-    raw.post("/control/pause", json={"target": "lab", "by": "ada"}, headers=keyed("mine"))
-    answer = raw.post(path, json=body, headers=keyed("mine"))
+    raw.post("/control/pause", json={"target": "lab", "by": "ada"}, headers=make_key_header("mine"))
+    answer = raw.post(path, json=body, headers=make_key_header("mine"))
     assert (answer.status_code, answer.json()["code"]) == (409, "key_reused")
     assert "mine" in answer.json()["detail"]
     raw.post("/control/resume", json={"target": "lab", "by": "ada"})
@@ -106,24 +106,24 @@ def test_a_key_belongs_to_one_request(raw: httpx.Client, path: str, body: dict[s
 def test_who_asks_belongs_to_the_request(raw: httpx.Client) -> None:
     experiment = raw.post("/experiments", json={"name": "e", "user": "ada"}).json()["experiment"]
     path, body = f"/experiments/{experiment}/notes", {"kind": "decision", "name": "n"}
-    ada = raw.post(path, json=body, headers=keyed("note") | {"labos-user": "ada"})
-    bo = raw.post(path, json=body, headers=keyed("note") | {"labos-user": "bo"})
+    ada = raw.post(path, json=body, headers=make_key_header("note") | {"labos-user": "ada"})
+    bo = raw.post(path, json=body, headers=make_key_header("note") | {"labos-user": "bo"})
     assert (ada.status_code, bo.status_code) == (201, 409)
 
 
 def test_a_refusal_is_not_kept(raw: httpx.Client) -> None:
     body = {"station": "sealer.default", "labware": "plate96", "by": "ada"}
     assert raw.post("/stations/place", json=body).status_code == 201
-    assert raw.post("/stations/place", json=body, headers=keyed("later")).status_code == 409
+    assert raw.post("/stations/place", json=body, headers=make_key_header("later")).status_code == 409
     raw.post("/stations/unload", json={"station": "sealer.default", "by": "ada"})
-    assert raw.post("/stations/place", json=body, headers=keyed("later")).status_code == 201
+    assert raw.post("/stations/place", json=body, headers=make_key_header("later")).status_code == 201
 
 
 def test_a_check_takes_no_key(raw: httpx.Client) -> None:
-    checked = raw.post("/campaigns", json=CAMPAIGN | {"dry_run": True}, headers=keyed("campaign"))
+    checked = raw.post("/campaigns", json=CAMPAIGN | {"dry_run": True}, headers=make_key_header("campaign"))
     assert (checked.status_code, checked.json()["campaign"]) == (200, "")
-    first = raw.post("/campaigns", json=CAMPAIGN, headers=keyed("campaign"))
-    again = raw.post("/campaigns", json=CAMPAIGN, headers=keyed("campaign"))
+    first = raw.post("/campaigns", json=CAMPAIGN, headers=make_key_header("campaign"))
+    again = raw.post("/campaigns", json=CAMPAIGN, headers=make_key_header("campaign"))
     assert (first.status_code, first.content) == (again.status_code, again.content)
     assert first.status_code == 201
     assert len(raw.get("/campaigns").json()["campaigns"]) == 1
@@ -131,7 +131,7 @@ def test_a_check_takes_no_key(raw: httpx.Client) -> None:
 
 def test_runs_experiments_and_campaigns_are_known_after_a_restart(tmp_path: Path) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     requests: tuple[tuple[str, dict[str, Any]], ...] = (
         ("/runs", RUN),
         ("/experiments", {"name": "e", "user": "ada"}),
@@ -140,8 +140,11 @@ def test_runs_experiments_and_campaigns_are_known_after_a_restart(tmp_path: Path
 
     def send(url: str) -> list[httpx.Response]:
         with httpx.Client(base_url=url + API, timeout=30) as raw:
-            return [raw.post(path, json=body, headers=keyed(f"key of {path}")) for path, body in requests] + [
-                raw.post(path, json={**body, "user": "bo"}, headers=keyed(f"key of {path}"))
+            return [
+                raw.post(path, json=body, headers=make_key_header(f"key of {path}"))
+                for path, body in requests
+            ] + [
+                raw.post(path, json={**body, "user": "bo"}, headers=make_key_header(f"key of {path}"))
                 for path, body in requests
             ]
 
@@ -295,14 +298,14 @@ AFTERWARDS: tuple[tuple[str, dict[str, Any], int], ...] = (
 def ask_all(url: str) -> list[httpx.Response]:
     with httpx.Client(base_url=url + API, timeout=60, headers={"labos-user": "ada"}) as raw:
         return [
-            raw.post(path, json=body, headers=keyed(f"key {number}"))
+            raw.post(path, json=body, headers=make_key_header(f"key {number}"))
             for number, (path, body, _) in enumerate(AFTERWARDS)
         ]
 
 
 def test_a_repetition_has_the_first_answer_after_a_restart_too(tmp_path: Path) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as lab, LabClient(lab.url) as client:
         assert client.start_experiment("e", "ada") == "E1"
         first = ask_all(lab.url)
@@ -320,11 +323,11 @@ def test_a_repetition_has_the_first_answer_after_a_restart_too(tmp_path: Path) -
 
 def test_an_emergency_stop_has_its_first_answer_after_a_restart_too(tmp_path: Path) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
 
     def stop(url: str, key: str = "stop", target: str = "sealer") -> httpx.Response:
         with httpx.Client(base_url=url + API, timeout=60) as raw:
-            return raw.post("/estop", json={"target": target, "by": "ada"}, headers=keyed(key))
+            return raw.post("/estop", json={"target": target, "by": "ada"}, headers=make_key_header(key))
 
     with LabThread(settings, [cell], nodes="none") as lab:
         first = stop(lab.url)
@@ -346,12 +349,12 @@ def test_an_emergency_stop_has_its_first_answer_after_a_restart_too(tmp_path: Pa
 
 def test_another_request_with_a_key_is_refused_after_a_restart_too(tmp_path: Path) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     path, body, _ = AFTERWARDS[0]
 
     def send(url: str, **more: Any) -> httpx.Response:
         with httpx.Client(base_url=url + API, timeout=30) as raw:
-            return raw.post(path, json=body | more, headers=keyed("mine"))
+            return raw.post(path, json=body | more, headers=make_key_header("mine"))
 
     with LabThread(settings, [cell], nodes="none") as lab:
         assert send(lab.url).status_code == 201

@@ -23,7 +23,7 @@ from labos.settings import TOKEN, URL, Settings
 from labos.spec import find_spec, load_workcell
 from labos.store import open_store
 from tests.integration.http.signed import PASSWORDS, lab_with_users, token_of
-from tests.integration.trust.conftest import chained_anew
+from tests.integration.trust.conftest import chain_anew
 from tests.unit.services.logbook import save
 
 
@@ -49,7 +49,7 @@ def client(lab: LabThread, folder: Path, user: str, monkeypatch: pytest.MonkeyPa
     return LabClient(lab.url)
 
 
-def ended_run(bob: LabClient) -> str:
+def end_run(bob: LabClient) -> str:
     run = bob.submit("pcr", user="bob")
     bob.cancel(run, "bob")
     return run
@@ -59,7 +59,7 @@ def test_a_signature_names_who_when_and_what_for(
     lab: LabThread, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with client(lab, folder, "bob", monkeypatch) as bob:
-        run = ended_run(bob)
+        run = end_run(bob)
         authored = bob.sign_run(run, "authored", PASSWORDS["bob"])
         assert (authored["by"], authored["meaning"], authored["holds"]) == ("bob", "authored", True)
         assert bob.sign_run(run, "authored", PASSWORDS["bob"]) == authored, "twice is once"
@@ -74,7 +74,7 @@ def test_nobody_signs_without_their_own_password(
     lab: LabThread, folder: Path, password: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with client(lab, folder, "bob", monkeypatch) as bob:
-        run = ended_run(bob)
+        run = end_run(bob)
         with pytest.raises(Forbidden, match="Nothing was signed"):
             bob.sign_run(run, "approved", password)
         assert bob.signatures(run) == []
@@ -82,7 +82,7 @@ def test_nobody_signs_without_their_own_password(
 
 def test_guessing_is_slowed_down(lab: LabThread, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with client(lab, folder, "bob", monkeypatch) as bob:
-        run = ended_run(bob)
+        run = end_run(bob)
         refusals = []
         for _ in range(10):
             with pytest.raises(LabosError) as refused:
@@ -117,7 +117,7 @@ def test_the_command_asks_for_the_password_and_shows_signatures(
     lab: LabThread, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with client(lab, folder, "bob", monkeypatch) as bob:
-        run = ended_run(bob)
+        run = end_run(bob)
     monkeypatch.setenv(URL, lab.url)
 
     def ask(*words: str, given: str = "") -> tuple[int, str]:
@@ -139,7 +139,7 @@ def test_the_command_asks_for_the_password_and_shows_signatures(
 def test_a_lab_without_users_does_not_know_who_signs(tmp_path: Path) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
     with (
-        LabThread(Settings.of(tmp_path / "open", simulate=True), [cell], nodes="none") as lab,
+        LabThread(Settings.make(tmp_path / "open", simulate=True), [cell], nodes="none") as lab,
         LabClient(lab.url) as anybody,
     ):
         run = anybody.submit("pcr", user="ada")
@@ -153,7 +153,7 @@ def test_a_bundle_carries_signatures_and_the_log_is_checked_against_them(
 ) -> None:
     home = tmp_path / "lab"
     with lab_with_users(tmp_path) as lab, client(lab, tmp_path, "bob", monkeypatch) as bob:
-        first, second = ended_run(bob), ended_run(bob)
+        first, second = end_run(bob), end_run(bob)
         bob.sign_run(first, "authored", PASSWORDS["bob"])
     monkeypatch.delenv(TOKEN)
 
@@ -201,7 +201,7 @@ def test_a_bundle_carries_signatures_and_the_log_is_checked_against_them(
     changed = msgspec.structs.replace(records[at].head, actor="mallory")
     records[at] = msgspec.structs.replace(records[at], head=changed)
     (tmp_path / "anew").mkdir()
-    save(chained_anew(records), tmp_path / "anew")
+    save(chain_anew(records), tmp_path / "anew")
     store = open_store(f"sqlite:///{tmp_path / 'anew' / 'labos.db'}", create=False, read_only=True)
     part = check_signatures(store)
     store.close()

@@ -23,7 +23,7 @@ from labos.services.signatures import check_signatures
 from labos.settings import TOKEN, URL
 from labos.store import open_store
 from tests.integration.http.signed import PASSWORDS, lab_with_users, token_of
-from tests.integration.trust.conftest import chained_anew
+from tests.integration.trust.conftest import chain_anew
 from tests.unit.services.logbook import save
 
 SEAL = "labos: 1\nname: seal\nsteps:\n  - {name: seal it, module: sealer, action: seal}\n"
@@ -70,7 +70,7 @@ def run_in(bob: LabClient, experiment: str = "") -> str:
     return bob.submit({"text": SEAL, "name": "seal.yaml"}, user="bob", experiment=experiment)
 
 
-def ended_experiment(bob: LabClient, runs: int) -> str:
+def end_experiment(bob: LabClient, runs: int) -> str:
     experiment = bob.start_experiment("app", "bob")
     for _ in range(runs):
         bob.cancel(run_in(bob, experiment), "bob")
@@ -84,7 +84,7 @@ def open_campaign(bob: LabClient) -> str:
     return str(bob.submit_campaign(told, user="bob")["campaign"])
 
 
-def ended_campaign(bob: LabClient) -> str:
+def end_campaign(bob: LabClient) -> str:
     campaign = open_campaign(bob)
     bob.cancel_campaign(campaign, "bob")
     until_ended(bob, campaign, "campaign.completed")
@@ -100,7 +100,7 @@ def until_ended(bob: LabClient, name: str, kind: str) -> None:
 
 
 def test_an_experiment_is_signed_with_all_its_runs(bob: LabClient) -> None:
-    experiment = ended_experiment(bob, 2)
+    experiment = end_experiment(bob, 2)
     found = bob.sign_experiment(experiment, "reviewed", PASSWORDS["bob"], why="all of it")
     assert (found["subject"], found["kind"], found["run"]) == (experiment, "experiment", "")
     assert (found["by"], found["meaning"], found["runs"], found["holds"]) == ("bob", "reviewed", 2, True)
@@ -113,12 +113,12 @@ def test_an_experiment_is_signed_with_all_its_runs(bob: LabClient) -> None:
 
 
 def test_a_campaign_is_signed_with_all_its_runs(bob: LabClient) -> None:
-    campaign = ended_campaign(bob)
+    campaign = end_campaign(bob)
     found = bob.sign_campaign(campaign, "approved", PASSWORDS["bob"])
     submitted = [e for e in bob.events(type="run.submitted") if e["payload"].get("campaign") == campaign]
     assert (found["kind"], found["runs"], found["holds"]) == ("campaign", len(submitted), True)
     assert bob.campaign_signatures(campaign) == [found]
-    assert bob.campaign_signatures(ended_campaign(bob)) == []
+    assert bob.campaign_signatures(end_campaign(bob)) == []
 
 
 def test_what_has_not_ended_or_is_something_else_is_not_signed(lab: LabThread, bob: LabClient) -> None:
@@ -149,7 +149,7 @@ def test_what_has_not_ended_or_is_something_else_is_not_signed(lab: LabThread, b
 
 
 def test_a_program_does_not_sign(lab: LabThread, folder: Path, bob: LabClient) -> None:
-    experiment = ended_experiment(bob, 0)
+    experiment = end_experiment(bob, 0)
     with LabClient(lab.url, token=token_of(folder, "agent")) as agent, pytest.raises(Forbidden):
         agent.sign_experiment(experiment, "approved", PASSWORDS["bob"])
 
@@ -161,7 +161,7 @@ def test_the_command_knows_what_it_signs(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    experiment, campaign = ended_experiment(bob, 1), ended_campaign(bob)
+    experiment, campaign = end_experiment(bob, 1), end_campaign(bob)
     monkeypatch.setenv(TOKEN, token_of(folder, "bob"))
     monkeypatch.setenv(URL, lab.url)
 
@@ -187,12 +187,12 @@ def test_the_command_knows_what_it_signs(
 def signed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Signed:
     monkeypatch.delenv(TOKEN, raising=False)
     with lab_with_users(tmp_path) as lab, LabClient(lab.url, token=token_of(tmp_path, "bob")) as bob:
-        assert ended_experiment(bob, 2) == "E1"
-        assert ended_campaign(bob) == "C1"
+        assert end_experiment(bob, 2) == "E1"
+        assert end_campaign(bob) == "C1"
         bob.sign_experiment("E1", "authored", PASSWORDS["bob"])
         bob.sign_campaign("C1", "reviewed", PASSWORDS["bob"])
         bob.sign_run("R1", "reviewed", PASSWORDS["bob"])
-        ended_experiment(bob, 1)
+        end_experiment(bob, 1)
 
     def ask(*words: str) -> tuple[int, str]:
         code = main([*words, "--home", str(tmp_path / "lab")])
@@ -315,7 +315,7 @@ def test_a_log_written_anew_under_a_signature(signed: Signed) -> None:
     changed = msgspec.structs.replace(records[at].head, actor="mallory")
     records[at] = msgspec.structs.replace(records[at], head=changed)
     (signed.folder / "anew").mkdir()
-    save(chained_anew(records), signed.folder / "anew")
+    save(chain_anew(records), signed.folder / "anew")
     store = open_store(f"sqlite:///{signed.folder / 'anew' / 'labos.db'}", create=False, read_only=True)
     part = check_signatures(store)
     store.close()

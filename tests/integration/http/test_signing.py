@@ -58,7 +58,7 @@ def path_of(operation: Operation) -> str:
 
 
 @contextmanager
-def signed_in(lab: LabThread, user: str = "ada") -> Iterator[httpx.Client]:
+def sign_in(lab: LabThread, user: str = "ada") -> Iterator[httpx.Client]:
     """A browser of somebody who has signed in."""
     with client_of(lab, origin=lab.url) as browser:
         answer = browser.post("/login", json={"user": user, "password": PASSWORDS[user]})
@@ -112,7 +112,7 @@ def test_what_is_no_token_is_refused(lab: LabThread, shown: str) -> None:
 
 
 def test_a_session_is_no_token_and_a_token_no_cookie(lab: LabThread, folder: Path) -> None:
-    with signed_in(lab) as browser:
+    with sign_in(lab) as browser:
         cookie = browser.cookies["labos-session"]
     with client_of(lab, cookie) as program:
         is_problem(program.get("/state"), 401, "not_signed_in")
@@ -175,7 +175,7 @@ def test_a_token_makes_none_that_is_better(lab: LabThread, folder: Path) -> None
 
 def test_only_digests_are_kept(lab: LabThread, folder: Path) -> None:
     token = token_of(folder, "bob")
-    with signed_in(lab) as browser:
+    with sign_in(lab) as browser:
         cookie = browser.cookies["labos-session"]
     with sqlite3.connect(folder / "lab" / "labos.db") as database:
         dump = "\n".join(database.iterdump())
@@ -189,7 +189,7 @@ def test_only_digests_are_kept(lab: LabThread, folder: Path) -> None:
 
 
 def test_wrong_passwords_are_refused_alike_and_counted(lab: LabThread) -> None:
-    before = refused(lab, "wrong")
+    before = count_refused(lab, "wrong")
     with client_of(lab) as stranger:
         told = [
             is_problem(stranger.post("/login", json=body), 401, "not_signed_in")["detail"]
@@ -200,10 +200,10 @@ def test_wrong_passwords_are_refused_alike_and_counted(lab: LabThread) -> None:
             )
         ]
     assert len(set(told)) == 1
-    assert refused(lab, "wrong") == before + 3
+    assert count_refused(lab, "wrong") == before + 3
 
 
-def refused(lab: LabThread, outcome: str) -> float:
+def count_refused(lab: LabThread, outcome: str) -> float:
     return float(lab.runtime.metrics.all.signing.tries.value((outcome,)))
 
 
@@ -246,7 +246,7 @@ def test_tries_are_counted_for_a_minute() -> None:
 
 @pytest.mark.slow
 def test_a_password_is_changed_by_who_knows_it(lab: LabThread, folder: Path) -> None:
-    with signed_in(lab, "bob") as browser, client_of(lab, token_of(folder, "bob")) as program:
+    with sign_in(lab, "bob") as browser, client_of(lab, token_of(folder, "bob")) as program:
         path, new = "/users/bob/password", {"password": "another four words", "present": "wrong"}
         is_problem(browser.post(path, json=new), 403, "forbidden")
         is_problem(browser.post("/users/ada/password", json=new), 403, "forbidden")
@@ -277,7 +277,7 @@ def test_a_cookie_is_kept_from_scripts_and_from_other_sites(lab: LabThread) -> N
 
 
 def test_a_cookie_is_good_for_own_pages_only(lab: LabThread) -> None:
-    with signed_in(lab) as browser:
+    with sign_in(lab) as browser:
         assert browser.get("/whoami").json()["how"] == "session"
         assert browser.post("/tokens", json={}).status_code == 201
         del browser.headers["origin"]
@@ -313,7 +313,7 @@ def test_a_session_is_never_one_that_somebody_else_chose(lab: LabThread) -> None
 
 
 def test_who_has_signed_out_is_out(lab: LabThread) -> None:
-    with signed_in(lab) as browser:
+    with sign_in(lab) as browser:
         cookie = browser.cookies["labos-session"]
         assert browser.post("/logout", json={}).status_code == 200
         assert "labos-session" not in browser.cookies
@@ -350,7 +350,7 @@ def test_a_stream_ends_with_what_opened_it(lab: LabThread, folder: Path, handed_
     if not handed_over:
         lab.runtime.service.viewers = None
     try:
-        with signed_in(lab, "bob") as browser, client_of(lab, token_of(folder, "bob")) as program:
+        with sign_in(lab, "bob") as browser, client_of(lab, token_of(folder, "bob")) as program:
             by_cookie, by_token = Following(browser), Following(program)
             assert by_cookie.began.wait(20)
             assert by_token.began.wait(20)
@@ -471,7 +471,7 @@ def test_whoever_is_erased_is_gone_and_events_remain(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_first_user_is_added_by_the_owner_of_the_folder(tmp_path: Path) -> None:
-    with LabThread(Settings.of(tmp_path / "lab", simulate=True), nodes="none") as lab:
+    with LabThread(Settings.make(tmp_path / "lab", simulate=True), nodes="none") as lab:
         with client_of(lab) as anybody:
             body = {"user": "eve", "by": "eve"}
             assert (
@@ -484,14 +484,14 @@ def test_the_first_user_is_added_by_the_owner_of_the_folder(tmp_path: Path) -> N
     password = tmp_path / "password"
     password.write_text("four words of hers\n")
     first = {"first_user": "ada", "first_password": str(password)}
-    with LabThread(Settings.of(tmp_path / "lab", **first), nodes="none") as lab, client_of(lab) as ada:
+    with LabThread(Settings.make(tmp_path / "lab", **first), nodes="none") as lab, client_of(lab) as ada:
         body = {"user": "ada", "password": "four words of hers"}
         assert ada.post("/login", json=body).status_code == 200
 
 
 def test_without_users_everybody_is_who_they_say(tmp_path: Path) -> None:
     with (
-        LabThread(Settings.of(tmp_path / "lab", simulate=True), nodes="none") as lab,
+        LabThread(Settings.make(tmp_path / "lab", simulate=True), nodes="none") as lab,
         client_of(lab) as anybody,
     ):
         assert anybody.get("/whoami").json()["how"] == "open"

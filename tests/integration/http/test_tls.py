@@ -62,7 +62,7 @@ def lab(folder: Path) -> Iterator[LabThread]:
     with lab_with_users(folder):
         pass
     tls = {"tls_certificate": str(certificate), "tls_key": str(key), "names": ("lab.example.org",)}
-    settings = Settings.of(folder / "lab", host="0.0.0.0", open_to_network=True, **tls)
+    settings = Settings.make(folder / "lab", host="0.0.0.0", open_to_network=True, **tls)
     with LabThread(settings, nodes="none") as running:
         yield running
 
@@ -113,7 +113,7 @@ def test_plain_http_is_not_understood(lab: LabThread) -> None:
 def test_files_that_are_no_certificate_are_named(tmp_path: Path) -> None:
     for name in ("a.pem", "a.key"):
         (tmp_path / name).write_text("nothing")
-    settings = Settings.of(
+    settings = Settings.make(
         tmp_path / "lab",
         simulate=True,
         tls_certificate=str(tmp_path / "a.pem"),

@@ -227,7 +227,7 @@ def test_an_open_lab_hides_nothing(tmp_path: Path) -> None:
     from labos.spec import find_spec, load_workcell
 
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path / "lab", speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as lab, LabClient(lab.url) as client:
         text = "labos: 1\ncampaign: c\nworkflow: s\nvisibility: private\nrows: {list: [{time: 1}]}\n"
         told = {"text": text, "name": "c.yaml", "workflow": {"text": SEAL, "name": "s"}}

@@ -31,7 +31,7 @@ MISSED = "'Open again' within 20 s of the end of 'Open': can be missed by 2 s, i
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabClient]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as lab, LabClient(lab.url) as found:
         yield found
 

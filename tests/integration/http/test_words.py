@@ -46,7 +46,7 @@ pytestmark = pytest.mark.slow
 @contextmanager
 def a_lab(tmp_path: Path) -> Iterator[LabClient]:
     """The lab in the folder `lab`, without nodes."""
-    settings = Settings.of(tmp_path / "lab", speed=1000.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=1000.0, simulate=True)
     cells = [parse_workcell(CELL, descriptions())]
     with LabThread(settings, cells, nodes="none") as lab, LabClient(lab.url) as client:
         yield client
@@ -141,14 +141,14 @@ def test_bundles_checkpoints_and_verify_hold_before_and_after_an_erasure(tmp_pat
         verified = say("verify", "--home", home)
         assert "0 are those that were written, 1 were erased" in verified
     key = ("--public-key", str(public))
-    assert SECRET.encode() in unpacked(bundle)
+    assert SECRET.encode() in unpack(bundle)
     assert "1 of 1 texts of people are there" in say("verify", "--bundle", str(bundle), *key)
     for each in (later, bare):
-        assert SECRET.encode() not in unpacked(each)
+        assert SECRET.encode() not in unpack(each)
         assert "1 were erased or left out" in say("verify", "--bundle", str(each), *key)
 
 
-def unpacked(path: Path) -> bytes:
+def unpack(path: Path) -> bytes:
     with zipfile.ZipFile(path) as archive:
         return b"".join(archive.read(name) for name in archive.namelist())
 

@@ -20,7 +20,7 @@ from tests.unit.telemetry.test_series import read
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("lab"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as running:
         yield running
 
@@ -93,7 +93,7 @@ def test_interventions_by_people_are_counted_from_the_logs_beginning(lab: LabThr
 
 def test_a_restarted_kernel_measures_the_past(lab: LabThread, tmp_path_factory: Any) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(tmp_path_factory.mktemp("again"), speed=5000.0, simulate=True)
+    settings = Settings.make(tmp_path_factory.mktemp("again"), speed=5000.0, simulate=True)
     with LabThread(settings, [cell], nodes="none") as first, LabClient(first.url) as client:
         client.submit("pcr", user="ada")
         client.take_out("sealer", "broken", "ada")

@@ -132,6 +132,6 @@ def test_an_address_that_is_none_is_refused_and_leaves_nothing_behind(
 @contextmanager
 def running(folder: Path, otlp: str) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
-    settings = Settings.of(folder / "lab", speed=5000.0, simulate=True, otlp=otlp)
+    settings = Settings.make(folder / "lab", speed=5000.0, simulate=True, otlp=otlp)
     with LabThread(settings, [cell], nodes="none") as lab:
         yield lab

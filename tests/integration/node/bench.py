@@ -40,7 +40,7 @@ LAB = "lab7"
 MODULE = "cell/arm"
 
 
-def nested(levels: int) -> Any:
+def nest(levels: int) -> Any:
     """A list in a list in a list."""
     value: list[Any] = []
     for _ in range(levels - 1):
@@ -169,7 +169,7 @@ class Arm(Node):
             case "surrogate":
                 return ["\ud800"]
             case "deep":
-                return nested(200)
+                return nest(200)
             case "endless":
                 endless: list[Any] = []
                 endless.append(endless)

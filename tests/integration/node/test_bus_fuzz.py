@@ -29,9 +29,9 @@ from labos.node.protocol import (
     StateReport,
 )
 from labos.node.server import NodeServer
-from tests.integration.node.bench import LAB, MODULE, Arm, Bench, nested
+from tests.integration.node.bench import LAB, MODULE, Arm, Bench, nest
 from tests.integration.node.test_node_server import Check, check
-from tests.unit.node.test_journal_fold import memory, restarted
+from tests.unit.node.test_journal_fold import memory, restart
 
 __all__ = ["check"]
 
@@ -91,7 +91,7 @@ class Fuzz:
             return operation, self.rng.choice(
                 [b"[" * 90_000, b'{"op":"start",' + b" " * MESSAGE_LIMIT, b"\xff"]
             )
-        message = self.built(operation, odd=kind == "odd")
+        message = self.build_request(operation, odd=kind == "odd")
         payload = msgspec.json.encode(message)
         if kind == "bytes":
             data = bytearray(payload)
@@ -100,7 +100,7 @@ class Fuzz:
             payload = bytes(data)
         return operation, payload
 
-    def built(self, operation: str, *, odd: bool) -> dict[str, Any]:
+    def build_request(self, operation: str, *, odd: bool) -> dict[str, Any]:
         name = self.rng.choice(ACTIONS)
         args: dict[str, Any] = {"how": self.rng.choice(HOWS)} if name == "fail" else {}
         action, attempt = f"a{self.rng.randint(1, 400)}", self.rng.randint(1, 3)
@@ -133,7 +133,7 @@ class Fuzz:
                 self.rng.choice(NUMBERS),
                 self.rng.choice(WORDS),
                 self.rng.choice([None, True, 1.5, -0.0, 1e300]),
-                nested(self.rng.choice([1, 49, 60, 400])),
+                nest(self.rng.choice([1, 49, 60, 400])),
                 {self.rng.choice(WORDS): self.rng.choice(NUMBERS)},
             ]
         )
@@ -185,7 +185,7 @@ async def works_still(here: Bench) -> None:
 async def campaign(here: Bench, seed: int, count: int) -> None:
     server = await fuzz(here, seed, count)
     await server.close()
-    kept = restarted(memory(server.journal))
+    kept = restart(memory(server.journal))
     journal = await Journal.open(FileJournalFile(here.folder / "arm.journal"), Uuid7Ids())
     assert journal.memory == kept
     await journal.close()

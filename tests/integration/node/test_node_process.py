@@ -33,7 +33,7 @@ def node_process(endpoint: str, folder: Path, *options: str) -> Iterator[subproc
             process.kill()
 
 
-async def connected(kernel: Kernel) -> None:
+async def await_connected(kernel: Kernel) -> None:
     """The node answers, and has connected its device: before that it is busy with just this."""
     await until(lambda: any(kernel.alive.values()), 10.0)
     kernel.journal = (await kernel.about()).journal
@@ -48,7 +48,7 @@ def test_a_node_process_acts_is_killed_and_remembers(tmp_path: Path) -> None:
         async with bench(tmp_path, endpoint) as here:
             kernel = here.kernel
             with node_process(endpoint, tmp_path) as process:
-                await connected(kernel)
+                await await_connected(kernel)
                 await kernel.start("a1", times=3)
                 published = await kernel.outcome("a1")
                 assert (await kernel.ask("a1")).outcome == published
@@ -60,7 +60,7 @@ def test_a_node_process_acts_is_killed_and_remembers(tmp_path: Path) -> None:
                 assert time.monotonic() - killed < 1.0
             journal = kernel.journal
             with node_process(endpoint, tmp_path) as process:
-                await connected(kernel)
+                await await_connected(kernel)
                 assert kernel.journal == journal
                 again = await kernel.ask("a1")
                 assert (again.status, again.outcome) == ("finished", published)
@@ -80,13 +80,13 @@ def test_a_reset_whose_node_is_killed_is_interrupted_and_not_repeated(tmp_path: 
         async with bench(tmp_path, endpoint) as here:
             kernel = here.kernel
             with node_process(endpoint, tmp_path, "--slow-reset") as process:
-                await connected(kernel)
+                await await_connected(kernel)
                 assert (await kernel.reset("a1")).status == "accepted"
                 await until(lambda: len(here.world.motions("reset")) == 1)
                 process.kill()
                 await until(lambda: not any(kernel.alive.values()), 2.0)
             with node_process(endpoint, tmp_path) as process:
-                await connected(kernel)
+                await await_connected(kernel)
                 assert [(o.name, o.status) for o in (await kernel.about()).open] == [("reset", "interrupted")]
                 assert (await kernel.reset("a1")).status == "interrupted"
                 assert (await kernel.ask("a1", void=True)).status == "interrupted"
@@ -110,11 +110,11 @@ async def main():
     first = max([int(a.action) for a in journal.open_attempts()], default=journal.pruned) + 1
     for n in range(first, first + 100000):
         journal.accept(str(n), 1, n, "work")
-        await journal.synced()
+        await journal.sync()
         print("accepted", n, flush=True)
         journal.end(str(n), 1, Outcome(True, "all", "x" * 50))
         journal.prune(n - 20)
-        await journal.synced()
+        await journal.sync()
         print("ended", n, flush=True)
 asyncio.run(main())
 """
@@ -132,7 +132,7 @@ def test_a_journal_whose_process_is_killed_while_it_writes(tmp_path: Path) -> No
                 verb, number = line.split()
                 if journal.is_forgotten(int(number)):
                     continue
-                attempt = journal.known(number, 1)
+                attempt = journal.find(number, 1)
                 assert attempt is not None, line
                 assert verb == "accepted" or attempt.status == "finished", line
         finally:

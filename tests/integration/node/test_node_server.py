@@ -35,7 +35,7 @@ def check(tmp_path: Path) -> Check:
     return run
 
 
-def moved(here: Bench, verb: str = "wave") -> int:
+def count_motions(here: Bench, verb: str = "wave") -> int:
     return len(here.world.motions(verb))
 
 
@@ -59,7 +59,7 @@ def test_an_action_is_accepted_carried_out_and_its_result_published(check: Check
         assert (await kernel.state()).finished == []
         assert (await kernel.ask("a1")).status == "forgotten"
         assert (await kernel.start("a1")).status == "forgotten"
-        assert moved(here, "wait") == 1
+        assert count_motions(here, "wait") == 1
 
     check(scenario)
 
@@ -94,7 +94,7 @@ def test_a_start_that_comes_twice_moves_once(check: Check) -> None:
         arm_of(server).go.set()
         await kernel.outcome("a1")
         assert (await kernel.start("a1", "wait")).status == "finished"
-        assert moved(here, "wait") == 1
+        assert count_motions(here, "wait") == 1
 
     check(scenario)
 
@@ -117,7 +117,7 @@ def test_an_earlier_attempt_that_ran_is_the_truth(check: Check) -> None:
         await kernel.acknowledge(11)
         assert (await kernel.start("a1", "wait", attempt=2)).status == "void"
         assert (await kernel.start("a1", "wait", attempt=3)).status == "void"
-        assert moved(here, "wait") == 1
+        assert count_motions(here, "wait") == 1
 
     check(scenario)
 
@@ -135,7 +135,7 @@ def test_a_voided_original_that_comes_late_is_not_carried_out(check: Check) -> N
         # Of an attempt that came before one that ran, nothing may come any more.
         assert (await kernel.ask("a1", 1, void=True)).status == "void"
         assert (await kernel.start("a1", attempt=1)).status == "void"
-        assert moved(here) == 1
+        assert count_motions(here) == 1
 
     check(scenario)
 
@@ -155,16 +155,16 @@ def test_of_a_start_and_a_voiding_question_that_cross_one_wins(check: Check, sta
         await until(lambda: file.writes > before)
         other = asyncio.create_task(kernel.bus.query(key, msgspec.json.encode(second), 5))
         await until(lambda: len(server._bus._answering) == 2)  # type: ignore[attr-defined]
-        assert moved(here) == 0
+        assert count_motions(here) == 0
         file.gate.set()
         statuses = [msgspec.json.decode(await reply)["status"] for reply in (one, other)]
         if start_first:
             assert statuses == ["finished", "finished"]
-            assert moved(here) == 1
+            assert count_motions(here) == 1
         else:
             assert statuses == ["void", "void"]
             assert (await kernel.state()).running == []
-            assert moved(here) == 0
+            assert count_motions(here) == 0
 
     check(scenario)
 
@@ -197,7 +197,7 @@ def test_a_blocking_driver_stops_neither_heartbeats_nor_answers(check: Check) ->
         server = await here.node(heartbeat_s=0.01)
         kernel = here.kernel
         await kernel.start("a1", "block")
-        await until(lambda: moved(here, "block") == 1)
+        await until(lambda: count_motions(here, "block") == 1)
         heard = len(kernel.states)
         await until(lambda: len(kernel.states) > heard + 5)
         assert kernel.states[-1].status == "BUSY"
@@ -350,7 +350,7 @@ def test_what_ran_when_the_node_died_is_interrupted_and_never_runs_again(check: 
         await kernel.start("a1")
         await kernel.outcome("a1")
         await kernel.start("a2", "wait")
-        await until(lambda: moved(here, "wait") == 1)
+        await until(lambda: count_motions(here, "wait") == 1)
         await server.close()
         arms: list[Arm] = []
 
@@ -373,7 +373,7 @@ def test_what_ran_when_the_node_died_is_interrupted_and_never_runs_again(check: 
         assert (await kernel.ask("a2")).status == "interrupted"
         assert (await kernel.start("a2", "wait")).status == "interrupted"
         assert (await kernel.start("a2", "wait", attempt=2)).status == "refused"
-        assert moved(here, "wait") == 1
+        assert count_motions(here, "wait") == 1
         assert (await kernel.acknowledge(22)).status == "done"
         assert (await kernel.about()).open == []
 
@@ -453,7 +453,7 @@ def test_a_journal_that_cannot_be_written_moves_nothing(check: Check) -> None:
         assert (await kernel.start("a1")).status == "void"
         assert (await kernel.start("a1", attempt=2)).status == "finished"
         await kernel.outcome("a1")
-        assert moved(here) == 1
+        assert count_motions(here) == 1
 
     check(scenario)
 
@@ -513,7 +513,7 @@ def test_a_reset_is_journalled_and_carried_out_once(check: Check) -> None:
         assert (await kernel.reset("a5")).status == "forgotten"
         kernel.journal = "lost"
         assert (await kernel.reset("a7")).status == "refused"
-        assert moved(here, "reset") == 1
+        assert count_motions(here, "reset") == 1
 
     check(scenario)
 
@@ -539,7 +539,7 @@ def test_a_stop_during_a_reset_outlasts_it(check: Check) -> None:
         kernel = here.kernel
         arm_of(server).go_reset.clear()
         await kernel.reset("a1")
-        await until(lambda: moved(here, "reset") == 1)
+        await until(lambda: count_motions(here, "reset") == 1)
         await kernel.admin("estop", by="ada")
         arm_of(server).go_reset.set()
         assert (await kernel.outcome("a1")).succeeded
@@ -561,7 +561,7 @@ def test_resets_that_cross_mend_the_journal_once(check: Check) -> None:
         replies = await asyncio.gather(*(kernel.reset("a2") for _ in range(8)))
         assert {reply.status for reply in replies} <= {"accepted", "running", "finished"}
         await until(lambda: kernel.states[-1].status == "IDLE")
-        assert moved(here, "reset") == 1
+        assert count_motions(here, "reset") == 1
         await server.close()
         await here.node(file=file)
         assert (await kernel.ask("a2")).status == "finished", "the last mending lost nothing"

@@ -30,7 +30,7 @@ async def poison(path: Path) -> Journal:
     journal.end("a1", 1, DONE)
     journal.raise_epoch(2**62)
     journal.rewind(0)
-    await journal.synced()
+    await journal.sync()
     return journal
 
 
@@ -43,7 +43,7 @@ def reset_epoch(home: Path, *options: str, code: int = 0) -> str:
 
 
 def read(path: Path) -> Journal:
-    return Journal.of(path.read_bytes())
+    return Journal.read(path.read_bytes())
 
 
 def test_an_absurd_epoch_is_put_right_and_what_was_done_stays(tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_an_absurd_position_is_put_right(tmp_path: Path) -> None:
     async def main() -> None:
         journal = await poison(path)
         journal.prune(2**60)
-        await journal.synced()
+        await journal.sync()
         await journal.close()
 
     asyncio.run(main())

@@ -61,7 +61,7 @@ def test_an_epoch_that_no_kernel_has_is_refused_and_not_kept(check: Check, bound
         kernel = here.kernel
         if bound:
             await kernel.start("a1")
-            await server.journal.synced()
+            await server.journal.sync()
         before = on_disk(here)
         for epoch in (server.journal.epoch + EPOCH_JUMP + 1, *ABSURD):
             for message in (
@@ -107,7 +107,7 @@ def test_positions_attempts_and_names_that_no_kernel_has_are_refused(check: Chec
         server = await here.node()
         kernel = here.kernel
         await kernel.start("a1")
-        await server.journal.synced()
+        await server.journal.sync()
         before = on_disk(here)
         odd = [(action, 1, 21) for action in ("", "a/b", "**", "a#", "ä", "a\n", "x" * 201, "a$b?")]
         odd += [("a2", 1, position) for position in (0, -1, -(2**63), *ABSURD)]
@@ -155,7 +155,7 @@ def test_a_message_that_cannot_be_read_is_answered(check: Check) -> None:
     async def scenario(here: Bench) -> None:
         server = await here.node()
         await here.kernel.start("a1")
-        await server.journal.synced()
+        await server.journal.sync()
         before = on_disk(here)
         deep = b"[" * 5_000 + b"]" * 5_000
         start = b'{"op":"start","lab":"lab7","epoch":1,"journal":"j","action":"a2","attempt":1,"position":21,'

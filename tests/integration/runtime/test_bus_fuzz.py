@@ -34,7 +34,7 @@ from labos.runtime.files import FileDesk
 from labos.settings import Settings
 from labos.store import FolderBlobs, open_store
 from tests.integration.bus.contract import until
-from tests.support.attacked import ARM, OTHER, Attacked, Liar, attacked
+from tests.support.attacked import ARM, OTHER, Attacked, Liar, start_attacked
 
 AWAY = ModuleName("cell/away")
 FAULTS = {"listener_failed", "handler_failed", "task_failed", "invariant_broken", "proposal_rejected"}
@@ -133,9 +133,9 @@ class Stranger:
             about = msgspec.structs.replace(about, epoch=2**62, acknowledged=2**62, acknowledged_by=3)
         self.liar.about, self.liar.state = about, StateReport("IDLE", "j", "liar")
         if self.rng.random() < 0.2:
-            self.liar.about = self.broken(about)
+            self.liar.about = self.break_message(about)
         elif self.rng.random() < 0.2:
-            self.liar.state = self.broken(self.liar.state)
+            self.liar.state = self.break_message(self.liar.state)
         self.change_reply()
         await self.lab.keep_busy(AWAY)
         # So that it is asked, and lies.
@@ -145,8 +145,10 @@ class Stranger:
         """It says something else about actions, and of what it sees."""
         status: Any = self.pick(REPLIES)
         outcome = Outcome(self.coin(), "all", self.odd()) if self.coin() else None
-        self.liar.reply = self.broken(ActionReply(status, "j", "because", outcome, self.pick([0, 1, 1, 9])))
-        self.liar.admin = self.broken(AdminReply(self.coin(), "why", self.odd()))
+        self.liar.reply = self.break_message(
+            ActionReply(status, "j", "because", outcome, self.pick([0, 1, 1, 9]))
+        )
+        self.liar.admin = self.break_message(AdminReply(self.coin(), "why", self.odd()))
 
     async def mend(self) -> None:
         """The lying node tells the truth of itself for once, so that it is used again, and lied to again."""
@@ -198,7 +200,7 @@ class Stranger:
             value = [value]
         return value
 
-    def broken(self, message: Any) -> Any:
+    def break_message(self, message: Any) -> Any:
         """A message as it is, or with something odd in it, or cut, or no message at all."""
         kind = self.rng.random()
         if kind < 0.4:
@@ -219,10 +221,10 @@ class Stranger:
         return data[: self.rng.randrange(len(data) + 1)]
 
     async def publish(self, key: str, message: Any) -> None:
-        await self.lab.say(key, self.broken(message))
+        await self.lab.say(key, self.break_message(message))
 
     async def ask(self, key: str, message: Any) -> None:
-        payload = self.broken(message)
+        payload = self.break_message(message)
         payload = payload if isinstance(payload, bytes) else msgspec.json.encode(payload)
         try:
             await self.lab.evil.query(key, payload, 5.0)
@@ -232,17 +234,17 @@ class Stranger:
 
 
 async def fuzz(home: Path, seed: int, count: int) -> None:
-    async with attacked(home, silence_s=1.0, answer_s=1.0, barred_s=0.2) as (lab, devices):
+    async with start_attacked(home, silence_s=1.0, answer_s=1.0, barred_s=0.2) as (lab, devices):
         stray: list[dict[str, Any]] = []
         asyncio.get_running_loop().set_exception_handler(lambda _, context: stray.append(context))
-        settings = Settings.of(home)
+        settings = Settings.make(home)
         store = open_store(settings.database, create=True)
         runtime = LabRuntime(settings, lab.kernel, store, simulated=True)
         await lab.bus.serve(lab.keys.setup, runtime.on_setup)
         desk = FileDesk(FolderBlobs(home / "blobs"), home / "arriving")
         await lab.bus.serve(lab.keys.files, desk.on_request)
         held = await lab.hold_in_flight(devices[ARM])
-        stranger = Stranger(lab, await Liar.of(lab, AWAY), seed)
+        stranger = Stranger(lab, await Liar.show_itself(lab, AWAY), seed)
         for number in range(count):
             await stranger.speak()
             if number % 25 == 24:
@@ -275,8 +277,8 @@ async def fuzz(home: Path, seed: int, count: int) -> None:
 
 async def lie(home: Path, seed: int, count: int) -> None:
     """One node answers every start and every question with something else."""
-    async with attacked(home, nodes=(ARM, OTHER), answer_s=1.0, barred_s=0.1) as (lab, _):
-        stranger = Stranger(lab, await Liar.of(lab, AWAY), seed)
+    async with start_attacked(home, nodes=(ARM, OTHER), answer_s=1.0, barred_s=0.1) as (lab, _):
+        stranger = Stranger(lab, await Liar.show_itself(lab, AWAY), seed)
         liar = stranger.liar
         for _ in range(count):
             stranger.change_reply()

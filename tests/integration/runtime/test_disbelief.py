@@ -23,11 +23,11 @@ from labos.node.protocol import (
     Unacknowledged,
 )
 from tests.integration.bus.contract import until
-from tests.support.attacked import ARM, OTHER, Liar, attacked
+from tests.support.attacked import ARM, OTHER, Liar, start_attacked
 from tests.support.bench import plan, step
 
 
-def forged(action: Action, **changed: Any) -> ResultPublished:
+def forge(action: Action, **changed: Any) -> ResultPublished:
     """The result that the node itself would publish, but for what is changed."""
     outcome = Outcome(True, "all", ended_ns=changed.pop("ended_ns", action.requested_at + 1))
     return msgspec.structs.replace(
@@ -41,21 +41,21 @@ def test_a_result_that_does_not_fit_ends_nothing(tmp_path: Path, what: str) -> N
     unless it may be a clock that is wrong."""
 
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, devices):
+        async with start_attacked(tmp_path) as (lab, devices):
             action = await lab.hold_in_flight(devices[ARM])
-            key, message = lab.keys.result(ARM, action.id), forged(action)
+            key, message = lab.keys.result(ARM, action.id), forge(action)
             if what == "key":
                 key = lab.keys.result(OTHER, action.id)
             elif what == "journal":
-                message = forged(action, journal="another")
+                message = forge(action, journal="another")
             elif what == "attempt":
-                message = forged(action, attempt=7)
+                message = forge(action, attempt=7)
             elif what == "named":
                 key = lab.keys.result(ARM, "another")
             else:
                 off = {"past": -1, "future": 1, "no time": 0}[what]
                 ended_ns = off and lab.kernel.clock.now_ns() + off * 2 * CLOCK_SKEW_NS
-                message = forged(action, ended_ns=ended_ns)
+                message = forge(action, ended_ns=ended_ns)
             asked = lab.dispatcher.asked
             for _ in range(200):
                 await lab.say(key, message)
@@ -77,7 +77,7 @@ def test_a_result_that_does_not_fit_ends_nothing(tmp_path: Path, what: str) -> N
 
 def test_a_node_whose_clock_is_wrong_loses_nothing_but_the_time(tmp_path: Path) -> None:
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, devices):
+        async with start_attacked(tmp_path) as (lab, devices):
             action = await lab.hold_in_flight(devices[ARM])
             clock = lab.nodes[ARM]._clock
             now_ns = clock.now_ns
@@ -99,8 +99,8 @@ def test_a_node_whose_clock_is_wrong_loses_nothing_but_the_time(tmp_path: Path) 
 @pytest.mark.parametrize("attempt", [-1, 2, 2**40])
 def test_a_reply_about_an_attempt_that_was_never_sent_asks_a_person(tmp_path: Path, attempt: int) -> None:
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            liar = await Liar.of(lab)
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            liar = await Liar.show_itself(lab)
             liar.reply = ActionReply("finished", "j", outcome=Outcome(True, "all"), attempt=attempt)
             await lab.submit()
             await until(lambda: bool(lab.questions("unknown_action")), 10.0)
@@ -114,8 +114,8 @@ def test_a_node_that_refuses_to_say_has_not_said_that_it_did_nothing(tmp_path: P
     """``refused`` is an answer to a start. To a question, it is none."""
 
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            liar = await Liar.of(lab)
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            liar = await Liar.show_itself(lab)
             liar.reply = ActionReply("accepted", "j", attempt=1)
             await lab.submit()
             await until(lambda: lab.in_flight().status == "accepted", 10.0)
@@ -131,8 +131,8 @@ def test_a_late_result_is_evidence_if_the_node_itself_says_so(tmp_path: Path) ->
     """After a person has said how the action ended."""
 
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            liar = await Liar.of(lab)
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            liar = await Liar.show_itself(lab)
             liar.reply = ActionReply("interrupted", "j", attempt=1)
             await lab.submit()
             await until(lambda: bool(lab.questions("unknown_action")), 10.0)
@@ -142,18 +142,18 @@ def test_a_late_result_is_evidence_if_the_node_itself_says_so(tmp_path: Path) ->
             assert lab.kernel.state.actions.settled[action.id].effects == "partial"
 
             asked = liar.questions
-            await lab.say(lab.keys.result(OTHER, action.id), forged(action))
+            await lab.say(lab.keys.result(OTHER, action.id), forge(action))
             await lab.settle()
             await lab.heartbeats(3, OTHER)
             assert liar.questions == asked, "the other module was not asked, and cannot know"
 
-            await lab.say(lab.keys.result(ARM, action.id), forged(action))
+            await lab.say(lab.keys.result(ARM, action.id), forge(action))
             await until(lambda: liar.questions > asked, 10.0)
             await lab.heartbeats(3, OTHER)
             assert action.id in lab.kernel.state.actions.settled, "its node does not say so"
 
             liar.reply = ActionReply("finished", "j", outcome=Outcome(True, "all"), attempt=1)
-            await lab.say(lab.keys.result(ARM, action.id), forged(action))
+            await lab.say(lab.keys.result(ARM, action.id), forge(action))
             await until(lambda: bool(lab.questions("contradiction")), 10.0)
             assert action.id not in lab.kernel.state.actions.settled, "evidence is taken once"
 
@@ -169,9 +169,9 @@ def test_a_node_that_obeys_a_later_kernel_is_refused_and_ends_nobody(tmp_path: P
     service until a person has looked."""
 
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, _):
+        async with start_attacked(tmp_path) as (lab, _):
             away = ModuleName("cell/away")
-            await Liar.of(lab, away, epoch=epoch)
+            await Liar.show_itself(lab, away, epoch=epoch)
             await until(lambda: bool(lab.questions("outranked_node")), 10.0)
             assert not lab.kernel.failed.done()
             assert lab.module(away).status == "GONE"
@@ -189,8 +189,8 @@ def test_an_answer_fenced_ends_nobody(tmp_path: Path) -> None:
     """The action that it was given in answer to is a person's question when the module stays away."""
 
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            liar = await Liar.of(lab)
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            liar = await Liar.show_itself(lab)
             liar.reply = ActionReply("fenced", "j", "cell/arm belongs to lab x, not to y.")
             await lab.submit()
             await until(lambda: lab.module().status == "GONE", 10.0)
@@ -206,12 +206,12 @@ def test_an_answer_fenced_ends_nobody(tmp_path: Path) -> None:
 
 def test_a_kernel_that_was_replaced_in_the_database_stops_at_the_first_fenced_answer(tmp_path: Path) -> None:
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            liar = await Liar.of(lab)
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            liar = await Liar.show_itself(lab)
             lab.kernel._tasks[0].cancel()  # it renews its lease too seldom to notice by itself
             await lab.set_epoch(lab.kernel.epoch + 1)
             liar.reply = ActionReply("fenced", "j", "obeys the kernel of epoch 2; this one's is 1")
-            lab.dispatcher.outranked(ARM, "obeys another")
+            lab.dispatcher.note_outranked(ARM, "obeys another")
             await until(lab.kernel.failed.done, 10.0)
             assert isinstance(lab.kernel.failed.result(), Fenced)
             with pytest.raises((Fenced, StoreUnavailable)):
@@ -227,7 +227,7 @@ def test_a_start_that_the_kernel_never_sent_is_known_at_once(tmp_path: Path) -> 
     """Not only when the node joins again; whatever it names itself, and once."""
 
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, devices):
+        async with start_attacked(tmp_path) as (lab, devices):
             journal = lab.module().journal
             names = ["0190aaaa-0000-7000-8000-000000000000", "x" * 150]
             for name in names:
@@ -248,7 +248,7 @@ def test_a_made_up_heartbeat_takes_no_module_out_of_service(tmp_path: Path) -> N
     """The node itself is asked what is in its journal."""
 
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, _):
+        async with start_attacked(tmp_path) as (lab, _):
             known = lab.module()
             report = StateReport("IDLE", known.journal, known.instance, running=["made-up"], finished=["too"])
             for number in range(50):
@@ -267,7 +267,7 @@ def test_actions_that_ended_long_ago_are_no_discovery(tmp_path: Path) -> None:
     not. What a node says of their positions is looked up."""
 
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, devices):
+        async with start_attacked(tmp_path) as (lab, devices):
             first = await lab.hold_in_flight(devices[OTHER], plan(step("other", exclusive=False)))
             devices[OTHER].gate.set()
             for _ in range(40):
@@ -290,14 +290,14 @@ def test_an_id_that_cannot_be_ours_is_recorded_cut(tmp_path: Path) -> None:
     """And only so many of them."""
 
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            liar = await Liar.of(lab)
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            liar = await Liar.show_itself(lab)
             ids = [f"{number}".rjust(500, "\u0007") for number in range(300)]
             open_ = [Unacknowledged(name, 1, "act" * 5000, "finished", "", 3) for name in ids]
             liar.about = msgspec.structs.replace(liar.about, open=open_)
             await lab.say(lab.keys.operation(ARM, "state"), StateReport("IDLE", "j", "liar", finished=ids))
             await until(lambda: bool(lab.kernel.state.actions.discovered), 10.0)
-            await lab.kernel.written()
+            await lab.kernel.flush()
             assert max(map(len, lab.kernel.state.actions.discovered)) <= 200
             assert len(lab.kernel.state.actions.discovered) <= 100
             assert len(lab.questions("log_shorter")) == 1
@@ -310,8 +310,8 @@ def test_an_id_that_cannot_be_ours_is_recorded_cut(tmp_path: Path) -> None:
 
 def test_a_module_that_does_not_answer_settled_delays_only_itself(tmp_path: Path) -> None:
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,), answer_s=60.0) as (lab, _):
-            liar = await Liar.of(lab)
+        async with start_attacked(tmp_path, nodes=(OTHER,), answer_s=60.0) as (lab, _):
+            liar = await Liar.show_itself(lab)
             liar.settles = asyncio.Event()
             lab.dispatcher.tell_settled(ARM, ActionId("gone"), done=True)
             await lab.kernel.execute(SubmitRun(plan(step("other")), "ada"), "ada")

@@ -69,7 +69,7 @@ def test_setup_tells_of_the_module_asked_for_and_of_no_other(tmp_path: Path) -> 
     )
 
     async def main() -> None:
-        settings = Settings.of(tmp_path / "lab", simulate=True)
+        settings = Settings.make(tmp_path / "lab", simulate=True)
         async with open_lab(settings) as lab:
             cell = Workcell("cell", digest(b""), modules, ())
             await lab.kernel.execute(ApplyWorkcell(cell), "ada")

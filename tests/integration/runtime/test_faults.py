@@ -30,7 +30,7 @@ from labos.core.state import LabState
 from labos.errors import InternalFault
 from labos.planning.scheduler import Scheduler, Start
 from labos.runtime.kernel import Kernel
-from tests.integration.runtime.test_turns import PLAN, in_kernel, reopened
+from tests.integration.runtime.test_turns import PLAN, await_reopened, in_kernel
 from tests.support.bench import full, module, station, workcell
 
 A, B, YARD = (StationName(full(name)) for name in ("a", "b", "yard"))
@@ -66,7 +66,7 @@ def littered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(DECIDERS, Leave, leave)
 
 
-def taken_back(
+def check_taken_back(
     path: Path,
     spoil: Callable[[Kernel], None],
     command: Command,
@@ -95,7 +95,7 @@ def taken_back(
         assert type(command).__name__ in str(told.value)
         assert kernel.fault_count == counted + 1
         assert (await neighbour)[-1].stream() == "R2"
-        await reopened(kernel)
+        await await_reopened(kernel)
         assert kernel.state.position == kernel.durable
         assert kernel.durable >= before
         assert not any(kernel.state.bench.stations[place].labware for place in (A, B)) or prepare
@@ -111,7 +111,7 @@ def no_harm(kernel: Kernel) -> None:
 
 
 def test_an_event_that_is_too_large_in_what_follows(tmp_path: Path, littered: None) -> None:
-    taken_back(tmp_path, no_harm, CancelRun(R1), "exceeds 65536", prepare=(Leave(),))
+    check_taken_back(tmp_path, no_harm, CancelRun(R1), "exceeds 65536", prepare=(Leave(),))
 
 
 def test_an_invariant_that_is_broken_in_memory(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_an_invariant_that_is_broken_in_memory(tmp_path: Path) -> None:
         kernel.state.bench.stations[A].labware.append(LabwareId("P9"))
 
     command = HandOver(LabwareId("P1"), Owner("user:eve"), "eve")
-    taken_back(tmp_path, spoil, command, "would break", prepare=(LoadStation(A, "plate", 1),))
+    check_taken_back(tmp_path, spoil, command, "would break", prepare=(LoadStation(A, "plate", 1),))
 
 
 def test_folding_fails_in_the_midst_of_a_turn(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_folding_fails_in_the_midst_of_a_turn(tmp_path: Path) -> None:
         kernel.state.bench.stations[B].labware = None  # type: ignore[assignment]
 
     loads = DeclareStations((DeclareStation(A, ("plate",)), DeclareStation(B, ("plate",))))
-    taken_back(tmp_path, spoil, loads, "NoneType")
+    check_taken_back(tmp_path, spoil, loads, "NoneType")
 
 
 @pytest.mark.parametrize("left", [0, 1, 2])
@@ -138,7 +138,7 @@ def test_ids_run_out_before_or_amid_the_events(tmp_path: Path, left: int) -> Non
         ids.left = left
 
     loads = DeclareStations((DeclareStation(A, ("plate",)), DeclareStation(B, ("plate",))))
-    taken_back(tmp_path, spoil, loads, "no more randomness", ids=ids)
+    check_taken_back(tmp_path, spoil, loads, "no more randomness", ids=ids)
 
 
 class Stumbling(Scheduler):
@@ -157,15 +157,15 @@ def test_a_planner_fails_after_its_first_proposal(tmp_path: Path) -> None:
     def spoil(kernel: Kernel) -> None:
         Stumbling.fails = True
 
-    taken_back(tmp_path, spoil, ResumeStarts(WHOLE_LAB, "eve"), "stumbles", plan_with=Stumbling)
+    check_taken_back(tmp_path, spoil, ResumeStarts(WHOLE_LAB, "eve"), "stumbles", plan_with=Stumbling)
 
 
 def test_a_meter_that_fails_takes_nothing_back(tmp_path: Path) -> None:
-    def broken(took_s: float) -> None:
+    def fail(took_s: float) -> None:
         raise ZeroDivisionError("no meter")
 
     async def work(kernel: Kernel) -> None:
-        kernel.on_turn = broken
+        kernel.on_turn = fail
         assert await kernel.execute(SubmitRun(PLAN, "ada"), "ada")
         kernel.on_turn = lambda took_s: None
         assert kernel.fault_count

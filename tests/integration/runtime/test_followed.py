@@ -29,10 +29,10 @@ class Heard:
         self.positions: list[int] = []
         self.reopenings = 0
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         self.positions += [entry.position for entry in entries]
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         self.reopenings += 1
 
 
@@ -182,7 +182,7 @@ def test_marks_are_found_whoever_wrote_them() -> None:
         found: list[tuple[int, str]] = [(3, "request:a"), (7, "request:b"), (9, "request:a")]
         fails = False
 
-        def caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]:
+        def list_caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]:
             if self.fails:
                 raise StoreUnavailable("The disk is gone.")
             return self.found
@@ -193,10 +193,10 @@ def test_marks_are_found_whoever_wrote_them() -> None:
         marks.begin()
         assert [await marks.find(f"request:{name}") for name in "abc"] == [3, 7, 0]
         log.found = [(12, "request:c")]
-        marks.reopened()
+        marks.on_reopened()
         assert [await marks.find(f"request:{name}") for name in "abc"] == [3, 7, 12]
         log.fails = True
-        marks.reopened()
+        marks.on_reopened()
         for _ in range(2):  # what is not known is not guessed
             with pytest.raises(StoreUnavailable):
                 await marks.find("request:d")

@@ -13,7 +13,7 @@ from labos.node.protocol import StateReport
 from labos.runtime.liveness import MOST_INSTANCES, MOST_STRANGERS, Liveness
 from labos.runtime.stop import stop_modules
 from tests.integration.bus.contract import until
-from tests.support.attacked import ARM, OTHER, Liar, attacked
+from tests.support.attacked import ARM, OTHER, Liar, start_attacked
 
 AWAY = ModuleName("cell/away")
 
@@ -22,7 +22,7 @@ def test_a_second_node_of_a_name_is_refused_and_told_of_once(tmp_path: Path) -> 
     """Its heartbeats are not the module's, and the first one works on."""
 
     async def main() -> None:
-        async with attacked(tmp_path, silence_s=1.0) as (lab, _):
+        async with start_attacked(tmp_path, silence_s=1.0) as (lab, _):
             first = lab.module().instance
             await lab.evil.declare_alive(lab.keys.alive(ARM, "impostor"))
             report = StateReport("ERROR", lab.module().journal, "impostor", error="everything is broken")
@@ -49,7 +49,7 @@ def test_a_second_node_of_a_name_is_refused_and_told_of_once(tmp_path: Path) -> 
 
 def test_a_node_that_takes_the_place_of_another_is_no_impostor(tmp_path: Path) -> None:
     async def main() -> None:
-        async with attacked(tmp_path, silence_s=1.0) as (lab, _):
+        async with start_attacked(tmp_path, silence_s=1.0) as (lab, _):
             first = lab.nodes[ARM]
             await first.close()
             await lab.start_node(ARM)
@@ -66,7 +66,7 @@ def test_a_second_node_that_obeys_a_later_kernel_takes_nothing_out_of_service(tm
     """Whoever of the two is asked who it is."""
 
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, _):
+        async with start_attacked(tmp_path) as (lab, _):
             liar = Liar(lab, ARM)
             liar.about = msgspec.structs.replace(liar.about, epoch=2**62)
             bus = await lab.session()
@@ -87,7 +87,7 @@ def test_an_answer_of_another_node_does_not_join_with_the_first_ones_state(tmp_p
     """``about`` from one and ``state`` from another is nobody."""
 
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, _):
+        async with start_attacked(tmp_path) as (lab, _):
             liar = Liar(lab, AWAY)
             liar.state = StateReport("IDLE", "j", "somebody else")
             await liar.serve()
@@ -104,7 +104,7 @@ def test_thousands_of_made_up_tokens_do_no_harm(tmp_path: Path, count: int) -> N
     """Nobody is asked about modules that no workcell has, and only so many are remembered."""
 
     async def main() -> None:
-        async with attacked(tmp_path, answer_s=5.0) as (lab, _):
+        async with start_attacked(tmp_path, answer_s=5.0) as (lab, _):
             asked = lab.count_queries()
             session = lab.evil._session
             tokens = [
@@ -131,17 +131,17 @@ def test_made_up_instances_of_a_real_module_are_few_and_forgotten(tmp_path: Path
     """And the node that comes back is noticed among them."""
 
     async def main() -> None:
-        async with attacked(tmp_path, silence_s=1.0) as (lab, _):
+        async with start_attacked(tmp_path, silence_s=1.0) as (lab, _):
             for n in range(100):
                 await lab.say(lab.keys.operation(ARM, "state"), StateReport("IDLE", "j", f"made-up {n}"))
             await lab.settle()
-            assert len(lab.registry._living.of(ARM)) <= MOST_INSTANCES
+            assert len(lab.registry._living.list_instances(ARM)) <= MOST_INSTANCES
             await lab.works()
             await lab.nodes[ARM].close()
             await until(lambda: lab.module().status == "GONE", 10.0)
             await lab.start_node(ARM)
             await until(lambda: lab.module().status == "IDLE", 10.0)
-            await until(lambda: len(lab.registry._living.of(ARM)) == 1, 10.0)
+            await until(lambda: len(lab.registry._living.list_instances(ARM)) == 1, 10.0)
             await lab.works()
 
     asyncio.run(main())
@@ -154,7 +154,7 @@ def test_a_token_with_odd_parts_is_nobodys(tmp_path: Path, key: str) -> None:
     """With a wildcard, every node would be asked at once, and an emergency stop sent to all."""
 
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, _):
+        async with start_attacked(tmp_path) as (lab, _):
             await lab.evil.declare_alive(f"{lab.keys.root}/{key}")
             await lab.settle()
             assert set(lab.registry.living) == {ARM, OTHER}
@@ -166,7 +166,7 @@ def test_a_token_with_odd_parts_is_nobodys(tmp_path: Path, key: str) -> None:
 @pytest.mark.parametrize("key", ["*/*/state", "**", "cell/*/state", "*/*/result/*", "cell/arm/result/*"])
 def test_what_is_published_for_many_is_heard_of_nobody(tmp_path: Path, key: str) -> None:
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, _):
+        async with start_attacked(tmp_path) as (lab, _):
             known = lab.module()
             report = StateReport("ERROR", known.journal, known.instance, error="broken")
             await lab.say(f"{lab.keys.root}/{key}", report)
@@ -179,7 +179,7 @@ def test_what_is_published_for_many_is_heard_of_nobody(tmp_path: Path, key: str)
 
 def test_a_flood_of_changes_is_not_a_flood_of_events(tmp_path: Path) -> None:
     async def main() -> None:
-        async with attacked(tmp_path) as (lab, _):
+        async with start_attacked(tmp_path) as (lab, _):
             known = lab.module()
             key = lab.keys.operation(ARM, "state")
             before = lab.kernel.durable
@@ -189,7 +189,7 @@ def test_a_flood_of_changes_is_not_a_flood_of_events(tmp_path: Path) -> None:
                 )
                 await lab.say(key, report)
             await lab.settle()
-            await lab.kernel.written()
+            await lab.kernel.flush()
             assert lab.kernel.durable - before < 200
             await until(lambda: lab.module().status == "IDLE", 10.0)
 
@@ -210,8 +210,8 @@ def test_a_flood_of_changes_is_not_a_flood_of_events(tmp_path: Path) -> None:
 )
 def test_one_bad_answer_keeps_no_other_module_from_being_stopped(tmp_path: Path, answer: bytes) -> None:
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            liar = await Liar.of(lab)
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            liar = await Liar.show_itself(lab)
             liar.admin = answer
             report = await stop_modules(lab.bus, lab.kernel.lab, [ARM, OTHER, AWAY], "ada")
             assert set(report.stopped) == {OTHER}
@@ -226,14 +226,14 @@ def test_living_never_forgets_the_one_that_is_in_use() -> None:
     assert living.hear(ARM, "first", 0.0, "first", None)
     for n in range(1000):
         assert living.hear(ARM, f"i{n}", float(n + 1), "first", None)
-    assert len(living.of(ARM)) == MOST_INSTANCES
-    assert "first" in living.of(ARM)
+    assert len(living.list_instances(ARM)) == MOST_INSTANCES
+    assert "first" in living.list_instances(ARM)
     for n in range(1000):
         living.hear(ModuleName(f"x/{n}"), "i", 0.0, "", 1)
     assert len(living.modules) == MOST_STRANGERS + 1
     assert not living.hear(ModuleName("x/last"), "i", 0.0, "", 1)
     for module in living.modules:
-        for instance in list(living.of(module)):
+        for instance in list(living.list_instances(module)):
             living.forget(module, instance)
     assert living.modules == []
     assert living.silent(1e9, 1.0) == []

@@ -65,7 +65,7 @@ class Told:
 
     def begin(self) -> Ledger:
         head = self.store.head()
-        self.writer.begin(head, self._durable, self._failed)
+        self.writer.begin(head, self._durable, self._note_failure)
         state, _ = load(self.store)
         return Ledger(state, head, SystemClock(), Uuid7Ids())
 
@@ -73,7 +73,7 @@ class Told:
         self.commits.append(position)
         self.news.set()
 
-    def _failed(self, error: StoreError) -> None:
+    def _note_failure(self, error: StoreError) -> None:
         self.failures.append(error)
         self.news.set()
 

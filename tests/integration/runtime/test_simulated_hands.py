@@ -64,10 +64,10 @@ class Witness:
         self._world = world
         self.seen: list[dict[str, list[str]]] = []
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         self.seen.append(self._world.places())
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         pass
 
 
@@ -100,13 +100,13 @@ def on_a_bench(path: Path, work: Work) -> World:
 
 
 async def is_open(kernel: Kernel, position: int) -> None:
-    def found() -> bool:
+    def has_arrived() -> bool:
         try:
             return kernel.state.position >= position
         except StoreUnavailable:
             return False
 
-    await until(found, 10.0)
+    await until(has_arrived, 10.0)
 
 
 def test_a_bench_is_furnished_and_filled_as_declared(tmp_path: Path) -> None:

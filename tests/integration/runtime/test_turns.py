@@ -96,7 +96,7 @@ def in_kernel(
                 await kernel.execute(join, "dev")
             await work(kernel)
             await until(lambda: is_open(kernel), 10.0)
-            await kernel.written()
+            await kernel.flush()
             folded, _ = load(store, snapshots=False)
             assert kernel.state == folded
             assert not kernel.failed.done()
@@ -114,7 +114,7 @@ def is_open(kernel: Kernel) -> bool:
         return False
 
 
-async def reopened(kernel: Kernel) -> None:
+async def await_reopened(kernel: Kernel) -> None:
     await until(lambda: is_open(kernel), 10.0)
 
 
@@ -125,7 +125,7 @@ def test_a_command_on_which_planning_fails_is_taken_back(tmp_path: Path) -> None
         with pytest.raises(InternalFault, match=r"SubmitRun.*a fault in planning"):
             await kernel.execute(SubmitRun(PLAN, "ada"), "ada")
         Flawed.proposing = False
-        await reopened(kernel)
+        await await_reopened(kernel)
         assert kernel.durable == before == kernel.state.position
         await kernel.execute(SubmitRun(PLAN, "eve"), "eve")
         await until(lambda: bool(kernel.state.actions.open), 10.0)
@@ -143,9 +143,9 @@ def test_while_planning_keeps_failing_nothing_starts_and_everything_else_works(
             try:
                 await kernel.execute(SubmitRun(PLAN, user), user)
             except InternalFault:
-                await reopened(kernel)
+                await await_reopened(kernel)
         await until(lambda: part == "deadlines" or "a fault in planning" in kernel.suspended, 10.0)
-        await reopened(kernel)
+        await await_reopened(kernel)
         events = await kernel.execute(SubmitRun(PLAN, "eve"), "eve")
         run = kernel.state.runs.get(events[-1].run)  # type: ignore[attr-defined]
         assert run is not None
@@ -168,7 +168,7 @@ def test_an_event_that_contradicts_the_state_is_taken_back_and_not_tried_at_ever
         run = (await kernel.execute(SubmitRun(PLAN, "ada"), "ada"))[-1].stream()
         for _ in range(20):  # as a node that repeats it
             kernel.submit(Contradict(), "dev")
-            await reopened(kernel)
+            await await_reopened(kernel)
         assert 1 <= len(kernel.faults) <= 5
         await kernel.execute(PauseRun(RunId(run)), "ada")
 
@@ -189,7 +189,7 @@ def test_a_turn_of_which_there_is_no_end_is_taken_back(
                 endless.setitem(REACTIONS, kind, (toggle,))
             with pytest.raises(InternalFault, match="What follows from PauseRun does not come to an end"):
                 await kernel.execute(PauseRun(run), "ada")
-            await reopened(kernel)
+            await await_reopened(kernel)
         assert kernel.durable == before == kernel.state.position
         await kernel.execute(PauseRun(run, "now"), "ada")
 
@@ -213,10 +213,10 @@ class Deaf:
     def __init__(self) -> None:
         self.asked_again = 0
 
-    def committed(self, entries: Sequence[Entry]) -> None:
+    def on_committed(self, entries: Sequence[Entry]) -> None:
         raise KeyError("a fault in a listener")
 
-    def reopened(self) -> None:
+    def on_reopened(self) -> None:
         self.asked_again += 1
 
 
@@ -239,7 +239,7 @@ def queue_without_planning(path: Path) -> None:
         while not kernel.suspended:
             kernel.submit(PauseStarts("nowhere", "ada"), "ada")
             kernel.wake()
-            await reopened(kernel)
+            await await_reopened(kernel)
         await kernel.execute(SubmitRun(PLAN, "ada"), "ada")
 
     in_kernel(path, work)
@@ -252,7 +252,7 @@ def test_a_start_that_breaks_an_invariant_suspends_starts(
     """Else it would be proposed, and taken back, for ever, and nobody would find the lab open."""
     queue_without_planning(tmp_path)
 
-    def broken(state: LabState, events: Iterable[Event]) -> str:
+    def find_fault(state: LabState, events: Iterable[Event]) -> str:
         return "a fault" if any(isinstance(event, ActionRequested) for event in events) else ""
 
     async def work(kernel: Kernel) -> None:
@@ -263,7 +263,7 @@ def test_a_start_that_breaks_an_invariant_suspends_starts(
         monkeypatch.undo()
         await until(lambda: is_open(kernel) and bool(kernel.state.actions.open), 20.0)
 
-    monkeypatch.setattr(kernel_module, "find_broken_by", broken)
+    monkeypatch.setattr(kernel_module, "find_broken_by", find_fault)
     in_kernel(tmp_path, work, furnish=False)
 
 

@@ -11,13 +11,13 @@ import pytest
 from labos.node.protocol import PROTOCOL, AboutReport, SetupReply, skew_with
 from labos.version import VERSION
 from tests.integration.bus.contract import until
-from tests.support.attacked import ARM, OTHER, Liar, attacked
+from tests.support.attacked import ARM, OTHER, Liar, start_attacked
 
 
 def test_a_node_of_a_later_protocol_is_not_admitted_and_told_why(tmp_path: Path) -> None:
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            await Liar.of(lab, protocol=PROTOCOL + 1, labos="7.0")
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            await Liar.show_itself(lab, protocol=PROTOCOL + 1, labos="7.0")
             await until(lambda: ARM in lab.registry.rejected, 10.0)
             why = lab.registry.rejected[ARM]
             assert why == (
@@ -31,8 +31,8 @@ def test_a_node_of_a_later_protocol_is_not_admitted_and_told_why(tmp_path: Path)
 
 def test_a_node_of_another_release_and_the_same_protocol_is_admitted(tmp_path: Path) -> None:
     async def main() -> None:
-        async with attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
-            await Liar.of(lab, labos="7.0")
+        async with start_attacked(tmp_path, nodes=(OTHER,)) as (lab, _):
+            await Liar.show_itself(lab, labos="7.0")
             await until(lambda: lab.module().status == "IDLE", 10.0)
 
     asyncio.run(main())

@@ -48,7 +48,7 @@ def batch(after: Head, n: int = 1, payload: dict[str, Any] | None = None, **fiel
     return records
 
 
-def filled(store: SqlEventStore, n: int) -> Head:
+def write_records(store: SqlEventStore, n: int) -> Head:
     """Claim the lab and write ``n`` records."""
     head = store.claim(LAB, "test", LEASE_S)
     return store.append(head, batch(head, n))

@@ -27,7 +27,7 @@ from labos.store import (
     SqlEventStore,
     backup,
     first_damage,
-    leapt_epoch,
+    leap_epoch,
     open_store,
     read_segment,
     read_words_copy,
@@ -111,7 +111,7 @@ def test_a_backup_under_load_holds_a_whole_log_and_comes_back_on_either_database
         server = request.getfixturevalue("postgres_server")
         targets.append(server.create_database(store_url.rpartition("/")[2] + "_back"))
     for target in targets:
-        epoch = leapt_epoch(made.epoch, SystemClock().now_ns())
+        epoch = leap_epoch(made.epoch, SystemClock().now_ns())
         assert restore_log(target, records_of(tmp_path / "safe", found), found.lab, epoch).epoch == epoch
         back = opened(target)
         assert list(back.read()) == list(store.read(upto=made.position))
@@ -156,12 +156,12 @@ def test_a_restore_that_fails_leaves_nothing_and_can_be_repeated(store_url: str,
     records = list(source.read())
     source.close()
 
-    def broken_off() -> object:
+    def break_off() -> object:
         yield from records[:4500]
         raise OSError("the disk with the backup is gone")
 
     with pytest.raises(Exception, match="gone"):
-        restore_log(store_url, broken_off(), LAB, 7)  # type: ignore[arg-type]
+        restore_log(store_url, break_off(), LAB, 7)  # type: ignore[arg-type]
     assert restore_log(store_url, records, LAB, 7).position == len(records)
 
 
@@ -200,7 +200,7 @@ def test_whatever_changes_in_a_backup_is_found(tmp_path: Path, opened: Open, key
     good = {path: path.read_bytes() for path in (first, second, safe / "backup.json")}
     blob = safe / "blobs" / name[:2] / name[2:4] / name
 
-    def damaged(match: str) -> None:
+    def check_damaged(match: str) -> None:
         with pytest.raises(LogDamaged, match=match):
             verify_backup(safe, key=key)
         for path, data in good.items():
@@ -211,17 +211,17 @@ def test_whatever_changes_in_a_backup_is_found(tmp_path: Path, opened: Open, key
     second.write_bytes(
         gzip.compress(lines[0].replace(b'"version":"0"', b'"version":"1"') + b"".join(lines[1:]))
     )
-    damaged(rf"Position {made.segments[1].first}: the payload")
+    check_damaged(rf"Position {made.segments[1].first}: the payload")
     second.write_bytes(gzip.compress(b"".join(lines[:-1])))
-    damaged("does not end as its manifest says")
+    check_damaged("does not end as its manifest says")
     second.write_bytes(good[second][: len(good[second]) // 2])
-    damaged("cannot be read")
+    check_damaged("cannot be read")
     first.unlink()
-    damaged("is missing")
+    check_damaged("is missing")
     manifest = json.loads(good[safe / "backup.json"])
     manifest["segments"][0]["state"] = "0" * 64
     (safe / "backup.json").write_text(json.dumps(manifest))
-    damaged("seal was not made with this key" if key else "folds to another state")
+    check_damaged("seal was not made with this key" if key else "folds to another state")
     blob.write_bytes(b"another protocol")
     with pytest.raises(LogDamaged, match="bytes changed"):
         verify_backup(safe, key=key)

@@ -16,7 +16,7 @@ from labos.errors import LogDamaged
 from labos.runtime.follower import Follower
 from labos.runtime.ledger import load
 from labos.store import SqlEventStore, first_damage, forget_end, migrate, restore_log
-from tests.integration.store.records import LAB, Tamper, batch, filled, flip, hearing, raw
+from tests.integration.store.records import LAB, Tamper, batch, flip, hearing, raw, write_records
 from tests.unit.services.logbook import Logbook
 
 Open = Callable[..., SqlEventStore]
@@ -53,7 +53,7 @@ TAMPERED = [
 def test_a_record_that_changed_is_found_before_it_is_folded(
     store: SqlEventStore, store_url: str, tamper: Tamper, position: int, field: str
 ) -> None:
-    filled(store, RECORDS)
+    write_records(store, RECORDS)
     with raw(store_url) as database:
         database.disarm()
         tamper(database)
@@ -67,7 +67,7 @@ def test_a_record_that_changed_is_found_before_it_is_folded(
 
 
 def test_a_tail_is_checked_from_what_is_known_of_its_beginning(store: SqlEventStore, store_url: str) -> None:
-    filled(store, 30)
+    write_records(store, 30)
     tenth = next(store.read(9, 10)).hash
     assert len(list(store.replay(10, before=tenth, end=store.head()))) == 20
     with raw(store_url) as database:
@@ -188,7 +188,7 @@ def test_a_standby_checks_what_it_reads(kept: SqlEventStore, store_url: str, boo
 @pytest.mark.skipif("os.name == 'nt'")
 def test_the_key_is_private_and_made_once(opened: Open, store_url: str, tmp_path: Path) -> None:
     store = opened(store_url)
-    filled(store, 2)
+    write_records(store, 2)
     key = tmp_path / "labos.key"
     assert stat.S_IMODE(key.stat().st_mode) == 0o600
     before = key.read_bytes()
@@ -202,7 +202,7 @@ class TestKnownEnd:
     def test_a_log_that_lost_its_tail_was_longer_once(
         self, store: SqlEventStore, store_url: str, opened: Open
     ) -> None:
-        head = filled(store, 8)
+        head = write_records(store, 8)
         store.append(head, batch(head, 3))
         assert store.known_position == 0, "it is what was known when the store was opened"
         store.close()
@@ -227,7 +227,7 @@ class TestKnownEnd:
     def test_a_restored_log_says_so_and_is_believed(
         self, store: SqlEventStore, store_url: str, opened: Open, tmp_path: Path
     ) -> None:
-        filled(store, 8)
+        write_records(store, 8)
         store.close()
         assert opened(store_url).known_position == 8
         forget_end(tmp_path)
@@ -245,7 +245,7 @@ class TestKnownEnd:
         tmp_path: Path,
         spoil: Callable[[bytes], bytes],
     ) -> None:
-        filled(store, 8)
+        write_records(store, 8)
         store.close()
         note = tmp_path / "labos.head"
         note.write_bytes(spoil(note.read_bytes()))
@@ -259,7 +259,7 @@ class TestKnownEnd:
     def test_the_note_of_another_lab_says_nothing_of_this_one(
         self, store: SqlEventStore, opened: Open, tmp_path: Path
     ) -> None:
-        filled(store, 8)
+        write_records(store, 8)
         records = list(store.read())
         store.close()
         url = f"sqlite:///{tmp_path / 'other.db'}"

@@ -20,7 +20,7 @@ from labos.core.envelope import Record
 from labos.errors import Fenced, Refused, StoreUnavailable
 from labos.ports import Head
 from labos.store import SqlEventStore, first_damage, lease_holder, open_store
-from tests.integration.store.records import LAB, LEASE_S, Raw, batch, filled, raw
+from tests.integration.store.records import LAB, LEASE_S, Raw, batch, raw, write_records
 from tests.support.postgres import PostgresServer
 
 Open = Callable[..., SqlEventStore]
@@ -43,7 +43,7 @@ def writer(url: str, *, preamble: str = "", size: int = 3) -> Iterator[subproces
         process.stdout.close()
 
 
-def acknowledged(process: subprocess.Popen[str], at_least: int) -> int:
+def read_acknowledged(process: subprocess.Popen[str], at_least: int) -> int:
     """The position that a writer last reported, once it is ``at_least`` that."""
     assert process.stdout is not None
     for line in process.stdout:
@@ -139,7 +139,7 @@ class TestKilledKernel:
         self, store: SqlEventStore, store_url: str
     ) -> None:
         with writer(store_url) as process:
-            acknowledged(process, 30)
+            read_acknowledged(process, 30)
             with pytest.raises(Refused, match="the writer"):
                 store.claim(LAB, "next", LEASE_S)
             process.send_signal(signal.SIGKILL)
@@ -158,7 +158,7 @@ class TestKilledKernel:
     ) -> None:
         assert lease_holder(store_url) == ""
         with writer(store_url) as process:
-            acknowledged(process, 3)
+            read_acknowledged(process, 3)
             assert lease_holder(store_url) == "the writer"
             process.send_signal(signal.SIGKILL)
             process.wait()
@@ -194,7 +194,7 @@ class TestKilledKernel:
 
     def test_a_refused_kernel_names_the_holder(self, store_url: str, opened: Open) -> None:
         with writer(store_url) as process:
-            acknowledged(process, 3)
+            read_acknowledged(process, 3)
             with pytest.raises(Refused) as caught:
                 opened(store_url).claim(LAB, "next", LEASE_S)
             if store_url.startswith("sqlite"):
@@ -262,7 +262,7 @@ class TestBrokenConnection:
         self, postgres_url: str, opened: Open
     ) -> None:
         store = opened(postgres_url)
-        head = filled(store, 3)
+        head = write_records(store, 3)
         with raw(postgres_url) as database:
             database.run(
                 "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
@@ -277,7 +277,7 @@ class TestBrokenConnection:
         self, postgres_url: str, opened: Open
     ) -> None:
         store = opened(postgres_url)
-        head = filled(store, 1)
+        head = write_records(store, 1)
         done = threading.Event()
 
         def disturb() -> None:
@@ -328,7 +328,7 @@ class TestBrokenConnection:
         server = own_postgres()
         url = server.create_database("lab")
         store = opened(url)
-        head = filled(store, 1)
+        head = write_records(store, 1)
         records = batch(head, 30)
         with raw(url) as database, raw(url) as other:
             database.run("ALTER SYSTEM SET synchronous_standby_names = 'nobody'")
@@ -354,7 +354,7 @@ class TestBrokenConnection:
         url = server.create_database("lab")
         store = opened(url)
         with writer(url) as process:
-            acknowledged(process, 60)
+            read_acknowledged(process, 60)
             server.stop(immediate=True)
             *positions, last_words = rest(process)
             process.wait()
@@ -420,7 +420,7 @@ class TestBadDisk:
     ) -> None:
         url = f"sqlite:///{tmp_path / 'lab.db'}"
         store = opened(url)
-        head = filled(store, 3)
+        head = write_records(store, 3)
         store.close()
         disk("remount,ro")
         reader = opened(url, read_only=True)
@@ -459,7 +459,7 @@ class TestBadDisk:
         monkeypatch.setattr("labos.store._sqlite.BUSY_TIMEOUT_S", 0.1)
         url = f"sqlite:///{tmp_path / 'lab.db'}"
         store = opened(url)
-        head = filled(store, 1)
+        head = write_records(store, 1)
         store.close()
         head = store.claim(LAB, "kernel", LEASE_S)
         with raw(url) as database:

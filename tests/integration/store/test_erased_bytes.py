@@ -27,7 +27,7 @@ from labos.services.words_check import check_words
 from labos.store import SqlEventStore, grant_writer, migrate
 from tests.integration.store.records import LAB, LEASE_S
 from tests.integration.store.test_roles import Roles
-from tests.integration.store.test_words import erasing, said
+from tests.integration.store.test_words import erasing, pause_with_words
 from tests.support.postgres import PostgresServer
 from tests.unit.services.logbook import Logbook
 
@@ -62,10 +62,10 @@ def written(store: SqlEventStore, number: int = 200) -> tuple[Head, list[Kept]]:
     head = store.claim(LAB, "test", LEASE_S)
     texts = []
     for at in range(number):
-        record, words = said(head, f"{NOBODY} {at} " + "and so on " * (at % 5), salt=at.to_bytes(16))
+        record, words = pause_with_words(head, f"{NOBODY} {at} " + "and so on " * (at % 5), salt=at.to_bytes(16))
         head = store.append(head, [record])
         texts.append(words)
-    record, _ = said(head, STAYS)
+    record, _ = pause_with_words(head, STAYS)
     return store.append(head, [record]), texts
 
 
@@ -94,7 +94,7 @@ def test_nothing_of_the_text_is_left_in_the_files_of_postgres(
     assert (found.faults, found.checked) == ((), len(texts) + 1)
     # What is written from now on goes the same way.
     head = store.head()
-    record, words = said(head, f"{NOBODY} again", salt=b"a" * 16)
+    record, words = pause_with_words(head, f"{NOBODY} again", salt=b"a" * 16)
     head = store.append(head, [record])
     erase(store, head, [words])
     assert store.scrub() == ""

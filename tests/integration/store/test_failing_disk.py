@@ -10,7 +10,7 @@ import pytest
 
 from labos.store import SqlEventStore, first_damage
 from tests.integration.store.records import LAB, LEASE_S, batch
-from tests.integration.store.test_crash import acknowledged, rest, writer
+from tests.integration.store.test_crash import read_acknowledged, rest, writer
 from tests.support.bad_disk import BadDisk
 
 FAILURES = {
@@ -31,7 +31,7 @@ def test_it_is_reported_and_what_was_acknowledged_is_there(
     error, calls, words = FAILURES[failing]
     url = f"sqlite:///{tmp_path / 'lab.db'}"
     with writer(url) as process:
-        position = acknowledged(process, 30)
+        position = read_acknowledged(process, 30)
         bad.fails(error, calls)
         said = rest(process)
         process.wait()

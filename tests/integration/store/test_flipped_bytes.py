@@ -72,7 +72,7 @@ class Lab:
         return f"sqlite:///{home / 'labos.db'}"
 
 
-def flipped(data: bytes, at: int, bit: int) -> bytes:
+def flip(data: bytes, at: int, bit: int) -> bytes:
     return data[:at] + bytes([data[at] ^ (1 << bit)]) + data[at + 1 :]
 
 
@@ -143,7 +143,7 @@ def test_a_flipped_byte_of_the_log_is_never_folded(
     assert judge(lab, shutil.copytree(tmp_path / "kept", tmp_path / "sound")) == "changes nothing"
     for at, bit in flips(len(data), number, 1):
         home = Path(shutil.copytree(tmp_path / "kept", tmp_path / "flipped"))
-        (home / file).write_bytes(flipped(data, at, bit))
+        (home / file).write_bytes(flip(data, at, bit))
         try:
             counts[judge(lab, home)] += 1
         except AssertionError as error:
@@ -163,37 +163,37 @@ def test_a_flipped_byte_of_a_blob_is_found_when_it_is_read(tmp_path: Path, numbe
     (file,) = (path for path in tmp_path.rglob("*") if path.is_file())
     data = file.read_bytes()
     for at, bit in flips(len(data), number, 2):
-        file.write_bytes(flipped(data, at, bit))
+        file.write_bytes(flip(data, at, bit))
         with pytest.raises(LogDamaged, match=name):
             blobs.get(name)
 
 
 @pytest.mark.parametrize("number", HOW_MANY)
 def test_a_flipped_byte_of_a_journal_keeps_its_node_from_starting(number: int) -> None:
-    async def lived() -> bytes:
+    async def live() -> bytes:
         file = MemoryFile()
         journal = await Journal.open(file, Counter())
         journal.bind("lab-1")
         for number in range(1, 8):
             journal.accept(f"a{number}", 1, number, "seal")
-            await journal.synced()
+            await journal.sync()
             journal.end(f"a{number}", 1, Outcome(True, "all", {"n": number}))
-            await journal.synced()
+            await journal.sync()
         await journal.close()
         return file.data
 
-    data = asyncio.run(lived())
+    data = asyncio.run(live())
     last = len(data) - 1
     counts: Counts = Counts()
     for at, bit in [*flips(len(data), number, 7), *((last, bit) for bit in range(8))]:
         try:
-            found = Journal.of(flipped(data, at, bit))
+            found = Journal.read(flip(data, at, bit))
         except JournalDamaged:
             counts["the node refuses to start"] += 1
             continue
         # Only the mark of the end of the last line can go: then the line is whole nevertheless.
         assert at == last, (at, bit)
-        seventh = found.known("a7", 1)
+        seventh = found.find("a7", 1)
         assert seventh is not None
         assert seventh.status == "finished"
         counts["changes nothing"] += 1
@@ -215,7 +215,7 @@ def test_a_flipped_byte_of_a_backup_is_found_or_changes_nothing(
     data = path.read_bytes()
     counts: Counts = Counts()
     for at, bit in flips(len(data), number, 3):
-        path.write_bytes(flipped(data, at, bit))
+        path.write_bytes(flip(data, at, bit))
         try:
             _, state = verify_backup(folder, key=key)
         except (StoreError, BadInput):
@@ -238,7 +238,7 @@ def test_a_flipped_byte_of_a_bench_is_found_or_is_a_letter(tmp_path: Path, numbe
     data = (folder / "rpl.db").read_bytes()
     counts: Counts = Counts()
     for at, bit in flips(len(data), number, 4):
-        (folder / "rpl.db").write_bytes(flipped(data, at, bit))
+        (folder / "rpl.db").write_bytes(flip(data, at, bit))
         counts["found by verify" if check_benches(folder).faults else "not found"] += 1
     show("bench record", counts)
     assert counts["found by verify"]
@@ -315,4 +315,4 @@ def spoilt(value: bytes | str | int, rng: random.Random) -> bytes | str | int:
         at = rng.randrange(len(value)) if value else 0
         return value[:at] + chr(ord(value[at]) ^ 1) + value[at + 1 :] if value else "x"
     data = bytes(value)
-    return flipped(data, rng.randrange(len(data)), rng.randrange(8))
+    return flip(data, rng.randrange(len(data)), rng.randrange(8))

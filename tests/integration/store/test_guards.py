@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from labos.store import Damage, SqlEventStore, first_damage
-from tests.integration.store.records import Raw, filled, raw
+from tests.integration.store.records import Raw, raw, write_records
 
 COLUMNS = "position, id, stream, version, type, schema, recorded_at, actor, correlation, causation"
 REST = "digest, envelope, payload, hash"
@@ -43,7 +43,7 @@ FORBIDDEN_POSTGRES = [
 
 
 def test_the_database_refuses_to_change_the_log(store: SqlEventStore, store_url: str) -> None:
-    head = filled(store, 3)
+    head = write_records(store, 3)
     before = list(store.read())
     with raw(store_url) as database:
         more = FORBIDDEN_SQLITE if database.is_sqlite else FORBIDDEN_POSTGRES
@@ -96,7 +96,7 @@ def _run(statement: str) -> Tamper:
 def test_verifying_names_the_first_position_that_was_tampered_with(
     store: SqlEventStore, store_url: str, tamper: Tamper, position: int, reason: str
 ) -> None:
-    filled(store, 8)
+    write_records(store, 8)
     assert first_damage(store) is None
     with raw(store_url) as database:
         database.disarm()
@@ -109,7 +109,7 @@ def test_verifying_names_the_first_position_that_was_tampered_with(
 
 
 def test_a_value_of_the_wrong_type_is_damage_too(store: SqlEventStore, store_url: str) -> None:
-    filled(store, 3)
+    write_records(store, 3)
     with raw(store_url) as database:
         if not database.is_sqlite:
             pytest.skip("PostgreSQL keeps the types of its columns")
@@ -122,7 +122,7 @@ def test_a_value_of_the_wrong_type_is_damage_too(store: SqlEventStore, store_url
 
 
 def test_verifying_tells_its_progress(store: SqlEventStore) -> None:
-    filled(store, 2500)
+    write_records(store, 2500)
     seen: list[tuple[int, int]] = []
     assert first_damage(store, lambda done, total: seen.append((done, total))) is None
     assert seen == [(1000, 2500), (2000, 2500), (2500, 2500)]

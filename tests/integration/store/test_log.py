@@ -13,7 +13,7 @@ from labos.core.ids import LabId
 from labos.errors import Fenced, InvariantBroken, LogDamaged, Refused, StoreUnavailable
 from labos.ports import EventStore, Head
 from labos.store import SqlEventStore
-from tests.integration.store.records import LAB, LEASE_S, batch, filled, raw
+from tests.integration.store.records import LAB, LEASE_S, batch, raw, write_records
 
 Open = Callable[..., SqlEventStore]
 
@@ -36,9 +36,9 @@ class TestAppendAndRead:
         head = store.claim(LAB, "test", LEASE_S)
         for causation in ("request:a", "", "another", "request:b", "request%", "request:a"):
             head = store.append(head, batch(head, 1, causation=causation))
-        assert store.caused_by("request:", 100) == [(1, "request:a"), (4, "request:b"), (6, "request:a")]
-        assert store.caused_by("request:", 3) == [(4, "request:b"), (6, "request:a")]
-        assert store.caused_by("request%", 100) == [(5, "request%")]
+        assert store.list_caused_by("request:", 100) == [(1, "request:a"), (4, "request:b"), (6, "request:a")]
+        assert store.list_caused_by("request:", 3) == [(4, "request:b"), (6, "request:a")]
+        assert store.list_caused_by("request%", 100) == [(5, "request%")]
 
     @pytest.mark.parametrize("sizes", [(1, 1, 1), (19, 20, 21), (1201,)])
     def test_positions_have_no_gap_whatever_the_batches(
@@ -57,11 +57,11 @@ class TestAppendAndRead:
     def test_a_part_is_read(
         self, store: SqlEventStore, after: int, upto: int | None, expected: list[int]
     ) -> None:
-        filled(store, 600)
+        write_records(store, 600)
         assert [record.head.position for record in store.read(after, upto)] == expected
 
     def test_replay_gives_the_same_records_as_tuples(self, store: SqlEventStore) -> None:
-        filled(store, 600)
+        write_records(store, 600)
         expected = []
         for record in store.read():
             at = record.head
@@ -78,11 +78,11 @@ class TestAppendAndRead:
         assert list(store.replay(598)) == expected[598:]
 
     def test_nothing_appended_is_nothing_done(self, store: SqlEventStore) -> None:
-        head = filled(store, 2)
+        head = write_records(store, 2)
         assert store.append(head, []) == head
 
     def test_records_that_do_not_follow_are_a_programming_error(self, store: SqlEventStore) -> None:
-        head = filled(store, 2)
+        head = write_records(store, 2)
         for wrong in (
             batch(head, 3)[1:],
             batch(msgspec.structs.replace(head, lab=LabId("lab-2"))),
@@ -93,7 +93,7 @@ class TestAppendAndRead:
         assert store.head() == head
 
     def test_a_batch_that_contradicts_the_log_is_refused_whole(self, store: SqlEventStore) -> None:
-        head = filled(store, 2)
+        head = write_records(store, 2)
         good, bad = batch(head, 2, stream="run:same")
         with pytest.raises(InvariantBroken, match="nothing of it was written"):
             store.append(head, [good, bad])
@@ -126,7 +126,7 @@ class TestAppendAndRead:
         assert lengths == sorted(lengths)
 
     def test_a_gap_stops_a_reader_at_the_missing_position(self, store: SqlEventStore, store_url: str) -> None:
-        filled(store, 8)
+        write_records(store, 8)
         with raw(store_url) as database:
             database.disarm()
             database.run("DELETE FROM event WHERE position = 5")
@@ -151,7 +151,7 @@ class TestOneKernel:
     def test_an_append_without_the_claim_is_fenced(
         self, store: SqlEventStore, opened: Open, store_url: str
     ) -> None:
-        head = filled(store, 1)
+        head = write_records(store, 1)
         with pytest.raises(Fenced):
             opened(store_url).append(head, batch(head))
         store.release(head.epoch)
@@ -159,13 +159,13 @@ class TestOneKernel:
             store.append(head, batch(head))
 
     def test_every_claim_raises_the_epoch_and_keeps_the_lab(self, store: SqlEventStore) -> None:
-        head = filled(store, 1)
+        head = write_records(store, 1)
         store.release(head.epoch)
         again = store.claim(LabId("another"), "test", LEASE_S)
         assert again == msgspec.structs.replace(head, epoch=2)
 
     def test_an_older_epoch_is_fenced(self, store: SqlEventStore) -> None:
-        head = filled(store, 1)
+        head = write_records(store, 1)
         store.claim(LAB, "test", LEASE_S)
         with pytest.raises(Fenced):
             store.append(head, batch(head))
@@ -190,7 +190,7 @@ class TestOneKernel:
     def test_a_closed_store_lets_the_next_kernel_in(
         self, store: SqlEventStore, opened: Open, store_url: str
     ) -> None:
-        head = filled(store, 1)
+        head = write_records(store, 1)
         store.close()
         after = opened(store_url).claim(LAB, "the next kernel", LEASE_S)
         assert (after.position, after.epoch) == (1, head.epoch + 1)
@@ -198,7 +198,7 @@ class TestOneKernel:
     def test_releasing_late_leaves_the_next_kernel_alone(
         self, store: SqlEventStore, opened: Open, store_url: str
     ) -> None:
-        head = filled(store, 1)
+        head = write_records(store, 1)
         store.close()
         other = opened(store_url)
         now = other.claim(LAB, "the next kernel", LEASE_S)
@@ -210,7 +210,7 @@ class TestOneKernel:
     def test_a_store_opened_for_reading_cannot_write(
         self, store: SqlEventStore, opened: Open, store_url: str
     ) -> None:
-        head = filled(store, 3)
+        head = write_records(store, 3)
         reader = opened(store_url, read_only=True)
         assert reader.head() == head
         assert list(reader.read()) == list(store.read())
@@ -222,7 +222,7 @@ class TestOneKernel:
 
 class TestSnapshots:
     def test_the_newest_snapshot_of_the_same_fold_is_loaded(self, store: SqlEventStore) -> None:
-        head = filled(store, 3)
+        head = write_records(store, 3)
         assert store.load_snapshot("fold-1") is None
         second = next(store.read(1, 2))
         store.save_snapshot(2, second.hash, "fold-1", b"old")
@@ -233,7 +233,7 @@ class TestSnapshots:
     def test_a_snapshot_of_another_history_says_that_the_log_was_rewritten(
         self, store: SqlEventStore, opened: Open, store_url: str
     ) -> None:
-        head = filled(store, 3)
+        head = write_records(store, 3)
         store.save_snapshot(3, GENESIS, "fold-1", b"data")
         with pytest.raises(LogDamaged, match="position 3") as caught:
             store.load_snapshot("fold-1")
@@ -243,7 +243,7 @@ class TestSnapshots:
         assert opened(store_url, read_only=True).known_position == 4
 
     def test_a_snapshot_that_changed_is_ignored(self, store: SqlEventStore, store_url: str) -> None:
-        head = filled(store, 3)
+        head = write_records(store, 3)
         store.save_snapshot(3, head.hash, "fold-1", b"data")
         with raw(store_url) as database:
             database.run("UPDATE snapshot SET data = ?", b"date")

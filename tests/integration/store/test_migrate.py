@@ -17,7 +17,7 @@ from labos.store import SqlEventStore, database_status, migrate, migrations_fold
 from labos.store._migrate import REVISION, alembic_config
 from labos.store._tables import VERSION_TABLE, metadata
 from labos.store._url import parse_url
-from tests.integration.store.records import filled, raw
+from tests.integration.store.records import raw, write_records
 
 Open = Callable[..., SqlEventStore]
 
@@ -184,7 +184,7 @@ def test_a_file_that_is_no_database_is_named(tmp_path: Path) -> None:
 
 def test_the_log_is_written_with_full_syncs(tmp_path: Path, opened: Open) -> None:
     store = opened(f"sqlite:///{tmp_path / 'sub' / 'lab.db'}")
-    filled(store, 1)
+    write_records(store, 1)
     with store._transaction() as connection:
         assert connection.exec_driver_sql("PRAGMA synchronous").scalar_one() == 2
     with closing(sqlite3.connect(tmp_path / "sub" / "lab.db")) as database:

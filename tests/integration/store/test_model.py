@@ -45,14 +45,14 @@ class Log(RuleBasedStateMachine):
         super().__init__()
         self.url = type(self).new_url()
         self.home = Path(tempfile.mkdtemp(prefix="labos-home-"))
-        self.stores = [self.opened(), self.opened()]
+        self.stores = [self.open_store(), self.open_store()]
         self.heads: list[Head | None] = [None, None]
         self.records: list[Record] = []
         self.epoch = 0
         self.holder: int | None = None
         self.snapshot: tuple[int, bytes, str, bytes] | None = None
 
-    def opened(self) -> SqlEventStore:
+    def open_store(self) -> SqlEventStore:
         return open_store(self.url, home=self.home)
 
     def teardown(self) -> None:
@@ -128,7 +128,7 @@ class Log(RuleBasedStateMachine):
     def die_and_start_again(self, kernel: int) -> None:
         """The process is gone with its locks; another opens the same log."""
         self.store(kernel).close()
-        self.stores[kernel] = self.opened()
+        self.stores[kernel] = self.open_store()
         self.heads[kernel] = None
         if self.holder == kernel:
             self.holder = None
@@ -145,12 +145,12 @@ class Log(RuleBasedStateMachine):
         last=st.none() | st.integers(0, 10),
     )
     def select(self, kernel: int, types: list[str], after: int, last: int | None) -> None:
-        def wanted(record: Record) -> bool:
+        def is_wanted(record: Record) -> bool:
             names = [name.removesuffix(".*") for name in types]
             kind = record.head.type
             return not names or any(kind == name or kind.startswith(f"{name}.") for name in names)
 
-        expected = [r for r in self.records[after:] if wanted(r)]
+        expected = [r for r in self.records[after:] if is_wanted(r)]
         if last is not None:
             expected = expected[len(expected) - min(last, len(expected)) :]
         found = self.store(kernel).select(LogQuery(after=after, types=tuple(types), last=last))

@@ -131,7 +131,7 @@ def test_a_lab_keeps_its_pictures_there_and_its_backup_here(bucket: str, tmp_pat
     kept = list(ObjectBlobs(f"{bucket}/pictures").names())
     assert len(kept) >= 1
     assert not (lab.home / "blobs").exists()
-    assert Settings.of(lab.home).blobs == f"{bucket}/pictures", "the home remembers it"
+    assert Settings.make(lab.home).blobs == f"{bucket}/pictures", "the home remembers it"
     done = labos("backup", str(tmp_path / "safe"), "--home", str(lab.home), "--json")
     assert done.returncode == 0, done.stderr
     assert sorted(json.loads(done.stdout)["blobs"]) == sorted(kept)

@@ -10,7 +10,7 @@ import pytest
 
 from labos.core.envelope import Record
 from labos.store import SqlEventStore
-from tests.integration.store.records import batch, filled, raw
+from tests.integration.store.records import batch, raw, write_records
 
 Open = Callable[..., SqlEventStore]
 
@@ -33,7 +33,7 @@ def alone(file: Path, opened: Open) -> list[Record]:
 def test_a_copy_of_the_file_is_the_log(file: Path, opened: Open, in_order: bool, reader_first: bool) -> None:
     url = f"sqlite:///{file}"
     store, reader = opened(url), opened(url, read_only=True)
-    head = filled(store, 300)
+    head = write_records(store, 300)
     records = list(reader.read())
     if in_order:
         store.release(head.epoch)
@@ -45,7 +45,7 @@ def test_a_copy_of_the_file_is_the_log(file: Path, opened: Open, in_order: bool,
 
 def test_who_has_read_himself_closes_in_order_too(file: Path, opened: Open) -> None:
     store = opened(f"sqlite:///{file}")
-    filled(store, 3)
+    write_records(store, 3)
     assert len(list(store.read())) == 3
     store.close()
     assert not file.with_name(file.name + "-wal").exists()
@@ -59,7 +59,7 @@ def test_a_program_in_the_midst_of_reading_costs_nothing(
     monkeypatch.setattr("labos.store._sqlite.BUSY_TIMEOUT_S", 0.1)
     url = f"sqlite:///{file}"
     store = opened(url)
-    head = filled(store, 3)
+    head = write_records(store, 3)
     with raw(url) as program:
         program.run("BEGIN")
         program.run("SELECT count(*) FROM event")
@@ -72,7 +72,7 @@ def test_a_program_in_the_midst_of_reading_costs_nothing(
 
 def test_a_file_that_was_moved_away_is_not_made_anew(file: Path, opened: Open) -> None:
     store = opened(f"sqlite:///{file}")
-    filled(store, 3)
+    write_records(store, 3)
     for part in file.parent.glob("lab.db*"):
         part.unlink()
     store.close()

@@ -8,7 +8,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
-from tests.integration.store.test_crash import ROOT, acknowledged
+from tests.integration.store.test_crash import ROOT, read_acknowledged
 
 KERNEL = """
 from pathlib import Path
@@ -30,7 +30,7 @@ def test_what_a_kernel_appends_is_in_the_file_after_others_have_closed_it(tmp_pa
     try:
         position = 0
         for _ in range(20):
-            position = acknowledged(process, position + 3)
+            position = read_acknowledged(process, position + 3)
             with closing(sqlite3.connect(tmp_path / "labos.db")) as database:
                 (found,) = database.execute("SELECT max(position) FROM event").fetchone()
             assert found >= position

@@ -17,7 +17,7 @@ from labos.node.journal_file import FileJournalFile
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from labos.store import FolderBlobs, backup, open_store, tighten
-from tests.integration.store.records import filled, hearing
+from tests.integration.store.records import hearing, write_records
 from tests.unit.services.logbook import two_users
 
 pytestmark = pytest.mark.skipif("os.name == 'nt'", reason="Windows has other rights")
@@ -42,7 +42,7 @@ def open_to_others(folder: Path) -> list[str]:
 def test_database_key_blobs_backups_and_checkpoints_are_private(tmp_path: Path) -> None:
     home = tmp_path / "deep" / "lab"
     store = open_store(f"sqlite:///{home / 'labos.db'}", home=home)
-    head = filled(store, 3)
+    head = write_records(store, 3)
     store.save_snapshot(3, head.hash, "fold", b"data")
     blobs = FolderBlobs(home / "blobs")
     blobs.put(b"a picture")
@@ -78,7 +78,7 @@ def test_a_nodes_journal_is_private(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("umask")
 def test_a_whole_lab_is_private(tmp_path: Path) -> None:
     home, safe = tmp_path / "lab", tmp_path / "safe"
-    settings = Settings.of(home, f"sqlite:///{home / 'labos.db'}", speed=1000.0, simulate=True)
+    settings = Settings.make(home, f"sqlite:///{home / 'labos.db'}", speed=1000.0, simulate=True)
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
 
     async def live() -> None:
@@ -93,14 +93,14 @@ def test_a_whole_lab_is_private(tmp_path: Path) -> None:
 def test_what_is_open_is_closed_with_one_line(tmp_path: Path) -> None:
     home = tmp_path / "lab"
     store = open_store(f"sqlite:///{home / 'labos.db'}", home=home)
-    filled(store, 3)
+    write_records(store, 3)
     store.close()
     home.chmod(0o755)
     for path in home.iterdir():
         path.chmod(0o644)
     with hearing() as told:
         store = open_store(f"sqlite:///{home / 'labos.db'}", home=home)
-        filled(store, 0)
+        write_records(store, 0)
     store.close()
     assert open_to_others(home) == []
     said = [line for line in told if line["event"] == "made_private"]

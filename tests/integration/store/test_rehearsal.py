@@ -13,7 +13,7 @@ from labos.errors import LogDamaged
 from labos.services.doctor import REHEARSAL, check_rehearsal
 from labos.store import FolderBlobs, move_old_segments, verify_backup, verify_detached
 from labos.store._backup import read_backup
-from tests.integration.trust.conftest import Lab, chained_anew
+from tests.integration.trust.conftest import Lab, chain_anew
 from tests.unit.services.logbook import two_users
 
 RECORDS = two_users().records
@@ -80,7 +80,7 @@ def test_the_backup_of_another_log(lab: Lab, backup: Path) -> None:
     records = list(RECORDS)
     changed = msgspec.structs.replace(records[7].head, actor="mallory")
     records[7] = msgspec.structs.replace(records[7], head=changed)
-    lab.write(chained_anew(records))
+    lab.write(chain_anew(records))
     said = lab.ask("restore", str(backup), "--rehearse", code=1)
     assert f"they differ at position {HALF + 1} or before" in said
     assert not (lab.home / REHEARSAL).exists()

@@ -17,8 +17,8 @@ from labos.cli.db import command as db
 from labos.errors import BadInput, NotFound, Refused, StoreUnavailable
 from labos.store import SqlEventStore, first_damage, grant_writer, lease_holder, migrate
 from tests.docs.markdown import DOCS
-from tests.integration.store.records import LAB, batch, filled
-from tests.integration.store.test_words import erasing, said
+from tests.integration.store.records import LAB, batch, write_records
+from tests.integration.store.test_words import erasing, pause_with_words
 from tests.support.postgres import PostgresServer
 
 pytestmark = pytest.mark.postgres
@@ -71,7 +71,7 @@ def roles(postgres_server: PostgresServer) -> Roles:
 def test_a_writer_can_do_what_a_kernel_does(roles: Roles, opened: Open) -> None:
     grant_writer(roles.owners_url, roles.writer)
     store = opened(roles.writers_url)
-    head = filled(store, 3)
+    head = write_records(store, 3)
     head = store.append(head, batch(head, 50))
     store.save_snapshot(head.position, head.hash, "fold", b"data")
     store.renew(head.epoch, 30.0)
@@ -97,7 +97,7 @@ def test_a_writer_keeps_and_erases_words_also_where_it_was_there_before_them(
     migrate(roles.owners_url)
     store = opened(roles.writers_url)
     head = store.claim(LAB, "test", 30.0)
-    record, words = said(head, "a cold")
+    record, words = pause_with_words(head, "a cold")
     head = store.append(head, [record])
     store.append(head, [erasing(head, words)])
     assert store.words_of([words.reference])[words.reference].is_erased
@@ -113,7 +113,7 @@ def test_a_writer_keeps_and_erases_words_also_where_it_was_there_before_them(
 def test_a_writer_cannot_change_the_log_nor_take_its_guards_away(roles: Roles, opened: Open) -> None:
     grant_writer(roles.owners_url, roles.writer)
     store = opened(roles.writers_url)
-    filled(store, 3)
+    write_records(store, 3)
     with psycopg.connect(roles.writers_url, autocommit=True) as writer:
         for statement in FORBIDDEN:
             with pytest.raises(errors.InsufficientPrivilege):
@@ -125,7 +125,7 @@ def test_a_writer_cannot_change_the_log_nor_take_its_guards_away(roles: Roles, o
 
 def test_nobody_else_can_read_or_write_the_log(roles: Roles, opened: Open) -> None:
     grant_writer(roles.owners_url, roles.writer)
-    filled(opened(roles.writers_url), 3)
+    write_records(opened(roles.writers_url), 3)
     with psycopg.connect(roles.server.url, autocommit=True) as admin:
         admin.execute(f'CREATE ROLE "stranger to {roles.owner}" LOGIN')
     stranger = f"postgresql://stranger%20to%20{roles.owner}@{roles.base}"
@@ -166,7 +166,7 @@ def test_the_role_of_an_api_process_reads_the_log_and_its_words(roles: Roles, op
     """What docs/api-processes.md grants it, and no more."""
     store = opened(roles.owners_url)
     head = store.claim(LAB, "test", 30.0)
-    record, words = said(head, "a cold")
+    record, words = pause_with_words(head, "a cold")
     store.append(head, [record])
     name = f"lab_api_{roles.owner}"
     (granted,) = re.findall(r"```sql\n(.*?)```", (DOCS / "api-processes.md").read_text(), re.DOTALL)
@@ -211,7 +211,7 @@ def test_a_role_that_finds_the_views_first(postgres_server: PostgresServer, open
     for each in (url, url.replace("labos@", "views_first_kernel@")):
         store = opened(each)
         head = store.claim(LAB, "test", 30.0)
-        record, words = said(head, f"a cold of {each}")
+        record, words = pause_with_words(head, f"a cold of {each}")
         head = store.append(head, [record])
         store.append(head, [erasing(head, words)])
         assert store.scrub() == ""

@@ -13,7 +13,7 @@ import pytest
 
 from labos.errors import StoreUnavailable
 from labos.store import SqlEventStore, first_damage
-from tests.integration.store.records import batch, filled
+from tests.integration.store.records import batch, write_records
 from tests.support.postgres import PostgresServer
 
 Open = Callable[..., SqlEventStore]
@@ -37,7 +37,7 @@ class Asked(threading.Thread):
 
 
 @contextmanager
-def frozen(server: PostgresServer) -> Iterator[None]:
+def freeze(server: PostgresServer) -> Iterator[None]:
     server.freeze()
     try:
         yield
@@ -56,9 +56,9 @@ def test_whoever_waits_for_a_frozen_server_can_be_helped_out(
     server: PostgresServer, opened: Open, rows: int
 ) -> None:
     store = opened(server.create_database("lab"))
-    head = filled(store, 3)
+    head = write_records(store, 3)
     records = batch(head, rows)
-    with frozen(server):
+    with freeze(server):
         writing = Asked(lambda: store.append(head, records))
         reading = Asked(lambda: list(store.read()))
         for asked in (writing, reading):
@@ -81,8 +81,8 @@ def test_whoever_waits_for_a_frozen_server_can_be_helped_out(
 @pytest.mark.slow
 def test_a_store_is_closed_under_whoever_waits_for_it(server: PostgresServer, opened: Open) -> None:
     store = opened(server.create_database("lab"))
-    head = filled(store, 3)
-    with frozen(server):
+    head = write_records(store, 3)
+    with freeze(server):
         writing = Asked(lambda: store.append(head, batch(head)))
         writing.join(0.3)
         assert writing.is_alive()
@@ -94,7 +94,7 @@ def test_a_store_is_closed_under_whoever_waits_for_it(server: PostgresServer, op
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems have no such option")
 def test_a_peer_that_vanished_is_given_up_by_the_system(opened: Open, postgres_url: str) -> None:
     store = opened(postgres_url)
-    filled(store, 1)
+    write_records(store, 1)
 
     def limit(connection: Any) -> int:
         line = connection.connection.driver_connection.pgconn.socket

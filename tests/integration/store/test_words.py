@@ -23,7 +23,7 @@ SALT = bytes(range(16))
 TEXT = "Zoë Quux says: it's her cold\nand 100 % of it"
 
 
-def said(after: Head, text: str, salt: bytes = SALT, actor: str = "bo") -> tuple[Record, Kept]:
+def pause_with_words(after: Head, text: str, salt: bytes = SALT, actor: str = "bo") -> tuple[Record, Kept]:
     """A pause with words of its own."""
     words = keep(text, salt)
     payload = {"target": "*", "by": actor, "why": words.reference}
@@ -40,7 +40,7 @@ def erasing(after: Head, *words: Kept, because: str = "personal") -> Record:
 
 def test_words_come_and_go_with_their_events(store: SqlEventStore) -> None:
     head = store.claim(LAB, "test", LEASE_S)
-    record, words = said(head, TEXT)
+    record, words = pause_with_words(head, TEXT)
     head = store.append(head, [record])
     assert store.words_of([words.reference, f"{PREFIX}{'0' * 64}"]) == {words.reference: words}
     assert [(each.words, each.position, each.erased_at) for each in store.all_words()] == [(words, 1, 0)]
@@ -58,7 +58,7 @@ def test_words_come_and_go_with_their_events(store: SqlEventStore) -> None:
 
 def test_a_batch_that_is_not_written_leaves_no_words(store: SqlEventStore) -> None:
     head = store.claim(LAB, "test", LEASE_S)
-    record, words = said(head, TEXT)
+    record, words = pause_with_words(head, TEXT)
     with pytest.raises(StoreError):
         store.append(msgspec.structs.replace(head, epoch=head.epoch + 7), [record])
     assert store.words_of([words.reference]) == {}
@@ -84,7 +84,7 @@ def test_words_of_a_user_are_found(store: SqlEventStore) -> None:
 
 def test_the_log_is_searched_for_words_that_stand_beside_it(store: SqlEventStore) -> None:
     head = store.claim(LAB, "test", LEASE_S)
-    record, words = said(head, TEXT)
+    record, words = pause_with_words(head, TEXT)
     head = store.append(head, [record, *batch(msgspec.structs.replace(head, position=1, hash=record.hash))])
     assert [r.head.position for r in store.select(LogQuery(mentions="Zoë Quux"))] == [1]
     assert [r.head.position for r in store.select(LogQuery(mentions="100 % of"))] == [1]
@@ -104,7 +104,7 @@ def test_words_that_somebody_changed_are_found(
     store: SqlEventStore, store_url: str, change: str, fault: str
 ) -> None:
     head = store.claim(LAB, "test", LEASE_S)
-    store.append(head, [said(head, TEXT)[0]])
+    store.append(head, [pause_with_words(head, TEXT)[0]])
     engine = sqlalchemy.create_engine(parse_url(store_url))
     with engine.begin() as connection:
         connection.exec_driver_sql(change.replace("%", "%%"))
@@ -119,7 +119,7 @@ def test_words_that_are_put_back_after_they_were_erased_are_found(
     store: SqlEventStore, store_url: str
 ) -> None:
     head = store.claim(LAB, "test", LEASE_S)
-    record, words = said(head, TEXT)
+    record, words = pause_with_words(head, TEXT)
     head = store.append(head, [record])
     store.append(head, [erasing(head, words)])
     engine = sqlalchemy.create_engine(parse_url(store_url))
@@ -136,7 +136,7 @@ def test_erasures_are_noted_beside_the_database(
     store: SqlEventStore, store_url: str, tmp_path: Path, opened: Callable[..., SqlEventStore]
 ) -> None:
     head = store.claim(LAB, "test", LEASE_S)
-    record, words = said(head, TEXT)
+    record, words = pause_with_words(head, TEXT)
     head = store.append(head, [record])
     file = tmp_path / "labos.erased"
     assert not file.exists()
@@ -157,7 +157,7 @@ def test_nothing_of_the_text_is_left_in_the_files_of_sqlite(
     head = store.claim(LAB, "test", LEASE_S)
     kept = []
     for number in range(300):  # several pages of the table, which are split as they fill
-        record, words = said(head, f"Quux {number} " + "nobody should read this " * (number % 40))
+        record, words = pause_with_words(head, f"Quux {number} " + "nobody should read this " * (number % 40))
         kept.append(words)
         head = store.append(head, [record])
     mark = b"nobody should read this"

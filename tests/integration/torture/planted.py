@@ -22,7 +22,7 @@ class Bug(NamedTuple):
 
 POLL = 'while (state := self.ask("STAT")) in ("BUSY", "IDLE"):'
 ANSWER = '        if answer == "LOCKED":'
-ENDS = 'if state == "IDLE" and self.done() == before + 1:'
+ENDS = 'if state == "IDLE" and self.count_done() == before + 1:'
 UNLESS_DONE = (
     '            if state == "IDLE" and asked - begun > START_S:\n'
     '                raise DeviceError("It rests, and has not done it: was it switched off?")\n'
@@ -366,7 +366,7 @@ BUGS: dict[str, Bug] = {
 }
 
 
-def planted(folder: Path, name: str) -> Path:
+def plant(folder: Path, name: str) -> Path:
     """The shaker with one bug, in a file of its own."""
     text = SHAKER.read_text()
     for good, bad in BUGS[name].changes:

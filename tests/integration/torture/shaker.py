@@ -70,7 +70,7 @@ class Shaker(Node):
         time: Annotated[float, Param(unit="s", minimum=10, maximum=90)] = 60.0,
     ) -> None:
         """Shake the plate."""
-        before = self.done()
+        before = self.count_done()
         self.start(f"SHAKE {speed:.0f} {time:.1f}")
         with under_way():
             self.await_end(before)
@@ -78,7 +78,7 @@ class Shaker(Node):
     @action(Needs("plate"), duration_s=20)
     def oil(self, volume: Annotated[float, Param(unit="µL", minimum=1, maximum=500)]) -> None:
         """Drop oil onto the plate."""
-        before = self.done()
+        before = self.count_done()
         self.start(f"OIL {volume * 10:.0f}")
         with under_way():
             self.await_end(before)
@@ -86,9 +86,9 @@ class Shaker(Node):
     @action(exclusive=False, duration_s=1)
     def count(self) -> int:
         """How often it has done something since it was switched on."""
-        return self.done()
+        return self.count_done()
 
-    def done(self) -> int:
+    def count_done(self) -> int:
         answer = self.ask("COUNT")
         if not answer.isdecimal():
             raise DeviceError(f"It answers {answer} when it is asked for its count.", effects="none")
@@ -104,7 +104,7 @@ class Shaker(Node):
     def await_end(self, before: int) -> None:
         begun = asked = time.monotonic()
         while (state := self.ask("STAT")) in ("BUSY", "IDLE"):
-            if state == "IDLE" and self.done() == before + 1:
+            if state == "IDLE" and self.count_done() == before + 1:
                 return
             # What counts is when it was asked: on a busy computer its answer is read late.
             if state == "IDLE" and asked - begun > START_S:
@@ -139,9 +139,9 @@ class ShakerOnLine(DeviceOnLine):
             case ["SHAKE" | "OIL", *_] if self.state != "IDLE" or self.locked:
                 self.tell("LOCKED")
             case ["SHAKE", speed, seconds]:
-                self._begin(float(seconds), lambda: self._shaken(float(speed), float(seconds)))
+                self._begin(float(seconds), lambda: self._end_shake(float(speed), float(seconds)))
             case ["OIL", tenths]:
-                self._begin(20, lambda: self._oiled(float(tenths) / 10))
+                self._begin(20, lambda: self._end_oil(float(tenths) / 10))
             case _:
                 self.tell("WHAT")
 
@@ -159,12 +159,12 @@ class ShakerOnLine(DeviceOnLine):
         self.after(2 + seconds, end)
         self.tell("OK")
 
-    def _shaken(self, speed_rpm: float, time_s: float) -> None:
+    def _end_shake(self, speed_rpm: float, time_s: float) -> None:
         self.world.use(self.name, "grease", 1)
         self.world.work(self.name, "shake", self.place("plate"), speed_rpm=speed_rpm, time_s=time_s)
         self.state, self.count = "IDLE", self.count + 1
 
-    def _oiled(self, volume_ul: float) -> None:
+    def _end_oil(self, volume_ul: float) -> None:
         self.world.work(self.name, "oil", self.place("plate"), volume_ul=volume_ul)
         self.state, self.count = "IDLE", self.count + 1
 

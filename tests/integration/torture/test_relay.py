@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,11 +27,11 @@ class Pair:
         self.wire = SerialWire(relay.address)
         self.wire.open()
 
-    def heard(self) -> bytes:
+    def read_at_device(self) -> bytes:
         """What the device hears next."""
         return _until(lambda: self.device.read(0.2))
 
-    def said(self, data: bytes) -> bytes:
+    def read_at_driver(self, data: bytes) -> bytes:
         """What arrives of what the device says."""
         self.device.write(data)
         return _until(lambda: self.wire.read(0.2))
@@ -46,7 +48,7 @@ def _until(read: Callable[[], bytes]) -> bytes:
     return data
 
 
-def _spoiled(relay: Relay) -> None:
+def _await_spoiled(relay: Relay) -> None:
     """Wait until something has been."""
     assert isinstance(relay, Spoiler)
     deadline = time.monotonic() + LIMIT_S
@@ -60,7 +62,7 @@ def pair(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Pair]:
     relay = relay_to(device.address, tmp_path)
     pair = Pair(device, relay)
     pair.wire.write(b"hello", 1.0)
-    assert pair.heard() == b"hello"
+    assert pair.read_at_device() == b"hello"
     yield pair
     pair.wire.close()
     relay.close()
@@ -70,17 +72,17 @@ def pair(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Pair]:
 @pytest.mark.parametrize(("mode", "arrives"), [("garble", b"aHcdOf"), ("cut", b"abc")])
 def test_what_is_said_is_spoiled_once(pair: Pair, mode: Mode, arrives: bytes) -> None:
     pair.relay.spoil(mode, times=1)
-    assert pair.said(b"abcdef") == arrives
-    assert pair.said(b"abcdef") == b"abcdef"
+    assert pair.read_at_driver(b"abcdef") == arrives
+    assert pair.read_at_driver(b"abcdef") == b"abcdef"
 
 
 def test_what_is_lost_never_comes_and_what_is_held_comes_late(pair: Pair) -> None:
     pair.relay.spoil("lose", times=1)
     pair.device.write(b"lost")
-    _spoiled(pair.relay)
+    _await_spoiled(pair.relay)
     pair.relay.spoil("hold")
     pair.device.write(b"late")
-    _spoiled(pair.relay)
+    _await_spoiled(pair.relay)
     assert pair.wire.read(0.1) == b""
     pair.relay.restore()
     assert _until(lambda: pair.wire.read(0.05)) == b"late"
@@ -105,21 +107,21 @@ def test_who_is_connected_notices_that_it_is_unplugged_and_may_come_back(pair: P
     while b"back" not in pair.device.read(0.05) and time.monotonic() < deadline:
         with contextlib.suppress(LinkError):
             pair.wire.write(b"back", 1.0)
-    assert pair.said(b"welcome") == b"welcome"
+    assert pair.read_at_driver(b"welcome") == b"welcome"
 
 
 def test_a_device_with_two_lines_is_cut_off_from_both(tmp_path: Path) -> None:
-    devices = PtyEnd(), TcpEnd()
+    devices: list[Any] = [PtyEnd(), TcpEnd()]
     relay = relay_to(",".join(device.address for device in devices), tmp_path)
     wires = [SerialWire(address) for address in relay.address.split(",")]
     for device, wire in zip(devices, wires, strict=True):
         wire.open()
         wire.write(b"hello", 1.0)
-        assert _until(lambda device=device: device.read(0.2)) == b"hello"
+        assert _until(partial(device.read, 0.2)) == b"hello"
     relay.spoil("cut", times=1)
     for device, wire in zip(devices, wires, strict=True):
         device.write(b"abcdef")
-        assert _until(lambda wire=wire: wire.read(0.2)) == b"abc"
+        assert _until(partial(wire.read, 0.2)) == b"abc"
     relay.unplug()
     for wire in wires:
         wire.close()

@@ -17,13 +17,13 @@ from labos.bootstrap import load_driver
 from labos.errors import BadInput
 from labos.torture import CHECKS, Finding, Report, torture
 from labos.torture.report import badge_of
-from tests.integration.torture.planted import BUGS, SHAKER, planted
+from tests.integration.torture.planted import BUGS, SHAKER, plant
 from tests.support.lab_process import labos
 
 MOTION_S = 0.6
 
 
-async def tortured(path: Path, *only: str) -> dict[str, Finding]:
+async def run_torture(path: Path, *only: str) -> dict[str, Finding]:
     report = await torture(str(path), only=only, motion_s=MOTION_S)
     return {finding.check: finding for finding in report.findings}
 
@@ -38,23 +38,23 @@ FEW = (
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_what_is_wrong_is_found(tmp_path: Path) -> None:
-    assert missed(FEW, tmp_path) == {}
+    assert find_missed(FEW, tmp_path) == {}
 
 
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 def test_every_kind_of_bug_is_found(tmp_path: Path) -> None:
     assert len(BUGS) >= 36
-    assert missed(list(BUGS), tmp_path) == {}
+    assert find_missed(list(BUGS), tmp_path) == {}
 
 
-def missed(names: Sequence[str], folder: Path) -> dict[str, str]:
+def find_missed(names: Sequence[str], folder: Path) -> dict[str, str]:
     """Of these bugs, those that the suite does not find, with what it says in their place."""
     turns = asyncio.Semaphore(4)
 
     async def one(name: str) -> Finding:
         async with turns:
-            return (await tortured(planted(folder, name), BUGS[name].check))[BUGS[name].check]
+            return (await run_torture(plant(folder, name), BUGS[name].check))[BUGS[name].check]
 
     async def main() -> list[Finding]:
         return await asyncio.gather(*map(one, names))
@@ -108,7 +108,7 @@ def test_a_motion_that_is_over_too_soon_is_begun_again(tmp_path: Path) -> None:
     text = text.replace('if state != "IDLE"', 'time.sleep(0.5)\n            if state != "IDLE"')
     path = tmp_path / "shaker_interrupted_late.py"
     path.write_text(text)
-    findings = asyncio.run(tortured(path, "stop"))
+    findings = asyncio.run(run_torture(path, "stop"))
     assert findings["stop"].verdict == "passed", findings["stop"].why
 
 

@@ -87,7 +87,7 @@ def lab(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lab:
     return Lab(tmp_path / "lab")
 
 
-def chained_anew(records: Sequence[Record]) -> list[Record]:
+def chain_anew(records: Sequence[Record]) -> list[Record]:
     """What somebody makes of changed records who knows how the chain is made: no position is missing, and
     each hash follows from the one before."""
     made: list[Record] = []

@@ -18,7 +18,7 @@ from labos.services.trust.keys import Keys
 from labos.services.trust.notes import SIGNS, make_key, parse_note
 from labos.services.trust.places import name_of, newest_in
 from labos.services.trust.tree import TREE_FILE
-from tests.integration.trust.conftest import NAME, Lab, chained_anew
+from tests.integration.trust.conftest import NAME, Lab, chain_anew
 from tests.unit.cli_queries.conftest import command_of
 from tests.unit.services.logbook import two_users
 
@@ -26,12 +26,12 @@ RECORDS = two_users().records
 HALF, END = len(RECORDS) // 2, len(RECORDS)
 
 
-def altered(position: int) -> list[Record]:
+def alter(position: int) -> list[Record]:
     """Another actor at a position, and a chain that is right in itself."""
     records = list(RECORDS)
     changed = msgspec.structs.replace(records[position - 1].head, actor="mallory")
     records[position - 1] = msgspec.structs.replace(records[position - 1], head=changed)
-    return chained_anew(records)
+    return chain_anew(records)
 
 
 # -- the log ------------------------------------------------------------------------------------
@@ -43,18 +43,18 @@ def test_a_log_that_agrees_with_its_checkpoints(lab: Lab) -> None:
 
 
 ATTACKS = {
-    "rewritten in its first half": (lambda: altered(7), f"positions 1 to {HALF} was rewritten"),
+    "rewritten in its first half": (lambda: alter(7), f"positions 1 to {HALF} was rewritten"),
     "rewritten in its second half": (
-        lambda: altered(HALF + 3),
+        lambda: alter(HALF + 3),
         f"positions {HALF + 1} to {END} was rewritten",
     ),
     "its tail cut off": (lambda: RECORDS[:-4], f"ends at position {END - 4}"),
     "its tail cut off and written anew": (
-        lambda: altered(END),
+        lambda: alter(END),
         f"positions {HALF + 1} to {END} was rewritten",
     ),
     "a run removed": (
-        lambda: chained_anew([each for each in RECORDS if each.head.stream != "R2"]),
+        lambda: chain_anew([each for each in RECORDS if each.head.stream != "R2"]),
         "its tail was cut off",
     ),
 }
@@ -73,7 +73,7 @@ def test_a_log_that_was_rewritten(lab: Lab, attack: str) -> None:
 
 def test_somebody_who_makes_the_lab_forget_what_it_has_signed(lab: Lab) -> None:
     """The copies elsewhere still say it."""
-    lab.write(altered(7))
+    lab.write(alter(7))
     (lab.home / TREE_FILE).unlink()
     assert "Nothing was signed." in lab.ask("checkpoint", code=1)
     shutil.rmtree(lab.home / "checkpoints")
@@ -101,7 +101,7 @@ def test_a_checkpoint_of_the_older_kind_still_serves(lab: Lab, tmp_path: Path) -
     file = str(tmp_path / "old.json")
     assert "was written" in lab.ask("verify", "--checkpoint", file)
     assert "It agrees with the checkpoint" in lab.ask("verify", "--checkpoint", file)
-    lab.write(altered(7))
+    lab.write(alter(7))
     assert "was rewritten" in lab.ask("verify", "--checkpoint", file, code=1)
 
 
@@ -224,7 +224,7 @@ def test_a_bundle_of_a_lab_whose_key_was_swapped(lab: Lab) -> None:
     shutil.rmtree(keys)
     shutil.rmtree(lab.home / "checkpoints")
     (lab.home / TREE_FILE).unlink()
-    lab.write(altered(END - 2))
+    lab.write(alter(END - 2))
     Keys(lab.home).create(NAME)
     lab.publish()
     said = lab.ask("verify", "--bundle", str(lab.bundle()), "--public-key", str(lab.public), code=1)
@@ -258,11 +258,11 @@ def test_each_flipped_byte_of_a_bundle_is_noticed_or_changes_nothing(lab: Lab) -
     good = lab.ask("verify", "--bundle", str(path), "--public-key", str(lab.public))
     for at in range(0, len(whole), len(whole) // 60):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
-        said = told(lab, path)
+        said = run_verify(lab, path)
         assert said == good or "is no bundle" in said or "does not prove" in said, at
 
 
-def told(lab: Lab, path: Path) -> str:
+def run_verify(lab: Lab, path: Path) -> str:
     args = ["--bundle", str(path), "--public-key", str(lab.public), "--home", str(lab.home)]
     result = CliRunner().invoke(command_of("verify"), args)
     return result.output or str(result.exception)

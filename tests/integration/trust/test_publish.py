@@ -28,7 +28,7 @@ from labos.services.trust.publish import Targets, publish
 from labos.services.trust.tree import TREE_FILE, grow, read_tree
 from labos.services.trust.witness import Witness, encode_request, parse_request
 from labos.store import open_store
-from tests.integration.trust.conftest import NAME, Lab, chained_anew, run_openssl, serving
+from tests.integration.trust.conftest import NAME, Lab, chain_anew, run_openssl, serving
 from tests.support.processes import running
 from tests.unit.services.logbook import two_users
 
@@ -198,7 +198,7 @@ def test_a_witness_does_not_cosign_another_story(lab: Lab, tmp_path: Path) -> No
     with witnessing(lab, tmp_path / "other") as url:
         assert lab.publish(url).faults == ()
     head = msgspec.structs.replace(RECORDS[6].head, actor="mallory")
-    forged = chained_anew([*RECORDS[:6], msgspec.structs.replace(RECORDS[6], head=head), *RECORDS[7:]])
+    forged = chain_anew([*RECORDS[:6], msgspec.structs.replace(RECORDS[6], head=head), *RECORDS[7:]])
     with witnessing(lab, tmp_path / "other") as url:
         for story, said in ((forged, "409"), (forged[:-3], "it was cut off"), (RECORDS, "")):
             lab.write(story)

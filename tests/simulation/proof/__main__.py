@@ -11,7 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-from tests.simulation.proof.campaign import Tally, campaign, quiet, replay_line, told
+from tests.simulation.proof.campaign import Tally, campaign, describe_failure, quiet, replay_line
 from tests.simulation.proof.day import Day, live
 
 EVERY_S = 30.0
@@ -34,7 +34,7 @@ def main() -> int:
     def tell(tally: Tally, day: Day) -> None:
         nonlocal printed
         if day.wrong:
-            print(told(day), flush=True)
+            print(describe_failure(day), flush=True)
         if time.monotonic() - printed > EVERY_S:
             printed = time.monotonic()
             print(f"{printed - began:7.0f} s  seed {day.seed}: {tally.summary()}", flush=True)

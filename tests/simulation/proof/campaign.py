@@ -68,7 +68,7 @@ def replay_line(seed: int) -> str:
     return f"python -m tests.simulation.proof --seed {seed} --save {log} && labos replay {log}"
 
 
-def told(day: Day) -> str:
+def describe_failure(day: Day) -> str:
     """What to print of a seed that failed."""
     return "\n".join(
         [f"seed {day.seed} fails: {replay_line(day.seed)}", *(f"  {line}" for line in day.wrong)]

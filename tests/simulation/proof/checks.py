@@ -113,7 +113,7 @@ def once(lab: SimulatedLab) -> Iterator[str]:
         if count > 1:
             yield f"{action} ended {count} times"
     for name, data in lab.disk.items():
-        for attempt in Journal.of(data).open_attempts():
+        for attempt in Journal.read(data).open_attempts():
             if attempt.action not in asked:
                 yield f"the journal of {name} holds {attempt.action}, which nobody asked for"
 

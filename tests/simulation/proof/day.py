@@ -75,9 +75,9 @@ def live(seed: int, save: Path | None = None) -> Day:
             state = lab.run_for(work, LIMIT_S)
             wrong = findings(lab, state, obedience)
         except Stalled as error:
-            state, wrong = lab.folded(), [f"end: {error}"]
+            state, wrong = lab.fold_log(), [f"end: {error}"]
         except Exception as error:
-            state, wrong = lab.folded(), [f"surprise: {error!r}"]
+            state, wrong = lab.fold_log(), [f"surprise: {error!r}"]
         if save is not None:
             lab.save(save)
         counts = {
@@ -108,7 +108,7 @@ def leave_older_snapshot(lab: SimulatedLab) -> None:
     """Leave a snapshot such as another version's fold would have: it names labware otherwise."""
     head = lab.store.head()
     if head.position:
-        state = lab.folded()
+        state = lab.fold_log()
         state.bench.named += 100
         lab.store.save_snapshot(head.position, head.hash, fingerprint_of_another_fold(), picture(state))
 

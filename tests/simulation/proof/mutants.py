@@ -51,13 +51,14 @@ MUTANTS = (
                 "            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)\n",
                 "            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)\n"
                 "            for listener in self.listeners:\n"
-                "                listener.committed(entries)\n",
+                "                listener.on_committed(entries)\n",
             ),
             Change(
                 "runtime/kernel_log.py",
                 "        for listener in self.listeners:\n"
-                "            if not self._notify(listener, partial(listener.committed, entries)):\n"
-                "                self._notify(listener, listener.reopened)  # it looks at everything again\n"
+                "            if not self._notify(listener, partial(listener.on_committed, entries)):\n"
+                "                self._notify(listener, listener.on_reopened)"
+                "  # it looks at everything again\n"
                 "        while self._waiting",
                 "        while self._waiting",
             ),
@@ -94,9 +95,9 @@ MUTANTS = (
             Change(
                 "node/server.py",
                 "            self.journal.void(ask.action, ask.attempt, ask.position)\n"
-                "        await self.journal.synced()\n        # While",
+                "        await self.journal.sync()\n        # While",
                 '            return told or self._reply("void", attempt=ask.attempt)\n'
-                "        await self.journal.synced()\n        # While",
+                "        await self.journal.sync()\n        # While",
             ),
         ),
     ),
@@ -144,7 +145,7 @@ MUTANTS = (
 )
 
 
-def mutated(mutant: Mutant) -> dict[str, str]:
+def mutate(mutant: Mutant) -> dict[str, str]:
     """The files with the flaw in them. Raises ValueError if a change does not fit the source any more."""
     files: dict[str, str] = {}
     for change in mutant.changes:
@@ -160,11 +161,11 @@ def plant(mutant: Mutant, folder: Path) -> None:
     shutil.copytree(ROOT / "labos", folder / "labos", ignore=shutil.ignore_patterns("__pycache__"))
     for name in BESIDE:
         (folder / name).symlink_to(ROOT / name)
-    for file, text in mutated(mutant).items():
+    for file, text in mutate(mutant).items():
         (folder / "labos" / file).write_text(text)
 
 
-def tried(mutant: Mutant, seeds: int) -> tuple[int | None, list[str], int]:
+def try_mutant(mutant: Mutant, seeds: int) -> tuple[int | None, list[str], int]:
     """The first seed that notices, what it says, and how many seeds were lived through."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -189,7 +190,7 @@ def main() -> int:
     for mutant in (CONTROL, *MUTANTS):
         if asked.only not in ("", mutant.name):
             continue
-        seed, lines, lived = tried(mutant, asked.seeds)
+        seed, lines, lived = try_mutant(mutant, asked.seeds)
         checks = ", ".join(sorted({line.partition(":")[0] for line in lines}))
         found = f"caught by seed {seed} ({checks})" if seed is not None else f"not caught in {lived} seeds"
         print(f"{mutant.name:26} {found}: {mutant.flaw}", flush=True)

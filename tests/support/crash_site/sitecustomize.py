@@ -49,7 +49,7 @@ def die() -> None:
     signal.pthread_kill(threading.get_ident(), getattr(signal, os.environ.get("LABOS_CRASH_BY", "SIGKILL")))
 
 
-def reached(point: str) -> None:
+def reach(point: str) -> None:
     if due(point):
         die()
 
@@ -67,40 +67,40 @@ def _in_kernel() -> None:
 
     def crashing_append(self: Any, expected: Any, records: Any) -> Any:
         ends = any(record.head.type == "action.succeeded" for record in records)
-        reached("kernel.before_commit")
+        reach("kernel.before_commit")
         if ends:
-            reached("kernel.before_result_commit")
+            reach("kernel.before_result_commit")
         head = append(self, expected, records)
-        reached("kernel.after_commit")
+        reach("kernel.after_commit")
         if ends:
-            reached("kernel.after_result_commit")
+            reach("kernel.after_result_commit")
         return head
 
     def crashing_claim(self: Any, *how: Any) -> Any:
         head = claim(self, *how)
-        reached("kernel.after_claim")
+        reach("kernel.after_claim")
         return head
 
     async def crashing_ask(self: Any, module: Any, message: Any) -> Any:
         what = {Start: "send", Ask: "ask"}.get(type(message), "")
         if what:
-            reached(f"kernel.before_{what}")
-            reached(f"kernel.before_{what}_{local(module)}")
+            reach(f"kernel.before_{what}")
+            reach(f"kernel.before_{what}_{local(module)}")
         reply = await ask(self, module, message)
         if what:
-            reached(f"kernel.after_{what}")
-            reached(f"kernel.after_{what}_{local(module)}")
+            reach(f"kernel.after_{what}")
+            reach(f"kernel.after_{what}_{local(module)}")
         return reply
 
     async def crashing_look(self: Any, module: Any) -> Any:
-        reached("kernel.before_look")
+        reach("kernel.before_look")
         seen = await look(self, module)
-        reached("kernel.after_look")
+        reach("kernel.after_look")
         return seen
 
     def crashing_tell(self: Any, *sight: Any) -> None:
         tell(self, *sight)
-        reached("kernel.after_sight")
+        reach("kernel.after_sight")
 
     if not {"kernel.in_commit", "kernel.in_pipeline", "kernel.in_copy"}.isdisjoint(POINTS):
         _in_transaction()
@@ -119,17 +119,17 @@ def _in_transaction() -> None:
     insert = _postgres._insert
 
     def crashing_insert(cursor: Any, rows: Any) -> None:
-        reached("kernel.in_commit")
+        reach("kernel.in_commit")
         if "kernel.in_pipeline" in POINTS:
             with cursor.connection.pipeline():
                 cursor.executemany(_postgres._INSERT, rows)
                 cursor.connection.pgconn.flush()
-                reached("kernel.in_pipeline")
+                reach("kernel.in_pipeline")
             return
         if "kernel.in_copy" in POINTS:
             with cursor.copy(_postgres._COPY) as copy:
                 copy.set_types(_postgres._TYPES)
-                reached("kernel.in_copy")
+                reach("kernel.in_copy")
                 for row in rows:
                     copy.write_row(row)
             return
@@ -156,25 +156,25 @@ def _in_node() -> None:
 
     def crashing_append(self: Any, data: bytes) -> None:
         kind = next((kind for text, kind in KINDS if text in data), "other")
-        reached(f"node.before_{kind}_journal")
+        reach(f"node.before_{kind}_journal")
         if due(f"node.torn_{kind}_journal"):
             os.write(self._fd, data[: len(data) // 2])
             die()
         append(self, data)
-        reached(f"node.after_{kind}_journal")
+        reach(f"node.after_{kind}_journal")
 
     async def crashing_publish(self: Any, key: str, message: Any) -> None:
         result = "/result/" in key
         if result:
-            reached("node.before_publish")
+            reach("node.before_publish")
         await publish(self, key, message)
         if result:
-            reached("node.after_publish")
+            reach("node.after_publish")
 
     def crashing_grip(self: Any, device: str, place: str, how: str = "") -> str:
-        reached("node.before_grip")
+        reach("node.before_grip")
         plate = grip(self, device, place, how)
-        reached("node.in_motion")
+        reach("node.in_motion")
         return plate
 
     FileJournalFile._append = crashing_append  # type: ignore[method-assign]

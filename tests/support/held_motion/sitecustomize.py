@@ -19,7 +19,7 @@ SOON_S = 0.005
 FOLDER = Path(os.environ.get("LABOS_HOLD", ""))
 
 
-def told(name: str) -> tuple[int, str]:
+def read_pause(name: str) -> tuple[int, str]:
     """At which pause to stand still, and the word; 0 for none."""
     try:
         pause, word = (FOLDER / name).read_text().split()
@@ -34,14 +34,14 @@ if "LABOS_HOLD" in os.environ and "node" in sys.argv:
     take_time = Simulated.take_time
     passed: dict[str, int] = {}
 
-    async def held(self: Any, nominal_s: float) -> None:
+    async def hold_motion(self: Any, nominal_s: float) -> None:
         await take_time(self, nominal_s)
-        pause, word = told(self.name)
+        pause, word = read_pause(self.name)
         passed[word] = passed.get(word, 0) + 1
         if not pause or passed[word] != pause:
             return
         (FOLDER / f"{self.name}.held").write_text(word)
-        while told(self.name) == (pause, word):
+        while read_pause(self.name) == (pause, word):
             await take_time(self, SOON_S * self._setup.pace)
 
-    Simulated.take_time = held  # type: ignore[method-assign]
+    Simulated.take_time = hold_motion  # type: ignore[method-assign]

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from labos.cli._bench_round import from_file, from_options, read_words, recorded_contents, say
+from labos.cli._bench_round import describe_recorded, from_file, from_options, read_words, say
 from labos.errors import BadInput
 
 
@@ -92,8 +92,8 @@ def test_what_cannot_be_confirmed_in_passing_is_said_in_full() -> None:
 
 
 def test_what_the_log_believes_in_words() -> None:
-    assert recorded_contents(station("a", "P1+P2", types={"P1": "plate96"})) == "P1+P2 (plate96)"
-    assert recorded_contents(station("a")) == "empty"
-    assert recorded_contents(station("a", known=False)) == "nothing: nobody has ever said"
-    assert recorded_contents(station("a", "plate96", "plate96", kind="stack")) == "2xplate96"
-    assert recorded_contents(station("a", "labware", "labware", kind="waste")) == "2 thrown away"
+    assert describe_recorded(station("a", "P1+P2", types={"P1": "plate96"})) == "P1+P2 (plate96)"
+    assert describe_recorded(station("a")) == "empty"
+    assert describe_recorded(station("a", known=False)) == "nothing: nobody has ever said"
+    assert describe_recorded(station("a", "plate96", "plate96", kind="stack")) == "2xplate96"
+    assert describe_recorded(station("a", "labware", "labware", kind="waste")) == "2 thrown away"

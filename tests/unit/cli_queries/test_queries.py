@@ -31,7 +31,7 @@ from labos.core.repeated import RequestRepeated
 from labos.core.runs import RunFailed, RunPaused
 from labos.core.state import fold_fingerprint, from_picture, picture
 from labos.core.topics import Choice, PlannedWork
-from labos.services.interventions import answered
+from labos.services.interventions import describe_answer
 from labos.services.summary import summarise
 from labos.services.times import iso_time
 from labos.settings import KernelInfo, announce
@@ -335,9 +335,9 @@ def test_who_answers_late_is_told_who_did_before(home: Path) -> None:
     append(home, *QUESTIONS, InterventionResolved(InterventionId("I1"), "gone", "olga", "it fell down"))
     store = open_store(f"sqlite:///{home / 'labos.db'}", create=False, read_only=True)
     try:
-        assert answered(store, "I1").startswith("olga answered I1 at 2025-06-15")
-        assert answered(store, "I1").endswith(": gone (it fell down).")
-        assert answered(store, "I2") == answered(store, "I9") == ""
+        assert describe_answer(store, "I1").startswith("olga answered I1 at 2025-06-15")
+        assert describe_answer(store, "I1").endswith(": gone (it fell down).")
+        assert describe_answer(store, "I2") == describe_answer(store, "I9") == ""
     finally:
         store.close()
 

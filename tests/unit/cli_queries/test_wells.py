@@ -16,7 +16,7 @@ SHUFFLED = ("B1", "A10", "A2", "A1")
 IN_ORDER = ["A1", "A2", "A10", "B1"]
 
 
-def listed(text: str) -> list[str]:
+def list_wells(text: str) -> list[str]:
     """The wells among the first words of lines."""
     return [words[0] for words in map(str.split, text.splitlines()) if words and words[0] in SHUFFLED]
 
@@ -24,7 +24,7 @@ def listed(text: str) -> list[str]:
 def test_samples(ask: Ask, home: Path) -> None:
     samples = tuple(Sample(well, f"code-{well}", 5.0) for well in SHUFFLED)
     append(home, SamplesRegistered(LabwareId("P1"), "", "d", len(samples), samples))
-    assert listed(ask("samples", "show", "P1").stdout) == IN_ORDER
+    assert list_wells(ask("samples", "show", "P1").stdout) == IN_ORDER
     rows = ask("samples", "show", "P1", "--csv").stdout.splitlines()[1:]
     assert [row.split(",")[1] for row in rows] == IN_ORDER
     facts = json.loads(ask("samples", "show", "P1", "--json").stdout)

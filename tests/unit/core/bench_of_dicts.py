@@ -93,7 +93,7 @@ class DictBench:
         self.unready: set[str] = set()
 
     @property
-    def hindered(self) -> bool:
+    def is_hindered(self) -> bool:
         """Whether something is kept from starting anywhere but in a run of its own."""
         return bool(self.halted or self.away or self.unready)
 
@@ -104,7 +104,7 @@ class DictBench:
         named = [plate for plate, here in self.really.items() if here == place]
         return named + [plate for plate, here in self.loose.items() if here == place]
 
-    def known(self, plate: str) -> str:
+    def find_place(self, plate: str) -> str:
         """Where a plate stands for all that was told; empty if that is more than one place."""
         (only, *more) = self.maybe[plate]
         return "" if more else only
@@ -126,22 +126,22 @@ class DictBench:
         lost = (step.places for step in self.lost.values())
         return any(place in places for places in (*unsure, *lost))
 
-    def handled(self, plate: str) -> bool:
+    def is_handled(self, plate: str) -> bool:
         """Whether an action carries a plate or works on it."""
         return any(flight.plate == plate for flight in self.flying.values())
 
-    def mine(self, run: str, place: str) -> list[str]:
+    def list_own(self, run: str, place: str) -> list[str]:
         """Plates at a place that a run may use."""
         allowed = (f"run:{run}", f"user:{self.runs[run].user}", "shared")
         return [
             plate
             for plate in self.maybe
-            if self.known(plate) == place and self.owner[plate] in allowed and not self.handled(plate)
+            if self.find_place(plate) == place and self.owner[plate] in allowed and not self.is_handled(plate)
         ]
 
     # -- what may start --------------------------------------------------------------------------
 
-    def forbidden(self, run: str, index: int) -> str:
+    def find_reason(self, run: str, index: int) -> str:
         """Why a step must not start, whatever stands on the bench; empty if it may."""
         what = self.runs[run]
         if what.over or what.paused or what.status == "cancelling":
@@ -161,7 +161,7 @@ class DictBench:
             return ""
         if step.do != "take" and self.really.get(plate) != step.source:
             return f"{plate} is not at {step.source} but at {self.really.get(plate)}"
-        if step.do != "take" and plate not in self.mine(run, step.source):
+        if step.do != "take" and plate not in self.list_own(run, step.source):
             return f"{plate} is not for {run}"
         takes = [f.plate for f in self.flights() if f.step.do == "take"]
         if step.do == "take" and self.stock <= len(set(takes) - self.loose.keys()):
@@ -175,7 +175,7 @@ class DictBench:
     def may_start(self, run: str, index: int) -> bool:
         """Whether nothing at all speaks against a start, so that it must be allowed."""
         step = self.runs[run].plan[index]
-        if self.forbidden(run, index):
+        if self.find_reason(run, index):
             return False
         touched = {place for flight in self.flying.values() for place in flight.step.places}
         if any(place.startswith(f"{step.module}.") for place in touched):
@@ -186,11 +186,11 @@ class DictBench:
             taking = sum(flight.step.do == "take" for flight in self.flights())
             if self.doubtful(STACK) or self.stock + len(self.loose) <= taking:
                 return False
-        elif not self.mine(run, step.source):
+        elif not self.list_own(run, step.source):
             return False
         if not step.carries:
             return True
-        if self.doubtful(step.hand) or any(self.known(plate) == step.hand for plate in self.maybe):
+        if self.doubtful(step.hand) or any(self.find_place(plate) == step.hand for plate in self.maybe):
             return False
         modules = {flight.step.module for flight in self.flying.values()}
         reached = {place.partition(".")[0] for place in (step.source, step.target, step.via) if "." in place}
@@ -222,7 +222,7 @@ class DictBench:
         else:
             self.really.pop(plate, None)
 
-    def left_at(self, flight: Flight) -> str:
+    def find_left(self, flight: Flight) -> str:
         """Where the plate of an action is."""
         plate = flight.plate
         return self.loose.get(plate) or self.really.get(plate) or (STACK if flight.step.do == "take" else "")

@@ -12,7 +12,7 @@ def inside(lab: Driver, *changes: tuple[str, str]) -> EndAccess:
     return EndAccess(CELL, "ada", "", tuple(Change(StationName(full(s)), what) for s, what in changes))
 
 
-def held() -> Driver:
+def make_held() -> Driver:
     """Two runs, one of them in flight, and somebody who wants to reach in."""
     lab = small()
     lab.submit(route("stack", "a", "b", "trash"))
@@ -24,14 +24,14 @@ def held() -> Driver:
 
 
 def test_what_is_in_flight_ends_first_and_nothing_starts() -> None:
-    lab = held()
+    lab = make_held()
     assert lab.types()[-1] == "workcell.access_requested"
     assert lab.code("R2") == "access"
     lab.finish(lab.flying()[0])
     lab.pump()
     assert lab.types()[-1] == "workcell.access_granted"
     assert lab.pump() == []
-    assert lab.missed() == []
+    assert lab.find_missed() == []
     lab.do(inside(lab))
     assert lab.pump()
     lab.check_log()
@@ -52,12 +52,12 @@ def test_arms_are_parked_before_it_is_granted_and_not_after() -> None:
 
 
 def test_only_one_person_at_a_time() -> None:
-    lab = held()
+    lab = make_held()
     assert lab.do(RequestAccess(CELL, "ada")) == []
-    assert lab.refused(RequestAccess(CELL, "bo")).code == "occupied"
-    assert lab.refused(RequestAccess("nowhere", "bo")).code == "no_workcell"
+    assert lab.reject(RequestAccess(CELL, "bo")).code == "occupied"
+    assert lab.reject(RequestAccess("nowhere", "bo")).code == "no_workcell"
     lab.do(inside(lab))
-    assert lab.refused(inside(lab)).code == "no_access"
+    assert lab.reject(inside(lab)).code == "no_access"
 
 
 def test_what_was_changed_is_written_when_the_person_is_out() -> None:
@@ -86,7 +86,7 @@ def test_changes_that_cannot_be_are_refused_and_the_workcell_stays_held() -> Non
     lab = small()
     lab.stock("a", 1)
     lab.do(RequestAccess(CELL, "ada"))
-    assert lab.refused(inside(lab, ("a", "plate"))).code == "station_occupied"
-    assert lab.refused(inside(lab, ("nowhere", "empty"))).code == "no_station"
-    assert lab.refused(inside(lab, ("stack", "plate"))).code == "stack"
+    assert lab.reject(inside(lab, ("a", "plate"))).code == "station_occupied"
+    assert lab.reject(inside(lab, ("nowhere", "empty"))).code == "no_station"
+    assert lab.reject(inside(lab, ("stack", "plate"))).code == "stack"
     assert CELL in lab.state.lab.access

@@ -39,7 +39,7 @@ def carrying(more: int = 1) -> tuple[Driver, ActionId]:
     return lab, lab.start(run, 1)
 
 
-def ended(lab: Driver) -> str:
+def find_last_type(lab: Driver) -> str:
     return lab.log[-1].event.TYPE
 
 
@@ -83,7 +83,7 @@ def test_a_query_does_not_occupy_its_module() -> None:
 def test_a_final_refusal_fails_the_run() -> None:
     lab, action = carrying()
     lab.refuse(action)
-    assert ended(lab) == "run.failed"
+    assert find_last_type(lab) == "run.failed"
     assert lab.where("P1") == "a"
     assert lab.state.bench.stations["cell/b"].expected == 0  # type: ignore[index]
     assert lab.refuse(action) == []
@@ -102,7 +102,7 @@ def test_a_refused_action_of_a_cancelled_run_ends_it() -> None:
     lab, action = carrying()
     lab.do(CancelRun(lab.run("R1").id))
     lab.refuse(action, final=False)
-    assert ended(lab) == "run.cancelled"
+    assert find_last_type(lab) == "run.cancelled"
 
 
 def test_a_refusal_of_another_attempt_says_nothing() -> None:
@@ -132,7 +132,7 @@ def test_success_moves_and_goes_on() -> None:
     assert lab.state.bench.labware["P1"].moving == ""  # type: ignore[index]
     assert lab.finish(action) == []
     lab.step("R1", 2)
-    assert ended(lab) == "run.completed"
+    assert find_last_type(lab) == "run.completed"
     assert lab.state.bench.reserved == {}
     lab.check_log()
 
@@ -159,7 +159,7 @@ def test_all_effects_take_place() -> None:
     assert lab.state.bench.labware["P1"].variables == {"sealed": True}  # type: ignore[index]
     dev = lab.state.modules.by_name["cell/dev"]  # type: ignore[index]
     assert (dev.variables, dev.at_rest) == ({"lid": Variable("closed", "R1")}, False)
-    assert lab.state.resources.left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
+    assert lab.state.resources.find_left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
     assert lab.code(run, 2) == "no_access"
 
 
@@ -170,7 +170,7 @@ def test_an_action_may_change_labware_and_throw_it_away() -> None:
     lab.step(run)
     assert lab.state.bench.labware == {}
     assert lab.state.bench.by_owner == {}
-    assert ended(lab) == "run.completed"
+    assert find_last_type(lab) == "run.completed"
 
 
 def test_variables_of_labware_that_the_action_does_not_name_are_nobodys() -> None:
@@ -187,7 +187,7 @@ def test_failed_with_nothing_done() -> None:
     lab, action = carrying()
     lab.fail(action, "none")
     assert lab.where("P1") == "a"
-    assert ended(lab) == "run.failed"
+    assert find_last_type(lab) == "run.failed"
     assert [q.kind for q in lab.questions()] == ["failed_run"]
     assert "arm could not 'act': jam" in lab.log[-1].event.why  # type: ignore[attr-defined]
 
@@ -291,14 +291,14 @@ def test_of_a_failed_action_variables_are_unknown_and_consumption_is_counted() -
     lab.fail(lab.start(run), "partial")
     assert lab.state.modules.by_name["cell/dev"].values == {"lid": None}  # type: ignore[index]
     assert lab.state.bench.labware["P1"].variables == {"sealed": None}  # type: ignore[index]
-    assert lab.state.resources.left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
+    assert lab.state.resources.find_left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
 
 
 def test_a_failed_action_that_did_nothing_uses_nothing() -> None:
     lab = small()
     run = lab.submit(plan(step("dev", sets("lid", "closed"), consumes("tips", 4.0))))
     lab.fail(lab.start(run), "none")
-    assert lab.state.resources.left("cell/dev", "tips") == 10.0  # type: ignore[arg-type]
+    assert lab.state.resources.find_left("cell/dev", "tips") == 10.0  # type: ignore[arg-type]
     assert lab.state.modules.by_name["cell/dev"].values == {"lid": "open"}  # type: ignore[index]
 
 
@@ -313,10 +313,10 @@ def parallel() -> tuple[Driver, ActionId, ActionId]:
 def test_a_run_that_has_failed_waits_for_its_other_step() -> None:
     lab, first, second = parallel()
     lab.fail(first, "none")
-    assert ended(lab) == "run.cancelling"
+    assert find_last_type(lab) == "run.cancelling"
     assert lab.run("R1").statuses == [FAILED, IN_FLIGHT, PENDING]
     lab.finish(second)
-    assert ended(lab) == "run.failed"
+    assert find_last_type(lab) == "run.failed"
     assert lab.log[-1].event.why == "dev could not 'act': jam"  # type: ignore[attr-defined]
     assert lab.owner("P1") == "user:ada"
     lab.check_log()
@@ -326,7 +326,7 @@ def test_both_steps_fail_and_the_first_reason_counts() -> None:
     lab, first, second = parallel()
     lab.fail(first, "none", "first")
     lab.fail(second, "none", "second")
-    assert ended(lab) == "run.failed"
+    assert find_last_type(lab) == "run.failed"
     assert "first" in lab.log[-1].event.why  # type: ignore[attr-defined]
     lab.check_log()
 
@@ -336,7 +336,7 @@ def test_a_cancelled_run_that_then_fails_has_failed() -> None:
     lab.do(CancelRun(lab.run("R1").id))
     lab.fail(first, "none", "first")
     lab.finish(second)
-    assert ended(lab) == "run.failed"
+    assert find_last_type(lab) == "run.failed"
 
 
 # -- nobody knows -----------------------------------------------------------------------------------
@@ -371,7 +371,7 @@ def test_each_answer_about_a_move(choice: str, place: str | None, step_after: in
         assert lab.code("R1", 2 if choice == "done" else 1) == ""
     else:
         assert lab.state.bench.labware == {}
-        assert ended(lab) == end
+        assert find_last_type(lab) == end
         assert "was spoilt (person-1)" in lab.log[-1].event.why  # type: ignore[attr-defined]
     lab.check_log()
 
@@ -388,7 +388,7 @@ def test_each_answer_about_a_take(choice: str) -> None:
     assert lab.at("a") == (["P1"] if choice == "done" else [])
     if choice == "gone":
         assert lab.state.bench.labware == {}
-        assert ended(lab) == "run.failed"
+        assert find_last_type(lab) == "run.failed"
     lab.check_log()
 
 
@@ -401,14 +401,14 @@ def test_each_answer_about_an_action_that_carries_nothing(choice: str) -> None:
     lab.answer(lab.question(), choice)
     lid = lab.state.modules.by_name["cell/dev"].value("lid")  # type: ignore[index]
     assert lid == ("closed" if choice == "done" else "open")
-    assert (ended(lab) == "run.failed") == (choice == "gone")
+    assert (find_last_type(lab) == "run.failed") == (choice == "gone")
 
 
 def test_a_done_answer_to_the_last_step_completes_the_run() -> None:
     lab, action = carrying(more=0)
     lab.doubt(action)
     lab.answer(lab.question(), "done")
-    assert ended(lab) == "run.completed"
+    assert find_last_type(lab) == "run.completed"
     assert lab.owner("P1") == "user:ada"
     lab.check_log()
 
@@ -465,7 +465,7 @@ def test_a_result_out_of_another_journal_ends_nothing() -> None:
     lab, action = carrying()
     for journal, attempt in (("journal-cell/cam", 1), ("forged", 1), ("journal-cell/arm", 2), ("forged", 0)):
         said = FinishAction(action, attempt, True, "all", journal=journal)
-        assert lab.refused(said).code == ("no_attempt" if attempt != 1 else "other_journal")
+        assert lab.reject(said).code == ("no_attempt" if attempt != 1 else "other_journal")
     assert lab.state.bench.labware["P1"].moving == action  # type: ignore[index]
     lab.do(FinishAction(action, 1, True, "all", journal="journal-cell/arm"))
     assert lab.where("P1") == "b"
@@ -495,7 +495,7 @@ def test_an_attempt_that_never_ran_ends_a_cancelled_run() -> None:
     lab, action = carrying()
     lab.do(CancelRun(lab.run("R1").id))
     lab.do(ResendAction(action, 1, "j"))
-    assert ended(lab) == "run.cancelled"
+    assert find_last_type(lab) == "run.cancelled"
     assert lab.where("P1") == "a"
     assert lab.state.bench.stations["cell/b"].expected == 0  # type: ignore[index]
     lab.check_log()
@@ -529,19 +529,22 @@ def test_a_person_who_says_that_it_was_done_says_what_later_steps_read_of_it() -
     lab.doubt(lab.start(run))
     question = lab.question()
     done = ResolveIntervention(question.id, "done", "person-1")
-    assert lab.refused(done).code == "result_needed"
-    assert lab.refused(msgspec.structs.replace(done, result="x" * 60_000)).code == "too_large"
+    assert lab.reject(done).code == "result_needed"
+    assert lab.reject(msgspec.structs.replace(done, result="x" * 60_000)).code == "too_large"
     lab.do(msgspec.structs.replace(done, result={"od": 0.4}))
     lab.start(run, 1)
     assert lab.state.actions.open["A2"].args == {"v": 0.4}
 
 
 def test_files_of_earlier_steps_go_to_a_later_one_by_name_and_digest() -> None:
-    def given(index: int) -> dict[str, object]:
+    def make_reference(index: int) -> dict[str, object]:
         return {"$result": [index, "picture"], "$file": True}
 
     lab = small()
-    both = step("dev", args={"one": given(0), "two": given(1), "n": {"$result": [0, "picture", "bytes"]}})
+    both = step(
+        "dev",
+        args={"one": make_reference(0), "two": make_reference(1), "n": {"$result": [0, "picture", "bytes"]}},
+    )
     run = lab.submit(plan(step("dev"), step("dev"), both, feeds=(0, 1)))
     for index in (0, 1):
         seen = {"file": "p.png", "sha256": str(index) * 64, "bytes": 9}

@@ -246,7 +246,7 @@ class Chaos:
             alive = lab.state.runs.active or lab.state.runs.queued or lab.state.experiments.open
             if not (alive or lab.questions()):
                 return
-        raise AssertionError(lab.stuck())
+        raise AssertionError(lab.describe_stuck())
 
 
 def nothing_left(lab: Driver) -> None:

@@ -13,7 +13,7 @@ from labos.core.model import Plan
 from labos.core.policy import Policy
 from labos.core.users import on_behalf
 from tests.support.bench import Driver, plan, small, step
-from tests.unit.core.test_rights import peopled
+from tests.unit.core.test_rights import make_peopled
 
 
 def burning(steps: int = 1) -> Plan:
@@ -21,7 +21,7 @@ def burning(steps: int = 1) -> Plan:
 
 
 def question_of(lab: Driver, run: str) -> Intervention:
-    (found,) = lab.state.interventions.of_run(run)
+    (found,) = lab.state.interventions.find_by_run(run)
     assert found.kind == "second_person"
     return found
 
@@ -31,36 +31,36 @@ def answer(lab: Driver, run: str, by: str, choice: str = "approve") -> ResolveIn
 
 
 def test_a_run_waits_until_a_second_person_has_approved_it() -> None:
-    lab = peopled()
+    lab = make_peopled()
     lab.do(GrantRole("user:ada", "operator"))
     lab.do(SubmitRun(burning(), "ada"), "ada")
     assert lab.code("R1") == "unapproved"
     assert lab.pump() == []
-    found = lab.refused(answer(lab, "R1", "ada"), "ada")
+    found = lab.reject(answer(lab, "R1", "ada"), "ada")
     assert (found.code, found.message) == (
         "second_person",
         "R1 is ada's own, and takes the approval of a second person.",
     )
-    assert lab.refused(answer(lab, "R1", "bo"), "bo").code == "no_right"
+    assert lab.reject(answer(lab, "R1", "bo"), "bo").code == "no_right"
     lab.do(answer(lab, "R1", "olga"), "olga")
     assert lab.pump() == ["R1#0"], "it was woken"
-    assert not lab.missed()
+    assert not lab.find_missed()
     lab.check_log()
 
 
 def test_a_program_is_no_second_person_whoever_it_acts_for() -> None:
-    lab = peopled()
+    lab = make_peopled()
     lab.do(ApplyPolicy("p", Policy(programs=False)))
     lab.do(GrantRole("user:robot", "operator"))
     lab.do(SubmitRun(burning(), "ada"), on_behalf("robot", "ada"))
     for actor in ("robot", on_behalf("robot", "olga")):
-        assert lab.refused(answer(lab, "R1", actor), actor).code == "second_person"
+        assert lab.reject(answer(lab, "R1", actor), actor).code == "second_person"
     # Not even if it says no more than the person's name.
     actor = on_behalf("robot", "olga")
-    assert lab.refused(answer(lab, "R1", "olga"), actor).code == "second_person"
+    assert lab.reject(answer(lab, "R1", "olga"), actor).code == "second_person"
     # Nor is the person for whom it was submitted.
     lab.do(GrantRole("user:ada", "operator"))
-    assert lab.refused(answer(lab, "R1", "ada"), "ada").code == "second_person"
+    assert lab.reject(answer(lab, "R1", "ada"), "ada").code == "second_person"
 
 
 def test_who_does_not_approve_cancels_it() -> None:
@@ -103,7 +103,7 @@ def test_users_are_not_needed_for_it() -> None:
     """In an open lab the names that people say have to differ."""
     lab = small()
     run = lab.submit(burning(), "ada")
-    assert lab.refused(answer(lab, run, "ada")).code == "second_person"
+    assert lab.reject(answer(lab, run, "ada")).code == "second_person"
     lab.do(AddUser("ada"))
     lab.do(AddUser("bo"))
     lab.do(GrantRole("user:bo", "operator"))

@@ -209,10 +209,10 @@ def test_what_a_person_says_of_a_barcode() -> None:
     driver = lab()
     assert driver.do(NameBarcode(P1, " LB1 ", "ada")) == [BarcodeRead(P1, "", "LB1", "ada")]
     assert driver.do(NameBarcode(P1, "LB1", "ada")) == []
-    assert driver.refused(NameBarcode(P2, "LB1", "ada")).code == "barcode_taken"
-    assert driver.refused(NameBarcode(P1, "LB2", "ada")).code == "barcode_known"
-    assert driver.refused(NameBarcode(P1, "", "ada")).code == "bad_barcode"
-    assert driver.refused(NameBarcode(LabwareId("P9"), "LB9", "ada")).code == "no_labware"
+    assert driver.reject(NameBarcode(P2, "LB1", "ada")).code == "barcode_taken"
+    assert driver.reject(NameBarcode(P1, "LB2", "ada")).code == "barcode_known"
+    assert driver.reject(NameBarcode(P1, "", "ada")).code == "bad_barcode"
+    assert driver.reject(NameBarcode(LabwareId("P9"), "LB9", "ada")).code == "no_labware"
     driver.do(NameBarcode(P1, "LB2", "ada", replace=True))
     assert driver.state.bench.barcodes == {"LB2": "P1"}
 

@@ -153,7 +153,7 @@ def test_a_lab_that_was_down_takes_note_of_what_it_missed_once() -> None:
     ],
 )
 def test_what_cannot_be_booked(wrong: Command, code: str) -> None:
-    refusal = small().refused(wrong)
+    refusal = small().reject(wrong)
     assert refusal.code == code
     assert refusal.remedy or code == "bad_time"
 
@@ -161,14 +161,14 @@ def test_what_cannot_be_booked(wrong: Command, code: str) -> None:
 def test_an_overlap_is_refused_by_the_name_of_the_other_unless_by_force() -> None:
     lab = small()
     first = book(lab, terms(1, 3))
-    refusal = lab.refused(MakeBooking(DEV, terms(2, 4, "cy"), "cy", lab.now))
+    refusal = lab.reject(MakeBooking(DEV, terms(2, 4, "cy"), "cy", lab.now))
     assert refusal.code == "booked"
     assert first in refusal.message
     assert "dev is booked for bo from" in refusal.message
     assert "ask op" in refusal.remedy
     assert book(lab, terms(3, 4, "cy")) == "B2", "it begins when the other ends"
-    assert lab.refused(MakeBooking(CELL, terms(2, 3, "cy"), "cy", lab.now)).code == "booked"
-    assert lab.refused(ChangeBooking(first, terms(1, 3.5), "op", lab.now)).code == "booked"
+    assert lab.reject(MakeBooking(CELL, terms(2, 3, "cy"), "cy", lab.now)).code == "booked"
+    assert lab.reject(ChangeBooking(first, terms(1, 3.5), "op", lab.now)).code == "booked"
     lab.do(ChangeBooking(first, terms(1.5, 3), "op", lab.now))
     over = book(lab, terms(2, 4, "cy"), force=True)
     assert lab.log[-1].event.over == (first, "B2")  # type: ignore[attr-defined]
@@ -179,7 +179,7 @@ def test_an_overlap_is_refused_by_the_name_of_the_other_unless_by_force() -> Non
 def test_nothing_is_booked_over_maintenance() -> None:
     lab = small()
     name = book(lab, terms(1, 3, maintenance=True))
-    refusal = lab.refused(MakeBooking(DEV, terms(2, 4), "op", lab.now, force=True))
+    refusal = lab.reject(MakeBooking(DEV, terms(2, 4), "op", lab.now, force=True))
     assert refusal.code == "booked"
     assert f"labos book change {name}" in refusal.remedy
     assert book(lab, terms(2, 4, maintenance=True), force=True) == "B2"
@@ -189,7 +189,7 @@ def test_a_booking_of_a_workcell_meets_those_of_its_modules_however_far_ahead() 
     lab = small()
     weekly = book(lab, terms(1, 2, rule="FREQ=WEEKLY"))
     at = 24 * 7 * 30 + 1.5
-    refusal = lab.refused(MakeBooking(CELL, terms(at, at + 1, "cy"), "cy", lab.now))
+    refusal = lab.reject(MakeBooking(CELL, terms(at, at + 1, "cy"), "cy", lab.now))
     assert weekly in refusal.message
     assert book(lab, terms(at + 1, at + 2, "cy"), CELL) == "B2"
 
@@ -249,7 +249,7 @@ def test_one_time_of_many_falls_out() -> None:
     lab = small()
     name = book(lab, terms(1, 2, rule="FREQ=DAILY", last=START + 3 * DAY_NS))
     second = START + HOUR + DAY_NS
-    assert lab.refused(CancelBooking(name, "op", begins=second + 1)).code == "no_time"
+    assert lab.reject(CancelBooking(name, "op", begins=second + 1)).code == "no_time"
     lab.do(CancelBooking(name, "op", "holiday", second))
     begun = []
     for hour in range(0, 24 * 5):
@@ -291,8 +291,8 @@ def test_a_booking_that_was_changed_while_it_was_on() -> None:
 # -- rights ----------------------------------------------------------------------------------------
 
 
-def denied(lab: Driver, command: Command, actor: str) -> str:
-    refusal = lab.refused(command, actor)
+def check_denied(lab: Driver, command: Command, actor: str) -> str:
+    refusal = lab.reject(command, actor)
     assert isinstance(refusal, Denied), refusal
     return refusal.code
 
@@ -302,7 +302,7 @@ def test_a_submitter_books_for_oneself_or_the_own_group(own: dict[str, str]) -> 
     lab = shared()
     name = book(lab, terms(1, 2, **own), by="ada", actor="ada")  # type: ignore[arg-type]
     lab.do(ChangeBooking(name, terms(2, 3, **own), "ada", lab.now), "ada")  # type: ignore[arg-type]
-    assert denied(lab, CancelBooking(name, "bo"), "bo") == "not_yours"
+    assert check_denied(lab, CancelBooking(name, "bo"), "bo") == "not_yours"
     lab.do(CancelBooking(name, "ada"), "ada")
 
 
@@ -313,27 +313,29 @@ def test_a_submitter_books_for_oneself_or_the_own_group(own: dict[str, str]) -> 
 )
 def test_what_only_an_operator_books(what: NewTerms) -> None:
     lab = shared()
-    assert denied(lab, MakeBooking(DEV, what, "ada", lab.now), "ada") == "no_right"
+    assert check_denied(lab, MakeBooking(DEV, what, "ada", lab.now), "ada") == "no_right"
     name = book(lab, what, by="op", actor="op")
-    refused = denied(lab, ChangeBooking(name, what, "cy", lab.now), "cy")
+    refused = check_denied(lab, ChangeBooking(name, what, "cy", lab.now), "cy")
     assert refused in ("no_right", "not_yours")
 
 
 def test_nobody_books_in_the_name_of_another() -> None:
     lab = shared()
-    assert denied(lab, MakeBooking(DEV, terms(1, 2, "bo"), "bo", lab.now), "ada") == "not_you"
+    assert check_denied(lab, MakeBooking(DEV, terms(1, 2, "bo"), "bo", lab.now), "ada") == "not_you"
     lab.do(AddUser("bot", "service"))
     lab.do(GrantRole("user:bot", "submitter", "cell"))
     both = "bot for ada"
     book(lab, terms(1, 2, "ada"), by=both, actor=both)
-    assert denied(lab, MakeBooking(DEV, terms(3, 4, "bo"), both, lab.now), both) == "no_right"
+    assert check_denied(lab, MakeBooking(DEV, terms(3, 4, "bo"), both, lab.now), both) == "no_right"
 
 
 def test_by_force_only_an_admin_books() -> None:
     lab = shared()
     book(lab, terms(1, 3), by="op", actor="op")
-    assert denied(lab, MakeBooking(DEV, terms(2, 4, "cy"), "op", lab.now, force=True), "op") == "no_right"
-    assert lab.refused(MakeBooking(DEV, terms(2, 4, "cy"), "root", lab.now), "root").code == "booked"
+    assert (
+        check_denied(lab, MakeBooking(DEV, terms(2, 4, "cy"), "op", lab.now, force=True), "op") == "no_right"
+    )
+    assert lab.reject(MakeBooking(DEV, terms(2, 4, "cy"), "root", lab.now), "root").code == "booked"
     book(lab, terms(2, 4, "cy"), by="root", force=True, actor="root")
 
 
@@ -348,10 +350,10 @@ def test_an_operator_cancels_what_others_have_booked_and_those_for_whom_it_is_gi
 def test_a_submitter_has_a_quota_and_an_operator_has_none() -> None:
     lab = shared()
     far = terms(24 * 15, 24 * 15 + 1, "ada")
-    assert lab.refused(MakeBooking(DEV, far, "ada", lab.now), "ada").code == "too_far"
+    assert lab.reject(MakeBooking(DEV, far, "ada", lab.now), "ada").code == "too_far"
     for hour in (1, 30, 60):
         book(lab, terms(hour, hour + 8, "ada"), by="ada", actor="ada")
-    refusal = lab.refused(MakeBooking(DEV, terms(90, 91, "ada"), "ada", lab.now), "ada")
+    refusal = lab.reject(MakeBooking(DEV, terms(90, 91, "ada"), "ada", lab.now), "ada")
     assert refusal.code == "quota"
     assert "25.0 h" in refusal.message
     lab.now = START + 9 * HOUR
@@ -365,33 +367,33 @@ def test_the_policy_says_how_much_whoever_is_no_operator_may_book() -> None:
     limits = BookingLimits(hours=12.0, total_hours=30.0, days_ahead=30)
     lab.do(ApplyPolicy("d", Policy(bookings=limits)), "root")
 
-    def refused(begins: int, ends: int, by: str = "ada") -> Rejection:
-        return lab.refused(MakeBooking(DEV, terms(begins, ends, by), by, lab.now), by)
+    def check_refused(begins: int, ends: int, by: str = "ada") -> Rejection:
+        return lab.reject(MakeBooking(DEV, terms(begins, ends, by), by, lab.now), by)
 
-    long = refused(1, 14)
+    long = check_refused(1, 14)
     assert (long.code, "lasts 13.0 h" in long.message, "may last 12 h" in long.message) == (
         "too_long",
         True,
         True,
     )
-    far = refused(24 * 30 + 1, 24 * 30 + 2)
+    far = check_refused(24 * 30 + 1, 24 * 30 + 2)
     assert (far.code, far.message) == ("too_far", "ada may book 30 days ahead at most.")
     first = book(lab, terms(24 * 30, 24 * 30 + 12, "ada"), by="ada", actor="ada")
     longer = ChangeBooking(first, terms(24 * 30, 24 * 30 + 13, "ada"), "ada", lab.now)
-    assert lab.refused(longer, "ada").code == "too_long"
+    assert lab.reject(longer, "ada").code == "too_long"
     later = ChangeBooking(first, terms(24 * 31, 24 * 31 + 1, "ada"), "ada", lab.now)
-    assert lab.refused(later, "ada").code == "too_far"
+    assert lab.reject(later, "ada").code == "too_far"
     book(lab, terms(1, 13, "ada"), by="ada", actor="ada")
-    assert refused(20, 27).code == "quota"
+    assert check_refused(20, 27).code == "quota"
     book(lab, terms(20, 26, "ada"), by="ada", actor="ada")
     book(lab, terms(24 * 50, 24 * 52, "ada"), by="op", actor="op")
     lab.do(ApplyPolicy("e", Policy(bookings=BookingLimits(days_ahead=2))), "root")
     assert lab.state.bookings.open[first].ends, "what was booked before stays"
-    assert refused(24 * 2 + 1, 24 * 2 + 2).code == "too_far"
+    assert check_refused(24 * 2 + 1, 24 * 2 + 2).code == "too_far"
 
 
 def test_unknown_users_are_refused_where_users_are_known() -> None:
-    assert shared().refused(MakeBooking(DEV, terms(1, 2, "eve"), "op", START), "op").code == "no_user"
+    assert shared().reject(MakeBooking(DEV, terms(1, 2, "eve"), "op", START), "op").code == "no_user"
 
 
 # -- what may start --------------------------------------------------------------------------------
@@ -406,7 +408,7 @@ def test_a_step_that_would_run_into_a_booking_is_not_possible() -> None:
     assert lab.code(long) == "booked_soon"
     assert lab.code(lab.submit(plan(step("dev", duration_s=3601.0)), user="bo")) == ""
     assert lab.code(lab.submit(plan(step("cam", duration_s=3601.0)))) == ""
-    assert lab.refused(lab.start_command(long, 0)).code == "booked_soon"
+    assert lab.reject(lab.start_command(long, 0)).code == "booked_soon"
     lab.now = START + HOUR
     assert lab.code(short) == "booked"
     lab.now = START + 2 * HOUR

@@ -80,7 +80,7 @@ class Lab:
 def test_all_rows_become_runs_and_only_a_few_wait() -> None:
     lab = Lab(rows=10)
     assert lab.feed() == ["R1", "R2", "R3", "R4"]
-    assert lab.lab.refused(lab.row(4)).code == "no_room"
+    assert lab.lab.reject(lab.row(4)).code == "no_room"
     assert len(lab.lab.state.runs.queued) == ROWS_QUEUED
     lab.work()
     assert lab.feed() == ["R5"]
@@ -93,10 +93,10 @@ def test_all_rows_become_runs_and_only_a_few_wait() -> None:
 @pytest.mark.parametrize("row", [1, 2, -1, 10])
 def test_only_the_next_row_is_taken(row: int) -> None:
     lab = Lab()
-    assert lab.lab.refused(lab.row(row)).code == "not_next"
+    assert lab.lab.reject(lab.row(row)).code == "not_next"
     lab.lab.do(lab.row(0))
-    assert lab.lab.refused(lab.row(0)).code == "not_next"
-    assert lab.lab.refused(RefuseRow(C1, 0, "no")).code == "not_next"
+    assert lab.lab.reject(lab.row(0)).code == "not_next"
+    assert lab.lab.reject(RefuseRow(C1, 0, "no")).code == "not_next"
 
 
 def test_a_row_that_fits_no_lab_is_refused_and_the_next_one_is_taken() -> None:
@@ -116,7 +116,7 @@ def test_a_paused_campaign_starts_nothing_and_goes_on_where_it_was() -> None:
     lab.lab.do(PauseCampaign(C1, "tea"))
     assert lab.lab.do(PauseCampaign(C1)) == []
     assert [lab.lab.code(run) for run in ("R2", "R3", "R4")] == ["paused"] * 3
-    assert lab.lab.refused(lab.row(4)).code == "not_open"
+    assert lab.lab.reject(lab.row(4)).code == "not_open"
     lab.lab.do(ResumeCampaign(C1))
     assert not any(run.paused for run in lab.lab.state.runs.queued.values())
     assert lab.feed() == ["R5"]
@@ -175,19 +175,19 @@ def test_a_cancelled_one_cancels_its_runs_and_nobody_elses() -> None:
     assert lab.lab.log[-1].event.TYPE == "campaign.completed"
     assert lab.lab.state.runs.get(other) is not None
     assert lab.lab.state.campaigns.members == {}
-    assert lab.lab.refused(CancelCampaign(C1)).code == "no_campaign"
+    assert lab.lab.reject(CancelCampaign(C1)).code == "no_campaign"
 
 
 def test_other_terms_hold_from_now_on() -> None:
     lab = Lab(until=until("steps.read.od > 5"))
     lab.feed()
     assert (
-        lab.lab.refused(AmendCampaign(C1, Terms(until=until("steps.weigh.g > 5")))).code == "until_reads_more"
+        lab.lab.reject(AmendCampaign(C1, Terms(until=until("steps.weigh.g > 5")))).code == "until_reads_more"
     )
     lab.lab.do(AmendCampaign(C1, Terms(priority=3, until=until("steps.read.od > 0.5"))))
     lab.work({"od": 0.6})
     assert lab.lab.log[-1].event.TYPE == "campaign.completed"
-    assert lab.lab.refused(AmendCampaign(C1, Terms())).code == "no_campaign"
+    assert lab.lab.reject(AmendCampaign(C1, Terms())).code == "no_campaign"
 
 
 def test_one_that_has_ended_is_archived_and_brought_back() -> None:

@@ -73,7 +73,7 @@ def goes(lab: Driver, run: str) -> list[int]:
 def test_the_way_depends_on_where_it_stands_when_nothing_is_in_flight(in_flight: int, way: list[int]) -> None:
     lab, run = under_way(in_flight)
     assert goes(lab, run) == way
-    assert not lab.state.bench.owned("user:ada")  # type: ignore[arg-type]
+    assert not lab.state.bench.list_owned("user:ada")  # type: ignore[arg-type]
     assert "labware.removed" in lab.types()
     assert not lab.questions()
 

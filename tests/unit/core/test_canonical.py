@@ -73,7 +73,7 @@ def test_digest_is_sha_256() -> None:
     assert digest(b"") == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
 
 
-def nested(levels: int, kind: type = list) -> Any:
+def nest(levels: int, kind: type = list) -> Any:
     value: Any = 1
     for _ in range(levels):
         value = [value] if kind is list else {"a": value}
@@ -84,11 +84,11 @@ def nested(levels: int, kind: type = list) -> Any:
 @pytest.mark.parametrize("levels", [101, 900, 5000, 100_000])
 def test_what_stands_too_deep_is_refused(kind: type, levels: int) -> None:
     with pytest.raises(ValueError, match="More than 100 lists and objects"):
-        canonical(nested(levels, kind))
+        canonical(nest(levels, kind))
 
 
 def test_a_hundred_levels_are_kept_and_brackets_in_texts_are_none() -> None:
-    assert msgspec.json.decode(canonical(nested(100))) == nested(100)
+    assert msgspec.json.decode(canonical(nest(100))) == nest(100)
     text = {'[{"\\': ['[[[["{{{{\\"', "[" * 500, "\\"]}
     assert msgspec.json.decode(canonical(text)) == text
 
@@ -107,4 +107,4 @@ def test_text_without_utf_8_is_refused(bad: Any) -> None:
 
 
 def test_what_is_not_finite_is_found_at_any_depth() -> None:
-    refuse_non_finite(nested(100_000))
+    refuse_non_finite(nest(100_000))

@@ -37,7 +37,7 @@ def carries(source: str = "a", target: str = "b") -> SubmitRun:
     return SubmitRun(plan(step("arm", move(source, target))), "ada", request="key")
 
 
-def declared(name: str, *contents: str) -> DeclareStation:
+def declare(name: str, *contents: str) -> DeclareStation:
     return DeclareStation(place(name), contents)
 
 
@@ -52,10 +52,10 @@ def roomy() -> Driver:
     return lab
 
 
-def untouched(lab: Driver, command: Command, by: str = "labos") -> str:
+def check_untouched(lab: Driver, command: Command, by: str = "labos") -> str:
     """Why a command is refused; nothing of it has happened."""
     before = picture(lab.state)
-    code = lab.refused(command, by).code
+    code = lab.reject(command, by).code
     assert picture(lab.state) == before
     return code
 
@@ -83,13 +83,13 @@ REFUSED: dict[str, tuple[Callable[[], Command], str]] = {
         ),
         "unfit",
     ),
-    "the last station": (lambda: DeclareStations((declared("a", "plate"), declared("inn"))), "no_station"),
-    "a station twice": (lambda: DeclareStations((declared("a"), declared("a", "plate"))), "twice"),
+    "the last station": (lambda: DeclareStations((declare("a", "plate"), declare("inn"))), "no_station"),
+    "a station twice": (lambda: DeclareStations((declare("a"), declare("a", "plate"))), "twice"),
     "what does not fit there": (
-        lambda: DeclareStations((declared("a", "plate"), declared("b", "plate", "plate"))),
+        lambda: DeclareStations((declare("a", "plate"), declare("b", "plate", "plate"))),
         "too_many",
     ),
-    "too many words": (lambda: DeclareStations((declared("a"), declared("b", LONG))), "bad_text"),
+    "too many words": (lambda: DeclareStations((declare("a"), declare("b", LONG))), "bad_text"),
 }
 
 
@@ -97,13 +97,13 @@ REFUSED: dict[str, tuple[Callable[[], Command], str]] = {
 def test_one_part_that_is_refused_leaves_nothing_of_the_others(part: str) -> None:
     make, code = REFUSED[part]
     lab = Driver(small_cell(), empty=False)
-    assert untouched(lab, make()) == code
+    assert check_untouched(lab, make()) == code
 
 
 def test_a_hotel_and_one_of_its_shelves() -> None:
     lab = roomy()
     run = carries()
-    assert untouched(lab, SubmitWithLabware(run, (load("inn", 2), load("inn.2")))) == "twice"
+    assert check_untouched(lab, SubmitWithLabware(run, (load("inn", 2), load("inn.2")))) == "twice"
     for loads in ((load("inn", 2), load("inn.3")), (load("inn.3"), load("inn", 2))):
         lab = roomy()
         lab.do(SubmitWithLabware(run, loads))
@@ -113,7 +113,7 @@ def test_a_hotel_and_one_of_its_shelves() -> None:
 
 def test_stations_are_declared_together() -> None:
     lab = Driver(small_cell(), empty=False)
-    lab.do(DeclareStations((declared("a", "plate+lid"), declared("b"), declared("stack", "plate", "plate"))))
+    lab.do(DeclareStations((declare("a", "plate+lid"), declare("b"), declare("stack", "plate", "plate"))))
     assert (lab.at("a"), lab.at("b")) == (["P1"], [])
     assert len(lab.state.bench.stations[place("stack")].stock) == 2
     lab.check_log()
@@ -125,11 +125,11 @@ def test_a_workcell_and_what_stands_there_at_first() -> None:
     lab.do(StartKernel(1, "0"))
     cell = small_cell()
     too_many = ApplyWorkcell(cell, {place("a"): ("plate", "plate")})
-    assert untouched(lab, too_many) == "too_many"
+    assert check_untouched(lab, too_many) == "too_many"
     assert lab.state.lab.workcells == {}
     many = workcell([device("arm")], [station("tall", "stack", 900)])
     names = ("x" * 90,) * 900
-    assert untouched(lab, ApplyWorkcell(many, {place("tall"): names})) == "unfit"
+    assert check_untouched(lab, ApplyWorkcell(many, {place("tall"): names})) == "unfit"
     command = ApplyWorkcell(cell, {place("a"): ("plate",), place("stack"): ("plate",) * 3})
     lab.do(command)
     assert all(lab.state.bench.stations[spec.name].known for spec in cell.places)
@@ -145,14 +145,14 @@ def test_somebody_reaches_in_and_the_arms_go_home() -> None:
     assert [event.TYPE for event in events if event.TYPE != "run.plan_recorded"].count("run.submitted") == 2
     assert events[0].TYPE == "workcell.access_requested"
     assert sorted(lab.pump()) == ["R1#0", "R2#0"]
-    assert untouched(lab, RequestAccess(CELL, "bo", "", tuple(homes))) == "occupied"
+    assert check_untouched(lab, RequestAccess(CELL, "bo", "", tuple(homes))) == "occupied"
     lab.check_log()
 
 
 def test_a_round_is_recorded_as_far_as_possible_and_finished() -> None:
     lab = small(stock=0)
     round_ = ReportRound("ada", (SayContents(place("a"), "ada", ("plate",)),), finish=True)
-    assert untouched(lab, round_) == "no_round"
+    assert check_untouched(lab, round_) == "no_round"
     lab.do(ReportShorterLog(900, "a checkpoint", 5))
     stations = (
         SayContents(place("a"), "ada", ("plate",)),
@@ -192,22 +192,24 @@ def with_people() -> Driver:
 
 def test_whoever_asks_must_be_allowed_each_part() -> None:
     lab = with_people()
-    assert untouched(lab, SubmitWithLabware(carries(), (load("a"),)), "ada") == "no_right"
-    assert untouched(lab, SubmitWithLabware(carries(), (load("a"),)), "olga") == "not_you"
-    assert untouched(lab, DeclareStations((declared("a"), declared("b"))), "ada") == "no_right"
-    assert untouched(lab, ReportRound("ada"), "ada") == "no_right"
-    assert untouched(lab, ReportRound("olga"), "olga") == "no_round"
-    assert untouched(lab, ReportRound("olga", finish=True), "olga") == "no_right", "not in the whole lab"
-    assert untouched(lab, ReportRound("olga", (SayContents(place("a"), "olga"),)), "ada") == "not_you"
+    assert check_untouched(lab, SubmitWithLabware(carries(), (load("a"),)), "ada") == "no_right"
+    assert check_untouched(lab, SubmitWithLabware(carries(), (load("a"),)), "olga") == "not_you"
+    assert check_untouched(lab, DeclareStations((declare("a"), declare("b"))), "ada") == "no_right"
+    assert check_untouched(lab, ReportRound("ada"), "ada") == "no_right"
+    assert check_untouched(lab, ReportRound("olga"), "olga") == "no_round"
+    assert check_untouched(lab, ReportRound("olga", finish=True), "olga") == "no_right", (
+        "not in the whole lab"
+    )
+    assert check_untouched(lab, ReportRound("olga", (SayContents(place("a"), "olga"),)), "ada") == "not_you"
     other = SubmitRun(plan(step("arm", action="home")), "ada")
-    assert untouched(lab, RequestAccess(CELL, "olga", "", (other,)), "olga") == "not_you"
+    assert check_untouched(lab, RequestAccess(CELL, "olga", "", (other,)), "olga") == "not_you"
     lab.do(SubmitWithLabware(msgspec.structs.replace(carries(), user="olga"), (load("a"),)), "olga")
 
 
 def test_a_user_and_their_first_role() -> None:
     lab = with_people()
-    assert untouched(lab, AddUser("bo", role="operator", scope="nowhere"), "root-1") == "no_workcell"
-    assert untouched(lab, AddUser("bo", role="admin"), "ada") == "no_right"
+    assert check_untouched(lab, AddUser("bo", role="operator", scope="nowhere"), "root-1") == "no_workcell"
+    assert check_untouched(lab, AddUser("bo", role="admin"), "ada") == "no_right"
     events = lab.do(AddUser("bo", role="operator", scope=CELL), "root-1")
     assert [event.TYPE for event in events] == ["user.added", "role.granted"]
     assert lab.state.users.roles["user:bo"] == {CELL: "operator"}

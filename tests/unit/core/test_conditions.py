@@ -17,7 +17,7 @@ def condition(text: str) -> Condition:
     return conditions.condition(text, parse_expression(text))
 
 
-def chosen(*texts: str, feeds: tuple[int, ...] = (0,)) -> Plan:
+def make_choice(*texts: str, feeds: tuple[int, ...] = (0,)) -> Plan:
     """A step that measures, and one for each condition."""
     later = [msgspec.structs.replace(step("dev"), when=condition(text)) for text in texts]
     return msgspec.structs.replace(plan(step("cam"), *later), feeds=feeds)
@@ -26,7 +26,7 @@ def chosen(*texts: str, feeds: tuple[int, ...] = (0,)) -> Plan:
 @pytest.mark.parametrize(("value", "done"), [(2, [DONE, PENDING, SKIPPED]), (0, [DONE, SKIPPED, PENDING])])
 def test_a_result_decides_which_steps_are_done(value: float, done: list[int]) -> None:
     lab = small()
-    run = lab.submit(chosen("steps.s0.x > 1", "not steps.s0.x > 1"))
+    run = lab.submit(make_choice("steps.s0.x > 1", "not steps.s0.x > 1"))
     lab.pump()
     lab.finish("A1", {"x": value})
     if value == 0:
@@ -40,7 +40,7 @@ def test_a_result_decides_which_steps_are_done(value: float, done: list[int]) ->
 
 def test_a_run_of_which_nothing_is_left_to_do_is_complete() -> None:
     lab = small()
-    lab.submit(chosen("steps.s0.x > 1", "steps.s0.x > 2"))
+    lab.submit(make_choice("steps.s0.x > 1", "steps.s0.x > 2"))
     lab.pump()
     lab.finish("A1", {"x": 0})
     assert lab.types()[-3:] == ["step.skipped", "step.skipped", "run.completed"]
@@ -48,7 +48,7 @@ def test_a_run_of_which_nothing_is_left_to_do_is_complete() -> None:
 
 def test_what_cannot_be_decided_fails_the_run_and_says_why() -> None:
     lab = small()
-    lab.submit(chosen("steps.s0.x > 1"))
+    lab.submit(make_choice("steps.s0.x > 1"))
     lab.pump()
     lab.finish("A1", {"y": 0})
     event = lab.log[-1].event

@@ -107,7 +107,7 @@ def test_a_cancelled_experiment_closes_when_its_runs_have_ended() -> None:
     run = lab.submit(route("stack", "a", "b"), experiment=experiment)
     lab.pump()
     lab.do(CancelExperiment(experiment, "ada"))
-    refused = lab.refused(SubmitRun(plan(step("cam")), "ada", experiment=experiment))
+    refused = lab.reject(SubmitRun(plan(step("cam")), "ada", experiment=experiment))
     assert refused.code == "no_experiment"
     assert lab.do(CancelExperiment(experiment, "ada")) == []
     lab.finish(lab.flying()[0])
@@ -121,8 +121,8 @@ def test_a_cancelled_experiment_closes_when_its_runs_have_ended() -> None:
 
 @pytest.mark.parametrize("command", [PauseStarts("x", "ada"), ResumeStarts("x", "ada"), CancelRuns("x")])
 def test_a_name_that_means_nothing_is_refused(command: PauseStarts | ResumeStarts | CancelRuns) -> None:
-    assert small().refused(command).code == "no_target"
+    assert small().reject(command).code == "no_target"
 
 
 def test_an_experiment_that_is_not_there_is_refused() -> None:
-    assert small().refused(CancelExperiment("E9", "ada")).code == "no_experiment"  # type: ignore[arg-type]
+    assert small().reject(CancelExperiment("E9", "ada")).code == "no_experiment"  # type: ignore[arg-type]

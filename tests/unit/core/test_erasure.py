@@ -52,7 +52,7 @@ def referring(kept: dict[str, str]) -> Callable[[str], str]:
     return put
 
 
-def obeyed(lab: Driver, command: Command, actor: str = "bo") -> tuple[list[Event], dict[str, str]]:
+def obey(lab: Driver, command: Command, actor: str = "bo") -> tuple[list[Event], dict[str, str]]:
     """What a command leads to whose words stand beside the log, and these words."""
     kept: dict[str, str] = {}
     written = carry_out(lab.state, command, lab.write, actor, referring(kept))
@@ -107,7 +107,7 @@ def test_every_word_of_a_command_is_declared() -> None:
 def test_events_state_and_longer_sentences_refer_to_the_words() -> None:
     lab = small()
     experiment = lab.experiment()
-    events, kept = obeyed(lab, CancelExperiment(ExperimentId(experiment), "bo", why="it is late"))
+    events, kept = obey(lab, CancelExperiment(ExperimentId(experiment), "bo", why="it is late"))
     (cancelled,) = [event for event in events if isinstance(event, ExperimentCancelled)]
     ((reference, text),) = kept.items()
     assert text == "it is late"
@@ -128,9 +128,9 @@ def test_what_is_nested_and_what_stands_in_parts_is_referred_to() -> None:
 def test_a_changed_booking_keeps_its_reason() -> None:
     lab = small()
     terms = NewTerms(begins=lab.now + HOUR, ends=lab.now + 2 * HOUR, user="bo", why="course")
-    (made, *_), kept = obeyed(lab, MakeBooking(f"{CELL}/dev", terms, "bo", lab.now))
+    (made, *_), kept = obey(lab, MakeBooking(f"{CELL}/dev", terms, "bo", lab.now))
     later = msgspec.structs.replace(terms, ends=lab.now + 3 * HOUR, why=None)
-    (changed, *_), none = obeyed(lab, ChangeBooking(made.booking, later, "bo", lab.now))  # type: ignore[attr-defined]
+    (changed, *_), none = obey(lab, ChangeBooking(made.booking, later, "bo", lab.now))  # type: ignore[attr-defined]
     assert changed.why in kept  # type: ignore[attr-defined]
     assert none == {}
 
@@ -165,14 +165,14 @@ def test_words_are_measured_before_they_are_referred_to(why: str) -> None:
 def test_somebody_who_types_a_reference_has_written_a_text() -> None:
     lab = small()
     typed = reference_of(SALT, "the secret of somebody else")
-    events, kept = obeyed(lab, PauseStarts("*", "bo", typed))
+    events, kept = obey(lab, PauseStarts("*", "bo", typed))
     assert kept[events[0].why] == typed  # type: ignore[attr-defined]
 
 
 def test_the_state_is_the_same_whatever_becomes_of_the_text() -> None:
     one, other = small(), small()
     for lab in (one, other):
-        obeyed(lab, PauseStarts("*", "bo", "lunch"))
+        obey(lab, PauseStarts("*", "bo", "lunch"))
     assert state_hash(one.state) == state_hash(other.state)
     shown = picture_with(picture(one.state), lambda text: put_into_text(text, {}))
     assert from_picture(shown).lab.paused["*"].why == ERASED
@@ -181,13 +181,13 @@ def test_the_state_is_the_same_whatever_becomes_of_the_text() -> None:
 # -- erasing ---------------------------------------------------------------------------------------
 
 
-def found(number: int = 1) -> tuple[tuple[int, str], ...]:
+def make_found(number: int = 1) -> tuple[tuple[int, str], ...]:
     return tuple((at, f"{at:064x}") for at in range(1, number + 1))
 
 
 def test_an_erasure_says_who_why_and_which() -> None:
     lab = small()
-    (gone,) = lab.do(EraseWords("personal", "ada", found(), (1,)), "ada")
+    (gone,) = lab.do(EraseWords("personal", "ada", make_found(), (1,)), "ada")
     assert isinstance(gone, WordsErased)
     assert (gone.by, gone.because, gone.records, gone.approved_by) == ("ada", "personal", (1,), "")
     assert gone.references() == [f"words:{1:064x}"]
@@ -196,7 +196,7 @@ def test_an_erasure_says_who_why_and_which() -> None:
 
 def test_many_texts_take_several_events() -> None:
     lab = small()
-    gone = lab.do(EraseWords("request", "ada", found(2 * PER_EVENT + 1), user="bo"), "ada")
+    gone = lab.do(EraseWords("request", "ada", make_found(2 * PER_EVENT + 1), user="bo"), "ada")
     assert [len(event.digests) for event in gone if isinstance(event, WordsErased)] == [
         PER_EVENT,
         PER_EVENT,
@@ -217,7 +217,7 @@ def test_many_texts_take_several_events() -> None:
     ],
 )
 def test_what_is_no_erasure_is_refused(changes: dict[str, Any], code: str) -> None:
-    command = msgspec.structs.replace(EraseWords("personal", "ada", found(), (1,)), **changes)
+    command = msgspec.structs.replace(EraseWords("personal", "ada", make_found(), (1,)), **changes)
     refused = decide(LabState(), command, "ada")
     assert isinstance(refused, Rejection)
     assert refused.code == code
@@ -226,7 +226,7 @@ def test_what_is_no_erasure_is_refused(changes: dict[str, Any], code: str) -> No
 def waiting() -> Driver:
     lab = small()
     lab.do(ApplyPolicy("d", Policy(erasure=True)), "ada")
-    (asked,) = lab.do(EraseWords("personal", "ada", found(), (1,)), "ada")
+    (asked,) = lab.do(EraseWords("personal", "ada", make_found(), (1,)), "ada")
     assert isinstance(asked, ErasureAsked)
     assert asked.erasure == "X1"
     return lab
@@ -234,11 +234,11 @@ def waiting() -> Driver:
 
 def test_by_policy_a_second_person_agrees() -> None:
     lab = waiting()
-    again = EraseWords("personal", "ada", found(), (1,), erasure="X1")
+    again = EraseWords("personal", "ada", make_found(), (1,), erasure="X1")
     refused = decide(lab.state, again, "ada")
     assert isinstance(refused, Rejection)
     assert refused.code == "same_person"
-    other = EraseWords("secret", "olga", found(), (1,), erasure="X1")
+    other = EraseWords("secret", "olga", make_found(), (1,), erasure="X1")
     changed = decide(lab.state, other, "olga")
     assert isinstance(changed, Rejection)
     assert changed.code == "changed"
@@ -253,7 +253,7 @@ def test_what_waits_can_be_refused() -> None:
     lab = waiting()
     assert lab.do(RefuseErasure("X1", "olga"), "olga") == [ErasureRefused("X1", "olga")]
     assert lab.state.erasures.open == {}
-    (asked,) = lab.do(EraseWords("personal", "ada", found(), (1,)), "ada")
+    (asked,) = lab.do(EraseWords("personal", "ada", make_found(), (1,)), "ada")
     assert asked.erasure == "X2"  # type: ignore[attr-defined]
     lab.check_log()
 

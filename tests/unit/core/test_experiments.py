@@ -26,7 +26,7 @@ from tests.support.bench import Driver, move, plan, route, small, step, take, un
 CLOSING = route("a", "trash", name="clear")
 
 
-def parked(**more: object) -> tuple[Driver, ExperimentId]:
+def make_parked(**more: object) -> tuple[Driver, ExperimentId]:
     """An experiment whose plate P1 is parked at a."""
     lab = small()
     name = lab.experiment(**more)
@@ -57,7 +57,7 @@ def test_the_last_thousand_keys_are_remembered() -> None:
 
 
 def test_a_closing_workflow_that_could_never_run_is_refused() -> None:
-    refusal = small().refused(StartExperiment("app", "ada", route("nowhere", "trash")))
+    refusal = small().reject(StartExperiment("app", "ada", route("nowhere", "trash")))
     assert refusal.code == "no_station"
 
 
@@ -66,11 +66,11 @@ def test_notes_are_of_the_kinds_of_the_paper() -> None:
     name = lab.experiment()
     lab.do(NoteExperiment(name, "decision", "stop", {"score": 0.5}))
     assert lab.log[-1].stream == name
-    refusal = lab.refused(NoteExperiment(name, "gossip", "x"))
+    refusal = lab.reject(NoteExperiment(name, "gossip", "x"))
     assert refusal.code == "no_kind"
     assert "condition_checked" in refusal.remedy
-    assert lab.refused(NoteExperiment(name, "decision", "x", {"nan": float("nan")})).code == "unfit"
-    assert lab.refused(NoteExperiment(ExperimentId("E9"), "decision", "x")).code == "no_experiment"
+    assert lab.reject(NoteExperiment(name, "decision", "x", {"nan": float("nan")})).code == "unfit"
+    assert lab.reject(NoteExperiment(ExperimentId("E9"), "decision", "x")).code == "no_experiment"
 
 
 def test_an_experiment_without_labware_ends_at_once() -> None:
@@ -78,25 +78,25 @@ def test_an_experiment_without_labware_ends_at_once() -> None:
     name = lab.experiment(closing=CLOSING)
     assert [e.TYPE for e in lab.end(name)] == ["experiment.ended"]
     assert lab.state.runs.plans == {}
-    assert lab.refused(EndExperiment(name)).code == "no_experiment"
+    assert lab.reject(EndExperiment(name)).code == "no_experiment"
     lab.check_log()
 
 
 def test_without_a_closing_workflow_its_labware_goes_to_its_user() -> None:
-    lab, name = parked()
+    lab, name = make_parked()
     lab.end(name)
     assert lab.owner("P1") == "user:ada"
     assert lab.state.experiments.open == {}
 
 
 def test_its_closing_workflow_clears_away_and_then_it_ends() -> None:
-    lab, name = parked(closing=CLOSING, priority=3)
+    lab, name = make_parked(closing=CLOSING, priority=3)
     lab.end(name)
     assert lab.state.experiments.open[name].status == "closing"
     assert lab.end(name) == []
     closing = lab.run("R2")
     assert (closing.closing, closing.workflow, closing.priority) == (True, "clear", 3)
-    assert lab.refused(SubmitRun(CLOSING, "ada", experiment=name)).code == "no_experiment"
+    assert lab.reject(SubmitRun(CLOSING, "ada", experiment=name)).code == "no_experiment"
     lab.step("R2")
     assert lab.state.bench.labware == {}
     assert lab.log[-1].event.TYPE == "experiment.ended"
@@ -104,9 +104,9 @@ def test_its_closing_workflow_clears_away_and_then_it_ends() -> None:
 
 
 def test_an_experiment_does_not_end_before_its_runs() -> None:
-    lab, name = parked(closing=CLOSING)
+    lab, name = make_parked(closing=CLOSING)
     lab.submit(route("a", "b"), experiment=name)
-    refusal = lab.refused(EndExperiment(name))
+    refusal = lab.reject(EndExperiment(name))
     assert (refusal.code, refusal.remedy) == ("runs_alive", "Wait for them or cancel them first.")
     lab.do(CancelRun(lab.run("R2").id))
     lab.end(name)
@@ -146,7 +146,7 @@ def test_what_a_closing_run_did_not_clear_away_goes_to_the_user(how: str) -> Non
 
 
 def test_a_silent_application_is_asked_about_once() -> None:
-    lab, name = parked(closing=CLOSING)
+    lab, name = make_parked(closing=CLOSING)
     lab.do(LoseExperiment(name, "no heartbeat"))
     assert lab.do(LoseExperiment(name, "no heartbeat")) == []
     question = lab.question("lost_experiment")
@@ -163,11 +163,11 @@ def test_a_silent_application_is_asked_about_once() -> None:
 
 
 def test_it_is_not_closed_over_the_heads_of_its_runs() -> None:
-    lab, name = parked(closing=CLOSING)
+    lab, name = make_parked(closing=CLOSING)
     run = lab.submit(route("a", "b"), experiment=name)
     action = lab.start(run)
     lab.do(LoseExperiment(name, "no heartbeat"))
-    refusal = lab.refused(ResolveIntervention(lab.question().id, "close", "person-1"))
+    refusal = lab.reject(ResolveIntervention(lab.question().id, "close", "person-1"))
     assert (refusal.code, refusal.message) == ("runs_alive", "The experiment E1 still has runs: R2.")
     lab.finish(action)
     lab.answer(lab.question(), "close")
@@ -188,15 +188,15 @@ def test_a_plate_whose_lid_is_taken_away_stays_where_it_is() -> None:
     lab = small()
     name = lab.experiment(closing=CLOSING, parking=(StationName("cell/a"),))
     what = plan(step("arm", take("stack", "b"), key="to b"), step("arm", unlid("b", "a")))
-    refusal = lab.refused(SubmitRun(what, "ada", experiment=name))
+    refusal = lab.reject(SubmitRun(what, "ada", experiment=name))
     assert (refusal.code, "at b (step 'to b')" in refusal.message) == ("no_parking", True)
 
 
 def test_runs_park_only_where_their_experiment_does() -> None:
     lab = small()
-    assert lab.refused(StartExperiment("app", "ada", parking=(StationName("cell/x"),))).code == "no_station"
+    assert lab.reject(StartExperiment("app", "ada", parking=(StationName("cell/x"),))).code == "no_station"
     name = lab.experiment(closing=CLOSING, parking=(StationName("cell/a"),))
-    refusal = lab.refused(SubmitRun(route("stack", "a", "b"), "ada", experiment=name))
+    refusal = lab.reject(SubmitRun(route("stack", "a", "b"), "ada", experiment=name))
     assert (refusal.code, "at b (step 'to b')" in refusal.message) == ("no_parking", True)
     for way in (["stack", "a"], ["a", "b", "hotel"], ["stack", "b", "trash"], ["stack", "b", "a"]):
         lab.do(SubmitRun(route(*way), "ada", experiment=name))
@@ -220,7 +220,7 @@ def test_one_that_an_earlier_version_left_open_closes_when_a_kernel_starts() -> 
 
 
 def test_one_that_is_started_again_takes_the_question_with_it() -> None:
-    lab, name = parked(closing=CLOSING)
+    lab, name = make_parked(closing=CLOSING)
     lab.do(LoseExperiment(name, "no heartbeat"))
     assert [event.TYPE for event in lab.do(ResumeExperiment(name, "app"))] == [
         "experiment.resumed",
@@ -232,13 +232,13 @@ def test_one_that_is_started_again_takes_the_question_with_it() -> None:
 
 
 def test_only_an_experiment_that_is_open_is_resumed_and_only_by_its_name() -> None:
-    lab, name = parked(closing=CLOSING)
-    refusal = lab.refused(ResumeExperiment(name, "other"))
+    lab, name = make_parked(closing=CLOSING)
+    refusal = lab.reject(ResumeExperiment(name, "other"))
     assert (refusal.code, "is 'app', not 'other'" in refusal.message) == ("other_experiment", True)
     lab.end(name)
-    assert "it is closing" in lab.refused(ResumeExperiment(name, "app")).message
+    assert "it is closing" in lab.reject(ResumeExperiment(name, "app")).message
     lab.step("R2")
-    assert "it has ended" in lab.refused(ResumeExperiment(name, "app")).message
+    assert "it has ended" in lab.reject(ResumeExperiment(name, "app")).message
 
 
 def test_what_is_noted_under_one_key_is_noted_once() -> None:
@@ -248,7 +248,7 @@ def test_what_is_noted_under_one_key_is_noted_once() -> None:
     lab.do(note)
     assert lab.do(note) == []
     other = msgspec.structs.replace(note, facts={"volumes": [1.0, 3.0]})
-    assert lab.refused(other).code == "key_reused"
+    assert lab.reject(other).code == "key_reused"
     lab.do(msgspec.structs.replace(other, key="decision next#2"))
     lab.do(msgspec.structs.replace(note, key=""))
     lab.do(msgspec.structs.replace(note, key=""))

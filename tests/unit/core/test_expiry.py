@@ -25,7 +25,7 @@ def today(lab: Driver, days: float = 0.0) -> str:
     return day_of(lab.now + int(days * DAY_S * 1e9))
 
 
-def stocked(*packs: tuple[str, float, float]) -> Driver:
+def make_stocked(*packs: tuple[str, float, float]) -> Driver:
     """A device with packs (lot, amount, days that it is still good)."""
     lab = small()
     lab.set_level(LevelSet(DEV, "foil", 0, 100))
@@ -39,7 +39,7 @@ def sealing(lab: Driver, amount: float = 2) -> RunId:
 
 
 def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
-    lab = stocked(("A", 10, 0))
+    lab = make_stocked(("A", 10, 0))
     run = sealing(lab)
     lab.step(run)
     lab.wait(DAY_S)
@@ -48,7 +48,7 @@ def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
     assert (found.code, found.blocked) == ("expired", True)
     assert sentence(found) == f"foil of dev is past its date (lot A was good until {today(lab, -1)})"
     assert remedy(found).endswith("labos replenish dev foil --lot LOT --instead")
-    assert lab.refused(lab.start_command(run, 1)).code == "expired"
+    assert lab.reject(lab.start_command(run, 1)).code == "expired"
     lab.do(Replenish(DEV, "foil", 0, "B", today(lab, 30), True, today(lab)))
     assert [(lot.name, lot.left) for lot in lab.state.resources.levels[f"{DEV}:foil"].lots] == [("B", 100)]
     assert lab.pump() == [f"{run}#1"], "it is woken"
@@ -56,7 +56,7 @@ def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
 
 
 def test_a_run_is_not_let_in_that_would_come_to_an_old_pack_half_way() -> None:
-    lab = stocked(("A", 3, 30), ("B", 10, -1))
+    lab = make_stocked(("A", 3, 30), ("B", 10, -1))
     assert isinstance(lab.judge(sealing(lab, 1)), tuple), "the fresh one is enough"
     found = lab.judge(sealing(lab, 2))
     assert isinstance(found, Wait)
@@ -64,7 +64,7 @@ def test_a_run_is_not_let_in_that_would_come_to_an_old_pack_half_way() -> None:
 
 
 def test_a_workcell_may_let_them_be_used() -> None:
-    lab = stocked(("A", 10, -1))
+    lab = make_stocked(("A", 10, -1))
     run = sealing(lab)
     assert isinstance(lab.judge(run), Wait)
     cell = small_cell()
@@ -74,7 +74,7 @@ def test_a_workcell_may_let_them_be_used() -> None:
 
 
 def test_who_waits_for_a_fresh_pack_is_named() -> None:
-    lab = stocked(("A", 10, 0))
+    lab = make_stocked(("A", 10, 0))
     run = sealing(lab)
     lab.step(run)
     fresh = Replenish(DEV, "foil", 0, "B", "", True)
@@ -88,14 +88,14 @@ def test_who_waits_for_a_fresh_pack_is_named() -> None:
 
 
 def test_a_pack_is_not_taken_out_while_it_is_being_used() -> None:
-    lab = stocked(("A", 10, 30))
+    lab = make_stocked(("A", 10, 30))
     lab.start(sealing(lab))
-    assert lab.refused(Replenish(DEV, "foil", 0, "B", "", True)).code == "in_use"
+    assert lab.reject(Replenish(DEV, "foil", 0, "B", "", True)).code == "in_use"
 
 
 @pytest.mark.parametrize("choice", ["done", "not_done"])
 def test_what_a_person_replaces_is_full(choice: str) -> None:
-    lab = stocked(("A", 1, 30))
+    lab = make_stocked(("A", 1, 30))
     by_hand = PlanStep("new roll", full("arm"), "replace", effects=(Replaces(full("dev"), "foil", "B"),))  # type: ignore[arg-type]
     by_hand = msgspec.structs.replace(by_hand, by_person=True)
     run = lab.submit(plan(by_hand, step("dev", consumes("foil", 5))))

@@ -57,7 +57,7 @@ def test_what_is_put_down_wakes_who_waits_for_the_hand() -> None:
     started = []
     for _ in range(8):
         started += lab.pump()
-        assert lab.missed() == []
+        assert lab.find_missed() == []
         for action in lab.flying():
             lab.finish(action)
     assert f"{waiting}#0" in started

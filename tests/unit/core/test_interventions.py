@@ -20,11 +20,11 @@ def test_only_open_questions_and_offered_choices() -> None:
     run = lab.submit(route("a", "b"))
     lab.doubt(lab.start(run))
     question = lab.question()
-    assert lab.refused(ResolveIntervention(InterventionId("I9"), "done", "x")).code == "no_intervention"
-    refusal = lab.refused(ResolveIntervention(question.id, "maybe", "x"))
+    assert lab.reject(ResolveIntervention(InterventionId("I9"), "done", "x")).code == "no_intervention"
+    refusal = lab.reject(ResolveIntervention(question.id, "maybe", "x"))
     assert (refusal.code, refusal.remedy) == ("no_choice", "Choose one of: done, not_done, gone.")
     lab.answer(question, "done")
-    assert lab.refused(ResolveIntervention(question.id, "done", "x")).code == "no_intervention"
+    assert lab.reject(ResolveIntervention(question.id, "done", "x")).code == "no_intervention"
 
 
 def test_ids_count_up_over_all_questions() -> None:
@@ -84,7 +84,7 @@ def test_an_answer_that_cannot_be_true_is_refused() -> None:
     lab.fail(lab.start(run))
     question = lab.question("lost_labware")
     lab.write(LabwarePlaced(LabwareId("P7"), "", "plate", StationName("cell/b"), SHARED))
-    refusal = lab.refused(ResolveIntervention(question.id, "target", "x"))
+    refusal = lab.reject(ResolveIntervention(question.id, "target", "x"))
     assert (refusal.code, refusal.message) == (
         "occupied",
         "cell/b is full (P7): the labware cannot stand there.",

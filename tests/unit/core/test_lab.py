@@ -36,11 +36,11 @@ def without(cell: Workcell, *names: str) -> Workcell:
 def test_a_log_belongs_to_one_lab_and_epochs_only_rise() -> None:
     lab = Driver(small_cell(), pace=3.0)
     assert (lab.state.lab.id, lab.state.lab.name, lab.state.lab.pace) == ("lab-1", "test lab", 3.0)
-    assert lab.refused(CreateLab(LabId("other"), "other")).code == "lab_exists"
-    assert lab.refused(StartKernel(1, "0")).code == "old_epoch"
+    assert lab.reject(CreateLab(LabId("other"), "other")).code == "lab_exists"
+    assert lab.reject(StartKernel(1, "0")).code == "old_epoch"
     lab.do(StartKernel(5, "0"))
     assert lab.state.lab.epoch == 5
-    assert lab.refused(StartKernel(4, "0")).code == "old_epoch"
+    assert lab.reject(StartKernel(4, "0")).code == "old_epoch"
 
 
 def test_a_workcell_is_applied_once_in_portions() -> None:
@@ -48,7 +48,7 @@ def test_a_workcell_is_applied_once_in_portions() -> None:
     lab = Driver(cell, empty=False)
     assert lab.types().count("workcell.stations_applied") == 3
     assert len(lab.state.bench.stations) == 95
-    assert lab.state.resources.left("cell/dev", "tips") == 8.0  # type: ignore[arg-type]
+    assert lab.state.resources.find_left("cell/dev", "tips") == 8.0  # type: ignore[arg-type]
     assert lab.do(ApplyWorkcell(cell)) == []
 
 
@@ -69,7 +69,7 @@ def test_a_new_description_adds_changes_and_removes() -> None:
     assert "cell/cam.nest" not in state.bench.stations
     assert "cell/cam" not in state.bench.by_module
     assert state.modules.by_name["cell/dev"].values == {"lid": "closed", "lamp": "off"}  # type: ignore[index]
-    assert state.resources.left("cell/dev", "tips") == 3.0  # type: ignore[arg-type]
+    assert state.resources.find_left("cell/dev", "tips") == 3.0  # type: ignore[arg-type]
     assert state.bench.by_module["cell/new"] == ["cell/new.nest"]  # type: ignore[index]
     assert lab.at("a") == ["P1"]
     lab.check_log()
@@ -86,12 +86,12 @@ def test_what_labware_or_runs_depend_on_is_not_removed() -> None:
     lab = small()
     run = lab.submit(plan(step("cam"), step("arm", move("a", "b"))))
     action = lab.start(run)
-    assert lab.refused(ApplyWorkcell(without(small_cell(), "cam", "cam.nest"))).code == "module_in_use"
+    assert lab.reject(ApplyWorkcell(without(small_cell(), "cam", "cam.nest"))).code == "module_in_use"
     lab.finish(action)
-    assert lab.refused(ApplyWorkcell(without(small_cell(), "b"))).code == "plan_in_use"
-    assert "needs arm" in lab.refused(ApplyWorkcell(without(small_cell(), "arm"))).message
+    assert lab.reject(ApplyWorkcell(without(small_cell(), "b"))).code == "plan_in_use"
+    assert "needs arm" in lab.reject(ApplyWorkcell(without(small_cell(), "arm"))).message
     lab.stock("c", 1)
-    refusal = lab.refused(ApplyWorkcell(without(small_cell(), "c")))
+    refusal = lab.reject(ApplyWorkcell(without(small_cell(), "c")))
     assert (refusal.code, refusal.remedy) == ("station_occupied", "Move the labware away first.")
     assert "P1" in refusal.message
 
@@ -101,14 +101,14 @@ def test_a_station_with_uncertain_labware_is_not_removed() -> None:
     lab.stock("a", 1)
     run = lab.submit(route("a", "b"))
     lab.fail(lab.start(run))
-    assert lab.refused(ApplyWorkcell(without(small_cell(), "b"))).code == "uncertain"
+    assert lab.reject(ApplyWorkcell(without(small_cell(), "b"))).code == "uncertain"
 
 
 def test_a_capacity_below_what_stands_there_is_refused() -> None:
     lab = small()
     cell = small_cell()
     stations = [station("stack", "stack", 4) if s.name == "cell/stack" else s for s in cell.stations]
-    refusal = lab.refused(ApplyWorkcell(workcell(cell.modules, stations)))
+    refusal = lab.reject(ApplyWorkcell(workcell(cell.modules, stations)))
     assert refusal.code == "station_occupied"
     assert "holds 5, more than the 4" in refusal.message
 
@@ -116,7 +116,7 @@ def test_a_capacity_below_what_stands_there_is_refused() -> None:
 def test_a_workcell_that_cannot_be_recorded_is_refused() -> None:
     cell = workcell([module("dev", config={"table": "x" * 70_000})], [])
     lab = Driver(workcell([module("arm")], []))
-    assert lab.refused(ApplyWorkcell(cell)).code == "unfit"
+    assert lab.reject(ApplyWorkcell(cell)).code == "unfit"
 
 
 def test_an_undeclared_station_is_unknown_not_empty() -> None:
@@ -147,19 +147,19 @@ def test_declaring_gives_names_to_labware_but_not_to_a_stack() -> None:
     ],
 )
 def test_declarations_that_cannot_be(place: str, contents: tuple[str, ...], code: str) -> None:
-    refusal = small().refused(DeclareStation(f"cell/{place}", contents))  # type: ignore[arg-type]
+    refusal = small().reject(DeclareStation(f"cell/{place}", contents))  # type: ignore[arg-type]
     assert refusal.code == code
 
 
 def test_what_is_known_or_under_way_is_not_overwritten() -> None:
     lab = small()
     lab.stock("a", 1)
-    assert lab.refused(DeclareStation("cell/a")).code == "station_occupied"  # type: ignore[arg-type]
+    assert lab.reject(DeclareStation("cell/a")).code == "station_occupied"  # type: ignore[arg-type]
     run = lab.submit(route("stack", "b"))
     action = lab.start(run)
-    refusal = lab.refused(DeclareStation("cell/b"))  # type: ignore[arg-type]
+    refusal = lab.reject(DeclareStation("cell/b"))  # type: ignore[arg-type]
     assert "an arrival under way" in refusal.message
-    assert lab.refused(DeclareStation("cell/stack")).code == "uncertain"  # type: ignore[arg-type]
+    assert lab.reject(DeclareStation("cell/stack")).code == "uncertain"  # type: ignore[arg-type]
     lab.finish(action)
     lab.stock("stack", 2)
 
@@ -170,7 +170,7 @@ def test_where_something_may_stand_nothing_is_declared() -> None:
     lab.stock("a", 1)
     run = lab.submit(route("a", "b"))
     lab.doubt(lab.start(run))
-    assert lab.refused(DeclareStation("cell/a", ("plate",))).code == "uncertain"  # type: ignore[arg-type]
+    assert lab.reject(DeclareStation("cell/a", ("plate",))).code == "uncertain"  # type: ignore[arg-type]
     lab.answer(lab.question(), "not_done")
     assert lab.at("a") == ["P1"]
 
@@ -200,4 +200,4 @@ def test_levels_have_bounds_and_a_module() -> None:
 def test_needs_of_a_plan_count_as_dependence_too() -> None:
     lab = small()
     lab.submit(plan(step("dev", needs("cam.nest"))))
-    assert lab.refused(ApplyWorkcell(without(small_cell(), "cam", "cam.nest"))).code == "plan_in_use"
+    assert lab.reject(ApplyWorkcell(without(small_cell(), "cam", "cam.nest"))).code == "plan_in_use"

@@ -83,7 +83,7 @@ def steps_of(start: str, hops: Sequence[tuple[str, str, bool]], *, look: bool) -
 PLANS = st.builds(steps_of, st.sampled_from([STACK, *NESTS]), HOPS, look=st.booleans())
 
 
-def compiled(steps: Sequence[Step]) -> Plan:
+def compile_plan(steps: Sequence[Step]) -> Plan:
     effects: dict[str, Any] = {
         "take": lambda s: (take(s.source, s.target),),
         "move": lambda s: (move(s.source, s.target, s.via),),
@@ -106,7 +106,7 @@ Rule = Callable[..., None]
 T = TypeVar("T")
 
 
-def picked(choices: Sequence[T], number: int) -> T:
+def pick_from(choices: Sequence[T], number: int) -> T:
     return choices[number % len(choices)]
 
 
@@ -145,7 +145,7 @@ class Lab(RuleBasedStateMachine):
         events = self.lab.do(command)
         for event in events:
             if isinstance(event, ActionReconciled):
-                self.reconciled(event)
+                self.reconcile(event)
         return events
 
     # -- runs ----------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ class Lab(RuleBasedStateMachine):
         self.submit(user, steps)
 
     def submit(self, user: str, steps: tuple[Step, ...]) -> None:
-        run = self.lab.submit(compiled(steps), user)
+        run = self.lab.submit(compile_plan(steps), user)
         self.model.runs[run] = Run(user, steps)
 
     def startable(self) -> list[tuple[str, int]]:
@@ -172,7 +172,7 @@ class Lab(RuleBasedStateMachine):
     @happens()
     def start_anything(self, pick: int) -> None:
         """Planning would not ask for it; the rules of the bench have to hold by themselves."""
-        self.start(*picked(self.startable(), pick))
+        self.start(*pick_from(self.startable(), pick))
 
     def free_to_start(self) -> list[tuple[str, int]]:
         return [(run, index) for run, index in self.startable() if self.model.may_start(run, index)]
@@ -187,7 +187,7 @@ class Lab(RuleBasedStateMachine):
             if not choices:
                 self.let_all_go_on()
                 return
-            chosen = picked(choices, pick + number)
+            chosen = pick_from(choices, pick + number)
             if isinstance(chosen, str):
                 self.finish(chosen, self.model.flying[chosen], "target", "plain")
             else:
@@ -203,7 +203,7 @@ class Lab(RuleBasedStateMachine):
         self.lab._actions += 1
         effects = self.lab.state.actions.open[command.action].effects
         plate = next((e.labware for e in effects if isinstance(e, Move | Take | Needs)), "")
-        assert not self.model.forbidden(run, index)
+        assert not self.model.find_reason(run, index)
         assert not self.model.crash(run, self.model.runs[run].plan[index], plate)
         self.model.start(command.action, run, index, plate)
         return True
@@ -214,11 +214,11 @@ class Lab(RuleBasedStateMachine):
         over = [name for name, run in self.model.runs.items() if run.over]
         alive = [name for name in self.model.runs if name not in over]
         busy = [name for name in alive if self.model.runs[name].busy]
-        getattr(self, what)(picked([*busy, *alive, *over[:1]], pick))
+        getattr(self, what)(pick_from([*busy, *alive, *over[:1]], pick))
 
     def cancel(self, run: str) -> None:
         if self.model.runs[run].over:
-            self.lab.refused(CancelRun(RunId(run)))
+            self.lab.reject(CancelRun(RunId(run)))
             return
         self.do(CancelRun(RunId(run)))
         self.model.cancel(run)
@@ -227,7 +227,7 @@ class Lab(RuleBasedStateMachine):
         paused = self.model.runs[run].paused
         command = (ResumeRun if paused else PauseRun)(RunId(run))
         if self.model.runs[run].over:
-            self.lab.refused(command)
+            self.lab.reject(command)
             return
         self.do(command)
         self.model.runs[run].paused = not paused
@@ -235,7 +235,7 @@ class Lab(RuleBasedStateMachine):
     @happens(what=st.sampled_from([*MODULES, CELL, "*"]), out=st.booleans())
     def hinder_or_let_go_on(self, pick: int, what: str, out: bool) -> None:
         """One thing at a time, so that something is left that goes on."""
-        if self.model.hindered:
+        if self.model.is_hindered:
             self.let_all_go_on()
             return
         name = full(what) if what in MODULES else what
@@ -267,9 +267,9 @@ class Lab(RuleBasedStateMachine):
             return [(a, f) for a, f in self.model.flying.items() if silent in (None, f.unknown)]
 
         if not flying() and self.free_to_start():
-            self.start(*picked(self.free_to_start(), pick))
+            self.start(*pick_from(self.free_to_start(), pick))
             self.the_lab_is_as_the_model()
-        return picked(flying(), pick) if flying() else None
+        return pick_from(flying(), pick) if flying() else None
 
     def come_to(self, flight: Flight, where: str) -> str:
         """The arm carries its plate so far and no further, if it was not silent before."""
@@ -278,7 +278,7 @@ class Lab(RuleBasedStateMachine):
             self.model.carry(
                 flight.step, flight.plate, ends.get(where) or flight.step.via or flight.step.hand
             )
-        return self.model.left_at(flight)
+        return self.model.find_left(flight)
 
     @happens(where=WHERE, words=WORDS)
     def end_somehow(self, pick: int, where: str, words: str) -> None:
@@ -296,11 +296,11 @@ class Lab(RuleBasedStateMachine):
             effects = "all" if at == what.target else "none"
         succeeded = effects == "all" and words == "plain"
         self.do(FinishAction(ActionId(action), 1, succeeded, effects, error="" if succeeded else "jam"))
-        self.carried_out(flight, effects)
+        self.carry_out(flight, effects)
         self.model.end(action, "done" if succeeded else "failed")
         self.settled.append(action)
 
-    def carried_out(self, flight: Flight, effects: str) -> None:
+    def carry_out(self, flight: Flight, effects: str) -> None:
         """What is told of a plate by what is told of an action."""
         what, plate = flight.step, flight.plate
         if not what.carries:
@@ -312,7 +312,7 @@ class Lab(RuleBasedStateMachine):
                 self.model.lost[plate] = what
         elif effects == "none":
             self.model.tell(plate, what.source)
-        elif self.model.known(plate) in ("", *what.places):  # else it was seen elsewhere meanwhile
+        elif self.model.find_place(plate) in ("", *what.places):  # else it was seen elsewhere meanwhile
             self.model.tell(plate, *what.places)
 
     @happens(where=WHERE)
@@ -350,7 +350,7 @@ class Lab(RuleBasedStateMachine):
     @happens(effects=st.sampled_from(["all", "none", "partial"]))
     def speak_late(self, pick: int, effects: Any) -> None:
         """What a node says of an action that has ended changes nothing; it may be asked about."""
-        action = ActionId(picked(self.settled, pick))
+        action = ActionId(pick_from(self.settled, pick))
         self.do(FinishAction(action, 1, effects == "all", effects, error="late"))
 
     # -- people --------------------------------------------------------------------------------
@@ -362,9 +362,9 @@ class Lab(RuleBasedStateMachine):
         self.model.carry(what, plate, place)
         return True
 
-    def reconciled(self, event: ActionReconciled) -> None:
+    def reconcile(self, event: ActionReconciled) -> None:
         flight = self.model.flying[event.action]
-        at, what = self.model.left_at(flight), flight.step
+        at, what = self.model.find_left(flight), flight.step
         outcome: Outcome = (
             "done" if event.effects == "all" else "pending" if event.effects == "none" else "failed"
         )
@@ -372,7 +372,7 @@ class Lab(RuleBasedStateMachine):
             self.model.tell(flight.plate)
         elif what.carries:
             assert at == (what.target if outcome == "done" else what.source), f"{flight.plate} is at {at}"
-            self.carried_out(flight, event.effects)
+            self.carry_out(flight, event.effects)
         self.model.end(event.action, outcome)
         self.settled.append(event.action)
 
@@ -380,8 +380,8 @@ class Lab(RuleBasedStateMachine):
     @happens(which=st.integers(0, 2))
     def answer(self, pick: int, which: int) -> None:
         """A person sees to it that an answer is true, and gives it."""
-        question = picked(self.lab.questions(), pick)
-        choice = picked(question.choices, which).name
+        question = pick_from(self.lab.questions(), pick)
+        choice = pick_from(question.choices, which).name
         make_true = getattr(self, f"make_true_{question.kind}")
         then = make_true(question, choice)
         if then is None:
@@ -423,7 +423,7 @@ class Lab(RuleBasedStateMachine):
     def make_true_failed_run(self, question: Intervention, choice: str) -> Any:
         def then() -> None:
             for plate in question.labware if choice == "removed" else ():
-                if plate in self.model.maybe and not self.model.handled(plate):
+                if plate in self.model.maybe and not self.model.is_handled(plate):
                     self.model.tell(plate)
 
         return then
@@ -435,7 +435,7 @@ class Lab(RuleBasedStateMachine):
         assert isinstance(effect, Move), "honest people see nothing that cannot be"
         plate = str(effect.labware)
         place = {"seen": local(effect.target), "recorded": local(effect.source)}.get(choice, "")
-        if plate not in self.model.maybe or self.model.known(plate):
+        if plate not in self.model.maybe or self.model.find_place(plate):
             return lambda: None
         if not self.put(Step("move", "arm"), plate, place):
             return None
@@ -450,12 +450,12 @@ class Lab(RuleBasedStateMachine):
     def look_at(self, pick: int, place: str) -> None:
         """Somebody counts what stands at a place."""
         if not self.quiet(place):
-            self.lab.refused(ObserveStation(StationName(full(place)), "olga", count=0))
+            self.lab.reject(ObserveStation(StationName(full(place)), "olga", count=0))
             return
         here = self.model.at(place)
         self.do(ObserveStation(StationName(full(place)), "olga", count=len(here)))
         self.looked = True
-        unsure = [plate for plate in self.model.maybe if not self.model.known(plate)]
+        unsure = [plate for plate in self.model.maybe if not self.model.find_place(plate)]
         if not any(plate in unsure or plate in self.model.loose for plate in here):
             for plate in unsure:
                 self.model.maybe[plate].discard(place)
@@ -464,14 +464,14 @@ class Lab(RuleBasedStateMachine):
     @happens(place=st.none() | st.sampled_from(NESTS))
     def recognise(self, pick: int, place: str | None) -> None:
         """Somebody recognises a plate where it is, or takes it elsewhere and says so."""
-        plate = picked(list(self.model.maybe), pick)
+        plate = pick_from(list(self.model.maybe), pick)
         held = next((f for f in self.model.flying.values() if f.plate == plate), None)
         place = self.model.really.get(plate, "") if place is None else place
         if place not in CAPACITY or (held is not None and not held.unknown) or not self.quiet(place):
             return
         if not self.put(Step("move", "arm"), plate, place):
             return
-        before = self.model.known(plate)
+        before = self.model.find_place(plate)
         if not before or before == place:
             self.model.tell(plate, place)
         else:
@@ -500,7 +500,7 @@ class Lab(RuleBasedStateMachine):
             assert item.owner == model.owner[plate]
             model.maybe[plate] = places
         for place in CAPACITY:
-            here = [plate for plate in model.maybe if model.known(plate) == place]
+            here = [plate for plate in model.maybe if model.find_place(plate) == place]
             assert sorted(self.lab.at(place)) == sorted(here), place
         stack = self.lab.state.bench.stations[StationName(full(STACK))]
         assert len(stack.stock) == model.stock + len(model.loose)
@@ -527,12 +527,12 @@ class Lab(RuleBasedStateMachine):
         assert about == {name for name, flight in self.model.flying.items() if flight.unknown}
         asked = {str(e.labware) for q in questions for e in q.motions if isinstance(e, Move | Take)}
         asked |= {flight.plate for flight in self.model.flying.values()}
-        unsure = {plate for plate in self.model.maybe if not self.model.known(plate)}
+        unsure = {plate for plate in self.model.maybe if not self.model.find_place(plate)}
         assert unsure | self.model.lost.keys() <= asked
         fresh = [entry.event for entry in self.lab.log[self.seen :]]
         shown = {str(e.subject): set(e.labware) for e in fresh if getattr(e, "kind", "") == "failed_run"}  # type: ignore[attr-defined]
         for run, had in self.model.left.items() if not self.looked else ():
-            places = {plate: self.model.known(plate) for plate in had if plate in self.model.maybe}
+            places = {plate: self.model.find_place(plate) for plate in had if plate in self.model.maybe}
             left = {plate for plate, place in places.items() if place and place not in STORAGE}
             over = self.model.runs[run].status
             assert shown.get(run, set()) == (set() if over == "completed" else left), run

@@ -25,7 +25,7 @@ def golden(name: str) -> Iterator[tuple[Event, int, int]]:
         yield decode(head.type, head.schema, record.payload), head.position, head.recorded_at
 
 
-def driven(seed: int) -> Iterator[tuple[Event, int, int]]:
+def drive(seed: int) -> Iterator[tuple[Event, int, int]]:
     """A bad day of a small lab: all that can go wrong, in any order."""
     for entry in live_through(random.Random(seed), 60).log:
         yield entry.event, entry.position, entry.at
@@ -43,7 +43,7 @@ def test_nothing_happens_in_a_golden_log_that_is_not_drawn(name: str) -> None:
 def test_nothing_happens_in_random_labs_that_is_not_drawn() -> None:
     seen: dict[tuple[str, str, str, str], bool] = {}
     for seed in range(12):
-        found = transitions(driven(seed))
+        found = transitions(drive(seed))
         assert not_drawn(found) == [], seed
         seen |= {(name, *row): True for name, rows in found.items() for row in rows}
     assert len(seen) > 20

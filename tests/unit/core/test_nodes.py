@@ -34,7 +34,7 @@ def dev(lab: Driver) -> Module:
 def test_the_first_node_is_kept_and_its_repetition_says_nothing() -> None:
     lab = small()
     assert lab.do(msgspec.structs.replace(JOIN, instance="i1")) == []
-    refusal = lab.refused(JOIN)
+    refusal = lab.reject(JOIN)
     assert (refusal.code, refusal.message) == ("name_taken", "Two nodes claim the module dev.")
     assert "Stop one" in refusal.remedy
 
@@ -54,10 +54,10 @@ def test_after_a_loss_another_instance_may_join() -> None:
 def test_a_node_needs_a_module_and_its_driver() -> None:
     lab = Driver(small_cell())
     lab.do(LoseNode(DEV, "i1", "silent"))
-    refusal = lab.refused(msgspec.structs.replace(JOIN, driver="other"))
+    refusal = lab.reject(msgspec.structs.replace(JOIN, driver="other"))
     assert refusal.code == "wrong_driver"
     assert "'other'" in refusal.message
-    assert lab.refused(msgspec.structs.replace(JOIN, module=ModuleName("cell/nix"))).code == "no_module"
+    assert lab.reject(msgspec.structs.replace(JOIN, module=ModuleName("cell/nix"))).code == "no_module"
 
 
 def test_only_transitions_that_no_action_explains_are_events() -> None:
@@ -86,7 +86,7 @@ def test_a_module_is_taken_out_and_put_back() -> None:
     lab.do(PutBack(DEV))
     assert lab.code(run) == ""
     nix = ModuleName("cell/nix")
-    assert lab.refused(TakeOut(nix, "x")).code == lab.refused(PutBack(nix)).code == "no_module"
+    assert lab.reject(TakeOut(nix, "x")).code == lab.reject(PutBack(nix)).code == "no_module"
 
 
 # -- out of service until a time, stopped in an emergency --------------------------------------------
@@ -94,7 +94,7 @@ def test_a_module_is_taken_out_and_put_back() -> None:
 
 def test_a_module_comes_back_by_itself_when_its_time_has_come() -> None:
     lab = small()
-    assert lab.refused(TakeOut(DEV, "service", lab.now, lab.now)).code == "past"
+    assert lab.reject(TakeOut(DEV, "service", lab.now, lab.now)).code == "past"
     until = lab.now + 60 * SECOND
     lab.do(TakeOut(DEV, "service", until, lab.now))
     run = lab.submit(plan(step("dev")))
@@ -165,7 +165,7 @@ def test_an_action_whose_node_stays_away_is_asked_about() -> None:
     lab.check_log()
 
 
-def given_up(timeout_s: float | None = None) -> tuple[Driver, str, ActionId]:
+def give_up(timeout_s: float | None = None) -> tuple[Driver, str, ActionId]:
     """A plate is in motion, and its arm's node has been gone for a minute."""
     lab = small()
     run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"), timeout_s=timeout_s)))
@@ -183,13 +183,13 @@ def given_up(timeout_s: float | None = None) -> tuple[Driver, str, ActionId]:
 
 def test_a_node_that_comes_back_at_its_work_ends_the_question() -> None:
     """Who answered without looking would be believed, while the arm is still moving."""
-    lab, run, action = given_up()
+    lab, run, action = give_up()
     assert [event.TYPE for event in lab.accept(action)] == ["action.accepted", "intervention.resolved"]
     assert lab.questions() == []
     assert lab.run(run).steps[1].status == IN_FLIGHT
     assert lab.state.bench.labware["P1"].maybe, "nobody has seen it"  # type: ignore[index]
     assert in_motion(lab.state, "cell") == ["arm"], "nobody is let in"
-    assert "carrying" in lab.refused(ObserveStation(StationName("cell/a"), "olga", count=1)).message
+    assert "carrying" in lab.reject(ObserveStation(StationName("cell/a"), "olga", count=1)).message
     assert lab.accept(action) == []
     lab.finish(action)
     assert lab.where("P1") == "b"
@@ -197,7 +197,7 @@ def test_a_node_that_comes_back_at_its_work_ends_the_question() -> None:
 
 
 def test_gone_again_it_is_asked_about_again() -> None:
-    lab, run, action = given_up()
+    lab, run, action = give_up()
     lab.accept(action)
     lab.do(LoseNode(ARM, "i2", "silent"))
     lab.wait(NODE_AWAY_S + 1)
@@ -210,11 +210,11 @@ def test_gone_again_it_is_asked_about_again() -> None:
 
 def test_nobody_settles_what_a_node_that_is_away_may_still_do() -> None:
     """A request may be on its way to it, or it stands still in mid-action: it would be done after all."""
-    lab, _, action = given_up()
+    lab, _, action = give_up()
     lab.do(LoseNode(ARM, "i2", "silent"))
     question = lab.question("unknown_action")
     for choice in ("done", "not_done", "gone"):
-        refusal = lab.refused(ResolveIntervention(question.id, choice, "olga"))
+        refusal = lab.reject(ResolveIntervention(question.id, choice, "olga"))
         assert refusal.code == "node_gone"
         assert "labos out-of-service arm" in refusal.remedy
     lab.do(ObserveStation(StationName("cell/a"), "olga", labware=LabwareId("P1")))
@@ -227,7 +227,7 @@ def test_nobody_settles_what_a_node_that_is_away_may_still_do() -> None:
 
 @pytest.mark.parametrize(("place", "state"), [("a", PENDING), ("b", DONE), ("hotel", UNKNOWN)])
 def test_what_was_seen_while_its_node_was_away_counts_when_that_knows_no_more(place: str, state: int) -> None:
-    lab, run, action = given_up()
+    lab, run, action = give_up()
     lab.do(LoseNode(ARM, "i2", "silent"))
     lab.do(ObserveStation(StationName(f"cell/{place}"), "olga", labware=LabwareId("P1")))
     assert lab.question("unknown_action")
@@ -241,7 +241,7 @@ def test_what_was_seen_while_its_node_was_away_counts_when_that_knows_no_more(pl
 
 
 def test_what_was_seen_elsewhere_meanwhile_stays_there() -> None:
-    lab, _, action = given_up()
+    lab, _, action = give_up()
     lab.do(ObserveStation(StationName("cell/c"), "olga", labware=LabwareId("P1")))
     lab.accept(action)
     lab.do(LoseNode(ARM, "i2", "silent"))
@@ -254,7 +254,7 @@ def test_what_was_seen_elsewhere_meanwhile_stays_there() -> None:
 
 def test_what_takes_too_long_is_still_asked_about_when_its_node_comes_back() -> None:
     """It may well never end: only a person sees that."""
-    lab, _, action = given_up(timeout_s=5.0)
+    lab, _, action = give_up(timeout_s=5.0)
     assert lab.accept(action) == []
     assert lab.question("unknown_action")
     lab.finish(action)

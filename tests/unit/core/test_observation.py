@@ -176,7 +176,7 @@ def test_what_was_lost_on_its_way_to_a_place_that_is_taken_now_can_be_taken_away
     lab.answer(lab.question("unknown_action"), "not_done")
     assert lab.where("P1") == "a"
     lost = lab.question("lost_labware")
-    assert "a is full (P1)" in lab.refused(ResolveIntervention(lost.id, "target", "olga")).message
+    assert "a is full (P1)" in lab.reject(ResolveIntervention(lost.id, "target", "olga")).message
     lab.answer(lost, "gone")
     assert (lab.at("a"), lab.at("stack"), lab.questions("lost_labware")) == (["P1"], [], [])
     assert len(lab.state.bench.stations[StationName("cell/stack")].stock) == 1
@@ -232,7 +232,7 @@ def test_what_cannot_be_seen_or_is_in_motion_is_refused() -> None:
         ("a", {"labware": LabwareId("P9")}, "no_labware"),
         ("stack", {"count": 2}, "stock_differs"),
     ]:
-        assert lab.refused(ObserveStation(StationName(full(place)), "ada", **what)).code == code  # type: ignore[arg-type]
+        assert lab.reject(ObserveStation(StationName(full(place)), "ada", **what)).code == code  # type: ignore[arg-type]
     lab.start(lab.submit(route("a", "b")))
     for place in ("a", "b", "hotel"):
         answer = lab.ask(ObserveStation(StationName(full(place)), "ada", labware=LabwareId("P1")))
@@ -273,7 +273,7 @@ def test_seen_where_it_changes_grip_it_is_one_plate_and_not_two() -> None:
     lab.check_log()
 
 
-def carried_to_c() -> tuple[Driver, ActionId]:
+def carry_to_c() -> tuple[Driver, ActionId]:
     """Nobody knew how the motion from a to b ended; somebody carried the plate to c and said so."""
     lab, _ = doubtful()
     see(lab, "c", labware="P1")
@@ -285,21 +285,21 @@ def carried_to_c() -> tuple[Driver, ActionId]:
 
 
 def test_a_device_that_speaks_late_does_not_take_back_what_somebody_saw_since() -> None:
-    lab, action = carried_to_c()
+    lab, action = carry_to_c()
     lab.finish(action)
     assert (lab.where("P1"), lab.at("b")) == ("c", [])
     lab.check_log()
 
 
 def test_nor_when_it_says_that_it_failed_half_way() -> None:
-    lab, action = carried_to_c()
+    lab, action = carry_to_c()
     lab.fail(action, "partial")
     assert (lab.where("P1"), maybe(lab), lab.questions("lost_labware")) == ("c", [], [])
     lab.check_log()
 
 
 def test_a_person_who_answers_after_that_is_believed() -> None:
-    lab, _ = carried_to_c()
+    lab, _ = carry_to_c()
     lab.answer(lab.question("unknown_action"), "done")
     assert (lab.where("P1"), lab.at("c")) == ("b", [])
     lab.check_log()
@@ -331,7 +331,7 @@ def test_nobody_puts_it_back_where_others_were_let_in_meanwhile() -> None:
     see(lab, "arm.gripper", count=1)
     lab.stock("a", 1)
     question = lab.question("unknown_action")
-    refusal = lab.refused(ResolveIntervention(question.id, "not_done", "x"))
+    refusal = lab.reject(ResolveIntervention(question.id, "not_done", "x"))
     assert (refusal.code, refusal.remedy) == (
         "occupied",
         "Put it at b and answer done, or take it away and answer gone.",
@@ -356,7 +356,7 @@ def test_nor_into_a_module_that_is_anothers_meanwhile() -> None:
     see(lab, "arm.gripper", count=1)
     lab.start(other)
     question = lab.question("unknown_action")
-    assert lab.refused(ResolveIntervention(question.id, "not_done", "x")).code == "occupied"
+    assert lab.reject(ResolveIntervention(question.id, "not_done", "x")).code == "occupied"
     lab.answer(question, "done")
     assert lab.where("P1") == "b"
     lab.check_log()
@@ -382,7 +382,7 @@ def test_nor_into_a_module_that_works_for_another_or_is_held(look: tuple[str, in
     if ended:
         lab.finish(opening)
     question = lab.question("unknown_action")
-    refusal = lab.refused(ResolveIntervention(question.id, "not_done", "x"))
+    refusal = lab.reject(ResolveIntervention(question.id, "not_done", "x"))
     assert refusal.code == "occupied"
     assert f"run:{other} was let in to dev.n1" in refusal.message
     if not ended:

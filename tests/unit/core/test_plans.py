@@ -28,7 +28,7 @@ def seal(time: object) -> PlanStep:
     return PlanStep(key="seal", module=ModuleName("rpl/sealer"), action="seal", args={"time": time})
 
 
-def folded(**plans: tuple[PlanStep, ...]) -> Plans:
+def fold_plans(**plans: tuple[PlanStep, ...]) -> Plans:
     state: Plans = {}
     for name, steps in plans.items():
         plan_recorded(state, PlanRecorded("run:1", name, "shape", "w", "rpl", len(steps), (), {}))
@@ -39,7 +39,7 @@ def folded(**plans: tuple[PlanStep, ...]) -> Plans:
 
 
 def test_steps_that_are_written_the_same_are_held_once() -> None:
-    plans = folded(one=(CARRY, seal(3)), other=(CARRY, seal(4)))
+    plans = fold_plans(one=(CARRY, seal(3)), other=(CARRY, seal(4)))
     one, other = plans["one"].plan.steps, plans["other"].plan.steps
     assert one == (CARRY, seal(3))
     assert other == (CARRY, seal(4))
@@ -48,13 +48,13 @@ def test_steps_that_are_written_the_same_are_held_once() -> None:
 
 def test_what_python_calls_equal_but_is_written_otherwise_stays_itself() -> None:
     times = (1, 1.0, True)
-    plans = folded(**{f"p{n}": (seal(time),) for n, time in enumerate(times)})
+    plans = fold_plans(**{f"p{n}": (seal(time),) for n, time in enumerate(times)})
     kept = [plans[f"p{n}"].plan.steps[0].args["time"] for n in range(3)]
     assert [type(time) for time in kept] == [int, float, bool]
 
 
 def test_plans_from_a_picture_share_too() -> None:
-    plans = decode(encode(folded(one=(CARRY,), other=(CARRY, seal(5)))), type=Plans)
+    plans = decode(encode(fold_plans(one=(CARRY,), other=(CARRY, seal(5)))), type=Plans)
     assert plans["one"].plan.steps[0] is not plans["other"].plan.steps[0]
     share_plans(plans)
     assert plans["one"].plan.steps[0] is plans["other"].plan.steps[0]

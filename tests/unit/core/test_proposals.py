@@ -41,7 +41,7 @@ from labos.core.shares import Group, Member, Quota
 from labos.core.state import from_picture, picture
 from labos.core.users import on_behalf
 from tests.support.bench import Driver, consumes, full, move, plan, route, small, step
-from tests.unit.core.test_rights import peopled
+from tests.unit.core.test_rights import make_peopled
 
 ROBOT = on_behalf("robot", "ada")
 C1, E1 = CampaignId("C1"), ExperimentId("E1")
@@ -53,7 +53,7 @@ def work(name: str = "work", **more: Any) -> Plan:
 
 def lab_with(**policy: Any) -> Driver:
     """A lab of which everybody who submits is a user, with a policy."""
-    lab = peopled()
+    lab = make_peopled()
     lab.level("dev", "tips", 1000.0, 1000.0)
     if policy:
         lab.do(ApplyPolicy("p", Policy(**policy)), "root-1")
@@ -151,17 +151,17 @@ def test_a_program_cannot_have_more_rights_than_that() -> None:
     digest = waiting(lab, "R1").digest
     for actor in ("robot", on_behalf("robot", "olga")):
         by = "olga" if " " in actor else actor
-        found = lab.refused(ApproveProposal("R1", digest, by), actor)
+        found = lab.reject(ApproveProposal("R1", digest, by), actor)
         assert found.code in ("no_person", "not_you", "own_approval"), actor
-    assert lab.refused(ApproveProposal("R1", digest, on_behalf("robot", "olga")), ROBOT).code == "not_you"
+    assert lab.reject(ApproveProposal("R1", digest, on_behalf("robot", "olga")), ROBOT).code == "not_you"
     acting = on_behalf("robot", "olga")
-    assert lab.refused(ApproveProposal("R1", digest, acting), acting).code == "no_person"
+    assert lab.reject(ApproveProposal("R1", digest, acting), acting).code == "no_person"
     question = lab.question("approval")
-    assert lab.refused(ResolveIntervention(question.id, "approve", acting), acting).code == "no_person"
-    assert lab.refused(ApplyPolicy("q", Policy(programs=False)), "robot").code == "no_right"
+    assert lab.reject(ResolveIntervention(question.id, "approve", acting), acting).code == "no_person"
+    assert lab.reject(ApplyPolicy("q", Policy(programs=False)), "robot").code == "no_right"
     lab.do(GrantRole("user:robot", "admin"), "root-1")
-    assert lab.refused(ApplyPolicy("q", Policy(trusted=("robot",))), "robot").code == "no_person"
-    assert lab.refused(ResolveIntervention(question.id, "approve", "bo"), "bo").code == "no_right"
+    assert lab.reject(ApplyPolicy("q", Policy(trusted=("robot",))), "robot").code == "no_person"
+    assert lab.reject(ResolveIntervention(question.id, "approve", "bo"), "bo").code == "no_right"
     assert lab.pump() == []
 
 
@@ -243,7 +243,7 @@ def test_whoever_wants_it_approved_says_so() -> None:
     lab.do(screen(propose=True), "ada")
     assert lab.pump() == []
     assert {*lab.state.approvals.open} == {"R1", "E1", "C1"}
-    assert lab.refused(ApproveProposal("R1", waiting(lab, "R1").digest, "ada"), "ada").code == "own_approval"
+    assert lab.reject(ApproveProposal("R1", waiting(lab, "R1").digest, "ada"), "ada").code == "own_approval"
     approve(lab, "R1", "bo")
     assert lab.pump() == ["R1#0"]
 
@@ -267,18 +267,18 @@ def test_the_lab_itself_is_not_asked() -> None:
 def test_nobody_approves_what_is_their_own() -> None:
     lab = lab_with(above=Budget(lab_time_s=1.0))
     lab.do(SubmitRun(work(), "olga"), "olga")
-    found = lab.refused(ApproveProposal("R1", waiting(lab, "R1").digest, "olga"), "olga")
+    found = lab.reject(ApproveProposal("R1", waiting(lab, "R1").digest, "olga"), "olga")
     assert (found.code, found.message) == (
         "own_approval",
         "R1 is olga's own, and the lab's policy wants somebody else to approve it.",
     )
-    assert lab.refused(ApproveProposal("R1", waiting(lab, "R1").digest, "bo"), "bo").code == "no_right"
+    assert lab.reject(ApproveProposal("R1", waiting(lab, "R1").digest, "bo"), "bo").code == "no_right"
     # Nor by the question in the inbox, and nor for a program that acts in one's name.
     question = lab.question("approval")
-    assert lab.refused(ResolveIntervention(question.id, "approve", "olga"), "olga").code == "own_approval"
+    assert lab.reject(ResolveIntervention(question.id, "approve", "olga"), "olga").code == "own_approval"
     lab.do(GrantRole("user:ada", "operator"))
     lab.do(SubmitRun(work(), "ada"), ROBOT)
-    assert lab.refused(ApproveProposal("R2", waiting(lab, "R2").digest, "ada"), "ada").code == "own_approval"
+    assert lab.reject(ApproveProposal("R2", waiting(lab, "R2").digest, "ada"), "ada").code == "own_approval"
     approve(lab, "R1", "root-1")
     assert lab.pump() == ["R1#0"]
 
@@ -299,7 +299,7 @@ def test_only_what_was_looked_at_is_approved(seen: str) -> None:
     lab = lab_with()
     lab.do(screen(), ROBOT)
     digest = waiting(lab, "C1").digest
-    assert lab.refused(ApproveProposal("C1", seen or digest[:11], "olga"), "olga").code == "changed"
+    assert lab.reject(ApproveProposal("C1", seen or digest[:11], "olga"), "olga").code == "changed"
     lab.do(ApproveProposal("C1", digest[:12], "olga"), "olga")
 
 
@@ -308,8 +308,8 @@ def test_what_was_changed_after_it_was_looked_at_cannot_run_under_its_digest() -
     lab.do(screen(terms=Terms(budget=Budget(runs=1))), ROBOT)
     seen, question = waiting(lab, "C1").digest, lab.question("approval")
     lab.do(AmendCampaign(C1, Terms(budget=Budget(runs=10))), ROBOT)
-    assert lab.refused(ApproveProposal("C1", seen, "olga"), "olga").code == "changed"
-    assert lab.refused(ResolveIntervention(question.id, "approve", "olga"), "olga").code == "no_intervention"
+    assert lab.reject(ApproveProposal("C1", seen, "olga"), "olga").code == "changed"
+    assert lab.reject(ResolveIntervention(question.id, "approve", "olga"), "olga").code == "no_intervention"
     anew = lab.question("approval")
     lab.do(ResolveIntervention(anew.id, "approve", "olga", "ten are fine"), "olga")
     given = next(e.event for e in lab.log if e.event.TYPE == "approval.given")
@@ -350,7 +350,7 @@ def test_an_approval_may_change_priority_and_terms() -> None:
     assert lab.run("R2").priority == 2
     lab.do(StartExperiment("app", "ada", priority=4), ROBOT)
     assert (
-        lab.refused(ApproveProposal("E1", waiting(lab, "E1").digest, "olga", terms=Terms()), "olga").code
+        lab.reject(ApproveProposal("E1", waiting(lab, "E1").digest, "olga", terms=Terms()), "olga").code
         == "no_such_change"
     )
     approve(lab, "E1", priority=1)
@@ -371,7 +371,7 @@ def test_what_is_refused_is_cancelled() -> None:
     assert not lab.state.campaigns.open
     assert lab.state.approvals.open == {}
     assert not lab.questions()
-    assert lab.refused(RefuseProposal("R1", "olga"), "olga").code == "no_proposal"
+    assert lab.reject(RefuseProposal("R1", "olga"), "olga").code == "no_proposal"
     lab.check_log()
 
 
@@ -396,7 +396,7 @@ def test_its_user_may_take_it_back(submit: Command, withdraw: Command) -> None:
 # -- every door ----------------------------------------------------------------------------------
 
 
-def amended(lab: Driver, terms: Terms, actor: str) -> None:
+def amend(lab: Driver, terms: Terms, actor: str) -> None:
     lab.do(AmendCampaign(C1, terms), actor)
 
 
@@ -405,20 +405,20 @@ def test_a_change_by_which_a_campaign_may_do_more_waits_and_the_campaign_goes_on
     small_one = Terms(budget=Budget(lab_time_s=3600.0))
     lab.do(screen(terms=small_one, demand=Demand(module_time_s=36_000.0)), "ada")
     assert not codes(lab, "C1")
-    amended(lab, Terms(budget=Budget(lab_time_s=7200.0)), "ada")
+    amend(lab, Terms(budget=Budget(lab_time_s=7200.0)), "ada")
     assert (waiting(lab, "C1").kind, codes(lab, "C1")) == ("amendment", ["budget"])
     campaign = lab.state.campaigns.open[C1]
     assert (campaign.status, campaign.terms) == (CampaignStatus.OPEN, small_one)
     assert feed(lab)
     # Another change takes its place; one that asks for less is made at once.
-    amended(lab, Terms(), "ada")
+    amend(lab, Terms(), "ada")
     assert "any lab time" in waiting(lab, "C1").why[0].text
-    amended(lab, Terms(budget=Budget(lab_time_s=60.0), tags=("x",)), "ada")
+    amend(lab, Terms(budget=Budget(lab_time_s=60.0), tags=("x",)), "ada")
     assert campaign.terms.budget.lab_time_s == 60.0
     approve(lab, "C1", terms=Terms(budget=Budget(lab_time_s=5000.0)))
     assert campaign.terms.budget.lab_time_s == 5000.0
     # An operator who changes it has looked at it.
-    amended(lab, Terms(budget=Budget(lab_time_s=9000.0)), "olga")
+    amend(lab, Terms(budget=Budget(lab_time_s=9000.0)), "olga")
     assert campaign.terms.budget.lab_time_s == 9000.0
     lab.check_log()
 
@@ -427,9 +427,9 @@ def test_a_program_may_only_ask_for_less() -> None:
     lab = lab_with()
     lab.do(screen(terms=Terms(budget=Budget(runs=5))), ROBOT)
     approve(lab, "C1")
-    amended(lab, Terms(budget=Budget(runs=3)), ROBOT)
+    amend(lab, Terms(budget=Budget(runs=3)), ROBOT)
     assert lab.state.campaigns.open[C1].terms.budget.runs == 3
-    amended(lab, Terms(priority=1, budget=Budget(runs=3)), ROBOT)
+    amend(lab, Terms(priority=1, budget=Budget(runs=3)), ROBOT)
     assert codes(lab, "C1") == ["program"]
     lab.do(RefuseProposal("C1", "olga"), "olga")
     campaign = lab.state.campaigns.open[C1]
@@ -466,7 +466,7 @@ def test_a_campaign_that_waits_can_neither_be_paused_nor_resumed() -> None:
     lab = lab_with()
     lab.do(screen(), ROBOT)
     for command in (PauseCampaign(C1), ResumeCampaign(C1)):
-        assert "waits for approval" in lab.refused(command, "ada").message
+        assert "waits for approval" in lab.reject(command, "ada").message
 
 
 def test_runs_of_an_experiment_wait_for_it_and_for_themselves() -> None:
@@ -475,7 +475,7 @@ def test_runs_of_an_experiment_wait_for_it_and_for_themselves() -> None:
     lab.do(SubmitRun(work(), "ada", experiment=E1), ROBOT)
     lab.do(SubmitRun(work(), "ada", experiment=E1), "ada")
     assert (codes(lab, "R1"), codes(lab, "R2")) == (["program", "experiment"], ["experiment"])
-    found = lab.refused(ApproveProposal("R1", waiting(lab, "R1").digest, "olga"), "olga")
+    found = lab.reject(ApproveProposal("R1", waiting(lab, "R1").digest, "olga"), "olga")
     assert found.code == "experiment_first"
     approve(lab, "E1")
     assert lab.pump() == ["R2#0"]
@@ -583,21 +583,21 @@ def test_groups_and_users_have_a_highest_priority(
     if fits:
         lab.do(submission(user, priority), user)
         return
-    found = lab.refused(submission(user, priority), user)
+    found = lab.reject(submission(user, priority), user)
     assert found.code == "priority"
     assert "which is the highest for " in found.message
     # Nor may a program for them.
-    assert lab.refused(submission(user, priority), on_behalf("robot", user)).code == "priority"
+    assert lab.reject(submission(user, priority), on_behalf("robot", user)).code == "priority"
 
 
 def test_a_policy_has_the_highest_priority_of_all_others() -> None:
     lab = lab_with(priority=0)
-    assert lab.refused(SubmitRun(work(), "ada", priority=1), "ada").message == (
+    assert lab.reject(SubmitRun(work(), "ada", priority=1), "ada").message == (
         "The priority 1 is above 0, which is the highest for whoever has no quota for it."
     )
     lab.do(SubmitRun(work(), "olga", priority=7), "olga")
     lab.do(screen(), "ada")
-    assert lab.refused(AmendCampaign(C1, Terms(priority=1)), "ada").code == "priority"
+    assert lab.reject(AmendCampaign(C1, Terms(priority=1)), "ada").code == "priority"
     lab.do(AmendCampaign(C1, Terms(priority=4)), "olga")
     # What an operator has raised stays when the user changes something else.
     lab.do(AmendCampaign(C1, Terms(priority=4, tags=("x",))), "ada")

@@ -21,7 +21,7 @@ def dev(lab: Driver) -> Module:
     return lab.state.modules.by_name[DEV]
 
 
-def judged(lab: Driver, after: int = 3, within_s: float = 600.0) -> list[Event]:
+def judge(lab: Driver, after: int = 3, within_s: float = 600.0) -> list[Event]:
     return lab.do(Quarantine(DEV, after, within_s, lab.now))
 
 
@@ -38,12 +38,12 @@ def test_three_failures_are_too_many() -> None:
     lab = small()
     for _ in range(2):
         fail(lab)
-    assert judged(lab) == []
+    assert judge(lab) == []
     fail(lab, "no foil")
-    (taken,) = judged(lab)
+    (taken,) = judge(lab)
     assert taken.TYPE == "module.taken_out"
     assert dev(lab).out_of_service == "quarantined: it has failed 3 times in 600 s, at last: no foil"
-    assert judged(lab) == [], "it is out already"
+    assert judge(lab) == [], "it is out already"
     waiting = lab.submit(plan(step("dev")))
     wait = lab.judge(waiting)
     assert lab.code(waiting) == "out_of_service"
@@ -51,7 +51,7 @@ def test_three_failures_are_too_many() -> None:
     assert "labos in-service dev" in remedy(wait)  # type: ignore[arg-type]
     lab.do(PutBack(DEV))
     assert lab.code(waiting) == ""
-    assert (judged(lab), dev(lab).failures) == ([], []), "it starts afresh"
+    assert (judge(lab), dev(lab).failures) == ([], []), "it starts afresh"
     lab.check_log()
 
 
@@ -60,7 +60,7 @@ def test_a_node_that_was_told_to_end_has_not_failed() -> None:
     for _ in range(3):
         lab.do(LoseNode(DEV, dev(lab).instance, "the lab was closed", stopped=True))
         lab.do(JoinNode(DEV, "journal-dev", "next", "driver", "1", "about", "IDLE"))
-    assert judged(lab) == []
+    assert judge(lab) == []
     assert dev(lab).failures == []
 
 
@@ -69,15 +69,15 @@ def test_failures_of_long_ago_do_not_count() -> None:
     for _ in range(4):
         fail(lab)
         lab.wait(400)
-    assert judged(lab) == []
-    assert judged(lab, within_s=2000.0) != []
+    assert judge(lab) == []
+    assert judge(lab, within_s=2000.0) != []
 
 
 def test_others_are_not_to_blame() -> None:
     lab = small()
     for _ in range(3):
         lab.fail(lab.start(lab.submit(plan(step("cam")))), "none")
-    assert judged(lab) == []
+    assert judge(lab) == []
 
 
 def test_what_is_tried_again_counts_when_its_tries_are_used_up() -> None:
@@ -97,7 +97,7 @@ def test_a_node_that_is_lost_with_its_action_counts_once() -> None:
     lab.answer(lab.question("unknown_action"), "done")
     lose(lab, "i3")
     lose(lab, "i4")
-    assert judged(lab) != []
+    assert judge(lab) != []
     lab.check_log()
 
 
@@ -120,12 +120,12 @@ def test_a_person_who_cannot_is_not_quarantined() -> None:
     for _ in range(3):
         lab.start(lab.submit(plan(step("dev", by_person=True))))
         lab.answer(lab.question("planned_work"), "not_done")
-    assert judged(lab) == []
+    assert judge(lab) == []
 
 
 def test_never_is_never_and_only_so_many_are_remembered() -> None:
     lab = small()
     for _ in range(FAILURES_KEPT + 5):
         fail(lab)
-    assert judged(lab, after=0) == []
+    assert judge(lab, after=0) == []
     assert len(dev(lab).failures) == FAILURES_KEPT == FAILURES_KNOWN

@@ -101,7 +101,7 @@ def test_what_cannot_be_written_is_refused_before_anything_is_folded(
     answers(monkeypatch, *([large] if one_by_one else [RunPaused(R2), large]), one_by_one=one_by_one)
     lab = with_two_runs()
     before = picture(lab.state)
-    answer = lab.refused(Answer())
+    answer = lab.reject(Answer())
     assert isinstance(answer, Rejection)
     assert answer.code == UNFIT
     assert picture(lab.state) == before

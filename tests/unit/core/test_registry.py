@@ -393,13 +393,13 @@ STORED = Path(__file__).with_name("payloads.jsonl")
 type and version that ever was, and one more whenever a field is added."""
 
 
-def stored() -> list[tuple[str, int, bytes]]:
+def read_stored() -> list[tuple[str, int, bytes]]:
     lines = [json.loads(line) for line in STORED.read_text().splitlines()]
     return [(line["type"], line["schema"], json.dumps(line["payload"]).encode()) for line in lines]
 
 
 def test_every_payload_that_was_ever_written_can_still_be_read() -> None:
-    for type_, schema, payload in stored():
+    for type_, schema, payload in read_stored():
         assert type_ == decode(type_, schema, payload).TYPE
 
 
@@ -438,7 +438,7 @@ def test_parts_of_a_plan_that_were_written_as_numbers_have_names() -> None:
 
 
 def test_a_run_of_no_campaign_has_no_row() -> None:
-    written = [payload for type_, schema, payload in stored() if (type_, schema) == ("run.submitted", 1)]
+    written = [payload for type_, schema, payload in read_stored() if (type_, schema) == ("run.submitted", 1)]
     assert written
     for payload in written:
         found = decode("run.submitted", 1, payload)
@@ -448,7 +448,7 @@ def test_a_run_of_no_campaign_has_no_row() -> None:
 
 def test_the_present_shape_of_every_type_is_among_the_stored_ones() -> None:
     """A new event, field or version: add a line (``canonical`` of its example) to the file."""
-    shapes = {(type_, schema, *sorted(json.loads(payload))) for type_, schema, payload in stored()}
+    shapes = {(type_, schema, *sorted(json.loads(payload))) for type_, schema, payload in read_stored()}
     missing = [
         f'{{"type":"{e.TYPE}","schema":{e.SCHEMA},"payload":{encode(e).decode()}}}'
         for e in EXAMPLES

@@ -27,7 +27,7 @@ def test_a_step_that_did_nothing_is_done_again_after_its_delay() -> None:
     assert (wait.code, wait.until) == ("retry_later", lab.now + 30 * SECOND)  # type: ignore[union-attr]
     assert lab.scheduler.next_deadline(lab.state) == lab.now + 30 * SECOND
     lab.wait(30.0)
-    assert lab.missed() == [f"{run}#0"]
+    assert lab.find_missed() == [f"{run}#0"]
     assert lab.pump() == [f"{run}#0"], "the clock alone wakes it"
     lab.finish("A2")
     assert lab.run(run).steps[0].status == DONE

@@ -35,7 +35,7 @@ from tests.support.bench import (
 )
 
 
-def owned(lab: Driver, place: str, owner: str, labware: str = "plate") -> LabwareId:
+def place_owned(lab: Driver, place: str, owner: str, labware: str = "plate") -> LabwareId:
     """Labware of an owner at a station."""
     before = lab.at(place)
     lab.do(DeclareStation(lab.state.bench.stations[f"cell/{place}"].spec.name, (labware,)))  # type: ignore[index]
@@ -155,7 +155,7 @@ def test_a_deck_has_one_holder_also_for_arms_under_way() -> None:
 
 def test_labware_of_nobody_in_particular_holds_against_everybody_but_its_owner() -> None:
     lab = small()
-    owned(lab, "dev.n1", "user:bob")
+    place_owned(lab, "dev.n1", "user:bob")
     assert wait(lab, lab.submit(plan(step("dev")))).names == ("cell/dev", "user:bob")
     assert lab.code(lab.submit(plan(step("dev")), user="bob")) == ""
     lab.write(LabwareHandedOver(LabwareId("P1"), "", Owner("")))
@@ -164,7 +164,7 @@ def test_labware_of_nobody_in_particular_holds_against_everybody_but_its_owner()
 
 def test_stations_without_a_claim_are_for_everybody() -> None:
     lab = small()
-    owned(lab, "cam.nest", "user:bob")
+    place_owned(lab, "cam.nest", "user:bob")
     assert lab.code(lab.submit(plan(step("cam")))) == ""
 
 
@@ -371,7 +371,7 @@ def test_what_is_used_up_stops_and_what_was_never_declared_does_not() -> None:
     assert (found.code, found.names, found.blocked) == ("used_up", ("cell/dev", "tips"), True)
     lab.level("dev", "tips", 8.0)
     lab.step(run, 1)
-    assert lab.state.resources.left("cell/dev", "tips") == 0.0  # type: ignore[arg-type]
+    assert lab.state.resources.find_left("cell/dev", "tips") == 0.0  # type: ignore[arg-type]
     assert lab.code(lab.submit(plan(step("dev", consumes("water", 1e9))))) == ""
 
 
@@ -511,8 +511,8 @@ def test_a_stack_gives_only_what_lies_on_top_and_a_hotel_anything() -> None:
     for kind, code in (("stack", "not_yours"), ("hotel", "")):
         store = station("store", kind, 3)  # type: ignore[arg-type]
         lab = Driver(workcell([module("arm")], [store, *map(station, "abc")]))
-        owned(lab, "a", "user:ada")
-        owned(lab, "b", "user:bob")
+        place_owned(lab, "a", "user:ada")
+        place_owned(lab, "b", "user:bob")
         for user, place in (("ada", "a"), ("bob", "b")):
             lab.step(lab.submit(route(place, "store"), user=user))
         assert lab.at("store") == ["P1", "P2"]

@@ -91,14 +91,14 @@ def test_the_last_thousand_keys_are_remembered() -> None:
 def test_plans_that_could_never_be_carried_out_are_refused(what: Plan, code: str) -> None:
     """Each of these would come back to the planner with every event there is."""
     lab = small()
-    refusal = lab.refused(SubmitRun(what, "ada"))
+    refusal = lab.reject(SubmitRun(what, "ada"))
     assert refusal.code == code
     assert lab.state.runs.plans == {}
 
 
 @pytest.mark.parametrize("payload", [{"x": "y" * 70_000}, {"x": [float("inf")]}])
 def test_a_payload_that_cannot_be_recorded_is_refused(payload: dict[str, Any]) -> None:
-    refusal = small().refused(SubmitRun(QUERY, "ada", payload))
+    refusal = small().reject(SubmitRun(QUERY, "ada", payload))
     assert refusal.code == "unfit"
     assert "file" in refusal.remedy
 
@@ -119,10 +119,10 @@ def test_a_run_of_an_experiment_belongs_to_its_user() -> None:
     name = lab.experiment(user="ada")
     lab.submit(QUERY, user="eve", experiment=name)
     assert lab.run("R1").user == "ada"
-    assert lab.refused(SubmitRun(QUERY, "ada", experiment="E9")).code == "no_experiment"  # type: ignore[arg-type]
+    assert lab.reject(SubmitRun(QUERY, "ada", experiment="E9")).code == "no_experiment"  # type: ignore[arg-type]
     lab.do(CancelRun(RunId("R1")))
     lab.end(name)
-    assert lab.refused(SubmitRun(QUERY, "ada", experiment=name)).code == "no_experiment"
+    assert lab.reject(SubmitRun(QUERY, "ada", experiment=name)).code == "no_experiment"
 
 
 # -- plans -----------------------------------------------------------------------------------------
@@ -212,7 +212,7 @@ def test_an_active_run_is_paused_between_its_steps() -> None:
 
 @pytest.mark.parametrize("command", [PauseRun, ResumeRun, CancelRun])
 def test_runs_that_are_not_there(command: Any) -> None:
-    refusal = small().refused(command("R9"))
+    refusal = small().reject(command("R9"))
     assert (refusal.code, refusal.message) == ("no_run", "There is no run R9 that has not ended.")
 
 
@@ -296,7 +296,7 @@ def test_a_run_of_an_experiment_hands_its_labware_to_the_experiment() -> None:
 # -- windows ---------------------------------------------------------------------------------------
 
 
-def windowed(on_breach: str, wait: float = 0.0) -> Plan:
+def make_windowed(on_breach: str, wait: float = 0.0) -> Plan:
     window = Window(0, wait_s=wait, within_s=5.0, on_breach=on_breach)  # type: ignore[arg-type]
     return plan(
         step("dev", key="first"),
@@ -309,7 +309,7 @@ def windowed(on_breach: str, wait: float = 0.0) -> Plan:
 def test_a_step_waits_its_time_in_lab_seconds() -> None:
     lab = small()
     lab.state.lab.pace = 2.0
-    run = lab.submit(windowed("continue", wait=4.0))
+    run = lab.submit(make_windowed("continue", wait=4.0))
     assert lab.code(run, 2) == "after"
     lab.step(run)
     wait = lab.judge(run, 2)
@@ -321,7 +321,7 @@ def test_a_step_waits_its_time_in_lab_seconds() -> None:
 
 def test_a_breach_is_an_event_and_the_run_goes_on() -> None:
     lab = small()
-    run = lab.submit(windowed("continue"))
+    run = lab.submit(make_windowed("continue"))
     assert lab.do(BreachWindow(run, 2, 0, lab.now)) == []
     lab.step(run)
     lab.wait(6.0)
@@ -336,7 +336,7 @@ def test_a_breach_is_an_event_and_the_run_goes_on() -> None:
 
 def test_a_breach_may_fail_the_run() -> None:
     lab = small()
-    run = lab.submit(windowed("fail"))
+    run = lab.submit(make_windowed("fail"))
     lab.step(run)
     lab.wait(6.0)
     lab.do(BreachWindow(run, 2, 0, lab.now))
@@ -348,7 +348,7 @@ def test_a_breach_may_fail_the_run() -> None:
 def test_a_breach_waits_for_what_is_in_flight_before_the_run_fails() -> None:
     """Else the action's later events would open the run's stream anew."""
     lab = small()
-    run = lab.submit(windowed("fail"))
+    run = lab.submit(make_windowed("fail"))
     lab.step(run)
     action = lab.start(run, 1)
     lab.wait(6.0)
@@ -469,4 +469,4 @@ def test_a_run_counts_its_steps_and_when_they_ended() -> None:
 
 def test_a_run_that_is_not_there_cannot_start() -> None:
     lab: Driver = small()
-    assert lab.refused(lab.start_command("R9", 0)).code == "no_run"
+    assert lab.reject(lab.start_command("R9", 0)).code == "no_run"

@@ -61,7 +61,7 @@ def lab(count: int = 2, *others: StationSpec) -> Driver:
     return made
 
 
-def told(made: Driver, name: str) -> Any:
+def find_last_args(made: Driver, name: str) -> Any:
     """The arguments of the last action that was asked for."""
     events = [entry.event for entry in made.log if isinstance(entry.event, ActionRequested)]
     return events[-1].args.get(name)
@@ -83,15 +83,19 @@ def test_the_lowest_free_shelf_and_back_from_it() -> None:
     made = lab()
     first, second = made.submit(carry("stack", "hotel", "a")), made.submit(carry("stack", "hotel", "b"))
     made.step(first)
-    assert (made.where("P1"), told(made, "target")) == ("hotel.1", "hotel.1")
+    assert (made.where("P1"), find_last_args(made, "target")) == ("hotel.1", "hotel.1")
     made.step(second)
     assert made.where("P2") == "hotel.2"
     assert made.state.bench.stations[HOTEL].labware == ["P1", "P2"]
     assert made.state.bench.stations[HOTEL].full
     made.step(second, 1)
-    assert (made.where("P2"), told(made, "source")) == ("b", "hotel.2")
+    assert (made.where("P2"), find_last_args(made, "source")) == ("b", "hotel.2")
     made.step(first, 1)
-    assert (made.where("P1"), told(made, "source"), told(made, "target")) == ("a", "hotel.1", "a")
+    assert (made.where("P1"), find_last_args(made, "source"), find_last_args(made, "target")) == (
+        "a",
+        "hotel.1",
+        "a",
+    )
     assert made.at("hotel") == []
     made.check_log()
 
@@ -174,7 +178,7 @@ def test_work_on_what_stands_on_a_shelf() -> None:
     made.stock("dev.racks.2", 1)
     run = made.submit(plan(step("dev", needs("dev.racks"), args={"station": "dev.racks", "other": 3})))
     made.start(run)
-    assert (told(made, "station"), told(made, "other")) == ("dev.racks.2", 3)
+    assert (find_last_args(made, "station"), find_last_args(made, "other")) == ("dev.racks.2", 3)
     again = made.submit(plan(step("dev", needs())))
     assert made.code(again) == "module_busy"
 
@@ -204,7 +208,7 @@ def test_who_waits_for_a_shelf_is_woken() -> None:
     assert made.pump() == [f"{first}#1"]
     made.finish(made.flying()[0])
     assert f"{second}#0" in made.pump()
-    assert made.missed() == []
+    assert made.find_missed() == []
 
 
 # -- what people say ------------------------------------------------------------------------------
@@ -220,7 +224,7 @@ def test_who_waits_for_a_shelf_is_woken() -> None:
     ids=lambda command: type(command).__name__,
 )
 def test_a_hotel_is_not_one_place(command: Any) -> None:
-    refusal = lab().refused(command)
+    refusal = lab().reject(command)
     assert refusal.code == "many_shelves"
     assert refusal.message == "hotel has 2 shelves: hotel.1 to hotel.2."
 
@@ -228,7 +232,7 @@ def test_a_hotel_is_not_one_place(command: Any) -> None:
 def test_nor_is_it_for_somebody_who_reached_in() -> None:
     made = lab()
     made.do(RequestAccess(CELL, "ada", "oil"))
-    refusal = made.refused(EndAccess(CELL, "ada", "", (Change(HOTEL, "plate"),)))
+    refusal = made.reject(EndAccess(CELL, "ada", "", (Change(HOTEL, "plate"),)))
     assert refusal.code == "many_shelves"
     made.do(EndAccess(CELL, "ada", "", (Change(shelf(2), "plate"),)))
     assert made.at("hotel") == made.at("hotel.2") == ["P1"]
@@ -237,12 +241,12 @@ def test_nor_is_it_for_somebody_who_reached_in() -> None:
 def test_loading_fills_the_lowest_free_shelves() -> None:
     made = lab(3)
     made.do(DeclareStation(shelf(2), ("plate",)))
-    refusal = made.refused(LoadStation(HOTEL, "plate", 3))
+    refusal = made.reject(LoadStation(HOTEL, "plate", 3))
     assert (refusal.code, refusal.remedy) == ("too_many", "Load 2 at the most.")
     made.do(LoadStation(HOTEL, "plate+lid", 2, "L7"))
     assert [made.at(f"hotel.{n}") for n in (1, 2, 3)] == [["P2"], ["P1"], ["P4"]]
     assert made.state.bench.labware[LabwareId("P5")].on == "P4"
-    assert made.refused(LoadStation(HOTEL, "plate", 1)).message.startswith("hotel is full")
+    assert made.reject(LoadStation(HOTEL, "plate", 1)).message.startswith("hotel is full")
     made.do(UnloadStation(HOTEL, "ada", LabwareId("P1")))
     assert made.at("hotel.2") == []
     made.do(UnloadStation(HOTEL, "ada"))
@@ -272,7 +276,7 @@ def test_what_stands_there_is_spread_over_the_shelves() -> None:
 def test_a_hotel_gains_and_loses_shelves() -> None:
     made = lab(2)
     made.stock("hotel.2", 1)
-    refusal = made.refused(ApplyWorkcell(cell(1)))
+    refusal = made.reject(ApplyWorkcell(cell(1)))
     assert (refusal.code, "hotel.2" in refusal.message) == ("station_occupied", True)
     made.do(ApplyWorkcell(cell(3)))
     assert made.state.bench.shelves[HOTEL] == [shelf(1), shelf(2), shelf(3)]
@@ -290,11 +294,11 @@ def test_a_hotel_with_labware_is_not_divided_nor_put_together() -> None:
     one_place = cell(0, StationSpec(HOTEL, "hotel", capacity=2))
     made = Driver(one_place)
     made.stock("hotel", 1)
-    refusal = made.refused(ApplyWorkcell(cell(2)))
+    refusal = made.reject(ApplyWorkcell(cell(2)))
     assert "cannot be divided into shelves otherwise" in refusal.message
     made = lab(2)
     made.stock("hotel.1", 1)
-    assert made.refused(ApplyWorkcell(one_place)).code == "station_occupied"
+    assert made.reject(ApplyWorkcell(one_place)).code == "station_occupied"
     made.do(UnloadStation(shelf(1), "ada"))
     made.do(ApplyWorkcell(one_place))
     made.do(DeclareStation(HOTEL, ("plate", "plate")))
@@ -307,6 +311,6 @@ def test_what_is_loaded_may_be_sealed_but_not_lidded() -> None:
     made.do(LoadStation(HOTEL, "plate", 2, set=("sealed",), unset=("spun",)))
     for name in ("P1", "P2"):
         assert made.state.bench.labware[LabwareId(name)].variables == {"sealed": True, "spun": False}
-    refusal = made.refused(LoadStation(HOTEL, "plate", 1, set=("lidded",)))
+    refusal = made.reject(LoadStation(HOTEL, "plate", 1, set=("lidded",)))
     assert refusal.remedy == "Put it there with its lid: plate96+lid96."
     made.check_log()

@@ -39,11 +39,11 @@ def place(name: str) -> StationName:
     return StationName(full(name))
 
 
-def moved(labware: str, source: str, target: str) -> Move:
+def make_move(labware: str, source: str, target: str) -> Move:
     return Move(place(source), place(target), labware=LabwareId(labware))
 
 
-def found(name: str, *effects: AnyEffect, position: int = 900) -> Found:
+def make_found(name: str, *effects: AnyEffect, position: int = 900) -> Found:
     return Found(ActionId(name), "transfer", "finished", position, effects)
 
 
@@ -51,12 +51,12 @@ def hears(module: ModuleName, entry: Found) -> HearJournal:
     return HearJournal(module, (entry,))
 
 
-def carried() -> Driver:
+def make_carried() -> Driver:
     """P1 stands at a by the log; it was really taken to dev.n1 behind the log's end."""
     lab = small(stock=3)
     run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"))))
     lab.step(run)
-    lab.do(hears(ARM, found("X1", moved("P1", "a", "dev.n1"))))
+    lab.do(hears(ARM, make_found("X1", make_move("P1", "a", "dev.n1"))))
     return lab
 
 
@@ -75,7 +75,7 @@ def answer(lab: Driver) -> None:
 
 
 def test_nothing_starts_and_checked_is_no_answer_until_all_was_said() -> None:
-    lab = carried()
+    lab = make_carried()
     run = next(iter(lab.state.runs.active))
     other = lab.submit(plan(step("cam")))
     assert lab.pump() == []
@@ -88,11 +88,11 @@ def test_nothing_starts_and_checked_is_no_answer_until_all_was_said() -> None:
     )
     assert remedy(wait).endswith("labos bench round")
     question = lab.question("log_shorter")
-    refusal = lab.refused(ResolveIntervention(question.id, "checked", "ada"))
+    refusal = lab.reject(ResolveIntervention(question.id, "checked", "ada"))
     assert refusal.code == "unsaid"
     assert "labos bench round" in refusal.remedy
     say(lab, a="", dev__n1="P1")
-    assert lab.refused(ResolveIntervention(question.id, "checked", "ada")).code == "unsaid"
+    assert lab.reject(ResolveIntervention(question.id, "checked", "ada")).code == "unsaid"
     confirm_rest(lab)
     if to_say(lab.state):
         say(lab, **{name.partition("/")[2].replace(".", "__"): "" for name in to_say(lab.state)})
@@ -106,14 +106,14 @@ def test_nothing_starts_and_checked_is_no_answer_until_all_was_said() -> None:
 
 
 def test_labware_that_a_discovered_action_touched_may_be_anywhere_on_its_way() -> None:
-    lab = carried()
+    lab = make_carried()
     item = lab.state.bench.labware[LabwareId("P1")]
     assert item.station == ""
     assert item.maybe == (place("a"), place("arm.gripper"), place("dev.n1"), "")
     assert all(must_be_said(lab.state, place(name)) for name in ("a", "dev.n1"))
     assert not must_be_said(lab.state, place("c"))
     # Another one took it further; both ways count.
-    lab.do(hears(ARM, found("X2", moved("P1", "dev.n1", "b"))))
+    lab.do(hears(ARM, make_found("X2", make_move("P1", "dev.n1", "b"))))
     assert place("b") in lab.state.bench.labware[LabwareId("P1")].maybe
     assert place("a") in lab.state.bench.labware[LabwareId("P1")].maybe
     assert len(lab.questions("log_shorter")) == 1, "it is asked once"
@@ -121,8 +121,8 @@ def test_labware_that_a_discovered_action_touched_may_be_anywhere_on_its_way() -
 
 
 def test_what_is_touched_cannot_be_confirmed_in_passing() -> None:
-    lab = carried()
-    refusal = lab.refused(ConfirmStations((place("c"), place("a")), "ada"))
+    lab = make_carried()
+    refusal = lab.reject(ConfirmStations((place("c"), place("a")), "ada"))
     assert (refusal.code, "a" in refusal.message) == ("touched", True)
     assert place("c") in to_say(lab.state), "all of it or nothing"
 
@@ -131,7 +131,7 @@ def test_a_journal_that_does_not_say_what_was_moved_puts_its_workcell_in_doubt()
     lab = small(stock=3)
     lab.do(hears(DEV, Found(ActionId("X1"), "spin", "finished")))
     assert all(must_be_said(lab.state, name) for name in to_say(lab.state))
-    strange = Found(ActionId("X2"), "spin", "finished", 1, (moved("P1", "a", "nowhere"),))
+    strange = Found(ActionId("X2"), "spin", "finished", 1, (make_move("P1", "a", "nowhere"),))
     other = small(stock=3)
     other.do(hears(DEV, strange))
     assert all(must_be_said(other.state, name) for name in to_say(other.state)), "an unknown station too"
@@ -154,14 +154,14 @@ def test_a_module_that_was_told_of_more_has_forgotten_what_it_did() -> None:
 def test_lids_and_doors_of_a_module_that_knows_more_are_not_known() -> None:
     lab = small(stock=3)
     lab.write(VariableSet(DEV, "lid", "open"))
-    lab.do(hears(DEV, found("X1", needs("dev.n1"))))
+    lab.do(hears(DEV, make_found("X1", needs("dev.n1"))))
     assert lab.state.modules.by_name[DEV].value("lid") is None
 
 
 def test_a_position_that_no_log_can_have_come_to_is_not_believed() -> None:
     lab = small()
     lab.do(LoseNode(DEV, "i1", "restarted"))
-    strange = Found(ActionId("X1"), "spin", "finished", 2**70, (moved("P" + "9" * 40, "a", "b"),))
+    strange = Found(ActionId("X1"), "spin", "finished", 2**70, (make_move("P" + "9" * 40, "a", "b"),))
     lab.do(JoinNode(DEV, "j", "i2", "driver", "1", "d", "IDLE", discovered=(strange,), beyond=2**62))
     assert lab.state.shorter.known == 0
     assert lab.state.bench.named < 10**6
@@ -170,7 +170,7 @@ def test_a_position_that_no_log_can_have_come_to_is_not_believed() -> None:
 
 def test_labware_that_got_its_name_behind_the_end_keeps_it_for_itself() -> None:
     lab = small(stock=3)
-    lab.do(hears(ARM, found("X1", Take(place("stack"), place("a"), labware=LabwareId("P7")))))
+    lab.do(hears(ARM, make_found("X1", Take(place("stack"), place("a"), labware=LabwareId("P7")))))
     say(lab, a="plate")
     assert lab.at("a") == ["P8"]
 
@@ -216,7 +216,7 @@ def test_questions_of_earlier_versions_become_one_round() -> None:
 
 
 def test_a_reset_still_works_and_so_do_a_persons_words() -> None:
-    lab = carried()
+    lab = make_carried()
     reset = lab.submit(plan(step("dev", action="reset", recovers=True)))
     assert lab.pump() == [f"{reset}#0"]
     lab.do(LoadStation(place("c"), "plate", 1))
@@ -231,12 +231,12 @@ def test_an_action_that_the_log_knows_is_asked_about_first() -> None:
     run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"))))
     lab.step(run)
     action = lab.start(run, 1)
-    lab.do(hears(ARM, found("X1", moved("P1", "b", "dev.n1"))))
+    lab.do(hears(ARM, make_found("X1", make_move("P1", "b", "dev.n1"))))
     lab.accept(action)
-    assert lab.refused(SayContents(place("b"), "ada")).code == "in_motion"
-    assert lab.refused(SayContents(place("dev.n1"), "ada", ("P1",))).code == "in_motion"
+    assert lab.reject(SayContents(place("b"), "ada")).code == "in_motion"
+    assert lab.reject(SayContents(place("dev.n1"), "ada", ("P1",))).code == "in_motion"
     lab.doubt(action)
-    refusal = lab.refused(SayContents(place("dev.n1"), "ada", ("P1",)))
+    refusal = lab.reject(SayContents(place("dev.n1"), "ada", ("P1",)))
     assert (refusal.code, lab.question("unknown_action").id in refusal.remedy) == ("asked_first", True)
     lab.answer(lab.question("unknown_action"), "done")
     say(lab, b="", dev__n1="P1")
@@ -275,10 +275,10 @@ def test_labware_that_is_worked_on_is_not_given_up() -> None:
     run = lab.submit(plan(step("arm", take("stack", "dev.n1")), step("dev", needs("dev.n1"))))
     lab.step(run)
     action = lab.start(run, 1)
-    lab.do(hears(ARM, found("X1", moved("P1", "dev.n1", "a"))))
+    lab.do(hears(ARM, make_found("X1", make_move("P1", "dev.n1", "a"))))
     for name in to_say(lab.state):
         lab.ask(SayContents(name, "ada", ("plate",) * 2 if name == place("stack") else ()))
-    refusal = lab.refused(ResolveIntervention(lab.question("log_shorter").id, "checked", "ada"))
+    refusal = lab.reject(ResolveIntervention(lab.question("log_shorter").id, "checked", "ada"))
     assert (refusal.code, "P1" in refusal.message) == ("in_motion", True)
     lab.finish(action)
     answer(lab)
@@ -287,7 +287,7 @@ def test_labware_that_is_worked_on_is_not_given_up() -> None:
 
 
 def test_a_person_is_let_in_meanwhile() -> None:
-    lab = carried()
+    lab = make_carried()
     home = SubmitRun(plan(step("arm", action="home")), "ada")
     lab.do(RequestAccess("cell", "ada", parking=(home,)))
     assert lab.pump() == [], "no arm moves, not even out of the way"
@@ -299,7 +299,7 @@ def test_a_result_that_comes_late_does_not_say_where_labware_is_that_was_taken_f
     run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"))))
     lab.step(run)
     action = lab.start(run, 1)
-    lab.do(hears(ARM, found("X1", moved("P1", "b", "dev.n1"))))
+    lab.do(hears(ARM, make_found("X1", make_move("P1", "b", "dev.n1"))))
     lab.do(FinishAction(action, 1, True, "all"))
     item = lab.state.bench.labware[LabwareId("P1")]
     assert (item.station, place("dev.n1") in item.maybe) == ("", True)
@@ -308,18 +308,18 @@ def test_a_result_that_comes_late_does_not_say_where_labware_is_that_was_taken_f
 
 
 def test_nobody_speaks_of_a_bench_on_which_something_moves_that_the_log_does_not_know() -> None:
-    lab = carried()
+    lab = make_carried()
     lab.do(ReportState(ARM, "BUSY"))
-    refusal = lab.refused(SayContents(place("a"), "ada"))
+    refusal = lab.reject(SayContents(place("a"), "ada"))
     assert (refusal.code, "arm" in refusal.message) == ("in_motion", True)
     lab.do(ReportState(ARM, "IDLE"))
     say(lab, a="")
 
 
 def test_evidence_that_comes_later_takes_back_what_was_said_there() -> None:
-    lab = carried()
+    lab = make_carried()
     say(lab, a="", dev__n1="P1")
-    lab.do(hears(ARM, found("X2", moved("P1", "dev.n1", "b"))))
+    lab.do(hears(ARM, make_found("X2", make_move("P1", "dev.n1", "b"))))
     assert place("dev.n1") in to_say(lab.state)
     assert place("a") not in to_say(lab.state)
     lab.do(LoseNode(DEV, "i1", "restarted"))
@@ -329,18 +329,18 @@ def test_evidence_that_comes_later_takes_back_what_was_said_there() -> None:
 
 def test_the_round_when_nobody_asked_for_it() -> None:
     lab = small()
-    assert lab.refused(SayContents(place("a"), "ada")).code == "no_round"
-    assert lab.refused(ConfirmStations((place("a"),), "ada")).code == "no_round"
+    assert lab.reject(SayContents(place("a"), "ada")).code == "no_round"
+    assert lab.reject(ConfirmStations((place("a"),), "ada")).code == "no_round"
 
 
 # -- what is said -------------------------------------------------------------------------------------------
 
 
 def test_labware_that_is_found_elsewhere_keeps_its_name_and_what_is_found_nowhere_is_gone() -> None:
-    lab = carried()
+    lab = make_carried()
     say(lab, c="P1")
     assert lab.where("P1") == "c"
-    refusal = lab.refused(SayContents(place("hotel"), "ada", ("P1",)))
+    refusal = lab.reject(SayContents(place("hotel"), "ada", ("P1",)))
     assert refusal.code == "said_elsewhere"
     say(lab, c="")
     say(lab, hotel="P1")
@@ -355,11 +355,11 @@ def test_labware_that_is_found_elsewhere_keeps_its_name_and_what_is_found_nowher
 
 
 def test_a_stack_is_counted_and_a_waste_too() -> None:
-    lab = carried()
+    lab = make_carried()
     say(lab, stack="plate", trash="x x")
     assert lab.state.bench.stations[place("stack")].stock == ["plate"]
     assert lab.state.bench.stations[place("trash")].level == 2
-    assert lab.refused(SayContents(place("stack"), "ada", ("P1", "plate"))).code == "buried"
+    assert lab.reject(SayContents(place("stack"), "ada", ("P1", "plate"))).code == "buried"
 
 
 @pytest.mark.parametrize(
@@ -371,8 +371,8 @@ def test_a_stack_is_counted_and_a_waste_too() -> None:
     ],
 )
 def test_what_cannot_be_said(station: str, words: tuple[str, ...], code: str) -> None:
-    lab = carried()
-    assert lab.refused(SayContents(place(station), "ada", words)).code == code
+    lab = make_carried()
+    assert lab.reject(SayContents(place(station), "ada", words)).code == code
 
 
 def test_a_question_about_labware_is_answered_by_the_round() -> None:
@@ -380,7 +380,7 @@ def test_a_question_about_labware_is_answered_by_the_round() -> None:
     run = lab.submit(plan(step("arm", take("stack", "a")), step("arm", move("a", "b"))))
     lab.step(run)
     lab.fail(lab.start(run, 1))
-    lab.do(hears(ARM, found("X1", moved("P1", "a", "c"))))
+    lab.do(hears(ARM, make_found("X1", make_move("P1", "a", "c"))))
     lost = lab.question("lost_labware")
     events = lab.do(SayContents(place("c"), "ada", ("P1",)))
     assert any(isinstance(e, InterventionResolved) and e.intervention == lost.id for e in events)
@@ -389,8 +389,8 @@ def test_a_question_about_labware_is_answered_by_the_round() -> None:
 
 
 def test_an_action_that_nobody_knows_the_effects_of_is_told_once() -> None:
-    lab = carried()
-    again = found("X1", moved("P1", "a", "dev.n1"))
+    lab = make_carried()
+    again = make_found("X1", make_move("P1", "a", "dev.n1"))
     assert lab.do(hears(ARM, again)) == []
     assert lab.do(hears(ARM, msgspec.structs.replace(again, status="running"))) == []
     run = lab.submit(plan(step("dev", Needs(place("dev.n1")))))

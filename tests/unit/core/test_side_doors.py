@@ -44,15 +44,15 @@ from labos.core.ids import (
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import ON_CANCEL
 from tests.support.bench import Driver, full, plan, route, small_cell, step
-from tests.unit.core.test_rights import peopled
+from tests.unit.core.test_rights import make_peopled
 
 ARM, A = ModuleName(full("arm")), StationName(full("a"))
 E, C, P, R = ExperimentId("E1"), CampaignId("C1"), LabwareId("P1"), RunId("R3")
 
 
-def crowded() -> Driver:
+def make_crowded() -> Driver:
     """Of ada: the plate P1 at a; the experiment E1 with the run R2, the campaign C1, and the run R3."""
-    lab = peopled()
+    lab = make_peopled()
     lab.do(SubmitRun(route("stack", "a"), "ada"), "ada")
     lab.step("R1")
     lab.do(StartExperiment("app", "ada"), "ada")
@@ -85,14 +85,14 @@ HERS: dict[str, Callable[[str], Command]] = {
 
 @pytest.mark.parametrize("way", HERS)
 def test_what_is_somebodys_is_touched_by_the_owner_and_by_operators_only(way: str) -> None:
-    lab = crowded()
-    found = lab.refused(HERS[way]("bo"), "bo")
+    lab = make_crowded()
+    found = lab.reject(HERS[way]("bo"), "bo")
     assert isinstance(found, Denied)
     assert found.code == "not_yours"
     assert "olga" in found.remedy
-    assert lab.refused(HERS[way]("vic"), "vic").code == "not_yours"
+    assert lab.reject(HERS[way]("vic"), "vic").code == "not_yours"
     lab.do(HERS[way]("ada"), "ada")
-    crowded().do(HERS[way]("olga"), "olga")
+    make_crowded().do(HERS[way]("olga"), "olga")
 
 
 OPERATORS: dict[str, Callable[[str], Command]] = {
@@ -114,8 +114,8 @@ OPERATORS: dict[str, Callable[[str], Command]] = {
 
 @pytest.mark.parametrize("way", OPERATORS)
 def test_the_bench_and_its_modules_are_operators(way: str) -> None:
-    lab = crowded()
-    assert lab.refused(OPERATORS[way]("ada"), "ada").code == "no_right"
+    lab = make_crowded()
+    assert lab.reject(OPERATORS[way]("ada"), "ada").code == "no_right"
     assert not isinstance(lab.ask(OPERATORS[way]("olga"), "olga"), Denied)
 
 
@@ -134,27 +134,27 @@ ADMINS: dict[str, Command] = {
 
 @pytest.mark.parametrize("way", ADMINS)
 def test_the_lab_as_a_whole_is_not_an_operators_of_one_workcell(way: str) -> None:
-    assert crowded().refused(ADMINS[way], "olga").code == "no_right"
+    assert make_crowded().reject(ADMINS[way], "olga").code == "no_right"
 
 
 def test_a_run_in_anothers_experiment_is_refused_to_everybody() -> None:
-    lab = crowded()
+    lab = make_crowded()
     for user in ("bo", "olga", "root-1"):
         asked = SubmitRun(route("stack", "b"), user, experiment=E)
-        assert lab.refused(asked, user).code == "not_yours"
+        assert lab.reject(asked, user).code == "not_yours"
 
 
 def test_a_window_that_waits_for_anothers_run_is_refused() -> None:
     """Clocks are started by runs of the same experiment only, and that is its owner's."""
-    lab = crowded()
+    lab = make_crowded()
     waiting = plan(step("arm", windows=()), name="waits")
     asked = SubmitRun(waiting, "bo", experiment=E)
-    assert lab.refused(asked, "bo").code == "not_yours"
+    assert lab.reject(asked, "bo").code == "not_yours"
 
 
 def test_anothers_plate_is_not_used_whatever_the_workflow_names() -> None:
     """The stations may come out of a payload or another file: what stands there is not his."""
-    lab = crowded()
+    lab = make_crowded()
     lab.do(SubmitRun(route("a", "c"), "bo"), "bo")
     assert lab.code("R4") == "not_yours"
     lab.do(SubmitRun(route("a", "c"), "ada"), "ada")
@@ -162,70 +162,70 @@ def test_anothers_plate_is_not_used_whatever_the_workflow_names() -> None:
 
 
 def test_labware_is_given_by_its_owner_to_users_and_to_nobodys_experiment() -> None:
-    lab = crowded()
+    lab = make_crowded()
 
     def give(to: str, by: str, force: bool = False) -> HandOver:
         return HandOver(P, Owner(to), by, force, "because")
 
-    assert lab.refused(give("user:bo", "bo"), "bo").code == "not_yours"
-    assert lab.refused(give("shared", "bo"), "bo").code == "not_yours"
-    assert lab.refused(give("user:bo", "bo", force=True), "bo").code == "not_yours"
-    assert lab.refused(give("user:bo", "ada", force=True), "ada").code == "no_right"
-    assert lab.refused(give("user:eve", "ada"), "ada").code == "no_user"
-    assert lab.refused(give("user:bo", "ada"), "bo").code == "not_you"
+    assert lab.reject(give("user:bo", "bo"), "bo").code == "not_yours"
+    assert lab.reject(give("shared", "bo"), "bo").code == "not_yours"
+    assert lab.reject(give("user:bo", "bo", force=True), "bo").code == "not_yours"
+    assert lab.reject(give("user:bo", "ada", force=True), "ada").code == "no_right"
+    assert lab.reject(give("user:eve", "ada"), "ada").code == "no_user"
+    assert lab.reject(give("user:bo", "ada"), "bo").code == "not_you"
     lab.do(give("user:bo", "ada"), "ada")
     # To put it into her experiment is to touch her experiment.
-    assert lab.refused(give("experiment:E1", "bo"), "bo").code == "not_yours"
+    assert lab.reject(give("experiment:E1", "bo"), "bo").code == "not_yours"
     lab.do(give("shared", "olga", force=True), "olga")
 
 
 def test_what_an_experiment_has_parked_is_its_owners() -> None:
-    lab = crowded()
+    lab = make_crowded()
     lab.step("R2")
     parked = lab.state.bench.stations[StationName(full("b"))].labware[0]
     assert lab.owner(parked) == "experiment:E1"
     taken = HandOver(parked, Owner("user:bo"), "bo")
-    assert lab.refused(taken, "bo").code == "not_yours"
-    assert lab.refused(NameBarcode(parked, "X", "bo"), "bo").code == "not_yours"
+    assert lab.reject(taken, "bo").code == "not_yours"
+    assert lab.reject(NameBarcode(parked, "X", "bo"), "bo").code == "not_yours"
     lab.do(SubmitRun(route("b", "c"), "bo"), "bo")
     assert lab.code(f"R{lab.state.runs.named}") == "not_yours"
-    assert lab.refused(EndExperiment(E), "bo").code == "not_yours"
+    assert lab.reject(EndExperiment(E), "bo").code == "not_yours"
     lab.do(EndExperiment(E), "ada")
 
 
 def test_questions_about_a_run_are_its_owners_too_and_what_was_seen_is_operators() -> None:
-    lab = crowded()
+    lab = make_crowded()
     action = lab.start("R3")
     lab.doubt(action)
     question = next(iter(lab.state.interventions.open))
-    assert lab.refused(ResolveIntervention(question, "done", "ada"), "ada").code == "no_right"
-    assert lab.refused(ResolveIntervention(question, "done", "bo"), "bo").code == "no_right"
+    assert lab.reject(ResolveIntervention(question, "done", "ada"), "ada").code == "no_right"
+    assert lab.reject(ResolveIntervention(question, "done", "bo"), "bo").code == "no_right"
     assert not isinstance(lab.ask(ResolveIntervention(question, "done", "olga"), "olga"), Denied)
 
 
 def test_a_silent_application_is_closed_by_its_owner_or_an_operator() -> None:
     from labos.core.decide.experiments import LoseExperiment
 
-    lab = crowded()
+    lab = make_crowded()
     lab.do(CancelRun(RunId("R2")), "ada")
     lab.do(LoseExperiment(E, "no sign of life"))
     question = InterventionId(f"I{lab.state.interventions.named}")
-    assert lab.refused(ResolveIntervention(question, "close", "bo"), "bo").code == "not_yours"
+    assert lab.reject(ResolveIntervention(question, "close", "bo"), "bo").code == "not_yours"
     lab.do(ResolveIntervention(question, "close", "ada"), "ada")
 
 
 def test_the_feeder_goes_on_for_the_campaigns_owner() -> None:
-    lab = crowded()
+    lab = make_crowded()
     row = SubmitRow(C, 0, route("stack", "b"))
-    assert lab.refused(row, "ada").code == "inside"
+    assert lab.reject(row, "ada").code == "inside"
     lab.do(row)
     assert lab.state.runs.queued[RunId("R4")].user == "ada"
 
 
 def test_a_module_is_not_reset_by_whoever_submits() -> None:
-    lab = crowded()
+    lab = make_crowded()
     reset = plan(step("dev", recovers=True), name="reset")
-    assert lab.refused(SubmitRun(reset, "bo"), "bo").code == "no_right"
+    assert lab.reject(SubmitRun(reset, "bo"), "bo").code == "no_right"
     lab.do(SubmitRun(reset, "olga"), "olga")
     stopped, *_ = lab.do(SubmitRow(C, 0, reset))
     assert isinstance(stopped, CampaignStopped)
@@ -233,17 +233,17 @@ def test_a_module_is_not_reset_by_whoever_submits() -> None:
 
 
 def test_nor_by_way_of_a_recovery_a_way_out_or_a_closing_workflow() -> None:
-    lab = crowded()
+    lab = make_crowded()
     own = plan(step("dev"), step("dev", recovers=True, part=0, after=()))
     others = plan(step("arm"), step("dev", recovers=True, part=0, after=()))
     leaving = plan(step("dev"), step("dev", recovers=True, part=ON_CANCEL, after=()))
     lab.do(SubmitRun(own, "bo"), "bo")
     for asked in (SubmitRun(others, "bo"), SubmitRun(leaving, "bo"), StartExperiment("app", "bo", others)):
-        assert lab.refused(asked, "bo").code == "no_right"
+        assert lab.reject(asked, "bo").code == "no_right"
 
 
 def test_a_campaign_stops_when_its_user_may_not_submit_any_more() -> None:
-    lab = crowded()
+    lab = make_crowded()
     lab.do(SubmitRow(C, 0, route("stack", "b")))
     lab.do(RevokeRole("user:ada"), "root-1")
     lab.do(SubmitRow(C, 1, route("stack", "b")))
@@ -253,7 +253,7 @@ def test_a_campaign_stops_when_its_user_may_not_submit_any_more() -> None:
 
 
 def test_the_campaigns_of_a_user_who_is_disabled_are_paused() -> None:
-    lab = crowded()
+    lab = make_crowded()
     lab.do(SubmitRow(C, 0, route("stack", "b")))
     lab.do(DisableUser("ada"), "root-1")
     assert lab.state.campaigns.open[C].status == "paused"
@@ -265,7 +265,7 @@ def test_the_campaigns_of_a_user_who_is_disabled_are_paused() -> None:
 
 
 def test_an_idempotency_key_of_another_gives_nothing_away() -> None:
-    lab = peopled()
+    lab = make_peopled()
     lab.do(SubmitRun(route("stack", "a"), "ada", request="key"), "ada")
     assert lab.do(SubmitRun(route("stack", "a"), "bo", request="key"), "bo") == []
-    assert lab.refused(SubmitRun(route("stack", "a"), "ada", request="key"), "bo").code == "not_you"
+    assert lab.reject(SubmitRun(route("stack", "a"), "ada", request="key"), "bo").code == "not_you"

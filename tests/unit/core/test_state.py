@@ -143,7 +143,7 @@ def expects_less_than_nothing(state: LabState) -> None:
     station_of(state, "c").expected = -1
 
 
-def overfilled(state: LabState) -> None:
+def overfill(state: LabState) -> None:
     station_of(state, "b").stock = ["plate"] * 2
     station_of(state, "b").lots = [""] * 2
 
@@ -165,11 +165,11 @@ def missing_there(state: LabState) -> None:
     station_of(state, "a").labware.clear()
 
 
-def carried_by_nobody(state: LabState) -> None:
+def set_unknown_carrier(state: LabState) -> None:
     state.bench.labware[LabwareId("P1")].moving = "A99"
 
 
-def owned_by_nobody(state: LabState) -> None:
+def set_unknown_owner(state: LabState) -> None:
     state.bench.labware[LabwareId("P1")].owner = Owner("user:eve")
 
 
@@ -196,7 +196,7 @@ def without_plan(state: LabState) -> None:
     state.runs.plans = {}
 
 
-def miscounted(state: LabState) -> None:
+def miscount(state: LabState) -> None:
     next(iter(state.runs.active.values())).steps.append(StepState())
 
 
@@ -208,19 +208,19 @@ def out_of_the_queue(state: LabState) -> None:
     ("damage", "sentence"),
     [
         (expects_less_than_nothing, "cell/c expects -1 arrivals"),
-        (overfilled, "cell/b holds 3 of 1"),
+        (overfill, "cell/b holds 3 of 1"),
         (not_knowing, "P1 stands at cell/dev.n1 but knows nothing of it"),
         (in_two_minds, "P1 is both at cell/a and uncertain"),
         (nowhere, "P1 is nowhere"),
         (missing_there, "P1 is not exactly once at cell/a"),
-        (carried_by_nobody, "P1 is moved by A99, which is not open"),
-        (owned_by_nobody, "P1 is missing among what user:eve owns"),
+        (set_unknown_carrier, "P1 is moved by A99, which is not open"),
+        (set_unknown_owner, "P1 is missing among what user:eve owns"),
         (twice_at_work, "carries out two exclusive actions at once"),
         (at_work_on_nothing, "cell/cam is busy with A97, which is not open"),
         (reserves_nothing, "is open but reserves nothing"),
         (on_no_module, "which does not exist"),
         (without_plan, "has lost its plan"),
-        (miscounted, "counts its steps wrongly"),
+        (miscount, "counts its steps wrongly"),
         (out_of_the_queue, "1 runs wait, but 0 stand in the queue"),
     ],
 )

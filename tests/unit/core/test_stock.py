@@ -36,7 +36,7 @@ def lots(lab: Driver) -> list[tuple[str, float]]:
     return [(lot.name, lot.left) for lot in lab.state.resources.levels[f"{DEV}:foil"].lots]
 
 
-def used(lab: Driver) -> list[tuple[str, float]]:
+def list_used(lab: Driver) -> list[tuple[str, float]]:
     events = [entry.event for entry in lab.log if entry.event.TYPE == "resource.consumed"]
     return [(event.lot, event.amount) for event in events]  # type: ignore[attr-defined]
 
@@ -60,9 +60,9 @@ def test_what_is_used_up_comes_from_the_oldest_lot() -> None:
     lab.step(run, 0)
     assert lots(lab) == [("old", 1), ("new", 5)]
     lab.step(run, 1)
-    assert used(lab) == [("old", 2), ("old", 1), ("new", 3)]
+    assert list_used(lab) == [("old", 2), ("old", 1), ("new", 3)]
     assert lots(lab) == [("new", 2)]
-    assert lab.state.resources.left(DEV, "foil") == 2
+    assert lab.state.resources.find_left(DEV, "foil") == 2
     lab.check_log()
 
 
@@ -71,7 +71,7 @@ def test_two_amounts_of_one_step_are_charged_one_after_the_other() -> None:
     lab.do(refill(5, "new"))
     run = lab.submit(plan(step("dev", consumes("foil", 2), consumes("foil", 2))))
     lab.step(run)
-    assert used(lab) == [("old", 2), ("old", 1), ("new", 1)]
+    assert list_used(lab) == [("old", 2), ("old", 1), ("new", 1)]
 
 
 def test_two_in_flight_are_not_promised_the_same() -> None:
@@ -95,7 +95,7 @@ def test_two_amounts_of_one_step_have_to_be_there_together() -> None:
 def test_a_failed_action_has_used_what_it_says(effects: str, left: float) -> None:
     lab = dry(10)
     lab.fail(lab.start(lab.submit(plan(step("dev", consumes("foil", 4))))), effects)
-    assert lab.state.resources.left(DEV, "foil") == left
+    assert lab.state.resources.find_left(DEV, "foil") == left
 
 
 @pytest.mark.parametrize(("choice", "left"), [("done", 6), ("not_done", 10), ("gone", 6)])
@@ -104,7 +104,7 @@ def test_an_unknown_action_has_used_what_a_person_says(choice: str, left: float)
     lab.doubt(lab.start(lab.submit(plan(step("dev", consumes("foil", 4)), step("dev")))))
     assert find_unreserved(lab.state, DEV, "foil") == 6, "until then it may be used"
     lab.answer(lab.question("unknown_action"), choice)
-    assert lab.state.resources.left(DEV, "foil") == left
+    assert lab.state.resources.find_left(DEV, "foil") == left
 
 
 def test_an_empty_resource_waits_for_a_person_and_a_refill_wakes_it() -> None:
@@ -115,7 +115,7 @@ def test_an_empty_resource_waits_for_a_person_and_a_refill_wakes_it() -> None:
     assert isinstance(wait, Wait)
     assert (wait.code, wait.names, wait.blocked) == ("used_up", (DEV, "foil"), True)
     lab.do(refill(5, "new"))
-    assert lab.missed() == [f"{run}#0"] or lab.pump() == [f"{run}#0"]
+    assert lab.find_missed() == [f"{run}#0"] or lab.pump() == [f"{run}#0"]
 
 
 def test_a_run_is_let_in_only_with_enough_for_all_its_steps() -> None:
@@ -137,7 +137,7 @@ def test_a_run_that_uses_more_than_the_module_holds_may_be_refilled_on_its_way()
 
 def test_a_step_that_needs_more_than_the_module_holds_is_refused() -> None:
     lab = dry(3, capacity=3)
-    found = lab.refused(SubmitRun(plan(step("dev", consumes("foil", 4), key="Seal")), "ada"))
+    found = lab.reject(SubmitRun(plan(step("dev", consumes("foil", 4), key="Seal")), "ada"))
     assert found.code == "beyond_capacity"
     assert "'Seal' needs 4 of foil, but dev holds 3" in found.message
 
@@ -176,14 +176,14 @@ def test_who_ran_dry_stands_in_nobodys_calculation() -> None:
     ],
 )
 def test_what_does_not_fit_is_refused(command: Replenish, code: str) -> None:
-    assert dry(10).refused(command).code == code
+    assert dry(10).reject(command).code == code
 
 
 def test_without_an_amount_it_is_full_and_then_takes_no_more() -> None:
     lab = dry(10)
     lab.do(refill(0, "new"))
     assert lots(lab) == [("old", 10), ("new", 90)]
-    assert lab.refused(refill(0, "newer")).code == "bad_level"
+    assert lab.reject(refill(0, "newer")).code == "bad_level"
 
 
 # -- stacks ---------------------------------------------------------------------------------------
@@ -210,7 +210,7 @@ def test_slots_give_what_is_loaded_a_name() -> None:
     (item,) = lab.at("a")
     labware = lab.state.bench.labware[LabwareId(item)]
     assert (labware.owner, labware.variables) == ("shared", {"lot": "L1"})
-    assert lab.refused(load("a", 1)).code == "too_many"
+    assert lab.reject(load("a", 1)).code == "too_many"
 
 
 def test_loading_and_unloading_wakes_who_waits() -> None:
@@ -220,20 +220,20 @@ def test_loading_and_unloading_wakes_who_waits() -> None:
     assert lab.pump() == []
     assert lab.code(run) == "stack_empty"
     lab.do(load("stack", 1))
-    assert lab.missed() == [f"{run}#0"] or lab.pump() == [f"{run}#0"]
+    assert lab.find_missed() == [f"{run}#0"] or lab.pump() == [f"{run}#0"]
 
 
 def test_what_is_refused_to_be_loaded() -> None:
     lab = small()
     room = lab.state.bench.stations[StationName(full("stack"))].spec.capacity
-    assert lab.refused(load("nowhere", 1)).code == "no_station"
-    assert lab.refused(load("trash", 1)).code == "not_accepted"
-    assert lab.refused(load("stack", room + 1)).code == "too_many"
+    assert lab.reject(load("nowhere", 1)).code == "no_station"
+    assert lab.reject(load("trash", 1)).code == "not_accepted"
+    assert lab.reject(load("stack", room + 1)).code == "too_many"
     lab.do(load("stack", 1))
     lab.start(lab.submit(route("stack", "a")))
-    assert lab.refused(load("stack", 1)).code == "in_motion"
-    assert lab.refused(unload("stack", count=1)).code == "in_motion"
-    assert lab.refused(load("a", 1)).code == "in_motion"
+    assert lab.reject(load("stack", 1)).code == "in_motion"
+    assert lab.reject(unload("stack", count=1)).code == "in_motion"
+    assert lab.reject(load("a", 1)).code == "in_motion"
 
 
 def test_what_was_taken_away_has_left_the_bench() -> None:
@@ -245,13 +245,13 @@ def test_what_was_taken_away_has_left_the_bench() -> None:
     assert (stack.stock, stack.lots) == (["plate"] * 3, ["L1"] * 3)
     lab.do(unload("stack"))
     assert stack.count == 0
-    assert lab.refused(unload("stack")).code == "too_many"
+    assert lab.reject(unload("stack")).code == "too_many"
     lab.do(load("a", 1))
     (item,) = lab.at("a")
     lab.do(unload("a", item))
     assert lab.at("a") == []
     assert item not in lab.state.bench.labware
-    assert lab.refused(unload("a", item)).code == "not_there"
+    assert lab.reject(unload("a", item)).code == "not_there"
     lab.check_log()
 
 
@@ -260,7 +260,7 @@ def test_what_a_run_still_owns_is_not_taken_away() -> None:
     run = lab.submit(route("stack", "a", "b"))
     lab.step(run)
     (item,) = lab.at("a")
-    found = lab.refused(unload("a", item))
+    found = lab.reject(unload("a", item))
     assert (found.code, f"run {run}" in found.message) == ("in_use", True)
     lab.step(run, 1)
     lab.do(unload("b", item))
@@ -287,7 +287,7 @@ def doses(lab: Driver) -> list[LiquidTransferred]:
     return [entry.event for entry in lab.log if isinstance(entry.event, LiquidTransferred)]
 
 
-def pipetted(wells: Any, volumes: Any, **more: Any) -> tuple[Driver, RunId]:
+def make_pipetted(wells: Any, volumes: Any, **more: Any) -> tuple[Driver, RunId]:
     """A plate on a device that puts foil (of all things) into its wells."""
     lab = dry(10)
     effects = (needs("dev.n1"), Transfers("ink", wells, volumes, "foil"), consumes("foil", 4))
@@ -296,7 +296,7 @@ def pipetted(wells: Any, volumes: Any, **more: Any) -> tuple[Driver, RunId]:
 
 
 def test_what_was_pipetted_is_told_with_wells_volumes_and_lot() -> None:
-    lab, run = pipetted(["A1", "A2", "A3"], [10, 0, 2.5])
+    lab, run = make_pipetted(["A1", "A2", "A3"], [10, 0, 2.5])
     lab.step(run)
     lab.step(run, 1)
     (told,) = doses(lab)
@@ -306,7 +306,7 @@ def test_what_was_pipetted_is_told_with_wells_volumes_and_lot() -> None:
 
 
 def test_lists_that_an_earlier_step_worked_out_are_written_in() -> None:
-    lab, run = pipetted(["A1"], {"$result": [0, "volumes"]})
+    lab, run = make_pipetted(["A1"], {"$result": [0, "volumes"]})
     lab.step(run, 0, {"volumes": [7.0]})
     lab.step(run, 1)
     assert [told.volumes_ul for told in doses(lab)] == [(7.0,)]
@@ -314,14 +314,14 @@ def test_lists_that_an_earlier_step_worked_out_are_written_in() -> None:
 
 @pytest.mark.parametrize(("effects", "told"), [("none", []), ("partial", [False]), ("unknown", [False])])
 def test_a_pipette_that_failed_is_not_sure(effects: str, told: list[bool]) -> None:
-    lab, run = pipetted(["A1"], [5])
+    lab, run = make_pipetted(["A1"], [5])
     lab.step(run)
     lab.fail(lab.start(run, 1), effects)
     assert [dose.certain for dose in doses(lab)] == told
 
 
 def test_without_wells_nothing_is_told() -> None:
-    lab, run = pipetted("", "")
+    lab, run = make_pipetted("", "")
     lab.step(run)
     lab.step(run, 1)
     assert doses(lab) == []

@@ -15,7 +15,7 @@ def teach(*pose: float) -> TeachLocation:
     return TeachLocation(ModuleName(full("arm")), StationName(full("a")), pose, "ada", "moved")
 
 
-def moved_there(lab: Driver, **args: object) -> dict[str, object]:
+def make_move_args(lab: Driver, **args: object) -> dict[str, object]:
     """The arguments with which a plate is brought to the station."""
     run = lab.submit(plan(step("arm", take("stack", "a"), args=args), step("arm", move("a", "trash"))))
     action = lab.start(run)
@@ -30,25 +30,25 @@ def test_each_pose_is_a_version() -> None:
     assert [e.version for e in lab.do(teach(1, 2)) if isinstance(e, LocationTaught)] == [1]
     assert lab.do(teach(1, 2)) == []
     assert [e.version for e in lab.do(teach(1, 3)) if isinstance(e, LocationTaught)] == [2]
-    assert lab.refused(teach(1, 2, 3)).code == "bad_pose"
-    assert lab.refused(teach()).code == "bad_pose"
+    assert lab.reject(teach(1, 2, 3)).code == "bad_pose"
+    assert lab.reject(teach()).code == "bad_pose"
     lab.check_log()
 
 
 def test_the_first_move_is_slow_where_the_driver_can_be() -> None:
     lab = small()
-    assert moved_there(lab, slow=False) == {"slow": False}
+    assert make_move_args(lab, slow=False) == {"slow": False}
     lab.do(teach(1, 2))
-    assert moved_there(lab) == {}
-    assert moved_there(lab, slow=False) == {"slow": True}
-    assert moved_there(lab, slow=False) == {"slow": False}
+    assert make_move_args(lab) == {}
+    assert make_move_args(lab, slow=False) == {"slow": True}
+    assert make_move_args(lab, slow=False) == {"slow": False}
     lab.check_log()
 
 
 def test_poses_are_not_changed_under_a_moving_arm() -> None:
     lab = small()
     lab.start(lab.submit(plan(step("arm", take("stack", "a")))))
-    assert lab.refused(teach(1, 2)).code == "module_in_use"
+    assert lab.reject(teach(1, 2)).code == "module_in_use"
 
 
 TOLD: dict[str, object] = {"slow": False, "labware_type": "", "plate_type": ""}
@@ -59,7 +59,7 @@ def teach_type(kind: str, *pose: float, station: str = "a") -> TeachLocation:
     return TeachLocation(ModuleName(full("arm")), place, pose, "ada", labware_type=kind)
 
 
-def carried(lab: Driver, kind: str) -> dict[str, object]:
+def make_carry_args(lab: Driver, kind: str) -> dict[str, object]:
     """The arguments with which labware of a type is brought from b to a."""
     lab.stock("b", 1, kind)
     run = lab.submit(plan(step("arm", move("b", "a"), args=TOLD), step("arm", move("a", "trash"))))
@@ -73,7 +73,7 @@ def carried(lab: Driver, kind: str) -> dict[str, object]:
 
 def test_a_labware_type_has_versions_of_its_own() -> None:
     lab = small()
-    refusal = lab.refused(teach_type("deep", 5, 6))
+    refusal = lab.reject(teach_type("deep", 5, 6))
     assert (refusal.code, refusal.remedy) == (
         "no_pose",
         "Teach the station first, without a labware type.",
@@ -82,7 +82,7 @@ def test_a_labware_type_has_versions_of_its_own() -> None:
     taught = [lab.do(teach_type("deep", 5, number)) for number in (6, 6, 7)]
     versions = [[e.version for e in events if isinstance(e, LocationTaught)] for events in taught]
     assert versions == [[1], [], [2]]
-    assert lab.refused(teach_type("deep", 5)).code == "bad_pose"
+    assert lab.reject(teach_type("deep", 5)).code == "bad_pose"
     arm = lab.state.modules.by_name[ModuleName(full("arm"))]
     at = StationName(full("a"))
     assert (arm.pose_of(at), arm.pose_of(at, "deep"), arm.pose_of(at, "flat")) == ((1, 2), (5, 7), None)
@@ -94,17 +94,17 @@ def test_the_first_move_is_slow_for_each_type_that_was_taught() -> None:
     lab = small()
     flat = {"slow": False, "labware_type": "flat", "plate_type": ""}
     deep = {**flat, "labware_type": "deep"}
-    assert carried(lab, "flat") == flat
+    assert make_carry_args(lab, "flat") == flat
     lab.do(teach(1, 2))
     lab.do(teach_type("deep", 5, 6))
-    assert carried(lab, "flat") == {**flat, "slow": True}
-    assert carried(lab, "flat") == flat
-    assert carried(lab, "deep") == {**deep, "slow": True}
-    assert carried(lab, "deep") == deep
+    assert make_carry_args(lab, "flat") == {**flat, "slow": True}
+    assert make_carry_args(lab, "flat") == flat
+    assert make_carry_args(lab, "deep") == {**deep, "slow": True}
+    assert make_carry_args(lab, "deep") == deep
     # A new pose of the station is not tried by labware that has its own.
     lab.do(teach(1, 3))
-    assert carried(lab, "deep") == deep
-    assert carried(lab, "flat") == {**flat, "slow": True}
+    assert make_carry_args(lab, "deep") == deep
+    assert make_carry_args(lab, "flat") == {**flat, "slow": True}
     lab.check_log()
 
 
@@ -117,11 +117,11 @@ def test_a_pose_in_the_workcell_file_goes_before_the_stations_own() -> None:
     )
     lab = Driver(msgspec.structs.replace(cell, modules=modules))
     lab.do(teach(1, 2))
-    assert carried(lab, "deep")["slow"] is False
-    assert carried(lab, "flat")["slow"] is True
-    assert lab.refused(teach_type("deep", 5)).code == "bad_pose"
+    assert make_carry_args(lab, "deep")["slow"] is False
+    assert make_carry_args(lab, "flat")["slow"] is True
+    assert lab.reject(teach_type("deep", 5)).code == "bad_pose"
     lab.do(teach_type("deep", 7, 8))
-    assert carried(lab, "deep")["slow"] is True
+    assert make_carry_args(lab, "deep")["slow"] is True
     lab.check_log()
 
 

@@ -18,7 +18,7 @@ WITHOUT_TOPIC = [topic for topic in TOPICS if not isinstance(topic, Approval | B
 """Of types that were asked when questions had none yet."""
 
 
-def asked_before(topic: AnyTopic) -> dict[str, Any]:
+def make_old_question(topic: AnyTopic) -> dict[str, Any]:
     """The payload of a question as it was written before questions had topics."""
     payload: dict[str, Any] = json.loads(encode(Interventions().ask(topic, "?")))
     del payload["topic"]
@@ -31,7 +31,7 @@ def test_every_type_is_among_the_examples() -> None:
 
 @pytest.mark.parametrize("topic", WITHOUT_TOPIC, ids=lambda topic: type(topic).__name__)
 def test_a_question_of_before_is_about_the_same(topic: AnyTopic) -> None:
-    event: Any = decode("intervention.requested", 1, canonical(asked_before(topic)))
+    event: Any = decode("intervention.requested", 1, canonical(make_old_question(topic)))
     assert event.topic == topic
 
 
@@ -51,6 +51,6 @@ def test_a_question_is_kept_with_its_topic(topic: AnyTopic) -> None:
 
 
 def test_a_topic_of_a_later_version_is_refused() -> None:
-    payload = {**asked_before(TOPICS[0]), "topic": {"topic": "weather"}}
+    payload = {**make_old_question(TOPICS[0]), "topic": {"topic": "weather"}}
     with pytest.raises(LogTooNew):
         decode("intervention.requested", 2, canonical(payload))

@@ -18,7 +18,7 @@ from labos.core.runs import RunFailed
 from tests.support.bench import Driver, full, module, move, plan, route, small_cell, station, step, workcell
 
 
-def watched(verify: Verify = "always", *, places: tuple[str, ...] = ("a", "b", "shelf")) -> Driver:
+def make_watched(verify: Verify = "always", *, places: tuple[str, ...] = ("a", "b", "shelf")) -> Driver:
     """Two arms with hands, nests and a shelf; ``cam`` looks at some of them."""
     more = {"observer": ModuleName(full("cam")), "verify": verify}
     stations = [
@@ -46,12 +46,12 @@ def maybe(lab: Driver, name: str = "P1") -> list[str]:
     return [p.removeprefix("cell/") for p in lab.state.bench.labware[LabwareId(name)].maybe]
 
 
-def ended(lab: Driver, run: str) -> RunFailed | None:
+def find_failure(lab: Driver, run: str) -> RunFailed | None:
     found = [e.event for e in lab.log if isinstance(e.event, RunFailed) and e.event.run == run]
     return found[0] if found else None
 
 
-def carried(lab: Driver, what: Plan | None = None) -> tuple[str, ActionId]:
+def carry_plate(lab: Driver, what: Plan | None = None) -> tuple[str, ActionId]:
     """An arm that says that P1 has gone from a to b."""
     lab.stock("a", 1)
     run = lab.submit(what or route("a", "b", "c"))
@@ -63,8 +63,8 @@ def carried(lab: Driver, what: Plan | None = None) -> tuple[str, ActionId]:
 
 
 def test_what_is_seen_to_be_done_is_believed() -> None:
-    lab = watched()
-    run, action = carried(lab)
+    lab = make_watched()
+    run, action = carry_plate(lab)
     assert {p.removeprefix("cell/") for p in lab.state.actions.open[action].looks} == {"a", "b"}
     see(lab, action, a=0, b=1)
     assert lab.where("P1") == "b"
@@ -77,8 +77,8 @@ def test_what_is_seen_to_be_done_is_believed() -> None:
 
 
 def test_what_arrived_is_believed_whatever_else_stands_at_its_source() -> None:
-    lab = watched()
-    _, action = carried(lab)
+    lab = make_watched()
+    _, action = carry_plate(lab)
     see(lab, action, a=1, b=1)
     assert lab.where("P1") == "b"
     lab.do(ObserveStation(StationName(full("a")), "cam", 1))
@@ -87,8 +87,8 @@ def test_what_arrived_is_believed_whatever_else_stands_at_its_source() -> None:
 
 
 def test_a_plate_that_did_not_arrive_is_lost_and_only_it() -> None:
-    lab = watched()
-    run, action = carried(lab)
+    lab = make_watched()
+    run, action = carry_plate(lab)
     lab.stock("c", 1)
     other = lab.submit(route("c", "shelf", arm="arm2"))
     events = see(lab, action, a=0, b=0)
@@ -96,7 +96,7 @@ def test_a_plate_that_did_not_arrive_is_lost_and_only_it() -> None:
     assert (failed.kind, failed.effects) == ("operational", "unknown")
     assert "cam saw nothing at b" in failed.error
     assert maybe(lab) == ["arm.gripper", ""], "it may have fallen down"
-    over = ended(lab, run)
+    over = find_failure(lab, run)
     assert over is not None
     assert over.kind == "operational"
     assert [c.name for c in lab.question("lost_labware").choices] == ["gone", "source", "target"]
@@ -112,9 +112,9 @@ def test_a_plate_that_did_not_arrive_is_lost_and_only_it() -> None:
 
 
 def test_a_plate_that_never_left_is_carried_again_where_the_workflow_says_so() -> None:
-    lab = watched()
+    lab = make_watched()
     again = step("arm", move("a", "b"), retry=Retry(2))
-    run, action = carried(lab, plan(again))
+    run, action = carry_plate(lab, plan(again))
     see(lab, action, a=1, b=0)
     assert lab.where("P1") == "a"
     assert "step.retried" in lab.types()
@@ -126,10 +126,10 @@ def test_a_plate_that_never_left_is_carried_again_where_the_workflow_says_so() -
 
 
 def test_without_a_retry_a_plate_that_never_left_ends_its_run() -> None:
-    lab = watched()
-    run, action = carried(lab)
+    lab = make_watched()
+    run, action = carry_plate(lab)
     see(lab, action, a=1, b=0)
-    over = ended(lab, run)
+    over = find_failure(lab, run)
     assert over is not None
     assert over.kind == "operational"
     assert lab.where("P1") == "a"
@@ -139,17 +139,17 @@ def test_without_a_retry_a_plate_that_never_left_ends_its_run() -> None:
 
 @pytest.mark.parametrize(("choice", "place"), [("done", "b"), ("not_done", "a"), ("gone", None)])
 def test_who_wants_to_be_asked_is_asked(choice: str, place: str | None) -> None:
-    lab = watched()
+    lab = make_watched()
     steps = (step("arm", move("a", "b"), on_error=OnError("ask")), step("arm", move("b", "c")))
-    run, action = carried(lab, plan(*steps))
+    run, action = carry_plate(lab, plan(*steps))
     see(lab, action, a=0, b=0)
-    assert ended(lab, run) is None
+    assert find_failure(lab, run) is None
     question = lab.question("unknown_action")
     assert "P1 may be at: arm.gripper, nowhere on the bench" in question.text
     lab.answer(question, choice)
     if place is None:
         assert "P1" not in lab.state.bench.labware
-        assert ended(lab, run) is not None
+        assert find_failure(lab, run) is not None
     else:
         assert lab.where("P1") == place
         assert lab.code(run, 1 if choice == "done" else 0) == ""
@@ -157,8 +157,8 @@ def test_who_wants_to_be_asked_is_asked(choice: str, place: str | None) -> None:
 
 
 def test_what_nobody_can_see_nobody_knows() -> None:
-    lab = watched()
-    _, action = carried(lab)
+    lab = make_watched()
+    _, action = carry_plate(lab)
     see(lab, action, "cam is dark", a=0)
     assert maybe(lab) == ["arm.gripper", "b", ""]
     assert "cam is dark" in lab.question("unknown_action").text
@@ -171,7 +171,7 @@ def test_what_nobody_can_see_nobody_knows() -> None:
 
 
 def test_a_watched_place_is_not_concluded_by_elimination() -> None:
-    lab = watched()
+    lab = make_watched()
     lab.stock("a", 1)
     action = lab.start(lab.submit(route("a", "b", "c")))
     lab.doubt(action)
@@ -184,7 +184,7 @@ def test_a_watched_place_is_not_concluded_by_elimination() -> None:
 
 
 def test_results_told_before_the_doubt_are_kept() -> None:
-    lab = watched()
+    lab = make_watched()
     what = plan(
         step("arm", move("a", "b")), step("cam", args={"x": {"$result": [0]}}), name="measured", feeds=(0,)
     )
@@ -199,7 +199,7 @@ def test_results_told_before_the_doubt_are_kept() -> None:
 
 
 def test_a_crowd_is_counted() -> None:
-    lab = watched()
+    lab = make_watched()
     lab.stock("shelf", 1)
     lab.stock("a", 1)
     action = lab.start(lab.submit(route("a", "shelf")))
@@ -211,7 +211,7 @@ def test_a_crowd_is_counted() -> None:
 
 def test_two_that_say_that_they_have_put_something_down_are_both_believed_or_both_in_doubt() -> None:
     for count, doubts in [(2, 0), (1, 2)]:
-        lab = watched()
+        lab = make_watched()
         lab.stock("a", 1)
         lab.stock("c", 1)
         actions = [
@@ -229,7 +229,7 @@ def test_two_that_say_that_they_have_put_something_down_are_both_believed_or_bot
 
 def test_recognised_by_its_label() -> None:
     for what, place in [("P1", "b"), ("P2", None)]:
-        lab = watched()
+        lab = make_watched()
         lab.stock("c", 1)
         lab.stock("a", 1)
         name = lab.at("a")[0]
@@ -244,7 +244,7 @@ def test_recognised_by_its_label() -> None:
 
 def test_an_item_of_a_stack_that_did_not_arrive() -> None:
     for left, kind in [(4, "lost_labware"), (5, "")]:
-        lab = watched(places=("stack", "b"))
+        lab = make_watched(places=("stack", "b"))
         lab.stock("stack", 5)
         action = lab.start(lab.submit(route("stack", "b")))
         lab.finish(action)
@@ -257,8 +257,8 @@ def test_an_item_of_a_stack_that_did_not_arrive() -> None:
 def test_a_run_that_is_being_cancelled_ends_when_it_is_known() -> None:
     from labos.core.decide.cancelling import CancelRun
 
-    lab = watched()
-    run, action = carried(lab)
+    lab = make_watched()
+    run, action = carry_plate(lab)
     lab.do(CancelRun(run))
     see(lab, action, a=0, b=0)
     assert run not in lab.state.runs.active
@@ -267,17 +267,17 @@ def test_a_run_that_is_being_cancelled_ends_when_it_is_known() -> None:
 
 
 def test_what_was_reported_is_neither_doubted_nor_told_twice() -> None:
-    lab = watched()
-    _, action = carried(lab)
+    lab = make_watched()
+    _, action = carry_plate(lab)
     assert lab.do(DoubtAction(action, "silence")) == []
     assert lab.finish(action) == []
     assert lab.do(FinishAction(action, 1, False, "none", error="late")) == []
-    refused = lab.refused(ObserveStation(StationName(full("b")), "ada", 1))
+    refused = lab.reject(ObserveStation(StationName(full("b")), "ada", 1))
     assert refused.code == "in_motion"
 
 
 def test_a_late_word_of_success_is_looked_at_too() -> None:
-    lab = watched()
+    lab = make_watched()
     lab.stock("a", 1)
     action = lab.start(lab.submit(route("a", "b")))
     lab.doubt(action)
@@ -289,7 +289,7 @@ def test_a_late_word_of_success_is_looked_at_too() -> None:
 
 
 def test_on_doubt_nobody_looks_while_all_goes_well() -> None:
-    lab = watched("on_doubt")
+    lab = make_watched("on_doubt")
     lab.stock("a", 1)
     run = lab.submit(route("a", "b", "a", "b", "a"))
     lab.step(run)
@@ -306,7 +306,7 @@ def test_on_doubt_nobody_looks_while_all_goes_well() -> None:
 
 
 def test_never_is_never() -> None:
-    lab = watched("never")
+    lab = make_watched("never")
     lab.stock("a", 1)
     lab.doubt(lab.start(lab.submit(route("a", "b"))))
     lab.answer(lab.question("unknown_action"), "not_done")
@@ -316,7 +316,7 @@ def test_never_is_never() -> None:
 
 @pytest.mark.parametrize("how", ["gone", "out"])
 def test_nothing_is_carried_where_nobody_can_look(how: str) -> None:
-    lab = watched()
+    lab = make_watched()
     lab.stock("a", 1)
     lab.stock("c", 1)
     mine, other = lab.submit(route("a", "b")), lab.submit(route("c", "trash", arm="arm2"))

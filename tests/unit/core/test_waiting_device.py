@@ -58,7 +58,7 @@ def test_whoever_has_noted_it_is_not_asked_again_but_of_the_next_one() -> None:
     lab.do(ReportState(DEV, "BUSY"))
     lab.do(ReportState(DEV, "ERROR", "The run is paused."))
     assert len(look_in(lab, WAITS_S + 1)) == 1
-    assert lab.refused(ResolveIntervention(lab.question(KIND).id, "done", "x")).code == "no_choice"
+    assert lab.reject(ResolveIntervention(lab.question(KIND).id, "done", "x")).code == "no_choice"
     lab.finish(action)
     assert lab.questions() == []
     lab.check_log()

@@ -13,7 +13,7 @@ from tests.support.bench import Driver, full, route, small
 TRASH = StationName(full("trash"))
 
 
-def filled(lab: Driver, count: int) -> None:
+def fill(lab: Driver, count: int) -> None:
     lab.stock("trash", count, "rubbish")
 
 
@@ -21,7 +21,7 @@ def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
     lab = small()
     run = lab.submit(route("stack", "a", "trash"))
     lab.step(run)
-    filled(lab, 4)
+    fill(lab, 4)
     found = lab.judge(run, 1)
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("waste_full", True)
@@ -36,7 +36,7 @@ def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
 
 def test_nobody_is_let_in_whose_labware_would_find_the_waste_full() -> None:
     lab = small()
-    filled(lab, 3)
+    fill(lab, 3)
     first = lab.submit(route("stack", "a", "trash"))
     lab.step(first)
     second = lab.submit(route("stack", "b", "trash", arm="arm2"))
@@ -52,7 +52,7 @@ def test_nobody_is_let_in_whose_labware_would_find_the_waste_full() -> None:
 def test_it_may_be_emptied_while_something_is_thrown_in() -> None:
     lab = small()
     run = lab.submit(route("stack", "a", "trash"))
-    filled(lab, 2)
+    fill(lab, 2)
     lab.step(run)
     action = lab.start(run, 1)
     lab.do(UnloadStation(TRASH, "ada"))
@@ -65,12 +65,12 @@ def test_who_waited_for_room_is_named() -> None:
     lab = small()
     run = lab.submit(route("stack", "a", "trash"))
     lab.step(run)
-    filled(lab, 3)
+    fill(lab, 3)
     (in_time,) = lab.do(UnloadStation(TRASH, "ada", count=1))
     assert isinstance(in_time, StationUnloaded)
     assert in_time.awaited == ()
-    filled(lab, 4)
+    fill(lab, 4)
     (late,) = lab.do(UnloadStation(TRASH, "ada"))
     assert isinstance(late, StationUnloaded)
     assert (late.count, late.awaited) == (4, (run,))
-    assert lab.refused(UnloadStation(TRASH, "ada")).message == "trash holds 0."
+    assert lab.reject(UnloadStation(TRASH, "ada")).message == "trash holds 0."

@@ -36,7 +36,7 @@ def pour(lab: Driver, *doses: tuple[Any, Any], result: Any = None) -> RunId:
     return run
 
 
-def poured(lab: Driver) -> dict[str, float]:
+def read_volumes(lab: Driver) -> dict[str, float]:
     return lab.state.bench.labware[LabwareId("P1")].volumes_ul
 
 
@@ -53,9 +53,9 @@ def test_what_went_into_wells_is_in_them() -> None:
     lab = bench()
     lab.step(pour(lab, (["A1", "b02"], [100, 50]), (["A1"], [10.5])), 1)
     lab.step(pour(lab, (["A1"], [1])), 1)
-    assert poured(lab) == {"A1": 111.5, "B2": 50.0}
+    assert read_volumes(lab) == {"A1": 111.5, "B2": 50.0}
     given = sum(sum(e.event.volumes_ul) for e in lab.log if isinstance(e.event, LiquidTransferred))
-    assert given == sum(poured(lab).values()), "nothing is lost, and nothing comes from nowhere"
+    assert given == sum(read_volumes(lab).values()), "nothing is lost, and nothing comes from nowhere"
     lab.check_log()
 
 
@@ -71,7 +71,7 @@ def test_what_went_into_wells_is_in_them() -> None:
 def test_what_does_not_fit_is_not_poured(doses: list[tuple[Any, Any]], why: str) -> None:
     lab = bench()
     assert why in failure(lab, pour(lab, *doses))
-    assert poured(lab) == {}
+    assert read_volumes(lab) == {}
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_what_failed_half_way_may_be_in_the_well() -> None:
     lab = bench()
     run = pour(lab, (["A1"], [300]))
     lab.fail(lab.start(run, 1), "partial")
-    assert poured(lab) == {"A1": 300.0}
+    assert read_volumes(lab) == {"A1": 300.0}
     assert "would hold 400 µL" in failure(lab, pour(lab, (["A1"], [100])))
 
 
@@ -115,12 +115,12 @@ def draw(lab: Driver, *effects: Any) -> RunId:
 def test_what_is_drawn_is_in_the_wells_no_more() -> None:
     lab = bench()
     lab.step(draw(lab, Transfers("ink", ["A1", "A2"], [100, 50]), Draws(["a01"], [30])), 1)
-    assert poured(lab) == {"A1": 70.0, "A2": 50.0}
+    assert read_volumes(lab) == {"A1": 70.0, "A2": 50.0}
     lab.step(draw(lab, Draws(["A1", "A2"], [70, 10])), 1)
-    assert poured(lab) == {"A1": 0.0, "A2": 40.0}
+    assert read_volumes(lab) == {"A1": 0.0, "A2": 40.0}
     moved = [e.event for e in lab.log if isinstance(e.event, LiquidTransferred | LiquidDrawn)]
     total = sum(sum(e.volumes_ul) * (1 if isinstance(e, LiquidTransferred) else -1) for e in moved)
-    assert total == sum(poured(lab).values())
+    assert total == sum(read_volumes(lab).values())
     lab.check_log()
 
 
@@ -139,28 +139,28 @@ def test_a_well_gives_no_more_than_it_holds(effects: list[Any], why: str) -> Non
     lab = bench()
     lab.step(pour(lab, (["A1"], [100])), 1)
     assert why in failure(lab, draw(lab, *effects))
-    assert poured(lab) == {"A1": 100.0}
+    assert read_volumes(lab) == {"A1": 100.0}
 
 
 def test_what_was_poured_in_the_same_action_can_be_drawn() -> None:
     lab = bench()
     lab.step(draw(lab, Transfers("ink", ["A1"], [300]), Draws(["A1"], [250])), 1)
-    assert poured(lab) == {"A1": 50.0}
+    assert read_volumes(lab) == {"A1": 50.0}
     lab.step(draw(lab, Transfers("ink", ["A1"], [340]), Draws(["A1"], [30])), 1)
-    assert poured(lab) == {"A1": 360.0}
+    assert read_volumes(lab) == {"A1": 360.0}
 
 
 def test_a_well_of_which_nothing_is_known_gives_what_fits_into_it() -> None:
     lab = bench()
     lab.step(draw(lab, Draws(["A1"], [360])), 1)
-    assert poured(lab) == {}
+    assert read_volumes(lab) == {}
 
 
 def test_what_was_drawn_half_way_may_still_be_in_the_well() -> None:
     lab = bench()
     lab.step(pour(lab, (["A1"], [300])), 1)
     lab.fail(lab.start(draw(lab, Draws(["A1"], [200])), 1), "partial")
-    assert poured(lab) == {"A1": 300.0}
+    assert read_volumes(lab) == {"A1": 300.0}
     assert "would hold 400 µL" in failure(lab, pour(lab, (["A1"], [100])))
 
 
@@ -168,7 +168,7 @@ def test_a_sheet_says_what_the_wells_hold_now() -> None:
     lab = bench()
     samples = (Sample("A1", "S1", 350.0), Sample("A2", "S2"))
     lab.do(RegisterSamples("f" * 64, (PlateSamples(LabwareId("P1"), 2, samples),)))
-    assert poured(lab) == {"A1": 350.0}
+    assert read_volumes(lab) == {"A1": 350.0}
     assert "would hold 361 µL" in failure(lab, pour(lab, (["A1"], [11])))
 
 
@@ -180,7 +180,7 @@ def test_what_has_no_wells_takes_no_liquid() -> None:
 def test_of_a_type_that_nobody_described_only_the_lists_are_looked_at() -> None:
     lab = bench(LID)
     lab.step(pour(lab, (["Z99"], [5000])), 1)
-    assert poured(lab) == {"Z99": 5000.0}
+    assert read_volumes(lab) == {"Z99": 5000.0}
 
 
 def test_names_of_wells() -> None:

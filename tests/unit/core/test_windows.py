@@ -106,7 +106,7 @@ def test_an_anchor_that_is_not_there_is_refused() -> None:
     other = lab.experiment("another")
 
     def why(what: Plan, experiment: str) -> str:
-        answer = lab.refused(SubmitRun(what, "ada", experiment=ExperimentId(experiment)))
+        answer = lab.reject(SubmitRun(what, "ada", experiment=ExperimentId(experiment)))
         assert answer.code == "no_anchor"
         return answer.message + " " + answer.remedy
 
@@ -123,13 +123,13 @@ def test_a_run_that_has_not_been_completed_is_no_anchor() -> None:
     experiment = lab.experiment()
     run = lab.submit(incubate(), experiment=experiment)
     lab.step(run, 0)
-    assert lab.refused(SubmitRun(read(), "ada", experiment=experiment)).code == "no_anchor"
+    assert lab.reject(SubmitRun(read(), "ada", experiment=experiment)).code == "no_anchor"
     lab.fail(lab.start(run, 1), "none")
-    assert lab.refused(SubmitRun(read(), "ada", experiment=experiment)).code == "no_anchor"
+    assert lab.reject(SubmitRun(read(), "ada", experiment=experiment)).code == "no_anchor"
 
 
 def test_a_closing_workflow_has_no_clock_of_another_run() -> None:
-    answer = small().refused(StartExperiment("app", "ada", read()))
+    answer = small().reject(StartExperiment("app", "ada", read()))
     assert (answer.code, "closing workflow 'read'" in answer.message) == ("no_anchor", True)
 
 

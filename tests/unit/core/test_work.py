@@ -9,7 +9,7 @@ from labos.core.interventions import InterventionOverdue, InterventionResolved
 from tests.support.bench import Driver, move, plan, small, step, take
 
 
-def asked(*, feeds: tuple[int, ...] = (), **args: object) -> Driver:
+def ask_person(*, feeds: tuple[int, ...] = (), **args: object) -> Driver:
     """A person is asked to carry a plate from ``a`` to ``b``."""
     lab = small()
     carry = step("arm", move("a", "b"), by_person=True, duration_s=300, args=args)
@@ -24,26 +24,26 @@ def confirm(lab: Driver, choice: str = "done", **more: object) -> ResolveInterve
 
 
 def test_a_step_by_a_person_stands_in_the_inbox() -> None:
-    lab = asked()
+    lab = ask_person()
     entry = lab.question("planned_work")
     assert (entry.text, entry.run) == ("arm, please: carry P1 (plate) from a to b ('s1' of R1).", "R1")
     assert entry.due_at == lab.now + 300 * 10**9
 
 
 def test_its_confirmation_is_its_end_and_moves_the_plate_in_one_batch() -> None:
-    lab = asked()
+    lab = ask_person()
     events = lab.do(confirm(lab))
     assert [type(e) for e in events[:2]] == [InterventionResolved, ActionSucceeded]
     assert lab.where("P1") == "b"
     assert not lab.state.actions.open
-    assert lab.refused(ResolveIntervention(InterventionId("I1"), "done", "bo")).code == "no_intervention"
+    assert lab.reject(ResolveIntervention(InterventionId("I1"), "done", "bo")).code == "no_intervention"
     lab.step("R1", 2)
     assert lab.types()[-1] == "run.completed"
     lab.check_log()
 
 
 def test_what_the_node_says_of_it_later_changes_nothing() -> None:
-    lab = asked()
+    lab = ask_person()
     action = next(iter(lab.state.actions.open))
     lab.do(confirm(lab))
     assert lab.finish(action) == []
@@ -51,7 +51,7 @@ def test_what_the_node_says_of_it_later_changes_nothing() -> None:
 
 
 def test_it_cannot_be_done() -> None:
-    lab = asked()
+    lab = ask_person()
     events = lab.do(confirm(lab, "not_done", note="no hands"))
     failed = next(e for e in events if isinstance(e, ActionFailed))
     assert (failed.effects, failed.error) == ("none", "ada says that it cannot be done: no hands")
@@ -60,7 +60,7 @@ def test_it_cannot_be_done() -> None:
 
 
 def test_a_node_that_was_restarted_meanwhile_raises_no_doubt() -> None:
-    lab = asked()
+    lab = ask_person()
     action = next(iter(lab.state.actions.open))
     assert lab.doubt(action, "its node was restarted in mid-motion") == []
     lab.do(confirm(lab))
@@ -68,14 +68,14 @@ def test_a_node_that_was_restarted_meanwhile_raises_no_doubt() -> None:
 
 
 def test_a_simulated_person_confirms_by_the_node() -> None:
-    lab = asked()
+    lab = ask_person()
     events = lab.finish(next(iter(lab.state.actions.open)))
     assert InterventionResolved(InterventionId("I1"), "done", "cell/arm") in events
     assert lab.where("P1") == "b"
 
 
 def test_what_is_late_is_told_once_and_fails_nothing() -> None:
-    lab = asked(within=60.0)
+    lab = ask_person(within=60.0)
     lab.pump()
     assert "intervention.overdue" not in lab.types()
     assert lab.scheduler.next_deadline(lab.state) == lab.question().due_at
@@ -89,8 +89,8 @@ def test_what_is_late_is_told_once_and_fails_nothing() -> None:
 
 
 def test_a_result_that_later_steps_read_has_to_be_told() -> None:
-    lab = asked(feeds=(1,))
-    assert lab.refused(confirm(lab)).code == "result_needed"
+    lab = ask_person(feeds=(1,))
+    assert lab.reject(confirm(lab)).code == "result_needed"
     lab.do(confirm(lab, result={"colour": "red"}))
     assert lab.results("R1") == {1: {"colour": "red"}}
 
@@ -99,7 +99,7 @@ def test_a_run_that_is_cancelled_waits_for_the_word() -> None:
     from labos.core.decide.cancelling import CancelRun
     from labos.core.ids import RunId
 
-    lab = asked()
+    lab = ask_person()
     lab.do(CancelRun(RunId("R1")))
     lab.do(confirm(lab))
     assert lab.types()[-1] == "run.cancelled"

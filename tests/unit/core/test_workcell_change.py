@@ -53,7 +53,7 @@ def test_everything_in_the_way_is_named() -> None:
         ("plan_in_use", "The workflow 'flow' is in use by R1 and needs dev.a."),
         ("plan_in_use", "The workflow 'flow' is in use by R1 and needs stack."),
     ]
-    assert driver.refused(ApplyWorkcell(without("c"))).code == "station_occupied"
+    assert driver.reject(ApplyWorkcell(without("c"))).code == "station_occupied"
 
 
 def codes(driver: Driver, cell: Workcell) -> set[str]:
@@ -65,7 +65,7 @@ def test_what_may_hold_something_stays() -> None:
     driver.stock("dev.a", 1)
     driver.doubt(driver.start(driver.submit(route("dev.a", "c"))))
     assert codes(driver, without("c", "dev.a")) == {"uncertain", "plan_in_use"}
-    refused = driver.refused(ApplyWorkcell(without("c")))
+    refused = driver.reject(ApplyWorkcell(without("c")))
     assert refused.message == "It is being found out what stands at c, which cannot be removed from cell."
 
 
@@ -75,7 +75,7 @@ def test_a_module_at_work_stays_and_so_does_one_that_a_queued_run_needs() -> Non
     assert codes(driver, without("arm")) == {"plan_in_use"}
     action = driver.start(run)
     assert codes(driver, without("arm")) == {"module_in_use", "plan_in_use"}
-    assert driver.refused(ApplyWorkcell(without("dev.a"))).message == (
+    assert driver.reject(ApplyWorkcell(without("dev.a"))).message == (
         "The station dev.a holds an arrival and cannot be removed from cell."
     )
     driver.finish(action)
@@ -88,7 +88,7 @@ def test_where_an_experiment_closes_or_parks_stays() -> None:
     driver = lab()
     experiment = driver.experiment(closing=route("c", "trash"), parking=(StationName(full("dev.b")),))
     assert codes(driver, without("c")) == {"plan_in_use"}
-    refused = driver.refused(ApplyWorkcell(without("dev.b")))
+    refused = driver.reject(ApplyWorkcell(without("dev.b")))
     assert (refused.code, refused.message) == (
         "parking_in_use",
         f"The experiment {experiment} parks at dev.b.",
@@ -99,10 +99,10 @@ def test_what_a_queued_run_has_refilled_stays() -> None:
     driver = lab()
     refill = PlanStep("foil", ModuleName(full("arm")), "replace", effects=(Replaces(full("dev"), "foil"),))
     driver.submit(plan(refill))
-    assert driver.refused(ApplyWorkcell(without("dev", "dev.a", "dev.b"))).code == "plan_in_use"
+    assert driver.reject(ApplyWorkcell(without("dev", "dev.a", "dev.b"))).code == "plan_in_use"
 
 
-def changed(name: str, **more: Any) -> Workcell:
+def change_station(name: str, **more: Any) -> Workcell:
     stations = [msgspec.structs.replace(s, **more) if s.name == full(name) else s for s in STATIONS]
     return msgspec.structs.replace(workcell(MODULES, stations), digest=f"{name} {more}")
 
@@ -110,12 +110,12 @@ def changed(name: str, **more: Any) -> Workcell:
 def test_what_holds_something_neither_shrinks_below_it_nor_becomes_another_kind() -> None:
     driver = lab()
     driver.stock("c", 1)
-    assert driver.refused(ApplyWorkcell(changed("stack", capacity=2))).message == (
+    assert driver.reject(ApplyWorkcell(change_station("stack", capacity=2))).message == (
         "The station stack holds 3, more than the 2 that it is to hold."
     )
-    assert driver.refused(ApplyWorkcell(changed("c", kind="waste"))).message == (
+    assert driver.reject(ApplyWorkcell(change_station("c", kind="waste"))).message == (
         "The station c holds P1 and cannot become a waste."
     )
-    driver.do(ApplyWorkcell(changed("stack", capacity=3)))
-    driver.do(ApplyWorkcell(changed("dev.a", kind="waste")))
+    driver.do(ApplyWorkcell(change_station("stack", capacity=3)))
+    driver.do(ApplyWorkcell(change_station("dev.a", kind="waste")))
     driver.check_log()

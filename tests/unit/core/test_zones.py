@@ -73,7 +73,7 @@ def test_the_end_of_an_action_wakes_who_waits_for_the_zone() -> None:
     assert lab.pump() == ["R1#0"]
     lab.finish("A1")
     assert f"{waiting}#0" in lab.pump()
-    assert lab.missed() == []
+    assert lab.find_missed() == []
 
 
 def test_an_arm_that_failed_bars_the_zone_until_it_is_idle() -> None:

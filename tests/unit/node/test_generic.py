@@ -12,7 +12,7 @@ from labos.errors import DeviceError
 from labos.node.generic import GenericNode, extend_node, generic_node
 from labos.node.node import Node, Setup, action
 from labos.node.world import Crash, World
-from labos.spec.about import About, Extends, description_of, extended, resettable
+from labos.spec.about import About, Extends, description_of, extend, resettable
 
 PACE = 10_000.0
 
@@ -49,14 +49,14 @@ PRESS = {
 }
 
 
-def described(about: dict[str, Any]) -> Description:
+def describe(about: dict[str, Any]) -> Description:
     return resettable(description_of(About.model_validate(about), "generic"))
 
 
 def node_of(
     about: dict[str, Any], world: World | None, name: str = "press", pace: float = PACE
 ) -> GenericNode:
-    node = generic_node(described(about))(Setup(name, "cell", world=world, pace=pace))
+    node = generic_node(describe(about))(Setup(name, "cell", world=world, pace=pace))
     assert isinstance(node, GenericNode)
     return node
 
@@ -201,7 +201,7 @@ class Oven(Node):
 
 
 def offering(more: dict[str, Any], world: World) -> Node:
-    description = extended(Oven.describe(), Extends.model_validate(more))
+    description = extend(Oven.describe(), Extends.model_validate(more))
     return extend_node(Oven, description)(Setup("oven", "cell", world=world, pace=PACE))
 
 

@@ -35,14 +35,14 @@ async def sample(file: MemoryFile) -> Journal:
     journal.bind("lab")
     journal.raise_epoch(3)
     journal.accept("a1", 1, 10, "work")
-    await journal.synced()
+    await journal.sync()
     journal.note_handle("a1", 1, "device-7")
-    await journal.synced()
+    await journal.sync()
     journal.end("a1", 1, DONE)
     journal.accept("a2", 2, 11, "seal")
-    await journal.synced()
+    await journal.sync()
     journal.void("a3", 4, 12)
-    await journal.synced()
+    await journal.sync()
     return journal
 
 
@@ -52,7 +52,7 @@ def test_a_journal_is_read_back() -> None:
         first = await sample(file)
         again = await reopen(file)
         assert (again.id, again.lab, again.epoch) == (first.id, "lab", 3)
-        a1, a2 = again.known("a1", 1), again.known("a2", 2)
+        a1, a2 = again.find("a1", 1), again.find("a2", 2)
         assert a1 is not None
         assert (a1.status, a1.outcome, a1.handle) == ("finished", DONE, "device-7")
         assert a2 is not None
@@ -62,7 +62,7 @@ def test_a_journal_is_read_back() -> None:
         assert not again.is_void("a3", 5)
         assert again.is_void("a2", 1)
         assert again.earlier("a2", 3) is a2
-        assert [u.status for u in again.unacknowledged()] == ["finished", "interrupted"]
+        assert [u.status for u in again.list_unacknowledged()] == ["finished", "interrupted"]
 
     run(main())
 
@@ -91,23 +91,23 @@ def test_prune_forgets_all_but_what_runs_and_refuses_the_old() -> None:
         file = MemoryFile()
         journal = await sample(file)
         journal.prune(12)
-        await journal.synced()
+        await journal.sync()
         assert journal.is_forgotten(12)
         assert not journal.is_forgotten(13)
-        assert journal.known("a1", 1) is None
+        assert journal.find("a1", 1) is None
         assert not journal.is_void("a3", 4)
-        running = journal.known("a2", 2)
+        running = journal.find("a2", 2)
         assert running is not None
         assert running.status == "running"
         journal.end("a2", 2, DONE)
-        assert journal.known("a2", 2) is not None
+        assert journal.find("a2", 2) is not None
         journal.prune(12)
-        assert journal.known("a2", 2) is None
-        await journal.synced()
+        assert journal.find("a2", 2) is None
+        await journal.sync()
         writes = file.writes
         journal.prune(12)
         journal.prune(3)
-        await journal.synced()
+        await journal.sync()
         assert file.writes == writes
         assert (await reopen(file)).pruned == 12
 
@@ -123,8 +123,8 @@ def test_a_rewound_journal_takes_requests_again_from_there_on() -> None:
         journal.raise_epoch(1000)
         journal.rewind(60)
         journal.rewind(20)
-        await journal.synced()
-        for again in (journal, await reopen(file), Journal.of(file.data)):
+        await journal.sync()
+        for again in (journal, await reopen(file), Journal.read(file.data)):
             assert (again.pruned, again.pruned_by) == (20, 1000)
             assert again.is_forgotten(20)
             assert not again.is_forgotten(21)
@@ -155,7 +155,7 @@ def test_what_was_interrupted_and_pruned_does_not_come_back() -> None:
         await sample(file)
         second = await reopen(file)
         second.prune(12)
-        await second.synced()
+        await second.sync()
         third = await reopen(file)
         assert third.open_attempts() == []
 
@@ -172,10 +172,10 @@ def test_a_grown_journal_is_compacted(monkeypatch: pytest.MonkeyPatch) -> None:
         largest = 0
         for n in range(1, 500):
             journal.accept(f"a{n}", 1, n, "work")
-            await journal.synced()
+            await journal.sync()
             journal.end(f"a{n}", 1, DONE)
             journal.prune(n - 5)
-            await journal.synced()
+            await journal.sync()
             largest = max(largest, len(file.data))
         assert largest < 8000
         assert file.replaced > 5
@@ -195,7 +195,7 @@ def test_writes_that_wait_share_one_sync() -> None:
 
         async def accept(n: int) -> None:
             journal.accept(f"a{n}", 1, n, "work")
-            await journal.synced()
+            await journal.sync()
 
         tasks = [asyncio.create_task(accept(n)) for n in range(1, 3)]
         await asyncio.sleep(0)
@@ -219,25 +219,25 @@ def test_a_disk_that_is_full_is_told_and_can_be_mended() -> None:
         file.fail = True
         journal.accept("a9", 1, 20, "work")
         with pytest.raises(JournalError, match="No space left"):
-            await journal.synced()
+            await journal.sync()
         journal.withdraw("a9", 1)
         journal.end("a2", 2, DONE)
         with pytest.raises(JournalError):
-            await journal.synced()
+            await journal.sync()
         with pytest.raises(JournalError):
             await journal.mend()
-        assert (await reopen(MemoryFile(file.data))).known("a9", 1) is None
+        assert (await reopen(MemoryFile(file.data))).find("a9", 1) is None
         file.fail = False
         await journal.mend()
-        await journal.synced()
+        await journal.sync()
         journal.accept("a10", 1, 21, "work")
-        await journal.synced()
+        await journal.sync()
         again = await reopen(file)
         assert again.is_void("a9", 1)
-        ended = again.known("a2", 2)
+        ended = again.find("a2", 2)
         assert ended is not None
         assert ended.status == "finished"
-        assert again.known("a10", 1) is not None
+        assert again.find("a10", 1) is not None
 
     run(main())
 
@@ -252,7 +252,7 @@ def test_what_was_interrupted_stays_so_through_a_compaction(monkeypatch: pytest.
         second = await reopen(file)
         assert file.replaced == before + 1
         second.prune(12)
-        await second.synced()
+        await second.sync()
         assert (await reopen(file)).open_attempts() == []
 
     run(main())
@@ -269,11 +269,11 @@ def test_the_last_record_torn_at_any_byte() -> None:
         for length in range(start, len(file.data)):
             torn = MemoryFile(file.data[:length])
             journal = await reopen(torn)
-            assert journal.known("a1", 1) is not None
+            assert journal.find("a1", 1) is not None
             # Only the whole record counts, with or without the mark of its end.
             assert journal.is_void("a3", 4) == (length >= len(file.data) - 1)
             journal.void("a8", 1, 30)
-            await journal.synced()
+            await journal.sync()
             assert (await reopen(torn)).is_void("a8", 1)
 
     run(main())
@@ -400,7 +400,7 @@ class JournalMachine(RuleBasedStateMachine):
 
     @rule(torn=st.binary(max_size=30))
     def restart(self, torn: bytes) -> None:
-        self.wait(self.journal.synced())
+        self.wait(self.journal.sync())
         self.file.data += torn.replace(b"\n", b"")
         self.journal = self.wait(reopen(self.file))
         self.accepted = {
@@ -414,7 +414,7 @@ class JournalMachine(RuleBasedStateMachine):
         self.journal.raise_epoch(self.epoch + 1)
         self.epoch += 1
         with pytest.raises(JournalError):
-            self.wait(self.journal.synced())
+            self.wait(self.journal.sync())
         self.file.fail = False
         self.wait(self.journal.mend())
 

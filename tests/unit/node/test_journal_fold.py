@@ -27,7 +27,7 @@ def memory(journal: Journal) -> Memory:
     return deepcopy(journal.memory)
 
 
-def restarted(memory: Memory) -> Memory:
+def restart(memory: Memory) -> Memory:
     """What is left of a node's memory when its process is gone."""
     after = deepcopy(memory)
     for attempt in after.attempts():
@@ -54,7 +54,7 @@ class FoldMachine(RuleBasedStateMachine):
         return [attempt for attempt in self.journal.open_attempts() if attempt.status in statuses]
 
     def sync(self) -> None:
-        self.wait(self.journal.synced())
+        self.wait(self.journal.sync())
         self.synced = memory(self.journal)
 
     # -- what changes it ---------------------------------------------------------------------
@@ -133,7 +133,7 @@ class FoldMachine(RuleBasedStateMachine):
             self.file.fail = False
             return
         with pytest.raises(JournalError):
-            self.wait(self.journal.synced())
+            self.wait(self.journal.sync())
         self.journal.withdraw(action, 3)
         self.file.fail = False
         self.wait(self.journal.mend())
@@ -158,7 +158,7 @@ class FoldMachine(RuleBasedStateMachine):
 
     def reopen(self, before: Memory) -> None:
         self.journal = self.wait(Journal.open(self.file, Counter("other")))
-        assert memory(self.journal) == restarted(before)
+        assert memory(self.journal) == restart(before)
         self.synced = memory(self.journal)
 
     def teardown(self) -> None:
@@ -175,7 +175,7 @@ TestFoldMachine.settings = settings(max_examples=60, stateful_step_count=40, dea
 
 @pytest.mark.parametrize("name", ["every_record", "compacted"])
 def test_an_older_journal_is_read_as_it_was_meant(name: str) -> None:
-    journal = Journal.of((JOURNALS / f"{name}.journal").read_bytes())
+    journal = Journal.read((JOURNALS / f"{name}.journal").read_bytes())
     assert (journal.id, journal.lab, journal.epoch) == ("j1", "lab", 1000)
     assert (journal.pruned, journal.pruned_by) == (13, 1000)
     assert {a.action: (a.attempt, a.position, a.name) for a in journal.open_attempts()} == {
@@ -194,14 +194,14 @@ def test_an_older_journal_that_could_not_be_opened_any_more_is_opened() -> None:
         file = MemoryFile((JOURNALS / "taken_up_and_pruned.journal").read_bytes())
         for _ in range(2):
             journal = await Journal.open(file, Counter("other"))
-            ended = journal.known("a1", 1)
+            ended = journal.find("a1", 1)
             assert ended is not None
             assert (ended.status, ended.handle) == ("finished", "device-8")
             assert ended.outcome == Outcome(True, "all", {"n": 1}, "", 5, 6)
             assert journal.pruned == 20
             journal._compact_at = 0
             journal.raise_epoch(journal.epoch + 1)
-            await journal.synced()
+            await journal.sync()
         journal.prune(20)
         assert journal.open_attempts() == []
 
@@ -215,11 +215,11 @@ def test_what_cannot_be_written_is_not_remembered() -> None:
         journal.accept("a1", 1, 10, "work")
         with pytest.raises(ValueError, match="surrogates"):
             journal.end("a1", 1, Outcome(False, "none", error="the device said \ud800"))
-        running = journal.known("a1", 1)
+        running = journal.find("a1", 1)
         assert running is not None
         assert running.status == "running"
-        await journal.synced()
+        await journal.sync()
         assert not journal.broken
-        assert Journal.of(file.data).memory == journal.memory
+        assert Journal.read(file.data).memory == journal.memory
 
     asyncio.run(main())

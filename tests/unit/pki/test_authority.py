@@ -114,7 +114,7 @@ def test_many_at_once_are_made_renewed_or_left_as_they_are(authority: Authority,
     clock.now += 300 * DAY
     authority.issue_all(identities)
     found = authority.members()
-    assert found.of(identities[0]) == before.entries[0]
+    assert found.find(identities[0]) == before.entries[0]
     assert {entry.identity for entry in found.admitted} == set(identities)
     assert len(found.entries) == 4
 

@@ -29,7 +29,7 @@ def elsewhere(authority: Authority, tmp_path: Path) -> ReceivedList:
     return ReceivedList(tmp_path / "bus")
 
 
-def sent(authority: Authority) -> bytes:
+def read_list(authority: Authority) -> bytes:
     return authority.members_file.read_bytes()
 
 
@@ -39,17 +39,17 @@ def test_each_list_has_the_next_number_and_is_signed(authority: Authority, elsew
     authority.issue(NODE)
     authority.revoke(authority.find("rpl/sealer"), "stolen")
     assert authority.members().number == first.number + 2
-    assert elsewhere.offer(sent(authority))
+    assert elsewhere.offer(read_list(authority))
     assert elsewhere.read() == authority.members()
     assert elsewhere.read().admitted == first.admitted
-    assert not elsewhere.offer(sent(authority)), "it has that one"
+    assert not elsewhere.offer(read_list(authority)), "it has that one"
 
 
 def test_an_older_list_is_not_taken_back(authority: Authority, elsewhere: ReceivedList) -> None:
     authority.issue(NODE)
-    older = sent(authority)
+    older = read_list(authority)
     authority.revoke(authority.find("rpl/sealer"), "stolen")
-    assert elsewhere.offer(sent(authority))
+    assert elsewhere.offer(read_list(authority))
     assert not elsewhere.offer(older)
     elsewhere.file.write_bytes(older)  # by hand
     with pytest.raises(BadInput, match="may let certificates speak that were revoked"):
@@ -59,7 +59,7 @@ def test_an_older_list_is_not_taken_back(authority: Authority, elsewhere: Receiv
     assert not elsewhere.offer(older), "the number is remembered beside it"
     # The next one is a newer one for everybody.
     authority.issue(NODE)
-    assert elsewhere.offer(sent(authority))
+    assert elsewhere.offer(read_list(authority))
     assert elsewhere.read() == authority.members()
 
 
@@ -67,7 +67,7 @@ def test_the_number_is_written_last(authority: Authority, elsewhere: ReceivedLis
     """A process that dies between the two has the newer list, and notes its number when it reads it."""
     elsewhere.read()
     authority.issue(NODE)
-    elsewhere.file.write_bytes(sent(authority))
+    elsewhere.file.write_bytes(read_list(authority))
     assert elsewhere.read().number == authority.members().number
     assert int((elsewhere.folder / NUMBER).read_text()) == authority.members().number
 
@@ -115,7 +115,7 @@ def test_lists_from_before_numbers_and_of_a_site_are_copied_by_hand(
     with pytest.raises(BadInput):
         elsewhere.offer(msgspec.json.encode(msgspec.structs.replace(unsigned, number=7)))
     # With the first signed one that ends.
-    assert elsewhere.offer(sent(authority))
+    assert elsewhere.offer(read_list(authority))
     elsewhere.file.write_bytes(msgspec.json.encode(msgspec.structs.replace(unsigned, number=7)))
     with pytest.raises(BadInput, match="not signed"):
         elsewhere.read()

@@ -89,11 +89,11 @@ class Case:
                 steps.append(step("dev"))  # needs the module, but has no labware there
             steps += self.some_carrying(here, there)
         if self.covers:
-            steps = self.uncovered(steps, route)
+            steps = self.uncover(steps, route)
         kept = self.some_holds(steps) if self.holds else ()
         return plan(*steps, name=f"w{rng.random()}", holds=kept)
 
-    def uncovered(self, steps: list[PlanStep], route: list[str]) -> list[PlanStep]:
+    def uncover(self, steps: list[PlanStep], route: list[str]) -> list[PlanStep]:
         """Take the lid off at one place, and put it back on at a later one or throw it away."""
         rng = self.rng
         off = rng.randrange(len(route))
@@ -140,7 +140,7 @@ class Case:
         lab.stock("stack", 40, "plate+lid" if self.covers else "plate")
         return lab
 
-    def submitted(self) -> Driver:
+    def submit_all(self) -> Driver:
         lab = self.lab()
         for number, what in enumerate(self.plans):
             lab.submit(what, user=("ada", "bob")[number % 2], priority=self.rng.choice([0, 0, 0, 1]))

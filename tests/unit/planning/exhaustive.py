@@ -64,7 +64,7 @@ class SmallCell:
         self.rng, self.kinds = rng, kinds
         self.places = ["s0", "s1", "dev.n" if "decks" in kinds else "s2"]
 
-    def submitted(self) -> Driver:
+    def submit_all(self) -> Driver:
         lab = Driver(
             workcell(
                 [*map(module, ("arm", "arm2", "dev", "sealer", "heat"))],
@@ -103,9 +103,9 @@ class SmallCell:
         if "holds" in self.kinds and rng.random() < 0.8:
             first = rng.randrange(len(steps))
             kept = (hold(rng.choice(["sealer", "dev", "arm"]), first, rng.randrange(first, len(steps))),)
-        return self.forked(plan(*steps, name=f"w{rng.random()}", holds=kept))
+        return self.fork(plan(*steps, name=f"w{rng.random()}", holds=kept))
 
-    def forked(self, what: Plan) -> Plan:
+    def fork(self, what: Plan) -> Plan:
         """One step may fail, and is made good by way of a place of which the rest knows nothing, or of one
         that others use."""
         carrying = [

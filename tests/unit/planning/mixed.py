@@ -119,7 +119,7 @@ class Mixed:
             for before, behind in pairwise(items):
                 behind.after.append(before)
         self.weave(items)
-        return self.finished(items)
+        return self.finish_plan(items)
 
     def chain(self, places: Sequence[str], *, lidded: bool = True) -> list[list[Item]]:
         """The way of one plate, in groups that are not torn apart."""
@@ -222,7 +222,7 @@ class Mixed:
             found[on] = hold(on, first, rng.choice(later))
         return tuple(found.values())
 
-    def finished(self, items: list[Item]) -> Plan:
+    def finish_plan(self, items: list[Item]) -> Plan:
         """The plan, and behind its steps those that stand in for one that failed."""
         rng = self.rng
         steps: list[PlanStep] = []
@@ -261,7 +261,7 @@ class Mixed:
 
     # -- labs --------------------------------------------------------------------------------
 
-    def submitted(self) -> Driver:
+    def submit_all(self) -> Driver:
         lab = Driver(self.cell)
         lab.careful = False
         lab.stock("stack", 40, "plate+lid" if self.has("covers") else "plate")

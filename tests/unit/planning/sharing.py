@@ -97,7 +97,7 @@ class Sharing:
         if mine:
             steps.append(step(self.arm(), move(mine, "trash")))
         steps = steps or [self.work(self.standing[0], {})]
-        return plan(*self.woven(steps), name=f"w{rng.random()}", holds=self.holds(steps))
+        return plan(*self.weave(steps), name=f"w{rng.random()}", holds=self.holds(steps))
 
     def arm(self) -> str:
         return self.rng.choice(["arm", "arm2"])
@@ -116,7 +116,7 @@ class Sharing:
         on = here.partition(".")[0] if "." in here else rng.choice(["cam", "dev", "heat"])
         return step(on, *effects, exclusive=rng.random() < 0.8)
 
-    def woven(self, steps: list[PlanStep]) -> list[PlanStep]:
+    def weave(self, steps: list[PlanStep]) -> list[PlanStep]:
         rng = self.rng
         if rng.random() < 0.3:  # a mode that stays as somebody has set it
             mode, at = 0, 0
@@ -141,7 +141,7 @@ class Sharing:
         first = self.rng.randrange(len(steps))
         return (hold(self.rng.choice(["dev", "cam", "arm"]), first, self.rng.randrange(first, len(steps))),)
 
-    def submitted(self) -> Driver:
+    def submit_all(self) -> Driver:
         rng = self.rng
         lab = Driver(self.cell)
         lab.careful = False

@@ -94,7 +94,7 @@ class Trial:
         floor = lay_out(self.state, CELL, actors, hopeful=False)
         return floor, next(actor for actor in actors if actor.name == self.run.id)
 
-    def moved(self) -> tuple[Floor, Actor] | None:
+    def move(self) -> tuple[Floor, Actor] | None:
         """The floor after the step; None if it is not possible there."""
         floor, mover = self.floor()
         for motion in self.safety._motions(self.state, self.run, 0):
@@ -103,7 +103,7 @@ class Trial:
             move(floor, mover, motion)
         return floor, mover
 
-    def rehearsed(self) -> bool:
+    def is_possible(self) -> bool:
         player = Player(self.state, self.run, {}, free=True)
         return Scene(self.state, CELL, 0).in_the_way(player, 0) is None
 
@@ -152,7 +152,7 @@ class Trial:
         assert not isinstance(answer, Rejection), answer
 
 
-def laid_out(floor: Floor, mover: Actor) -> dict[str, Any]:
+def describe_floor(floor: Floor, mover: Actor) -> dict[str, Any]:
     """What a floor says of places, without what is nought."""
 
     def some(table: dict[Any, int]) -> dict[Any, int]:
@@ -173,7 +173,7 @@ def standing(bench: Bench) -> Counter[tuple[str, str, bool]]:
     """Where what R1 may use stands, of which type, and whether with a lid."""
     usable = (MINE, USERS, SHARED)
     return Counter(
-        (bench.planned(item.station), item.type, bool(item.lid))
+        (bench.as_planned(item.station), item.type, bool(item.lid))
         for item in bench.labware.values()
         if item.owner in usable and item.station
     )
@@ -192,9 +192,9 @@ def disagreement(trial: Trial) -> str:
     """What they do not agree about; empty if they agree."""
     code = trial.code
     touches = any(isinstance(effect, Carrying | Needs) for effect in trial.step.effects)
-    after = trial.moved() if touches else None
+    after = trial.move() if touches else None
     faults, dry = trial.on_paper()
-    rehearsed = trial.rehearsed()
+    rehearsed = trial.is_possible()
     if code:
         known = code in OF_PLACES and trial.is_clear
         if touches and known and after is not None:
@@ -213,13 +213,13 @@ def disagreement(trial: Trial) -> str:
     if faults:
         return f"the rules let it be, and the dry run says: {faults[0]}"
     trial.carry_out()
-    flying = laid_out(*trial.floor())
+    flying = describe_floor(*trial.floor())
     trial.finish()
-    done = laid_out(*trial.floor())
+    done = describe_floor(*trial.floor())
     if flying != done:
         return f"the floor sees an action in flight as {flying}, and afterwards {done}"
-    if after is not None and laid_out(*after) != done:
-        return f"the floor moves to {laid_out(*after)}, the log to {done}"
+    if after is not None and describe_floor(*after) != done:
+        return f"the floor moves to {describe_floor(*after)}, the log to {done}"
     if on_paper(dry) != standing(trial.state.bench):
         return f"on paper {on_paper(dry)} stands there, on the bench {standing(trial.state.bench)}"
     return ""

@@ -34,7 +34,7 @@ def cell(*more: str) -> Driver:
     return lab
 
 
-def carried(*places: str) -> Plan:
+def make_carried(*places: str) -> Plan:
     """Labware goes from place to place; devices work on it."""
     steps = [step("arm", take("stack", places[0]))]
     for here, there in zip(places, [*places[1:], "trash"], strict=True):
@@ -65,82 +65,82 @@ def cause(lab: Driver, run: str) -> Cause | None:
     return account.cause(lab.run(run))
 
 
-def ended(lab: Driver) -> int:
+def count_ended(lab: Driver) -> int:
     return lab.types().count("run.completed")
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_run_bound_for_a_dead_thermocycler_leaves_the_sealer_to_the_others(seed: int) -> None:
     lab = cell()
-    lab.submit(carried("a", "sealer.nest", "tc.nest"))
+    lab.submit(make_carried("a", "sealer.nest", "tc.nest"))
     lab.pump()
     lab.finish("A1")
     lose(lab)
     for _ in range(5):
-        lab.submit(carried("b", "sealer.nest"), user="bob")
+        lab.submit(make_carried("b", "sealer.nest"), user="bob")
     lab.work(random.Random(seed))
-    assert ended(lab) == 5, lab.stuck()
+    assert count_ended(lab) == 5, lab.describe_stuck()
     assert lab.where("P1") == "a"
     ((_, wait),) = lab.scheduler.waits(lab.state, lab.run("R1"), lab.now)
     assert (wait.code, wait.names[1:]) == ("better_here", ("cell/tc",))
-    assert lab.missed() == []
+    assert lab.find_missed() == []
     assert cause(lab, "R1") == Cause("error", "node gone", "cell/tc", "operational")
 
     lab.join("tc")
-    assert lab.work(random.Random(seed)), lab.stuck()
-    assert ended(lab) == 6
+    assert lab.work(random.Random(seed)), lab.describe_stuck()
+    assert count_ended(lab) == 6
     lab.check_log()
 
 
 def test_it_waits_also_where_nobody_needs_the_sealer_yet() -> None:
     lab = cell()
-    lab.submit(carried("a", "sealer.nest", "tc.nest"))
+    lab.submit(make_carried("a", "sealer.nest", "tc.nest"))
     lab.pump()
     lose(lab)
     lab.work(random.Random(0))
     assert lab.where("P1") == "a"
-    lab.submit(carried("b", "sealer.nest"), user="bob")
+    lab.submit(make_carried("b", "sealer.nest"), user="bob")
     lab.work(random.Random(0))
-    assert ended(lab) == 1, lab.stuck()
+    assert count_ended(lab) == 1, lab.describe_stuck()
 
 
 def test_who_finds_a_free_place_behind_the_sealer_goes_on_to_it() -> None:
     lab = cell()
-    lab.submit(carried("a", "sealer.nest", "hotel", "tc.nest"))
+    lab.submit(make_carried("a", "sealer.nest", "hotel", "tc.nest"))
     lab.pump()
     lab.finish("A1")
     lose(lab)
     for _ in range(3):
-        lab.submit(carried("b", "sealer.nest"), user="bob")
+        lab.submit(make_carried("b", "sealer.nest"), user="bob")
     lab.work(random.Random(0))
-    assert (ended(lab), lab.where("P1")) == (3, "hotel")
+    assert (count_ended(lab), lab.where("P1")) == (3, "hotel")
 
 
 def test_who_is_in_the_way_where_it_is_goes_on_as_far_as_it_can() -> None:
     lab = cell()
-    lab.submit(carried("a", "sealer.nest", "tc.nest"))
+    lab.submit(make_carried("a", "sealer.nest", "tc.nest"))
     lab.pump()
     lab.finish("A1")
     lose(lab)
-    lab.submit(carried("a", "b"), user="bob")
+    lab.submit(make_carried("a", "b"), user="bob")
     lab.work(random.Random(0))
-    assert (ended(lab), lab.where("P1")) == (1, "sealer.nest")
+    assert (count_ended(lab), lab.where("P1")) == (1, "sealer.nest")
 
 
 def test_who_is_in_the_sealer_already_comes_out_of_it_if_its_way_leads_out() -> None:
     lab = cell()
-    lab.submit(carried("sealer.nest", "b", "tc.nest"))
+    lab.submit(make_carried("sealer.nest", "b", "tc.nest"))
     lab.pump()
     lab.finish("A1")
     lose(lab)
-    lab.submit(carried("a", "sealer.nest"), user="bob")
+    lab.submit(make_carried("a", "sealer.nest"), user="bob")
     lab.work(random.Random(0))
-    assert (ended(lab), lab.where("P1")) == (1, "b")
+    assert (count_ended(lab), lab.where("P1")) == (1, "b")
 
 
 def test_a_run_whose_clock_runs_goes_on_as_far_as_it_can() -> None:
     lab = cell()
-    what = carried("a", "sealer.nest", "tc.nest")
+    what = make_carried("a", "sealer.nest", "tc.nest")
     timed = msgspec.structs.replace(what.steps[2], windows=(Window(0, 0.0, 600.0),))
     lab.submit(msgspec.structs.replace(what, steps=(*what.steps[:2], timed, *what.steps[3:])))
     lab.pump()

@@ -112,7 +112,7 @@ def play(lab: Driver) -> float:
         lab.wait(max(0.0, ends[action] - lab.now / 1e9))
         lab.finish(action)
         lab.pump()
-    assert not lab.state.runs.active, lab.stuck()
+    assert not lab.state.runs.active, lab.describe_stuck()
     return (lab.now - began) / 1e9
 
 
@@ -196,22 +196,22 @@ def test_who_has_its_plate_at_the_module_stays_bound_to_it() -> None:
     assert bindings(lab) == {"R1": "a"}
     run = lab.state.runs.active[RunId("R1")]
     other = next(p for p in run.choices if p != run.plan)
-    assert lab.refused(BindAnew(run.id, other, "why not")).code == "bound"
+    assert lab.reject(BindAnew(run.id, other, "why not")).code == "bound"
 
 
 def test_no_run_with_a_choice_starts_unbound() -> None:
     lab = lab_with(600)
-    assert lab.refused(StartStep(RunId("R1"), 0, ActionId("A1"), lab.now)).code == "unbound"
-    assert lab.refused(StartStep(RunId("R1"), 0, ActionId("A1"), lab.now, "other")).code == "unbound"
+    assert lab.reject(StartStep(RunId("R1"), 0, ActionId("A1"), lab.now)).code == "unbound"
+    assert lab.reject(StartStep(RunId("R1"), 0, ActionId("A1"), lab.now, "other")).code == "unbound"
 
 
 def test_plans_to_choose_from_have_the_same_steps_and_are_not_too_many() -> None:
     lab = Driver(CELL)
     short = msgspec.structs.replace(way("b"), steps=way("b").steps[:-1])
-    assert lab.refused(SubmitRun(way("a"), "ada", others=(short,))).code == "unlike"
+    assert lab.reject(SubmitRun(way("a"), "ada", others=(short,))).code == "unlike"
     many = tuple(way("b", float(number)) for number in range(1, MOST_PLANS + 1))
-    assert lab.refused(SubmitRun(way("a"), "ada", others=many)).code == "too_many_choices"
-    assert lab.refused(SubmitRun(way("a"), "ada", others=(way("c"),))).code == "no_station"
+    assert lab.reject(SubmitRun(way("a"), "ada", others=many)).code == "too_many_choices"
+    assert lab.reject(SubmitRun(way("a"), "ada", others=(way("c"),))).code == "no_station"
 
 
 def test_what_each_choice_waits_for_is_told() -> None:
@@ -268,7 +268,7 @@ def by_other_arms(case: Case, what: Plan) -> Plan:
     return msgspec.structs.replace(what, steps=(*what.steps[:cut], *late))
 
 
-def submitted(case: Case) -> Driver:
+def submit_all(case: Case) -> Driver:
     lab = case.lab()
     for number, what in enumerate(case.plans):
         lab.submit(what, user=("ada", "bob")[number % 2], others=some_others(case, what))
@@ -280,16 +280,16 @@ def submitted(case: Case) -> Driver:
 def test_whatever_they_choose_everybody_comes_to_the_end(kind: str, seeds: range) -> None:
     for seed in seeds:
         rng = random.Random(seed)
-        lab = submitted(Case(rng, **{kind: True} if kind != "plain" else {}))
+        lab = submit_all(Case(rng, **{kind: True} if kind != "plain" else {}))
 
         def pump(lab: Driver = lab, rng: random.Random = rng) -> None:
             if rng.random() < 0.1:
                 lab.scheduler = Scheduler()
                 lab.keys.clear()
             lab.pump()
-            assert lab.missed() == [], lab.stuck()
+            assert lab.find_missed() == [], lab.describe_stuck()
 
-        assert lab.work(rng, pump), f"seed {seed}, trapped: {lab.stuck()}"
+        assert lab.work(rng, pump), f"seed {seed}, trapped: {lab.describe_stuck()}"
         assert lab.types().count("run.completed") == lab.state.runs.named
         assert lab.state.runs.plans == {}
         lab.check_log()
@@ -303,7 +303,7 @@ def test_nobody_is_trapped_when_modules_fail_and_come_back(kind: str, seeds: ran
     for seed in seeds:
         rng = random.Random(seed)
         case = Case(rng, **{kind: True} if kind != "plain" else {})
-        lab = submitted(case)
+        lab = submit_all(case)
         lab.pump()
         for _ in range(60):
             name = rng.choice([*case.arms, "dev"])
@@ -316,7 +316,7 @@ def test_nobody_is_trapped_when_modules_fail_and_come_back(kind: str, seeds: ran
                 lab.pump()
         for name in [*case.arms, "dev"]:
             break_down(lab, name, "IDLE")
-        assert lab.work(rng), f"seed {seed}, trapped: {lab.stuck()}"
+        assert lab.work(rng), f"seed {seed}, trapped: {lab.describe_stuck()}"
         anew += sum(isinstance(e.event, RunBound) and bool(e.event.why) for e in lab.log)
         lab.check_log()
     assert anew or len(seeds) < 50

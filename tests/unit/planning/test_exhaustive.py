@@ -20,11 +20,11 @@ KINDS = (
 )
 
 
-def counted(seeds: Iterable[int]) -> Count:
+def count_all(seeds: Iterable[int]) -> Count:
     total = Count()
     for seed in seeds:
         kinds = KINDS[seed % len(KINDS)]
-        count = Explored(SmallCell(random.Random(seed), *kinds).submitted()).count()
+        count = Explored(SmallCell(random.Random(seed), *kinds).submit_all()).count()
         assert not count.unsafe_allowed, (seed, kinds, count)
         assert not count.dead_ends, (seed, kinds, count)
         total = total.with_(count)
@@ -33,7 +33,7 @@ def counted(seeds: Iterable[int]) -> Count:
 
 @pytest.mark.slow
 def test_no_start_that_safety_allows_takes_away_anybodys_way_to_the_end() -> None:
-    count = counted(range(18))
+    count = count_all(range(18))
     assert count.safe_refused < 0.02 * count.asked, count
 
 
@@ -46,7 +46,7 @@ def test_there_is_no_dead_end_where_two_cross_and_one_keeps_a_module(first: int)
 @pytest.mark.full
 @pytest.mark.timeout(7200)
 def test_no_start_is_unsafe_in_any_state_of_600_small_workcells(capsys: pytest.CaptureFixture[str]) -> None:
-    count = counted(range(600))
+    count = count_all(range(600))
     with capsys.disabled():
         share = 100 * count.safe_refused / count.asked
         print(f"\n{count}: {share:.2f} % of what was asked was refused though it is safe")

@@ -72,7 +72,7 @@ def test_whatever_a_crowded_cell_waits_for_is_explained() -> None:
     seen: set[str] = set()
     for seed in range(30):
         rng = random.Random(seed)
-        lab = Case(rng).submitted()
+        lab = Case(rng).submit_all()
 
         def look(lab: Driver = lab) -> None:
             lab.pump()

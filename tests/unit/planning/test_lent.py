@@ -34,7 +34,7 @@ from tests.unit.planning.exhaustive import Count, Explored
 from tests.unit.planning.sharing import Sharing
 
 
-def thrown_away() -> Plan:
+def throw_away() -> Plan:
     """A plate of its own, and the one at ``a``, into the waste."""
     return plan(
         step("arm", take("stack", "b")),
@@ -44,7 +44,7 @@ def thrown_away() -> Plan:
     )
 
 
-def looked_at(place: str = "a", times: int = 2) -> Plan:
+def look_at(place: str = "a", times: int = 2) -> Plan:
     return plan(*[step("cam", needs(place))] * times, name="looks")
 
 
@@ -59,7 +59,7 @@ def lab_with(place: str = "a", labware: str = "plate") -> Driver:
 
 def test_what_a_run_only_works_on_is_lent_to_it_and_is_everybodys_again_at_its_end() -> None:
     lab = lab_with()
-    run = lab.submit(looked_at())
+    run = lab.submit(look_at())
     lab.step(run)
     assert lab.owner("P1") == f"run:{run}"
     assert lab.state.bench.labware[LabwareId("P1")].lender == "shared"
@@ -87,7 +87,7 @@ def test_what_a_run_changes_or_carries_is_its_users(effects: tuple, at_once: boo
 
 def test_the_lid_of_a_plate_is_lent_with_it() -> None:
     lab = lab_with(labware="plate+lid")
-    run = lab.submit(looked_at())
+    run = lab.submit(look_at())
     lab.step(run)
     assert {i.owner for i in lab.state.bench.labware.values()} == {f"run:{run}"}
     lab.step(run, 1)
@@ -98,7 +98,7 @@ def test_what_an_experiment_has_lent_to_its_run_is_the_experiments_again() -> No
     lab = lab_with()
     experiment = lab.experiment(user="bob")
     lab.do(HandOver(LabwareId("P1"), Owner(f"experiment:{experiment}"), "labos"))
-    run = lab.submit(looked_at(), user="bob", experiment=experiment)
+    run = lab.submit(look_at(), user="bob", experiment=experiment)
     lab.step(run)
     lab.step(run, 1)
     assert lab.owner("P1") == f"experiment:{experiment}"
@@ -109,7 +109,7 @@ def test_what_an_experiment_has_lent_to_its_run_is_the_experiments_again() -> No
 
 def test_a_run_that_fails_left_nothing_that_was_lent_to_it() -> None:
     lab = lab_with()
-    run = lab.submit(looked_at())
+    run = lab.submit(look_at())
     lab.step(run)
     lab.fail(lab.start(run, 1), "none")
     lab.answer(lab.question("failed_step"), "fail") if lab.questions("failed_step") else None
@@ -119,7 +119,7 @@ def test_a_run_that_fails_left_nothing_that_was_lent_to_it() -> None:
 
 def test_who_needs_what_is_lent_waits_for_the_end_of_that_run_and_for_nobody() -> None:
     lab = lab_with()
-    first, second = lab.submit(looked_at()), lab.submit(looked_at(), user="bob")
+    first, second = lab.submit(look_at()), lab.submit(look_at(), user="bob")
     lab.step(first)
     found = lab.judge(second)
     assert isinstance(found, Wait)
@@ -153,16 +153,16 @@ def test_of_several_plates_a_run_works_on_its_own() -> None:
 def test_who_needs_shared_labware_traps_nobody_who_throws_it_away(restarts: bool) -> None:
     """Both are let in; the one that needs the plate where it stands comes first."""
     lab = lab_with()
-    throws = lab.submit(thrown_away(), user="bob")
+    throws = lab.submit(throw_away(), user="bob")
     lab.pump()
-    lab.submit(looked_at(), user="ada")
+    lab.submit(look_at(), user="ada")
 
     def pump() -> None:
         if restarts:
             lab.scheduler = Scheduler()
         lab.pump()
 
-    assert lab.work(random.Random(1), pump), lab.stuck()
+    assert lab.work(random.Random(1), pump), lab.describe_stuck()
     assert lab.types().count("run.completed") == 2
     assert throws not in lab.state.runs.active
     lab.check_log()
@@ -171,24 +171,24 @@ def test_who_needs_shared_labware_traps_nobody_who_throws_it_away(restarts: bool
 def test_what_a_run_inside_will_need_is_not_thrown_away() -> None:
     lab = lab_with()
     looks = lab.submit(
-        plan(step("arm", take("stack", "b")), *looked_at().steps, step("arm", move("b", "trash")))
+        plan(step("arm", take("stack", "b")), *look_at().steps, step("arm", move("b", "trash")))
     )
     throws = lab.submit(plan(step("arm2", move("a", "trash"))), user="bob")
     lab.start(looks)
     safety = lab.scheduler.safety
     assert safety.traps(lab.state, lab.run(throws), 0, only_asking=True) == [looks]
-    assert lab.work(random.Random(0)), lab.stuck()
+    assert lab.work(random.Random(0)), lab.describe_stuck()
 
 
 def test_who_needs_what_is_not_there_is_not_let_in_and_says_what_is_missing() -> None:
     lab = small()
-    run = lab.submit(plan(step("dev"), *looked_at("cam.nest").steps))
+    run = lab.submit(plan(step("dev"), *look_at("cam.nest").steps))
     assert lab.pump() == []
     ((_, wait),) = lab.scheduler.waits(lab.state, lab.run(run), lab.now)
     told = explain_wait(lab.scheduler.safety, lab.state, lab.run(run), wait)
     assert told.endswith("finds nothing that it may use at cam.nest"), told
     lab.stock("cam.nest", 1)
-    assert lab.work(random.Random(0)), lab.stuck()
+    assert lab.work(random.Random(0)), lab.describe_stuck()
 
 
 def test_who_needs_a_plate_that_is_sealed_is_not_let_in_before_it_is_not() -> None:
@@ -202,7 +202,7 @@ def test_who_needs_a_plate_that_is_sealed_is_not_let_in_before_it_is_not() -> No
     assert lab.pump() == []
     assert lab.scheduler.waits(lab.state, lab.run(run), lab.now)[0][1].code == "unfit"
     peels = lab.submit(plan(step("dev", needs("a"), sets("sealed", False, "labware"))))
-    assert lab.work(random.Random(0)), lab.stuck()
+    assert lab.work(random.Random(0)), lab.describe_stuck()
     assert {run, peels}.isdisjoint(lab.state.runs.active)
 
 
@@ -219,7 +219,7 @@ def modes(*wanted: int) -> Driver:
 def test_nobody_sets_a_variable_otherwise_that_another_still_needs(wanted: tuple[int, ...]) -> None:
     for seed in range(10):
         lab = modes(*wanted)
-        assert lab.work(random.Random(seed)), (seed, lab.stuck())
+        assert lab.work(random.Random(seed)), (seed, lab.describe_stuck())
 
 
 def test_who_needs_a_variable_that_nobody_will_set_says_so() -> None:
@@ -235,30 +235,30 @@ def test_who_needs_a_variable_that_nobody_will_set_says_so() -> None:
 # -- by seeds ------------------------------------------------------------------------------------
 
 
-def trapped(seed: int) -> str:
+def find_trapped(seed: int) -> str:
     """Who cannot go on of those inside at the end of a lab; empty if nobody."""
     rng = random.Random(seed)
-    lab = Sharing(rng).submitted()
+    lab = Sharing(rng).submit_all()
 
     def pump() -> None:
         if rng.random() < 0.1:  # planning has forgotten all that it knew
             lab.scheduler = Scheduler()
             lab.keys.clear()
         lab.pump()
-        assert lab.missed() == [], (seed, lab.stuck())
+        assert lab.find_missed() == [], (seed, lab.describe_stuck())
 
     lab.work(rng, pump)
-    return f"seed {seed}: {lab.stuck()}" if lab.state.runs.active else ""
+    return f"seed {seed}: {lab.describe_stuck()}" if lab.state.runs.active else ""
 
 
-def found(seeds: Iterable[int]) -> list[str]:
-    return [who for who in map(trapped, seeds) if who]
+def find_all_trapped(seeds: Iterable[int]) -> list[str]:
+    return [who for who in map(find_trapped, seeds) if who]
 
 
-def counted(seeds: Iterable[int]) -> Count:
+def count_all(seeds: Iterable[int]) -> Count:
     total = Count()
     for seed in seeds:
-        count = Explored(Sharing(random.Random(seed), 2 + seed % 2).submitted()).count()
+        count = Explored(Sharing(random.Random(seed), 2 + seed % 2).submit_all()).count()
         assert not count.unsafe_allowed, (seed, count)
         assert not count.dead_ends, (seed, count)
         total = total.with_(count)
@@ -266,41 +266,41 @@ def counted(seeds: Iterable[int]) -> Count:
 
 
 def test_nobody_inside_is_trapped_where_labware_is_shared() -> None:
-    assert found(range(40)) == []
+    assert find_all_trapped(range(40)) == []
 
 
 def test_who_does_not_look_at_what_runs_need_traps_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labos.planning.paths._needs", lambda *_: ())
-    assert len(found(range(20))) > 4
+    assert len(find_all_trapped(range(20))) > 4
 
 
 def test_who_does_not_look_at_what_modules_are_set_to_traps_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labos.planning.paths._without_rest", lambda *_: ())
-    assert found(range(40))
+    assert find_all_trapped(range(40))
 
 
 def test_who_lets_runs_in_to_labware_that_is_not_as_they_need_it_traps_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("labos.planning.stuck._unlike", lambda *_: None)
-    assert found((0, 206, 214, 484))
+    assert find_all_trapped((0, 206, 214, 484))
 
 
 def test_no_start_is_unsafe_in_any_state_where_labware_is_shared() -> None:
-    count = counted(range(20))
+    count = count_all(range(20))
     assert count.safe_refused < 0.05 * count.asked, count
 
 
 @pytest.mark.full
 @pytest.mark.timeout(7200)
 def test_nobody_inside_is_trapped_in_10_000_labs() -> None:
-    assert found(range(10_000)) == []
+    assert find_all_trapped(range(10_000)) == []
 
 
 @pytest.mark.full
 @pytest.mark.timeout(7200)
 def test_no_start_is_unsafe_in_any_state_of_1000_small_workcells(capsys: pytest.CaptureFixture[str]) -> None:
-    count = counted(range(1000))
+    count = count_all(range(1000))
     with capsys.disabled():
         share = 100 * count.safe_refused / count.asked
         print(f"\n{count}: {share:.2f} % of what was asked was refused though it is safe")

@@ -11,16 +11,16 @@ CELL = workcell([module("dev"), module("arm")], [station("stack", "stack", 40), 
 HOUR = 3600.0
 
 
-def learned(pauses: list[float]) -> tuple[Newcomers, int]:
+def learn_pauses(pauses: list[float]) -> tuple[Newcomers, int]:
     """What is known of runs that came after such pauses (s), and when the last one came."""
     lab = Driver(CELL)
     for number, pause in enumerate(pauses):
         lab.wait(pause)
         lab.submit(plan(step("dev"), name=f"w{number % 3}"), user=("ada", "bob")[number % 2])
-    return told(lab), lab.now
+    return learn_from(lab), lab.now
 
 
-def told(lab: Driver) -> Newcomers:
+def learn_from(lab: Driver) -> Newcomers:
     history = SubmissionHistory()
     for entry in lab.log:
         history.learn(entry.event, entry.at)
@@ -29,12 +29,12 @@ def told(lab: Driver) -> Newcomers:
 
 def test_who_comes_in_fours_comes_so_again() -> None:
     pauses = [8 * HOUR, 1.0, 1.0, 1.0] * 6
-    known, now = learned([*pauses, 8 * HOUR, 1.0])
+    known, now = learn_pauses([*pauses, 8 * HOUR, 1.0])
     for play in range(20):
         come = known.draw(now, lambda word, play=play: draw(f"{play}/{word}"))  # type: ignore[misc]
         soon = [at for at, _ in come if at < now + HOUR * SECOND]
         assert len(soon) == 2, "two of this batch are missing"
-    known, now = learned(pauses)
+    known, now = learn_pauses(pauses)
     come = known.draw(now, lambda word: draw(word))
     assert come[0][0] == now + int(8 * HOUR) * SECOND
     assert len(come) == MOST
@@ -42,12 +42,12 @@ def test_who_comes_in_fours_comes_so_again() -> None:
 
 
 def test_of_few_nothing_is_expected() -> None:
-    known, now = learned([60.0] * ENOUGH)
+    known, now = learn_pauses([60.0] * ENOUGH)
     assert known.draw(now, draw) == []
 
 
 def test_when_nobody_has_come_for_longer_than_ever_nobody_is_expected() -> None:
-    known, now = learned([60.0] * 20)
+    known, now = learn_pauses([60.0] * 20)
     assert known.draw(now + 30 * SECOND, draw)[0][0] == now + 60 * SECOND
     assert known.draw(now + 61 * SECOND, draw) == []
 
@@ -59,4 +59,4 @@ def test_runs_of_experiments_come_with_them_and_not_by_themselves() -> None:
     for _ in range(12):
         lab.wait(60.0)
         lab.submit(route("stack", "a"), experiment=ExperimentId(home))
-    assert told(lab) == Newcomers()
+    assert learn_from(lab) == Newcomers()

@@ -25,7 +25,7 @@ OLD = plan(step("cam"), step("dev"), name="old")
 YOUNG = plan(step("dev"), name="young")
 
 
-def overtaken_by(lab: Driver, old: RunId, rounds: int, priority: int = 9) -> int:
+def count_overtaken(lab: Driver, old: RunId, rounds: int, priority: int = 9) -> int:
     """How many younger runs start on ``dev`` while the old one waits for it; there are always two more."""
     before = 0
     for _ in range(rounds):
@@ -54,7 +54,7 @@ def inside(lab: Driver) -> RunId:
 def test_who_is_inside_is_overtaken_so_often_and_no_more() -> None:
     lab = small()
     old = inside(lab)
-    assert overtaken_by(lab, old, rounds=60) <= PATIENCE
+    assert count_overtaken(lab, old, rounds=60) <= PATIENCE
 
 
 def test_priority_goes_first_until_then() -> None:
@@ -152,7 +152,7 @@ def test_a_workflow_stays_in_its_workcell() -> None:
     lab = Driver(small_cell())
     lab.furnish(elsewhere("other", small_cell()))
     for far in (step("other/cam"), step("arm", move("a", "other/b"))):
-        refusal = lab.refused(SubmitRun(plan(step("cam"), far), "ada"))
+        refusal = lab.reject(SubmitRun(plan(step("cam"), far), "ada"))
         assert refusal.code == "other_workcell"
         assert "other/" in refusal.message
 
@@ -160,7 +160,7 @@ def test_a_workflow_stays_in_its_workcell() -> None:
 def test_what_happens_in_one_workcell_is_looked_at_in_no_other() -> None:
     """The end of a run looks at every wait of its workcell anew, and at no other's."""
 
-    def looked_at(cells: int) -> int:
+    def count_looks(cells: int) -> int:
         lab = Driver(small_cell())
         for number in range(1, cells):
             lab.furnish(elsewhere(f"cell{number}", small_cell()))
@@ -177,4 +177,4 @@ def test_what_happens_in_one_workcell_is_looked_at_in_no_other() -> None:
         assert everything_in("cell") not in lab.keys
         return lab.scheduler.evaluations - before
 
-    assert looked_at(5) == looked_at(1)
+    assert count_looks(5) == count_looks(1)

@@ -16,7 +16,7 @@ from labos.planner.problem import Problem, problem_of
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import waiting_in
 from tests.support.bench import SECOND, Driver, plan, step
-from tests.unit.planning.test_suggested import CELL, made, suggest, visit
+from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
 
 
 def cut(name: str) -> Plan:
@@ -84,7 +84,7 @@ def test_nothing_is_changed_by_looking() -> None:
 
 @pytest.mark.parametrize(("level", "took_s"), [(0.0, 60.0), (0.5, 80.0), (1.0, 100.0)])
 def test_durations_are_those_of_a_quantile_of_the_last_times(level: float, took_s: float) -> None:
-    lab, (run, _) = made(visit("dev"), visit("other"))
+    lab, (run, _) = make_lab(visit("dev"), visit("other"))
     work = lab.state.runs.plan_of(lab.run(run)).steps[2]
     times = lab.state.lengths.by_kind[kind_of(work)] = Times()
     for seconds in (80, 60, 100):

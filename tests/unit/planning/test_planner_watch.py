@@ -7,7 +7,7 @@ from labos.core.suggestions import Suggested
 from labos.planner.problem import problem_of
 from labos.planner.watch import DRIFT_S, MOST_DOUBLINGS, Watch, waiting_in
 from tests.support.bench import Driver
-from tests.unit.planning.test_suggested import made, visit
+from tests.unit.planning.test_suggested import make_lab, visit
 
 
 def look(watch: Watch, lab: Driver) -> bool:
@@ -21,7 +21,7 @@ def look(watch: Watch, lab: Driver) -> bool:
 
 
 def test_it_looks_when_runs_come_and_not_without_a_reason() -> None:
-    lab, _ = made(visit("dev"), visit("other"))
+    lab, _ = make_lab(visit("dev"), visit("other"))
     watch = Watch()
     assert look(watch, lab)
     assert not look(watch, lab)
@@ -30,7 +30,7 @@ def test_it_looks_when_runs_come_and_not_without_a_reason() -> None:
 
 
 def test_what_stands_still_over_night_is_looked_at_ever_more_seldom() -> None:
-    lab, _ = made(visit("dev"), visit("other"))
+    lab, _ = make_lab(visit("dev"), visit("other"))
     watch = Watch()
     looks = 0
     for _ in range(12 * 3600 // 30):
@@ -43,7 +43,7 @@ def test_what_stands_still_over_night_is_looked_at_ever_more_seldom() -> None:
 
 
 def test_a_problem_has_the_steps_to_come_with_what_they_take() -> None:
-    lab, (first, second) = made(visit("dev"), visit("other"))
+    lab, (first, second) = make_lab(visit("dev"), visit("other"))
     problem = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
     steps = [(task.run, task.step) for task in problem.tasks]
     assert steps[1:] == [(run, step) for run in (first, second) for step in range(4)]

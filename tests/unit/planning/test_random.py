@@ -24,13 +24,13 @@ FEW, MANY = 12, 120
 def work(rng: random.Random, **kinds: bool) -> Driver:
     """Work a case through; whatever is started must be legal (``pump`` raises else), and after
     each round nothing may be left that a scheduler without memory would start."""
-    lab = Case(rng, **kinds).submitted()
+    lab = Case(rng, **kinds).submit_all()
 
     def pump() -> None:
         lab.pump()
-        assert lab.missed() == [], lab.stuck()
+        assert lab.find_missed() == [], lab.describe_stuck()
 
-    assert lab.work(rng, pump), f"trapped: {lab.stuck()}"
+    assert lab.work(rng, pump), f"trapped: {lab.describe_stuck()}"
     lab.check_log()
     return lab
 
@@ -53,19 +53,19 @@ def test_nobody_inside_is_trapped_by_what_comes_to_rest_or_by_a_restart(seeds: r
     trapped_by_rule = 0
     for seed in seeds:
         rng = random.Random(seed)
-        lab = Case(rng, stays=0.3).submitted()
+        lab = Case(rng, stays=0.3).submit_all()
 
         def pump(lab: Driver = lab, rng: random.Random = rng) -> None:
             if rng.random() < 0.15:
                 lab.scheduler = Scheduler()
                 lab.keys.clear()
             lab.pump()
-            assert lab.missed() == [], lab.stuck()
+            assert lab.find_missed() == [], lab.describe_stuck()
 
         lab.work(rng, pump)
-        assert not lab.state.runs.active, f"seed {seed}, trapped: {lab.stuck()}"
+        assert not lab.state.runs.active, f"seed {seed}, trapped: {lab.describe_stuck()}"
         rng = random.Random(seed)
-        bare = Case(rng, stays=0.3).submitted()
+        bare = Case(rng, stays=0.3).submit_all()
         bare.work(rng, bare.pump_by_rule)
         trapped_by_rule += bool(bare.state.runs.active)
     assert trapped_by_rule > len(seeds) // 4
@@ -90,9 +90,9 @@ def test_in_two_workcells_everybody_is_woken(seed: int) -> None:
 
     def pump() -> None:
         lab.pump()
-        assert lab.missed() == [], lab.stuck()
+        assert lab.find_missed() == [], lab.describe_stuck()
 
-    assert lab.work(rng, pump), f"trapped: {lab.stuck()}"
+    assert lab.work(rng, pump), f"trapped: {lab.describe_stuck()}"
     lab.end(experiment)
     lab.check_log()
 
@@ -108,7 +108,7 @@ def test_by_the_papers_rule_alone_many_of_the_same_cases_deadlock(capsys: pytest
     trapped = 0
     for seed in range(MANY):
         rng = random.Random(seed)
-        lab = Case(rng).submitted()
+        lab = Case(rng).submit_all()
         trapped += not lab.work(rng, lab.pump_by_rule)
     with capsys.disabled():
         print(f"\nbare rule: {trapped} of {MANY} cases deadlock; with the safety check: none")
@@ -123,12 +123,12 @@ class Day(Chaos):
         self.lab.pump_by_rule = lambda: None  # type: ignore[method-assign]
         pump = self.lab.pump
 
-        def watched(limit: int = 10_000) -> list[str]:
+        def watch_pump(limit: int = 10_000) -> list[str]:
             started = pump(limit)
-            assert self.lab.missed() == [], (self.lab.stuck(), self.lab.types()[-8:])
+            assert self.lab.find_missed() == [], (self.lab.describe_stuck(), self.lab.types()[-8:])
             return started
 
-        self.lab.pump = watched  # type: ignore[method-assign]
+        self.lab.pump = watch_pump  # type: ignore[method-assign]
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -151,20 +151,20 @@ def test_after_somebody_has_reached_in_everybody_goes_on(seeds: range) -> None:
     granted = 0
     for seed in seeds:
         rng = random.Random(seed)
-        lab = Case(rng, lids=seed % 2 == 0).submitted()
+        lab = Case(rng, lids=seed % 2 == 0).submit_all()
 
         def pump(lab: Driver = lab, rng: random.Random = rng) -> None:
             if rng.random() < 0.2 and not lab.state.lab.access:
                 lab.do(RequestAccess(CELL, "ada"))
             started = lab.pump()
             assert not (started and lab.state.lab.access), started
-            assert lab.missed() == [], lab.stuck()
+            assert lab.find_missed() == [], lab.describe_stuck()
             if lab.state.lab.access and not lab.flying():
                 lab.do(EndAccess(CELL, "ada"))
                 lab.pump()
-                assert lab.missed() == [], lab.stuck()
+                assert lab.find_missed() == [], lab.describe_stuck()
 
-        assert lab.work(rng, pump), f"seed {seed}, trapped: {lab.stuck()}"
+        assert lab.work(rng, pump), f"seed {seed}, trapped: {lab.describe_stuck()}"
         granted += lab.types().count("workcell.access_granted")
         lab.check_log()
     assert granted > len(seeds)

@@ -53,10 +53,10 @@ def test_whoever_is_refilled_goes_on_and_everybody_completes() -> None:
 
         def pump(lab: Driver = lab) -> None:
             lab.pump()
-            assert lab.missed() == [], lab.stuck()
+            assert lab.find_missed() == [], lab.describe_stuck()
 
         while not lab.work(rng, pump):
-            assert refill(rng, lab), f"seed {seed}, trapped: {lab.stuck()}"
+            assert refill(rng, lab), f"seed {seed}, trapped: {lab.describe_stuck()}"
             refills += 1
         assert lab.types().count("run.completed") == lab.state.runs.named
         assert all(level.level >= 0 for level in lab.state.resources.levels.values())

@@ -112,7 +112,7 @@ def test_the_wait_ends_with_the_step_that_it_was_for() -> None:
     assert lab.pump() == ["R1#1"]
     lab.finish(lab.flying()[0])
     assert lab.pump() == ["R2#0"]
-    assert lab.missed() == []
+    assert lab.find_missed() == []
 
 
 def test_nothing_is_held_after_the_deadline() -> None:
@@ -196,7 +196,7 @@ def test_a_wait_on_the_way_counts() -> None:
 # -- labware that would stay -----------------------------------------------------------------------
 
 
-def carried_to(place: str) -> Plan:
+def make_carried_to(place: str) -> Plan:
     """A run whose plate has to be at a place within 100 s."""
     return plan(
         step("dev"),
@@ -208,7 +208,7 @@ def carried_to(place: str) -> Plan:
 @pytest.mark.parametrize(("between", "stopped"), [(60.0, ""), (95.0, "reserved")])
 def test_labware_counts_until_its_run_carries_it_away(between: float, stopped: str) -> None:
     lab = small()
-    waiting(lab, carried_to("b"))
+    waiting(lab, make_carried_to("b"))
     guest = plan(
         step("arm2", take("stack", "b")), step("cam", duration_s=between), step("arm2", move("b", "trash"))
     )
@@ -217,14 +217,14 @@ def test_labware_counts_until_its_run_carries_it_away(between: float, stopped: s
 
 def test_labware_that_comes_to_rest_where_somebody_has_to_be_stays_away() -> None:
     lab = small()
-    waiting(lab, carried_to("b"))
+    waiting(lab, make_carried_to("b"))
     assert code(lab, lab.submit(plan(step("arm2", take("stack", "b"))))) == "reserved"
     assert code(lab, lab.submit(plan(step("arm2", take("stack", "c"))))) == ""
 
 
 def test_where_there_is_room_for_more_nobody_waits() -> None:
     lab = small()
-    waiting(lab, carried_to("hotel"))
+    waiting(lab, make_carried_to("hotel"))
     for expected in ("", "", "reserved"):
         run = lab.submit(plan(step("arm2", take("stack", "hotel"))))
         assert code(lab, run) == expected
@@ -606,7 +606,7 @@ def test_reservations_cost_nothing_for_those_who_queue() -> None:
 # -- nobody stands still ---------------------------------------------------------------------------
 
 
-def hurried(rng: random.Random, case: Case) -> None:
+def give_windows(rng: random.Random, case: Case) -> None:
     """Give about half of the plans a window, some of them one that cannot be kept."""
 
     def with_window(what: Plan) -> Plan:
@@ -627,7 +627,7 @@ def live(rng: random.Random, lab: Driver) -> None:
     stands still only because of reservations."""
     for _ in range(3000):
         lab.pump()
-        assert lab.missed() == [], lab.stuck()
+        assert lab.find_missed() == [], lab.describe_stuck()
         flying = lab.flying()
         if flying:
             action = lab.state.actions.open[rng.choice(flying)]
@@ -639,11 +639,13 @@ def live(rng: random.Random, lab: Driver) -> None:
         if not runs:
             return
         codes = {w.code for run in runs for _, w in lab.scheduler.waits(lab.state, run, lab.now)}
-        assert "too_early" in codes or not codes & {"reserved", "not_in_time"}, f"{codes} {lab.stuck()}"
+        assert "too_early" in codes or not codes & {"reserved", "not_in_time"}, (
+            f"{codes} {lab.describe_stuck()}"
+        )
         alarm = lab.scheduler.next_deadline(lab.state)
-        assert alarm is not None, f"trapped: {lab.stuck()}"
+        assert alarm is not None, f"trapped: {lab.describe_stuck()}"
         lab.now = max(lab.now, alarm)
-    raise AssertionError(f"the lab does not come to rest: {lab.stuck()}")
+    raise AssertionError(f"the lab does not come to rest: {lab.describe_stuck()}")
 
 
 @pytest.mark.parametrize("how", ["", "lids", "holds"])
@@ -653,8 +655,8 @@ def test_nobody_stands_still_because_of_reservations(how: str) -> None:
     for seed in range(40):
         rng = random.Random(seed)
         case = Case(rng, lids=how == "lids", holds=how == "holds")
-        hurried(rng, case)
-        lab = case.submitted()
+        give_windows(rng, case)
+        lab = case.submit_all()
         lab.careful = False
         live(rng, lab)
         assert not lab.state.runs.active, f"seed {seed}"

@@ -34,7 +34,7 @@ def test_a_zone_is_kept_for_the_arm_that_has_to_be_there_in_time() -> None:
     assert lab.pump() == ["R1#1"]
     lab.finish(lab.flying()[0])
     assert lab.pump() == [f"{run}#0"]
-    assert lab.missed() == []
+    assert lab.find_missed() == []
 
 
 def test_a_clock_is_not_started_while_another_arm_stays_in_the_zone() -> None:

@@ -77,7 +77,7 @@ def test_routes_that_come_back_to_where_they_were(seed: int) -> None:
         lab.submit(
             route("stack", "hub", ("u", "v")[number % 2], "hub", "trash", arm=("arm", "arm2")[number % 2])
         )
-    assert works(lab, seed), lab.stuck()
+    assert works(lab, seed), lab.describe_stuck()
 
 
 def test_a_run_that_could_never_come_out_is_not_let_in() -> None:
@@ -116,7 +116,7 @@ def test_who_does_not_know_how_a_motion_ended_is_hoped_to_go_on() -> None:
 CROSSING = (route("stack", "a", "b", "trash"), route("stack", "b", "c", "a", "trash", arm="arm2"))
 
 
-def crossed() -> Driver:
+def make_crossed() -> Driver:
     """R1 at a wants b; R2 at b wants c and then a: neither can finish alone, both can together."""
     lab = nests("a", "b", "c")
     lab.submit(CROSSING[0])
@@ -138,13 +138,13 @@ def test_orders_that_greed_misses_are_found() -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_a_crossing_is_got_through(seed: int) -> None:
-    lab = crossed()
-    assert works(lab, seed), lab.stuck()
+    lab = make_crossed()
+    assert works(lab, seed), lab.describe_stuck()
 
 
 def test_who_can_finish_only_together_is_protected_too() -> None:
     """A third one at c, on its way to a, would close the circle."""
-    lab = crossed()
+    lab = make_crossed()
     lab.finish("A2")
     lab.keys.clear()
     third = lab.submit(route("stack", "c", "a", "trash"))
@@ -152,7 +152,7 @@ def test_who_can_finish_only_together_is_protected_too() -> None:
         assert {"R1", "R2"} & set(judge.traps(lab.state, lab.run(third), 0, only_asking=True))
     harmless = lab.submit(route("stack", "c", "trash"))
     assert Safety().traps(lab.state, lab.run(harmless), 0) == []
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -165,11 +165,11 @@ def test_who_stays_at_its_end_goes_last(seed: int) -> None:
     assert list(lab.state.runs.active) == [stays, passes]
     lab.finish("A1")
     lab.scheduler = Scheduler()  # as after a restart: nothing is remembered
-    assert works(lab, seed), lab.stuck()
+    assert works(lab, seed), lab.describe_stuck()
 
 
 def test_the_next_motion_of_a_witness_needs_no_new_search() -> None:
-    lab = crossed()
+    lab = make_crossed()
     lab.finish("A2")
     safety = Safety()
     ways = [s for s in ("R1#1", "R2#1") if not safety.traps(lab.state, lab.run(s[:2]), 1, only_asking=True)]
@@ -193,7 +193,7 @@ def test_a_plate_that_a_person_puts_in_the_way_does_not_freeze_the_others() -> N
     lab.stock("b", 1)
     lab.submit(route("stack", "c", "trash"), user="eve")
     assert lab.pump() == ["R2#0"]
-    assert lab.missed() == []
+    assert lab.find_missed() == []
 
 
 def test_a_stack_that_is_emptied_by_hand_does_not_freeze_the_others() -> None:
@@ -230,7 +230,7 @@ def test_who_is_stuck_is_an_obstacle_and_freezes_nobody_else(how: str) -> None:
         lab.submit(route("stack", "c", "d", "trash", arm=arm), user="bob")
     works(lab)
     left = {*lab.state.runs.active, *lab.state.runs.queued}
-    assert left <= {stuck}, lab.stuck()
+    assert left <= {stuck}, lab.describe_stuck()
 
 
 def test_nobody_is_let_in_who_needs_what_is_dead() -> None:
@@ -256,7 +256,7 @@ def test_who_is_free_again_finds_its_way_open() -> None:
         lab.submit(route("stack", "c", "b", "trash", arm="arm2"))
     works(lab)
     lab.do(ResumeRun(first))
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 def test_a_cancelled_run_leaves_its_plate_and_the_others_go_on() -> None:
@@ -288,7 +288,7 @@ def test_decks_with_one_holder(seed: int) -> None:
     for number in range(5):
         there, back = ("p.1", "q.1") if number % 2 else ("q.2", "p.2")
         lab.submit(route("stack", there, back, "trash", arm=("arm", "arm2")[number % 2]), user=f"u{number}")
-    assert works(lab, seed), lab.stuck()
+    assert works(lab, seed), lab.describe_stuck()
 
 
 def test_a_waste_that_would_be_full_lets_nobody_in() -> None:
@@ -305,7 +305,7 @@ def test_a_regrip_station_is_passed_through_one_by_one() -> None:
         there = ("a", "b")[number % 2]
         arm = ("arm", "arm2")[number % 2]
         lab.submit(plan(step(arm, take("stack", there)), step(arm, move(there, "hotel", via="regrip"))))
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 # -- experiments -----------------------------------------------------------------------------------
@@ -321,7 +321,7 @@ def test_what_experiments_park_can_always_be_cleared_away(seed: int) -> None:
         lab.submit(route("stack", "gate", park), experiment=names[-1])
         for _ in range(2):
             lab.submit(route(park, "gate", "mix", park), experiment=names[-1])
-    assert works(lab, seed), lab.stuck()
+    assert works(lab, seed), lab.describe_stuck()
     for name in names:
         lab.end(name)
     assert works(lab, seed)
@@ -385,7 +385,7 @@ def test_a_module_that_is_held_by_waiting_labware_is_not_needed_by_the_one_it_wa
     lab.submit(route("stack", "dev.n", "y", "trash"))
     away = step("arm", move("y", "trash"))
     lab.submit(plan(step("arm2", take("stack", "y")), step("dev"), away), user="bob")
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 def test_a_lid_that_stays_shut_while_its_run_is_elsewhere() -> None:
@@ -428,7 +428,7 @@ def test_two_runs_do_not_both_count_on_the_one_shared_plate() -> None:
             )
         )
     works(lab)
-    assert not lab.state.runs.active, lab.stuck()
+    assert not lab.state.runs.active, lab.describe_stuck()
 
 
 def test_a_users_own_plate_on_a_deck_does_not_lock_its_user_out() -> None:
@@ -439,7 +439,7 @@ def test_a_users_own_plate_on_a_deck_does_not_lock_its_user_out() -> None:
         plan(step("arm", take("stack", "dev.n2")), step("dev", needs()), step("arm", move("dev.n2", "trash")))
     )
     assert lab.code(run) == ""
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 def test_a_regrip_station_with_room_left_is_used() -> None:
@@ -448,11 +448,11 @@ def test_a_regrip_station_with_room_left_is_used() -> None:
     lab.stock("x", 1)
     run = lab.submit(plan(step("arm", move("x", "w", via="v"))))
     assert lab.code(run) == ""
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 def test_a_judge_that_only_asks_changes_nothing() -> None:
-    lab = crossed()
+    lab = make_crossed()
     lab.finish("A2")
     asked = Scheduler()
     for _ in range(2):
@@ -480,7 +480,7 @@ def test_nobody_inside_waits_for_an_application_to_end() -> None:
     lab.work(random.Random(0))
     assert again not in lab.state.runs.active
     lab.end(name)
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
     assert other not in lab.state.runs.active
 
 
@@ -494,9 +494,9 @@ def test_nobody_parks_for_long_where_somebody_who_is_stuck_has_to_pass() -> None
     parks = lab.submit(route("stack", "park"), experiment=name)
     assert Safety().traps(lab.state, lab.run(parks), 0) == [first]
     lab.do(ResumeRun(lab.run(first).id))
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
     lab.end(name)
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 @pytest.mark.parametrize("why", ["not_accepted", "unfit", "wrong_way"])
@@ -541,7 +541,7 @@ def test_who_finds_that_its_labware_does_not_fit_is_in_the_way(why: str) -> None
 # -- stacks ----------------------------------------------------------------------------------------
 
 
-def piled() -> Driver:
+def make_piled() -> Driver:
     """Two arms, a stack of fresh plates, and a pile of two."""
     cell = workcell(
         [module("arm"), module("arm2"), module("cam")],
@@ -559,7 +559,7 @@ def piled() -> Driver:
 
 def test_nobody_is_buried_by_one_who_waits_for_him() -> None:
     """The second would lie on the first and wait for the place that the first has to leave later."""
-    lab = piled()
+    lab = make_piled()
     first = lab.submit(
         plan(
             step("cam"),
@@ -590,14 +590,14 @@ def test_fresh_labware_waits_until_nothing_lies_on_the_stack() -> None:
         arm = ("arm", "arm2")[number % 2]
         back = [step(arm, take("stack", "x")), step(arm, move("x", "stack"))]
         lab.submit(plan(*back, step(arm, move("stack", "y")), step(arm, move("y", "trash"))))
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 def test_a_pile_is_taken_down_from_the_top() -> None:
-    lab = piled()
+    lab = make_piled()
     for _ in range(5):
         lab.submit(route("stack", "pile", "x", "trash"))
-    assert works(lab), lab.stuck()
+    assert works(lab), lab.describe_stuck()
 
 
 # -- who only uses modules --------------------------------------------------------------------------

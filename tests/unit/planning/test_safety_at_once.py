@@ -57,7 +57,7 @@ def test_who_takes_hold_of_a_module_and_carries_labware_in_one_step_traps_nobody
     for last in range(first, 4):
         for seed in range(20):
             lab = crossing(first, last)
-            assert works(lab, seed), (last, seed, lab.stuck())
+            assert works(lab, seed), (last, seed, lab.describe_stuck())
 
 
 def test_the_motions_of_a_step_follow_one_another_in_a_witness() -> None:
@@ -92,7 +92,7 @@ def test_a_device_that_carries_labware_itself_waits_until_nobody_else_holds_it()
                 step("arm", move("x", "trash")),
             )
         )
-        assert works(lab, seed), lab.stuck()
+        assert works(lab, seed), lab.describe_stuck()
 
 
 def test_nobody_keeps_a_module_whose_door_another_has_left_shut() -> None:
@@ -120,7 +120,7 @@ def test_nobody_keeps_a_module_whose_door_another_has_left_shut() -> None:
                 holds=(hold("press", 0, 1),),
             )
         )
-        assert works(lab, seed), lab.stuck()
+        assert works(lab, seed), lab.describe_stuck()
 
 
 # -- steps in flight that may fail -----------------------------------------------------------------
@@ -181,7 +181,7 @@ def test_a_step_that_may_fail_keeps_the_place_it_came_from_until_it_has_ended() 
             else:
                 lab.finish(action)
 
-        assert lab.work(random.Random(seed), end=end), lab.stuck()
+        assert lab.work(random.Random(seed), end=end), lab.describe_stuck()
 
 
 def test_a_run_that_went_on_without_a_step_that_changes_nothing_is_still_on_its_way() -> None:
@@ -228,4 +228,4 @@ def test_a_setpoint_that_a_step_in_flight_changes_may_stay_as_it_was() -> None:
             else:
                 lab.finish(action)
 
-        assert lab.work(random.Random(seed), end=end), lab.stuck()
+        assert lab.work(random.Random(seed), end=end), lab.describe_stuck()

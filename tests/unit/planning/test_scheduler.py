@@ -39,7 +39,7 @@ QUERY = plan(step("dev"))
 LONG = plan(step("dev"), step("dev"), name="long")
 
 
-def used(lab: Driver, **seconds: float) -> None:
+def use_lab_time(lab: Driver, **seconds: float) -> None:
     """Lab time that users have had."""
     for user, value in seconds.items():
         lab.state.shares.usage[user] = Usage(value * SECOND, lab.now)
@@ -74,7 +74,7 @@ def test_priority_goes_before_age() -> None:
 
 def test_who_has_had_less_goes_first() -> None:
     lab = small()
-    used(lab, ada=100.0, bob=5.0)
+    use_lab_time(lab, ada=100.0, bob=5.0)
     lab.submit(QUERY, user="ada")
     lab.submit(QUERY, user="bob")
     lab.submit(QUERY, user="new")
@@ -97,9 +97,9 @@ def test_users_take_turns() -> None:
 
 def test_time_used_long_ago_counts_less() -> None:
     lab = small()
-    used(lab, ada=100.0)
+    use_lab_time(lab, ada=100.0)
     lab.wait(10 * 24 * 3600)
-    used(lab, bob=5.0)
+    use_lab_time(lab, bob=5.0)
     lab.submit(QUERY, user="ada")
     lab.submit(QUERY, user="bob")
     assert sequence(lab)[0] == "R1#0"
@@ -134,14 +134,14 @@ def test_a_closing_window_goes_before_everything() -> None:
 # -- windows ----------------------------------------------------------------------------------------
 
 
-def windowed(wait: float = 0.0, within: float | None = None, on_breach: str = "continue") -> Plan:
+def make_windowed(wait: float = 0.0, within: float | None = None, on_breach: str = "continue") -> Plan:
     window = Window(0, wait, within, on_breach)  # type: ignore[arg-type]
     return plan(step("dev"), step("cam", windows=(window,)))
 
 
 def test_a_step_sleeps_until_its_time_has_come() -> None:
     lab = small()
-    lab.submit(windowed(wait=60.0))
+    lab.submit(make_windowed(wait=60.0))
     lab.pump()
     lab.finish("A1")
     assert lab.pump() == []
@@ -158,7 +158,7 @@ def test_a_step_sleeps_until_its_time_has_come() -> None:
 @pytest.mark.parametrize("on_breach", ["continue", "fail"])
 def test_a_window_that_passes_is_breached_once(on_breach: str) -> None:
     lab = small()
-    lab.submit(windowed(within=30.0, on_breach=on_breach))
+    lab.submit(make_windowed(within=30.0, on_breach=on_breach))
     lab.pump()
     lab.do(TakeOut(ModuleName("cell/cam"), "service"))
     lab.finish("A1")
@@ -190,7 +190,7 @@ def test_a_window_whose_anchor_has_not_ended_runs_for_nobody() -> None:
 
 def test_alarms_of_steps_that_have_gone_on_are_forgotten() -> None:
     lab = small()
-    lab.submit(windowed(wait=60.0))
+    lab.submit(make_windowed(wait=60.0))
     lab.pump()
     lab.finish("A1")
     lab.pump()
@@ -285,7 +285,7 @@ def test_a_plan_with_several_first_steps_starts_with_one_that_can() -> None:
 
 def test_a_head_that_was_passed_over_often_enough_is_protected() -> None:
     lab = small()
-    used(lab, bob=1e6)
+    use_lab_time(lab, bob=1e6)
     blocker = lab.start(lab.submit(QUERY, user="eve"))
     elder = lab.submit(QUERY, user="bob")
     for _ in range(PATIENCE + 6):
@@ -377,7 +377,7 @@ def test_an_elder_of_higher_need_is_let_in_once_the_cell_empties() -> None:
         )
     )
     lab.stock("stack", 40)
-    used(lab, bob=1e6)
+    use_lab_time(lab, bob=1e6)
     both = plan(
         step("arm", take("stack", "x")),
         step("arm", take("stack", "y")),

@@ -198,8 +198,8 @@ def test_too_many_waiting_runs_are_refused_and_rows_wait() -> None:
     lab.do(SubmitCampaign("s", "a", "read", "cell", 5, "t", "d"))
     for row in range(2):
         lab.do(SubmitRow(CampaignId("C1"), row, READ))
-    assert lab.refused(SubmitRow(CampaignId("C1"), 2, READ)).code == "no_room"
-    assert lab.refused(SubmitRun(READ, "a")).code == "quota"
+    assert lab.reject(SubmitRow(CampaignId("C1"), 2, READ)).code == "no_room"
+    assert lab.reject(SubmitRun(READ, "a")).code == "quota"
     lab.submit(READ, "b")
     assert lab.pump() == ["R1#0"]
     lab.do(SubmitRow(CampaignId("C1"), 2, READ))
@@ -208,9 +208,9 @@ def test_too_many_waiting_runs_are_refused_and_rows_wait() -> None:
 def test_who_stands_in_two_groups_or_has_no_weight_is_refused() -> None:
     lab = small()
     twice = (Group("g", 1.0, {"a": Member()}), Group("h", 1.0, {"a": Member()}))
-    assert lab.refused(ApplyShares("d", twice)).code == "two_groups"
-    assert lab.refused(ApplyShares("d", twice[:1], {"a": Member()})).code == "two_groups"
-    assert lab.refused(ApplyShares("d", (), {"a": Member(0.0)})).code == "bad_weight"
+    assert lab.reject(ApplyShares("d", twice)).code == "two_groups"
+    assert lab.reject(ApplyShares("d", twice[:1], {"a": Member()})).code == "two_groups"
+    assert lab.reject(ApplyShares("d", (), {"a": Member(0.0)})).code == "bad_weight"
 
 
 @pytest.mark.parametrize(("deadline_s", "first"), [(0.0, "greedy"), (3600.0, "late"), (1e6, "greedy")])

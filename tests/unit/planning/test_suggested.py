@@ -46,7 +46,7 @@ def visit(*modules: str, name: str = "visit", work_s: float = 100.0) -> Plan:
 TICK = plan(step("clock", key="tick", duration_s=5000.0), name="tick")
 
 
-def made(*plans: Plan) -> tuple[Driver, list[RunId]]:
+def make_lab(*plans: Plan) -> tuple[Driver, list[RunId]]:
     """A lab in which something moves for long, and runs that wait; nothing was planned yet."""
     lab = Driver(CELL)
     lab.stock("stack", 80)
@@ -67,18 +67,18 @@ def why(lab: Driver, run: str, index: int = 0) -> str:
 
 
 def test_the_suggested_order_is_followed_and_explained() -> None:
-    lab, (first, second) = made(visit("dev"), visit("other"))
+    lab, (first, second) = make_lab(visit("dev"), visit("other"))
     suggest(lab, (second, 0, 0.0), (first, 0, 20.0))
     assert lab.pump() == [f"{second}#0"]
     assert "planner suggests" not in why(lab, first), "the tower is busy anyway"
-    lab, (first, second) = made(visit("dev"), visit("other"))
+    lab, (first, second) = make_lab(visit("dev"), visit("other"))
     suggest(lab, (second, 0, 30.0), (first, 0, 40.0))
     lab.do(PauseRun(second, "ada"))
     assert lab.pump() == [f"{first}#0"], "who is paused keeps nobody waiting"
 
 
 def test_a_step_waits_for_another_up_to_its_time_and_a_grace() -> None:
-    lab, (first, second) = made(visit("dev"), visit("dev", name="other"))
+    lab, (first, second) = make_lab(visit("dev"), visit("dev", name="other"))
     suggest(lab, (second, 2, 50.0), (first, 0, 60.0), (first, 1, 70.0))
     assert lab.pump() == [f"{first}#0"], "they have no place in common before the device"
     lab.wait(10.0)
@@ -98,22 +98,22 @@ def test_where_nothing_moves_nobody_waits() -> None:
     first, second = lab.submit(visit("dev")), lab.submit(visit("dev", name="other"))
     suggest(lab, (second, 0, 30.0), (first, 0, 40.0))
     assert lab.pump() == [f"{second}#0"], "it is first by the order, and the other waits for it"
-    assert lab.missed() == []
+    assert lab.find_missed() == []
 
 
 def test_a_higher_priority_is_not_held_up() -> None:
-    lab, (low,) = made(visit("dev"))
+    lab, (low,) = make_lab(visit("dev"))
     high = lab.submit(visit("dev"), priority=5)
     suggest(lab, (low, 0, 30.0), (high, 0, 40.0))
     assert lab.pump()[0] == f"{high}#0"
 
 
 def test_an_order_that_is_over_counts_no_more() -> None:
-    lab, (first, second) = made(visit("dev"), visit("dev", name="other"))
+    lab, (first, second) = make_lab(visit("dev"), visit("dev", name="other"))
     suggest(lab, (second, 0, 900.0), (first, 0, 1000.0), until_s=100.0)
     assert lab.pump() == [f"{second}#0"]
     assert why(lab, first) != ""
-    lab, (first, second) = made(visit("dev"), visit("dev", name="other"))
+    lab, (first, second) = make_lab(visit("dev"), visit("dev", name="other"))
     suggest(lab, (second, 0, 900.0), (first, 0, 1000.0), until_s=1.0)
     lab.wait(2.0)
     assert lab.pump() == [f"{first}#0"]
@@ -121,11 +121,11 @@ def test_an_order_that_is_over_counts_no_more() -> None:
 
 def refusal(lab: Driver, steps: Sequence[Suggested], cell: str = "cell", position: int = 0) -> str:
     command = SuggestOrder(cell, "planner", lab.now, tuple(steps), position)
-    return lab.refused(command).code
+    return lab.reject(command).code
 
 
 def test_what_is_no_order_is_refused() -> None:
-    lab, (run,) = made(visit("dev"))
+    lab, (run,) = make_lab(visit("dev"))
     assert refusal(lab, [], cell="elsewhere") == "not_found"
     assert refusal(lab, [Suggested(run, 99, 0)]) == "no_step"
     assert refusal(lab, [Suggested(run, -1, 0)]) == "no_step"
@@ -161,7 +161,7 @@ def test_bad_advice_stops_nobody(seed: int) -> None:
             until = lab.now + rng.randint(-10, 10_000) * SECOND
             lab.do(SuggestOrder("cell", "planner", until, tuple(steps), rng.randint(0, lab.state.position)))
         lab.pump()
-        assert lab.missed() == []
+        assert lab.find_missed() == []
 
-    assert lab.work(rng, pump), lab.stuck()
+    assert lab.work(rng, pump), lab.describe_stuck()
     lab.check_log()

@@ -39,7 +39,7 @@ def test_a_regrip_station_that_is_free_again_wakes_who_waits_for_it() -> None:
     assert lab.pump() == ["R1#0"]
     lab.finish("A1")
     assert f"{waiting}#0" in lab.pump()
-    assert lab.missed() == []
+    assert lab.find_missed() == []
 
 
 def test_work_on_labware_at_another_modules_station_wakes_who_waits_for_that_module() -> None:

@@ -167,7 +167,7 @@ def save(records: Sequence[Record], home: Path, *, snapshot_of: Ledger | None = 
     return url
 
 
-def sealed(told: Sequence[tuple[float, str, Event]]) -> list[Record]:
+def seal_records(told: Sequence[tuple[float, str, Event]]) -> list[Record]:
     """Records of events as they are given, (seconds, actor, event): nothing is decided or folded."""
     records: list[Record] = []
     previous = GENESIS

@@ -50,7 +50,7 @@ def log(tmp_path: Path, open_log: Open) -> SqlEventStore:
     return open_log(two_users().save(tmp_path))
 
 
-def folded(upto: int) -> Any:
+def fold_to(upto: int) -> Any:
     state = LabState()
     fold(state, two_users().records[:upto])
     return msgspec.to_builtins(state)
@@ -61,7 +61,7 @@ def folded(upto: int) -> Any:
 
 def test_the_state_at_every_tenth_position(log: SqlEventStore) -> None:
     for position in range(1, two_users().position + 1, 10):
-        assert msgspec.to_builtins(state_at(log, Moment(position=position))) == folded(position)
+        assert msgspec.to_builtins(state_at(log, Moment(position=position))) == fold_to(position)
 
 
 def test_a_time_means_everything_recorded_up_to_it(log: SqlEventStore) -> None:
@@ -87,8 +87,8 @@ def test_moments_outside_the_log_are_refused(log: SqlEventStore) -> None:
 def test_a_snapshot_is_used_only_for_what_comes_after_it(tmp_path: Path, open_log: Open) -> None:
     log = open_log(two_users().save(tmp_path, with_snapshot=True))
     end = two_users().position
-    assert msgspec.to_builtins(state_at(log)) == folded(end)
-    assert msgspec.to_builtins(state_at(log, Moment(position=end - 5))) == folded(end - 5)
+    assert msgspec.to_builtins(state_at(log)) == fold_to(end)
+    assert msgspec.to_builtins(state_at(log, Moment(position=end - 5))) == fold_to(end - 5)
 
 
 def test_a_record_that_contradicts_the_log_is_named() -> None:
@@ -139,7 +139,7 @@ def test_sentences_bear_the_names_of_steps(log: SqlEventStore) -> None:
 # -- filters --------------------------------------------------------------------------------------
 
 
-def found(log: SqlEventStore, **wanted: Any) -> list[Event]:
+def find_events(log: SqlEventStore, **wanted: Any) -> list[Event]:
     return [event for event, _ in Sieve(log, Filter(**wanted)).matching_events()]
 
 
@@ -154,37 +154,40 @@ def test_no_filter_shows_everything_in_order(log: SqlEventStore) -> None:
 
 
 def test_types_and_families(log: SqlEventStore) -> None:
-    assert {e.TYPE for e in found(log, types=("labware", "run.started"))} >= {"labware.moved", "run.started"}
-    assert {e.TYPE for e in found(log, types=("run.started",))} == {"run.started"}
+    assert {e.TYPE for e in find_events(log, types=("labware", "run.started"))} >= {
+        "labware.moved",
+        "run.started",
+    }
+    assert {e.TYPE for e in find_events(log, types=("run.started",))} == {"run.started"}
     with pytest.raises(BadInput, match=r"no events of type 'runs'.*'run'"):
-        found(log, types=("runs",))
+        find_events(log, types=("runs",))
 
 
 def test_a_run_is_found_with_its_plan_and_its_labware(log: SqlEventStore) -> None:
-    shown = found(log, run="R1")
+    shown = find_events(log, run="R1")
     assert {"plan.recorded", "run.submitted", "run.completed", "labware.moved"} <= {e.TYPE for e in shown}
     assert all(getattr(event, "run", "R1") == "R1" for event in shown)
     assert len(shown) > 60
     with pytest.raises(NotFound, match="no run 'R9'"):
-        found(log, run="R9")
+        find_events(log, run="R9")
 
 
 def test_a_module_is_found_with_what_stands_at_its_stations(log: SqlEventStore) -> None:
-    shown = found(log, module="sealer")
+    shown = find_events(log, module="sealer")
     assert positions(log, module="rpl/sealer") == positions(log, module="sealer")
     assert {"labware.moved", "action.requested", "resource.level_set", "station.declared"} <= {
         e.TYPE for e in shown
     }
     assert {getattr(e, "module", "rpl/sealer") for e in shown} == {"rpl/sealer"}
     with pytest.raises(NotFound, match="Did you mean 'sealer'"):
-        found(log, module="seal")
+        find_events(log, module="seal")
 
 
 def test_labware_is_found_with_the_outcome_of_what_was_done_to_it(log: SqlEventStore) -> None:
-    kinds = [event.TYPE for event in found(log, labware="P1")]
+    kinds = [event.TYPE for event in find_events(log, labware="P1")]
     assert kinds.count("action.requested") == kinds.count("action.succeeded") == 12
     with pytest.raises(NotFound, match="no labware 'P99'"):
-        found(log, labware="P99")
+        find_events(log, labware="P99")
     assert positions(log, labware="P1", last=2) == positions(log, labware="P1")[-2:]
 
 
@@ -199,12 +202,12 @@ def test_a_well_is_no_labware(tmp_path: Path, open_log: Open) -> None:
     book.do(SubmitRun(mixes.PLANS["pcr"].plan, "ada", {"well": "P1", "run": "R7"}))
     book.carry_through("R1", steps=1)
     log = open_log(book.save(tmp_path))
-    assert "run.submitted" not in {event.TYPE for event in found(log, labware="P1")}
-    assert "labware.placed" in {event.TYPE for event in found(log, labware="P1")}
+    assert "run.submitted" not in {event.TYPE for event in find_events(log, labware="P1")}
+    assert "labware.placed" in {event.TYPE for event in find_events(log, labware="P1")}
 
 
 def test_users_and_times(log: SqlEventStore) -> None:
-    bo = found(log, user="bo")
+    bo = find_events(log, user="bo")
     assert {"run.submitted", "action.succeeded", "labware.moved"} <= {event.TYPE for event in bo}
     assert all(getattr(event, "run", "R2") == "R2" for event in bo)
     since, until = START_NS + 300 * SECOND, START_NS + 320 * SECOND
@@ -256,9 +259,9 @@ def test_uncertain_and_gone_are_said(log: SqlEventStore) -> None:
     book = two_users()
     places = (StationName("rpl/pf400.gripper"), StationName("rpl/wc.output.1"))
     event = LabwareUncertain(LabwareId("P2"), RunId(""), places, "the arm lost it")
-    from tests.unit.services.logbook import sealed
+    from tests.unit.services.logbook import seal_records
 
-    doubt = sealed([(500, "rpl/pf400", event)])
+    doubt = seal_records([(500, "rpl/pf400", event)])
     told = fold_histories([*book.records, *doubt], catalogue_of(log))
     assert told["P2"].place == "not known: pf400.gripper or wc.output.1"
     assert list(labware_histories(log)) == ["P1", "P2"]

@@ -17,14 +17,14 @@ def sealing(lab: Driver, seconds: float = 10.0, **more: object) -> str:
     return lab.submit(plan(step("dev", consumes("foil", 2), duration_s=seconds), name="seal"), **more)
 
 
-def foiled(level: float) -> Driver:
+def make_with_foil(level: float) -> Driver:
     lab = small()
     lab.set_level(LevelSet(DEV, "foil", level, 100, "old"))
     return lab
 
 
 def test_the_run_that_finds_too_little_is_named_with_its_time() -> None:
-    lab = foiled(5)
+    lab = make_with_foil(5)
     runs = [sealing(lab) for _ in range(4)]
     found = inventory(lab.state, lab.now, TODAY)
     (foil,) = [left for left in found.resources if left.resource == "foil"]
@@ -37,7 +37,7 @@ def test_the_run_that_finds_too_little_is_named_with_its_time() -> None:
 
 
 def test_who_has_priority_uses_it_first() -> None:
-    lab = foiled(3)
+    lab = make_with_foil(3)
     last, first = sealing(lab), sealing(lab, priority=5)
     assert first != last
     out = next(left.runs_out for left in inventory(lab.state, lab.now, TODAY).resources if left.runs_out)
@@ -45,7 +45,7 @@ def test_who_has_priority_uses_it_first() -> None:
 
 
 def test_what_is_done_is_not_counted_again() -> None:
-    lab = foiled(4)
+    lab = make_with_foil(4)
     run = lab.submit(plan(*[step("dev", consumes("foil", 2))] * 2))
     lab.step(run)
     (foil,) = [left for left in inventory(lab.state, lab.now, TODAY).resources if left.resource == "foil"]
@@ -53,7 +53,7 @@ def test_what_is_done_is_not_counted_again() -> None:
 
 
 def test_lots_and_their_days() -> None:
-    lab = foiled(3)
+    lab = make_with_foil(3)
     lab.do(Replenish(DEV, "foil", 5, "new", "2026-05-31"))
     (foil,) = [left for left in inventory(lab.state, lab.now, TODAY).resources if left.resource == "foil"]
     assert foil.lots == (LotLeft("old", 3), LotLeft("new", 5, "2026-05-31", expired=True))

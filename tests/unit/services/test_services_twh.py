@@ -29,7 +29,7 @@ from labos.core.topics import Choice
 from labos.services.log import events
 from labos.services.twh import Meter, Report, Twh, measure
 from tests.simulation import mixes
-from tests.unit.services.logbook import SECOND, START_NS, Logbook, sealed
+from tests.unit.services.logbook import SECOND, START_NS, Logbook, seal_records
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "time-without-human-intervention.md"
 MINUTE = 60
@@ -37,20 +37,20 @@ MINUTE = 60
 Told = tuple[float, str, Event]
 
 
-def submitted(run: str, experiment: str = "") -> Event:
+def make_submitted(run: str, experiment: str = "") -> Event:
     return RunSubmitted(RunId(run), "plan", "pcr", "ada", ExperimentId(experiment), 0, {}, {})
 
 
-def succeeded(run: str) -> Event:
+def make_succeeded(run: str) -> Event:
     return ActionSucceeded(ActionId("a"), RunId(run), 0, ModuleName("rpl/pf400"), 1)
 
 
-def asked(name: str, run: str = "", module: str = "", subject: str = "") -> Event:
+def make_asked(name: str, run: str = "", module: str = "", subject: str = "") -> Event:
     choices = (Choice("done", ""),)
     return InterventionRequested(InterventionId(name), "unknown_action", subject, "?", choices, run, module)
 
 
-def answered(name: str, choice: str = "done", by: str = "bo") -> Event:
+def make_answered(name: str, choice: str = "done", by: str = "bo") -> Event:
     return InterventionResolved(InterventionId(name), choice, by)
 
 
@@ -66,7 +66,7 @@ def preface() -> list[Told]:
     ]
 
 
-def parsed(minute: float, text: str) -> list[Told]:
+def parse_line(minute: float, text: str) -> list[Told]:
     """The events that a line of the documented example stands for."""
     at, words = minute * MINUTE, text.split()
     match words:
@@ -74,13 +74,13 @@ def parsed(minute: float, text: str) -> list[Told]:
             return [(at, "ada", StationDeclared(StationName("rpl/wc.output"), ()))]
         case [run, "starts"]:
             experiment = "E1" if run == "R2" else ""
-            return [(at, "ada", submitted(run, experiment)), (at, "labos", RunStarted(RunId(run)))]
+            return [(at, "ada", make_submitted(run, experiment)), (at, "labos", RunStarted(RunId(run)))]
         case ["an", "action", "of", run, "succeeds"]:
-            return [(at, "rpl/pf400", succeeded(run))]
+            return [(at, "rpl/pf400", make_succeeded(run))]
         case [name, "asks", "a", "person", "about", run]:
-            return [(at, "rpl/pf400", asked(name, run))]
+            return [(at, "rpl/pf400", make_asked(name, run))]
         case [by, "answers", name]:
-            return [(at, by, answered(name, by=by))]
+            return [(at, by, make_answered(name, by=by))]
         case [run, "completes"]:
             return [(at, "rpl/pf400", RunCompleted(RunId(run), 1))]
         case [by, "refills", *_]:
@@ -116,10 +116,10 @@ def test_the_documented_example() -> None:
     story, _, outcome = example.partition("At minute")
     told = preface()
     for minute, text in rows(story):
-        told += parsed(float(minute), re.sub(r"\s*\(.*\)", "", text))
+        told += parse_line(float(minute), re.sub(r"\s*\(.*\)", "", text))
     assert len(told) >= 14
     now = START_NS + int(outcome.split(":")[0]) * MINUTE * SECOND
-    report = measure(sealed(told), now)
+    report = measure(seal_records(told), now)
     expected = {row[0]: row[1:] for row in rows(outcome)}
     assert {name: figures(scope(report, name)) for name in expected} == expected
     assert len(expected) == 5
@@ -131,9 +131,9 @@ def minutes(stretch_ns: int) -> float:
 
 def working(*more: tuple[float, str, Event], until: float | None = None) -> Report:
     """R1 runs from minute 0; ``more`` happens at its minutes."""
-    told = [*preface(), (0.0, "ada", submitted("R1")), (0.0, "labos", RunStarted(RunId("R1")))]
+    told = [*preface(), (0.0, "ada", make_submitted("R1")), (0.0, "labos", RunStarted(RunId("R1")))]
     told += [(minute * MINUTE, actor, event) for minute, actor, event in more]
-    return measure(sealed(told), None if until is None else START_NS + int(until * MINUTE) * SECOND)
+    return measure(seal_records(told), None if until is None else START_NS + int(until * MINUTE) * SECOND)
 
 
 def test_now_counts_while_something_runs() -> None:
@@ -146,7 +146,9 @@ def test_now_counts_while_something_runs() -> None:
 
 def test_a_withdrawn_question_is_no_intervention() -> None:
     report = working(
-        (10, "m/x", asked("I1", "R1")), (15, "labos", answered("I1", "withdrawn", "labos")), until=20
+        (10, "m/x", make_asked("I1", "R1")),
+        (15, "labos", make_answered("I1", "withdrawn", "labos")),
+        until=20,
     )
     assert report.lab.interventions == 0
     assert minutes(report.runs["R1"].current.worked_ns) == 15
@@ -163,11 +165,15 @@ def test_to_approve_a_submission_is_no_intervention() -> None:
 
 
 def test_an_answer_about_a_module_concerns_what_is_alive_there() -> None:
-    report = working((10, "m/x", asked("I1", module="rpl/sealer")), (15, "bo", answered("I1")), until=20)
+    report = working(
+        (10, "m/x", make_asked("I1", module="rpl/sealer")), (15, "bo", make_answered("I1")), until=20
+    )
     assert report.lab.interventions == report.workcells["rpl"].interventions == 1
     assert report.runs["R1"].interventions == 1
     assert minutes(report.runs["R1"].longest.worked_ns) == 15
-    other = working((10, "m/x", asked("I1", module="other/sealer")), (15, "bo", answered("I1")), until=20)
+    other = working(
+        (10, "m/x", make_asked("I1", module="other/sealer")), (15, "bo", make_answered("I1")), until=20
+    )
     assert other.workcells["rpl"].interventions == 0
     assert other.lab.interventions == 1
 
@@ -180,7 +186,7 @@ def test_a_module_putting_itself_out_is_no_person() -> None:
 
 
 def test_time_without_a_kernel_counts_for_nothing() -> None:
-    report = working((10, "rpl/x", succeeded("R1")), (70, "labos", KernelStarted(2, "1")), until=80)
+    report = working((10, "rpl/x", make_succeeded("R1")), (70, "labos", KernelStarted(2, "1")), until=80)
     assert minutes(report.lab.current.worked_ns) == 20
     assert report.lab.interventions == 0
 
@@ -296,10 +302,10 @@ def test_what_a_person_sees_and_so_answers_is_an_intervention() -> None:
 
 
 def test_one_shift_is_measured_by_itself() -> None:
-    told = [*preface(), (0.0, "ada", submitted("R1")), (0.0, "labos", RunStarted(RunId("R1")))]
+    told = [*preface(), (0.0, "ada", make_submitted("R1")), (0.0, "labos", RunStarted(RunId("R1")))]
     told += [(600, "ada", tips()), (3600, "ada", tips()), (3900, "labos", RunCompleted(RunId("R1"), 1))]
     meter = Meter()
-    for event, head in events(sealed(told)):
+    for event, head in events(seal_records(told)):
         if head.recorded_at == START_NS + 3600 * SECOND:
             meter.start_over(START_NS + 3000 * SECOND)
         meter.add(event, head)

@@ -11,7 +11,7 @@ import pytest
 from labos.core.merkle import EMPTY_ROOT
 from labos.errors import BadInput, Refused
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head, sign_tree
-from labos.services.trust.keys import Keys, TrustedKeys, encode_rotations, given_keys, parse_rotations
+from labos.services.trust.keys import Keys, TrustedKeys, encode_rotations, parse_rotations, read_given_keys
 from labos.services.trust.notes import (
     COSIGNS,
     SIGNS,
@@ -180,4 +180,4 @@ def test_no_lab_speaks_for_another_and_no_witness_for_a_lab() -> None:
 def test_keys_are_given_as_text_or_as_files(tmp_path: Path) -> None:
     file = tmp_path / "lab.pub"
     file.write_text(f"{KEY.public.text}\n\n{OTHER.public.text}\n")
-    assert given_keys([str(file), PETER]) == [KEY.public, OTHER.public, parse_public_key(PETER)]
+    assert read_given_keys([str(file), PETER]) == [KEY.public, OTHER.public, parse_public_key(PETER)]

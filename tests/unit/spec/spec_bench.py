@@ -197,7 +197,7 @@ def steps(text: str) -> str:
     return f"labos: 1\nname: w\nsteps:\n{text}"
 
 
-def compiled(text: str, payload: Mapping[str, Any] | None = None, **options: Any) -> Compiled:
+def compile_steps(text: str, payload: Mapping[str, Any] | None = None, **options: Any) -> Compiled:
     source = parse_workflow(steps(text), "w.yaml")
     return compile_workflow(source, payload or {}, BENCH.workcell, DESCRIPTIONS, bench=BENCH.bench, **options)
 

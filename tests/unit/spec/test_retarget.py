@@ -42,7 +42,7 @@ def test_the_growth_assay_differs_in_names_of_modules_only(
     output = tmp_path / "specs" / new.relative_to(APP.parents[1])
     output.unlink()
     values = [word for value in payload for word in ("-p", value)]
-    told = retargeted(old, *values, output=output, code=0)
+    told = run_retarget(old, *values, output=output, code=0)
     written = output.read_text()
     assert written == new.read_text()
     assert (told["fits"], told["misfits"]) == (True, [])
@@ -56,7 +56,9 @@ def test_the_growth_assay_differs_in_names_of_modules_only(
     assert gone == come != []
 
 
-def retargeted(flow: Path, *options: str, old: str = "rpl_growth", output: Path, code: int) -> dict[str, Any]:
+def run_retarget(
+    flow: Path, *options: str, old: str = "rpl_growth", output: Path, code: int
+) -> dict[str, Any]:
     """What it answers in JSON."""
     words = ["retarget", str(flow), "--from", old, "--to", "bio", "-o", str(output), *options, "--json"]
     found: dict[str, Any] = json.loads(call(*words, code=code))
@@ -110,7 +112,7 @@ def test_what_does_not_fit_is_said(step: str, misfit: str, tmp_path: Path) -> No
     flow = tmp_path / "flow.yaml"
     flow.write_text(f"labos: 1\nname: flow\nsteps:\n  - {{name: One, {step}}}\n")
     cell = "rpl" if "camera" in step else "rpl_growth"
-    told = retargeted(flow, old=cell, output=tmp_path / "out.yaml", code=1)
+    told = run_retarget(flow, old=cell, output=tmp_path / "out.yaml", code=1)
     assert misfit in told["misfits"]
     assert told["fits"] is False
 

@@ -15,7 +15,7 @@ from labos.core.effects import Move, Needs
 from labos.core.model import Description
 from labos.errors import SpecError
 from labos.spec import SpecErrors, compile_workflow, parse_workcell, parse_workflow
-from labos.spec.about import About, about_of, described, description_of
+from labos.spec.about import About, about_of, description_of, find_description
 from labos.spec.interfaces import PLANNED, REACHED
 
 CELL = """
@@ -64,7 +64,7 @@ def test_a_foreign_node_is_planned_by_its_about() -> None:
     (module,) = cell.workcell.modules
     assert module.driver == "wei_rest_node"
     assert module.config["interface"] == "wei_rest_node"
-    about = described(module, {})
+    about = find_description(module, {})
     assert about is not None
     action = about.action("carry")
     assert action is not None
@@ -97,27 +97,29 @@ def test_a_mapping_is_checked_when_the_file_is_read() -> None:
 
 
 def test_a_mapping_of_process_variables_is_checked_too() -> None:
-    def said(epics: str) -> str:
+    def list_epics_findings(epics: str) -> str:
         text = CELL.replace("wei_rest_node", "epics_node")
         return "\n".join(findings(text.replace('{rest_node_address: "http://arm:2000"}', epics)))
 
-    assert said("{epics: {actions: {carry: {start: {pv: Go}}}}}") == ""
-    assert "epics_node needs `epics`" in said("{}")
+    assert list_epics_findings("{epics: {actions: {carry: {start: {pv: Go}}}}}") == ""
+    assert "epics_node needs `epics`" in list_epics_findings("{}")
     wrong = "{epics: {actions: {carry: {start: {pv: Go}, done: {pv: At}}}}}"
-    assert "At needs `is`, `near`, `minimum` or `maximum`" in said(wrong)
-    assert "actions.carry.start: is missing" in said("{epics: {actions: {carry: {set: {pv: Go}}}}}")
+    assert "At needs `is`, `near`, `minimum` or `maximum`" in list_epics_findings(wrong)
+    assert "actions.carry.start: is missing" in list_epics_findings(
+        "{epics: {actions: {carry: {set: {pv: Go}}}}}"
+    )
 
 
 def test_a_mapping_of_ros_names_is_checked_too() -> None:
-    def said(ros: str) -> str:
+    def list_ros_findings(ros: str) -> str:
         text = CELL.replace("wei_rest_node", "ros_node")
         return "\n".join(findings(text.replace('{rest_node_address: "http://arm:2000"}', ros)))
 
-    assert said("{ros: {action: {service: /home, type: std_srvs/srv/Trigger}}}") == ""
-    assert "ros_node needs `ros`" in said("{}")
-    assert "action: `type` is missing" in said("{ros: {action: {service: /home}}}")
+    assert list_ros_findings("{ros: {action: {service: /home, type: std_srvs/srv/Trigger}}}") == ""
+    assert "ros_node needs `ros`" in list_ros_findings("{}")
+    assert "action: `type` is missing" in list_ros_findings("{ros: {action: {service: /home}}}")
     both = "{ros: {action: {service: /home, action: /dock, type: x/srv/Y}}}"
-    assert "say one of `service`, `action` and `frame`" in said(both)
+    assert "say one of `service`, `action` and `frame`" in list_ros_findings(both)
 
 
 def test_every_interface_that_is_reached_has_an_adapter() -> None:

@@ -130,15 +130,15 @@ steps:
     one = b"def run(p):\n    a = p.load_instrument('p20_single', 'left')\n    a.pick_up_tip()\n"
     many = one.replace(b"    a.pick", b"    for w in p.x:\n        a.pick")
 
-    def compiled(content: bytes) -> tuple[list[float | str], list[str]]:
+    def compile_amounts(content: bytes) -> tuple[list[float | str], list[str]]:
         found = compile_workflow(
             parse_workflow(text, "w.yaml"), {}, CELL.workcell, descriptions(), files={"p.py": content}
         )
         amounts = [e.amount for s in found.plan.steps for e in s.effects if isinstance(e, Consumes)]
         return amounts, [str(finding) for finding in found.findings]
 
-    assert compiled(one) == ([1.0], [])
-    amounts, (warning,) = compiled(many)
+    assert compile_amounts(one) == ([1.0], [])
+    amounts, (warning,) = compile_amounts(many)
     assert amounts == [8.0]
     assert "w.yaml:10:" in warning
     assert (

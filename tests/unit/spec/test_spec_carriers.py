@@ -40,7 +40,7 @@ def drivers() -> dict[str, Description]:
     return installed()
 
 
-def compiled(text: str, payload: dict[str, Any] | None = None) -> Plan:
+def compile_plan(text: str, payload: dict[str, Any] | None = None) -> Plan:
     cell = compile_workcell(
         parse(MADSCI, "settings.yaml"), drivers(), uses=read_uses([parse(text, "carry.yaml")])
     )
@@ -51,7 +51,7 @@ def compiled(text: str, payload: dict[str, Any] | None = None) -> Plan:
 
 
 def plan_of(steps: str, payload: dict[str, Any] | None = None) -> Plan:
-    return compiled(f"name: carry\nsteps:\n{steps}", payload)
+    return compile_plan(f"name: carry\nsteps:\n{steps}", payload)
 
 
 def motions(plan: Plan) -> list[tuple[str, str, str, str]]:
@@ -127,7 +127,7 @@ on_cancel:
 
 
 def test_over_several_arms_after_a_cancellation_and_after_a_failure() -> None:
-    plan = compiled(NATIVE)
+    plan = compile_plan(NATIVE)
     found = [motion for motion in motions(plan) if "Back" in motion[0]]
     there = [
         ("deck_transfer", "handler.deck_2", "handler.deck_1"),
@@ -143,7 +143,7 @@ def test_over_several_arms_after_a_cancellation_and_after_a_failure() -> None:
 
 
 def test_for_each_place() -> None:
-    plan = compiled(
+    plan = compile_plan(
         """\
 labos: 1
 name: carry
@@ -162,7 +162,7 @@ steps:
 
 
 def test_rounds_side_by_side_still_carry_hop_after_hop() -> None:
-    plan = compiled(
+    plan = compile_plan(
         """\
 labos: 1
 name: carry

@@ -32,7 +32,7 @@ def carry(source: str, target: str, **args: str) -> str:
     return f"action: transfer, args: {{{', '.join(f'{name}: {value}' for name, value in told.items())}}}"
 
 
-def taken_over(*flows: str) -> tuple[Imported, list[Imported]]:
+def import_flows(*flows: str) -> tuple[Imported, list[Imported]]:
     sources = [parse(text, f"{number}.yaml") for number, text in enumerate(flows)]
     cell = import_spec(parse(CELL, "cell.yaml"), descriptions(), read_uses(sources))
     assert cell.moved is not None
@@ -52,7 +52,7 @@ def test_what_all_say_alike_stands_in_the_workcell() -> None:
     grips = {"source_plate_rotation": "narrow", "target_plate_rotation": "wide"}
     there = carry("sealer.positions.default", "camera.plate_station", **grips)
     back = carry("camera.plate_station", "wc.shelf", source_plate_rotation="wide")
-    cell, (one, two) = taken_over(flow("one", there), flow("two", there, back))
+    cell, (one, two) = import_flows(flow("one", there), flow("two", there, back))
     assert reach(cell) == {"sealer.default": ["narrow"], "camera.plate_station": ["wide"]}
     assert "# The workflows say that arm grips narrow here." in cell.text
     assert args(one) == [{"source": "sealer.positions.default", "target": "camera.plate_station"}]
@@ -61,7 +61,7 @@ def test_what_all_say_alike_stands_in_the_workcell() -> None:
 
 
 def test_what_they_do_not_agree_on_stays_where_it_is() -> None:
-    cell, (one, two, three) = taken_over(
+    cell, (one, two, three) = import_flows(
         flow("one", carry("sealer.default", "wc.shelf", source_plate_rotation="narrow")),
         flow("two", carry("sealer.default", "wc.shelf", source_plate_rotation="wide")),
         flow("three", carry("camera.plate_station", "wc.shelf", source_plate_rotation="payload.grip")),
@@ -75,7 +75,7 @@ def test_what_they_do_not_agree_on_stays_where_it_is() -> None:
 
 def test_an_approach_goes_to_the_arm() -> None:
     through = carry("wc.shelf", "sealer.default", source_approach="wc.gate")
-    cell, (file,) = taken_over(flow("one", through))
+    cell, (file,) = import_flows(flow("one", through))
     arm = next(module for module in plain(parse(cell.text).data)["modules"] if module["name"] == "arm")
     assert arm["config"] == {"approach": {"wc.shelf": "wc.gate"}}
     assert args(file) == [{"source": "wc.shelf", "target": "sealer.default"}]

@@ -34,7 +34,7 @@ def flow(said: str, more: str = "", action: str = "seal") -> str:
     return steps(f"{FETCH}{BRING}  - {{name: Seal, module: {said}, action: {action}}}\n{more}{AWAY}")
 
 
-def compiled(text: str) -> Compiled:
+def compile_flow(text: str) -> Compiled:
     return compile_workflow(parse_workflow(text, "w.yaml"), {}, CELL.workcell, DESCRIPTIONS, bench=CELL.bench)
 
 
@@ -56,7 +56,7 @@ def where(plan: Plan) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("said", ["any sealer", "{any: [sealer_b, sealer]}", "'any sealer_b, sealer'"])
 def test_there_is_a_plan_for_each_module_and_places_follow_it(said: str) -> None:
-    found = compiled(flow(said))
+    found = compile_flow(flow(said))
     assert {where(plan) for plan in found.plans} == {
         (name, f"{name}.default", f"{name}.default") for name in ("sealer", "sealer_b")
     }
@@ -66,7 +66,7 @@ def test_there_is_a_plan_for_each_module_and_places_follow_it(said: str) -> None
 
 def test_a_step_that_goes_with_another_has_its_module() -> None:
     more = "  - {name: Open, module: same as Seal, action: open_lid}\n"
-    found = compiled(flow("any cycler", more, "close_lid"))
+    found = compile_flow(flow("any cycler", more, "close_lid"))
     assert len(found.plans) == 2
     for plan in found.plans:
         by_key = {step.key: step.module for step in plan.steps}
@@ -74,8 +74,8 @@ def test_a_step_that_goes_with_another_has_its_module() -> None:
 
 
 def test_what_names_one_module_leaves_no_choice() -> None:
-    assert [where(plan)[0] for plan in compiled(flow("{any: [sealer_b]}")).plans] == ["sealer_b"]
-    assert [where(plan)[0] for plan in compiled(flow("sealer")).plans] == ["sealer"]
+    assert [where(plan)[0] for plan in compile_flow(flow("{any: [sealer_b]}")).plans] == ["sealer_b"]
+    assert [where(plan)[0] for plan in compile_flow(flow("sealer")).plans] == ["sealer"]
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_a_step_for_an_emergency_goes_with_another_and_chooses_nothing() -> None
         "on_cancel:\n  - name: Out\n    module: arm\n    action: transfer\n"
         "    args: {source: '${Seal.module}.default', target: wc.trash}\n"
     )
-    found = compiled(flow("any sealer") + way_out)
+    found = compile_flow(flow("any sealer") + way_out)
     for plan in found.plans:
         assert local(plan.steps[-1].args["source"]) == f"{where(plan)[0]}.default"
     text = flow("any sealer") + "on_cancel:\n  - {name: Out, module: any sealer, action: observe}\n"

@@ -18,7 +18,7 @@ from labos.spec import Finding, SpecErrors, compile_workcell, compile_workflow, 
 from labos.spec.comments import read_comments
 from labos.spec.dialects import find_kind, no_spec, workcell_form, workflow_form
 from labos.spec.findings import Report, finding_of
-from labos.spec.importing import import_spec, settled
+from labos.spec.importing import complete, import_spec
 from labos.spec.models import WorkcellFile, WorkflowFile
 from labos.spec.source import Source, parse, read
 from labos.spec.validation import validate
@@ -114,7 +114,7 @@ def check_round_trip(source: Source) -> None:
         written, dialect = workflow_form(again, report)
         assert dialect == "labos"
         assert validate(WorkflowFile, written, report) == validate(WorkflowFile, form, report)
-        assert report.sorted() == ()
+        assert report.sort_findings() == ()
         return
     form, _ = workcell_form(source, Report(source.file))
     written, dialect = workcell_form(again, report)
@@ -122,7 +122,7 @@ def check_round_trip(source: Source) -> None:
     file = validate(WorkcellFile, form, report)
     before, after = compile_workcell(source, drivers()), compile_workcell(again, drivers())
     assert file is not None
-    assert validate(WorkcellFile, written, report) == settled(file, before, drivers())
+    assert validate(WorkcellFile, written, report) == complete(file, before, drivers())
     assert after.findings == ()
     assert after.workcell.modules == before.workcell.modules
     assert {s.name: s for s in after.workcell.stations} == {s.name: s for s in before.workcell.stations}

@@ -26,7 +26,7 @@ FLOW = "labos: 1\nname: flow\nsteps:\n"
 OPEN = "- {name: Open, module: cycler, action: open_lid"
 
 
-def compiled(steps: str, cell: str = CELL, **payload: Any) -> Compiled:
+def compile_flow(steps: str, cell: str = CELL, **payload: Any) -> Compiled:
     known = descriptions()
     workcell = parse_workcell(cell, known, "corner.yaml").workcell
     return compile_workflow(
@@ -35,7 +35,7 @@ def compiled(steps: str, cell: str = CELL, **payload: Any) -> Compiled:
 
 
 def plan(steps: str, **payload: Any) -> Plan:
-    return compiled(steps, **payload).plan
+    return compile_flow(steps, **payload).plan
 
 
 def faults(cell: str) -> tuple[Finding, ...]:
@@ -93,18 +93,18 @@ def test_they_hold_for_the_way_out_and_for_recovery_too() -> None:
 
 def test_a_workcell_without_them_changes_nothing() -> None:
     bare = "labos: 1\nname: corner\nmodules:\n- {name: cycler, model: biometra (96well)}\n"
-    (opened,) = compiled(OPEN + "}\n", bare).plan.steps
+    (opened,) = compile_flow(OPEN + "}\n", bare).plan.steps
     assert (opened.retry, opened.timeout_s) == (None, None)
-    (none,) = compiled(OPEN + ", retry: none, timeout: none}\n", bare).plan.steps
+    (none,) = compile_flow(OPEN + ", retry: none, timeout: none}\n", bare).plan.steps
     assert none == opened
 
 
 def test_a_limit_that_comes_before_the_nominal_end_is_a_warning() -> None:
     picture = "- {name: Look, module: camera, action: take_picture, args: {file_name: a.jpg}"
-    (told,) = compiled(picture + "}\n").findings
+    (told,) = compile_flow(picture + "}\n").findings
     assert (told.severity, told.file, told.line) == ("warning", "flow.yaml", 4)
     assert "'Look' counts as unknown after 1 s, and take_picture takes" in told.message
-    assert compiled(picture + ", timeout: 1 min}\n").findings == ()
+    assert compile_flow(picture + ", timeout: 1 min}\n").findings == ()
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_a_module_that_cannot_be_reset_is_not_reset_before_retries() -> None:
 )
 def test_what_is_wrong_in_a_step_is_named_too(written: str, message: str) -> None:
     with pytest.raises(SpecErrors) as caught:
-        compiled(f"{OPEN}, {written}}}\n")
+        compile_flow(f"{OPEN}, {written}}}\n")
     (fault,) = caught.value.findings
     assert (fault.file, fault.line) == ("flow.yaml", 4)
     assert message in fault.message
@@ -165,6 +165,6 @@ def test_what_is_dangerous_takes_a_second_person_where_the_workcell_says_so(
     more: str, dangers: list[str]
 ) -> None:
     steps = "".join(f"- {{name: {name}, module: cutter, action: {name}}}\n" for name in ("cut", "look"))
-    assert [step.dangerous for step in compiled(steps, CUTTER + more).plan.steps] == dangers
+    assert [step.dangerous for step in compile_flow(steps, CUTTER + more).plan.steps] == dangers
     # What an action says of dangers stands in the plan in any case: a policy may ask for it.
-    assert [step.hazard for step in compiled(steps, CUTTER + more).plan.steps] == ["laser", ""]
+    assert [step.hazard for step in compile_flow(steps, CUTTER + more).plan.steps] == ["laser", ""]

@@ -9,7 +9,7 @@ import pytest
 from labos.errors import NotFound
 from labos.spec import SpecErrors
 from labos.spec.describing import for_model, load_description, parts_at, places, places_at, plain_of, variant
-from labos.spec.frames import frame, of_quaternion, spun
+from labos.spec.frames import frame, from_quaternion, spin
 from labos.spec.source import parse
 
 SHAKER = """
@@ -43,7 +43,7 @@ def complaints(text: str) -> list[str]:
     return [str(error) for error in refused.value.errors]
 
 
-def changed(old: str, new: str) -> str:
+def change_text(old: str, new: str) -> str:
     assert old in SHAKER
     return SHAKER.replace(old, new)
 
@@ -106,7 +106,7 @@ def test_variants_stand_in_place_of_what_they_change() -> None:
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, at: str) -> None:
-    text = changed(old, new)
+    text = change_text(old, new)
     before, _, _ = text.partition(at)
     place = f"d.yaml:{before.count(chr(10)) + 1}:{len(before.rpartition(chr(10))[2]) + 1}: "
     found = complaints(text)
@@ -114,7 +114,7 @@ def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, 
 
 
 def test_a_variant_is_checked_where_it_is_written() -> None:
-    text = changed("wide: {models", "wide: {parts: {lid: {on: roof}}, models")
+    text = change_text("wide: {models", "wide: {parts: {lid: {on: roof}}, models")
     found = complaints(text)
     assert any(line.startswith("d.yaml:21:28") and "'roof'" in line for line in found)
     assert any("There is no part 'drawer'" in line for line in found)  # its stations stand on what is gone
@@ -135,6 +135,6 @@ def test_frames() -> None:
     back = there.then(there.inverse())
     assert back.at == pytest.approx((0, 0, 0), abs=1e-9)
     assert back.angles == pytest.approx((0, 0, 0), abs=1e-9)
-    assert spun((0, 0, 2), 90).point((1, 0, 0)) == pytest.approx((0, 1, 0))
-    assert of_quaternion((1, 2, 3), (0.7071, 0, 0, 0.7071)).point((1, 0, 0)) == pytest.approx((1, 3, 3))
+    assert spin((0, 0, 2), 90).point((1, 0, 0)) == pytest.approx((0, 1, 0))
+    assert from_quaternion((1, 2, 3), (0.7071, 0, 0, 0.7071)).point((1, 0, 0)) == pytest.approx((1, 3, 3))
     assert frame(turn_deg=(0, 90, 20)).angles[1] == pytest.approx(90)

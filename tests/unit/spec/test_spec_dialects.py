@@ -143,7 +143,7 @@ flowdef:
         "foo": 2.0,
     }
     assert [name for name, parameter in file.parameters.items() if parameter.required] == ["n-1", "empty"]
-    assert report.sorted() == ()
+    assert report.sort_findings() == ()
 
 
 def test_the_oldest_steps_and_what_no_version_runs() -> None:

@@ -12,7 +12,7 @@ from labos.core.effects import Move
 from labos.core.model import Description, Plan
 from labos.spec import Bench, CompiledWorkcell, SpecErrors, compile_workcell, compile_workflow, parse_workflow
 from labos.spec.importing import import_spec
-from labos.spec.serving import drivers_of, suggested_driver
+from labos.spec.serving import drivers_of, suggest_driver
 from labos.spec.source import parse
 from labos.spec.uses import read_uses, workflows_by_workcell
 
@@ -56,7 +56,7 @@ def plan_of(flow: str = FLOW, cell: str = CELL) -> Plan:
     ).plan
 
 
-def assumed(flow: str = FLOW, cell: str = CELL) -> list[tuple[str, str]]:
+def list_assumed(flow: str = FLOW, cell: str = CELL) -> list[tuple[str, str]]:
     return [(f.assumed, f.message) for f in cell_for(flow, cell).findings if f.assumed]
 
 
@@ -73,7 +73,7 @@ def test_the_whole_workflow_can_be_planned() -> None:
 
 
 def test_all_that_was_assumed_is_told() -> None:
-    told = assumed()
+    told = list_assumed()
     counts = Counter(what for what, _ in told)
     assert counts == {"module": 2, "driver": 2, "action": 1, "place": 1, "pose": 1}, told
     text = " ".join(message for _, message in told)
@@ -111,7 +111,7 @@ def test_an_action_with_other_arguments_takes_the_place_of_the_drivers() -> None
     flow = flow.replace(
         "module: sealer, action: seal, args: {pressure: ", "module: sealer, action: transfer, args: {way: "
     )
-    assert any("knows 'transfer' with other arguments" in message for _, message in assumed(flow, cell))
+    assert any("knows 'transfer' with other arguments" in message for _, message in list_assumed(flow, cell))
 
 
 def test_a_step_with_other_arguments_does_not_spoil_the_action_for_the_others() -> None:
@@ -157,7 +157,7 @@ def test_a_place_that_nobody_describes_is_a_nest() -> None:
     cell = cell_for(flow)
     (place,) = [station for station in cell.workcell.stations if station.name == "corner/wc.Bench 3"]
     assert (place.kind, "corner/arm" in place.reach) == ("nest", True)
-    assert any("Nobody describes the place 'Bench 3'" in message for _, message in assumed(flow))
+    assert any("Nobody describes the place 'Bench 3'" in message for _, message in list_assumed(flow))
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_a_place_that_nobody_describes_is_a_nest() -> None:
     ],
 )
 def test_what_a_name_speaks_of(model: str, driver: str | None) -> None:
-    assert suggested_driver(model, drivers()) == driver
+    assert suggest_driver(model, drivers()) == driver
 
 
 def test_spelling_of_models_does_not_matter() -> None:

@@ -60,7 +60,7 @@ def faults(folder: Path, text: str = CELL) -> list[str]:
     return [str(error).replace(f"{folder}/", "") for error in found.value.errors]
 
 
-def told(text: str) -> list[str]:
+def list_findings(text: str) -> list[str]:
     return [str(finding) for finding in parse_workcell(text, descriptions(), "c.yaml").findings]
 
 
@@ -153,18 +153,18 @@ def test_what_cannot_be_stacked_is_refused_on_stacks(folder: Path) -> None:
 
 def test_a_slip_of_the_pen_is_told_and_works_all_the_same() -> None:
     plain = CELL.replace("labware: [labware/deep.yaml]\n", "")
-    (deep,) = told(plain)
+    (deep,) = list_findings(plain)
     assert deep.startswith("c.yaml:7:50: stations.wc.shelf.accepts[0]: Nobody describes the labware type")
     assert "Describe it in a labware file, and name that under `labware:`." in deep
-    (slip,) = told(plain.replace("deep96", "plate69"))
+    (slip,) = list_findings(plain.replace("deep96", "plate69"))
     assert "Did you mean 'plate96'? Else describe it in a labware file" in slip
     cell = parse_workcell(plain, descriptions())
     shelf = next(s for s in cell.workcell.stations if s.name.endswith("wc.shelf"))
     assert shelf.accepts == ("deep96",)
     lidded = plain.replace("stock: {}", "stock: {wc.shelf: {pcr96+lid96: 1}}")
-    assert told(lidded.replace("[deep96]", "[pcr96]")) == []
+    assert list_findings(lidded.replace("[deep96]", "[pcr96]")) == []
     more = lidded.replace("[deep96]", "[flask]").replace("pcr96+lid96", "flask+cap")
-    assert [text.split(":")[1] for text in told(more)] == ["7", "13"]
+    assert [text.split(":")[1] for text in list_findings(more)] == ["7", "13"]
 
 
 POSE = "[188.2, -12.5, 251.9, 388.2, 80.1, 151.3]"

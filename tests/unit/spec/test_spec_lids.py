@@ -32,7 +32,7 @@ def drivers() -> dict[str, Description]:
     return descriptions()
 
 
-def told(*steps: str, item: str = "plate96+lid96", cell: str = "") -> list[str]:
+def list_findings(*steps: str, item: str = "plate96+lid96", cell: str = "") -> list[str]:
     text = (
         find_spec("workcells", "rpl")
         .read_text(encoding="utf-8")
@@ -45,8 +45,8 @@ def told(*steps: str, item: str = "plate96+lid96", cell: str = "") -> list[str]:
 
 
 def test_a_lid_off_and_on_again_is_right() -> None:
-    assert told(GET, UNCOVER, COVER, THROW) == []
-    assert told(GET, THROW) == []
+    assert list_findings(GET, UNCOVER, COVER, THROW) == []
+    assert list_findings(GET, THROW) == []
 
 
 @pytest.mark.parametrize(
@@ -68,26 +68,28 @@ def test_a_lid_off_and_on_again_is_right() -> None:
     ],
 )
 def test_what_is_wrong_with_lids(steps: tuple[str, ...], item: str, fault: str) -> None:
-    assert any(fault in message for message in told(*steps, item=item))
+    assert any(fault in message for message in list_findings(*steps, item=item))
 
 
 def test_a_plate_does_not_stand_in_a_nest_for_lids() -> None:
     step = "- {name: park, module: sciclops, action: transfer, args: {source: exchange, target: lidnest1}}"
-    assert any("sciclops.lidnest1 does not accept plate96" in message for message in told(GET, step))
+    assert any("sciclops.lidnest1 does not accept plate96" in message for message in list_findings(GET, step))
 
 
 def test_a_grip_that_the_type_does_not_leave_is_refused() -> None:
     cell = "  hidex.default: {reach: {pf400: {plate96: [narrow]}}}\n"
     wide = TO_READER.replace("default}", "default, target_plate_rotation: wide}")
-    assert told(GET, wide, cell=cell) == ["Step 'in': pf400 cannot grip plate96 wide at hidex.default."]
-    assert told(GET, wide.replace("wide", "narrow"), cell=cell) == []
+    assert list_findings(GET, wide, cell=cell) == [
+        "Step 'in': pf400 cannot grip plate96 wide at hidex.default."
+    ]
+    assert list_findings(GET, wide.replace("wide", "narrow"), cell=cell) == []
 
 
 def test_a_labware_type_says_how_it_can_be_held(monkeypatch: pytest.MonkeyPatch) -> None:
     from labos.spec import compile_stations
 
-    known = compile_stations.packaged_labware()
+    known = compile_stations.load_packaged_labware()
     held = {**known, "plate96": known["plate96"].model_copy(update={"grips": ["narrow"]})}
-    monkeypatch.setattr(compile_stations, "packaged_labware", lambda: held)
+    monkeypatch.setattr(compile_stations, "load_packaged_labware", lambda: held)
     wide = TO_READER.replace("default}", "default, target_plate_rotation: wide}")
-    assert told(GET, wide) == ["Step 'in': pf400 cannot grip plate96 wide at hidex.default."]
+    assert list_findings(GET, wide) == ["Step 'in': pf400 cannot grip plate96 wide at hidex.default."]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from labos.client import workflow_text
-from labos.spec.files import FileFinder, lab_folder, named_by
+from labos.spec.files import FileFinder, find_logical, lab_folder
 
 CELL = "labos: 1\nname: cell\nmodules: [{name: sealer, model: A4S_sealer}]\n"
 
@@ -41,7 +41,7 @@ def test_a_logical_name_means_the_only_file_of_that_name(name: str, means: str, 
         protocols__two_dot_hso="3",
         mix_dot_py="4",
     )
-    assert named_by(name, tmp_path) == means
+    assert find_logical(name, tmp_path) == means
     assert FileFinder({}, [tmp_path]).full_name(name) == means
     handed_in = {
         "protocols/mix.py": b"1",

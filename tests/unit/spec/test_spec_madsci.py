@@ -59,8 +59,8 @@ def workcell(text: str, folder: Path | None = None) -> tuple[WorkcellFile, tuple
     form, dialect = workcell_form(source, report)
     assert dialect == "madsci"
     file = validate(WorkcellFile, form, report)
-    assert file is not None, report.sorted()
-    return file, report.sorted()
+    assert file is not None, report.sort_findings()
+    return file, report.sort_findings()
 
 
 def test_a_labs_settings() -> None:
@@ -203,8 +203,8 @@ def workflow(text: str) -> tuple[WorkflowFile, tuple[Finding, ...]]:
     form, dialect = workflow_form(source, report)
     assert dialect == "madsci"
     file = validate(WorkflowFile, form, report)
-    assert file is not None, report.sorted()
-    return file, report.sorted()
+    assert file is not None, report.sort_findings()
+    return file, report.sort_findings()
 
 
 def test_all_that_steps_can_say() -> None:

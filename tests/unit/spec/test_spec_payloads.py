@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from spec_bench import BENCH, DESCRIPTIONS, compiled, faults
+from spec_bench import BENCH, DESCRIPTIONS, compile_steps, faults
 
 from labos.spec import compile_workflow, parse_workflow
 
@@ -78,7 +78,7 @@ def test_a_key_is_taken_wherever_the_file_names_it(text: str, payload: dict[str,
 
 def test_a_used_file_that_cannot_be_read_may_take_anything() -> None:
     text = LOOK % "" + "- {name: u, use: gone.yaml, when: payload.a > 1}\n"
-    assert compiled(text, {"a": 0, "b": 1}).plan.steps
+    assert compile_steps(text, {"a": 0, "b": 1}).plan.steps
 
 
 def test_a_workflow_without_references_says_so() -> None:

@@ -7,11 +7,11 @@ import pytest
 from labos.core.labware import Sample
 from labos.core.wells import well_index, well_name
 from labos.spec.findings import Report
-from labos.spec.labware import packaged_labware
+from labos.spec.labware import load_packaged_labware
 from labos.spec.sheet import COLUMNS, Line, check_wells, read_sheet
 from tests.docs.markdown import REFERENCE, blocks, first_codes, section
 
-PLATE = packaged_labware()["plate96"].wells
+PLATE = load_packaged_labware()["plate96"].wells
 
 
 def lines(text: str) -> list[Line]:
@@ -24,7 +24,7 @@ def lines(text: str) -> list[Line]:
 def faults(text: str) -> list[str]:
     report = Report("sheet.csv")
     check_wells(read_sheet(text, report), "plate96", PLATE, report)
-    return [str(finding.as_error()) for finding in report.sorted()]
+    return [str(finding.as_error()) for finding in report.sort_findings()]
 
 
 @pytest.mark.parametrize(

@@ -112,13 +112,13 @@ def test_a_step_names_the_hotel() -> None:
     cell = load()
     more = {"simulate": True, "bench": cell.bench}
 
-    def compiled(source: str) -> None:
+    def compile_flow(source: str) -> None:
         text = parse_workflow(STEPS.replace("SOURCE", source), "flow.yaml")
         found = compile_workflow(text, {}, cell.workcell, DESCRIPTIONS, **more)  # type: ignore[arg-type]
         assert [str(finding) for finding in found.findings] == []
 
-    compiled("wc.hotel")
-    compiled("hotel")
+    compile_flow("wc.hotel")
+    compile_flow("hotel")
     alike = load(CELL.replace("plate96: 1, pcr96: 1", "pcr96: 2").replace("plate96, pcr96]", "pcr96]"))
     small = CELL.replace("plate96: 1, pcr96: 1", "pcr96: 2").replace(
         "kind: waste", "kind: nest, accepts: [plate96]"
@@ -127,6 +127,6 @@ def test_a_step_names_the_hotel() -> None:
     with pytest.raises(SpecErrors, match=r"wc\.trash does not accept pcr96"):
         compile_workflow(text, {}, load(small).workcell, DESCRIPTIONS, simulate=True, bench=alike.bench)
     with pytest.raises(SpecErrors, match=r"wc.hotel.2 is a shelf of wc.hotel.*Write wc.hotel"):
-        compiled("wc.hotel.2")
+        compile_flow("wc.hotel.2")
     with pytest.raises(SpecErrors, match=r"There is no station 'hotel\.2'"):
-        compiled("hotel.2")
+        compile_flow("hotel.2")

@@ -50,7 +50,7 @@ def plan_of(cell: str, steps: str) -> Plan:
     return compile_workflow(flow, {}, found.workcell, drivers(), simulate=True, bench=found.bench).plan
 
 
-def carried(cell: str, source: str = "a", target: str = "b") -> list[tuple[str, str]]:
+def list_carriers(cell: str, source: str = "a", target: str = "b") -> list[tuple[str, str]]:
     """By whom, and by which action, a step that names no node is carried out."""
     plan = plan_of(
         cell, f"  - {{name: x, action: transfer, args: {{source: {source}, destination: {target}}}}}\n"
@@ -60,15 +60,15 @@ def carried(cell: str, source: str = "a", target: str = "b") -> list[tuple[str, 
 
 @pytest.mark.parametrize(("cost", "by"), [("0.5", ("slow", "transfer")), ("2.0", ("quick", "carry"))])
 def test_of_several_ways_the_one_that_costs_least_is_taken(cost: str, by: tuple[str, str]) -> None:
-    assert carried(NODES + TEMPLATES % cost) == [by]
+    assert list_carriers(NODES + TEMPLATES % cost) == [by]
 
 
 def test_two_cheap_hops_go_before_a_dear_one() -> None:
     told = NODES + TEMPLATES % "1.0"
-    assert carried(told, "a", "c") == [("slow", "transfer")]
+    assert list_carriers(told, "a", "c") == [("slow", "transfer")]
     dear = "{a: {01CCC: [{node_name: slow, action: transfer, cost_weight: 9}]}}"
     pair = f"  override_transfer_templates: {{pair_overrides: {dear}}}\n"
-    assert carried(told + pair, "a", "c") == [("slow", "transfer"), ("slow", "transfer")]
+    assert list_carriers(told + pair, "a", "c") == [("slow", "transfer"), ("slow", "transfer")]
 
 
 SPECIAL = "[{node_name: slow, action: %s, cost_weight: 8}]"
@@ -85,7 +85,7 @@ OVERRIDES = [
 @pytest.mark.parametrize(("override", "action"), OVERRIDES)
 def test_an_override_holds_for_its_locations_whatever_it_costs(override: str, action: str) -> None:
     told = f"  override_transfer_templates:\n    {override % (SPECIAL % 'gentle')}\n"
-    assert [step[1] for step in carried(NODES + TEMPLATES % "5.0" + told)] == [action]
+    assert [step[1] for step in list_carriers(NODES + TEMPLATES % "5.0" + told)] == [action]
 
 
 def test_the_override_of_a_pair_goes_before_that_of_the_source_and_this_before_the_targets() -> None:
@@ -98,7 +98,7 @@ def test_the_override_of_a_pair_goes_before_that_of_the_source_and_this_before_t
     for override, action in said.items():
         told += f"    {override % (SPECIAL % action)}\n"
         cell = NODES + TEMPLATES % "5.0" + f"  override_transfer_templates:\n{told}"
-        assert carried(cell) == [("slow", action)]
+        assert list_carriers(cell) == [("slow", action)]
 
 
 def test_further_arguments_are_passed_on() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from labos.spec import Compiled, Finding, SpecErrors
-from tests.unit.spec.spec_bench import compiled, faults, where
+from tests.unit.spec.spec_bench import compile_steps, faults, where
 
 SHOOT = "- {name: Shoot, module: cam, action: take_picture%s}\n"
 
@@ -23,13 +23,13 @@ def only(text: str, payload: dict[str, Any] | None = None, **options: Any) -> Fi
     return found
 
 
-def used(**files: str) -> dict[str, bytes]:
+def make_used(**files: str) -> dict[str, bytes]:
     return {f"{name}.yaml": f"name: {name}\n{text}".encode() for name, text in files.items()}
 
 
 def test_a_step_for_each_element_knows_it() -> None:
     text = SHOOT % ", for_each: {item: p, in: payload.ps}, args: {file_name: payload.p.file}"
-    plan = compiled(text, {"ps": [{"file": "a"}, {"file": "b"}]})
+    plan = compile_steps(text, {"ps": [{"file": "a"}, {"file": "b"}]})
     assert order(plan) == {"Shoot[1]": [], "Shoot[2]": ["Shoot[1]"]}
     assert [step.args["file_name"] for step in plan.plan.steps] == ["a", "b"]
 
@@ -39,12 +39,15 @@ def test_a_slip_in_the_payload_of_a_file_is_told_once() -> None:
     use = (
         "- {name: P, use: prep.yaml, for_each: {item: n, in: [1, 2]}, payload: {file: {name: a, nmae: b}}}\n"
     )
-    found = only(use, files=used(prep=prep))
+    found = only(use, files=make_used(prep=prep))
     assert found.message == "Nothing in prep.yaml takes 'file.nmae' from its payload."
     assert "Did you mean 'file.name'" in found.remedy
     assert found.field == "steps[0].payload.file"
     assert (
-        compiled(use.replace(", nmae: b", ""), files=used(prep=prep)).plan.steps[1].args["file_name"] == "a"
+        compile_steps(use.replace(", nmae: b", ""), files=make_used(prep=prep))
+        .plan.steps[1]
+        .args["file_name"]
+        == "a"
     )
 
 
@@ -55,7 +58,7 @@ def test_parallel_rounds_do_not_wait_for_each_other_and_all_are_waited_for() -> 
         + "- {name: Open, module: cycler, action: open_lid, for_each: {item: n, in: [1, 2], parallel: true}}\n"
         "- {name: Close, module: cycler, action: close_lid}\n"
     )
-    assert order(compiled(text)) == {
+    assert order(compile_steps(text)) == {
         "Shoot": [], "Open[1]": ["Shoot"], "Open[2]": ["Shoot"], "Close": ["Open[1]", "Open[2]"],
     }  # fmt: skip
 
@@ -64,14 +67,14 @@ def test_an_empty_list_leaves_nothing_and_the_order_is_closed() -> None:
     text = SHOOT % "" + "- {name: Open, module: cycler, action: open_lid, for_each: {item: n, in: []}}\n" + (
         "- {name: Close, module: cycler, action: close_lid, after: [Open]}\n"
     )  # fmt: skip
-    assert order(compiled(text)) == {"Shoot": [], "Close": ["Shoot"]}
+    assert order(compile_steps(text)) == {"Shoot": [], "Close": ["Shoot"]}
 
 
 def test_the_result_of_one_round_can_be_read() -> None:
     text = SHOOT % ", for_each: {item: n, in: [1, 2]}" + (
         "- {name: Again, module: cam, action: take_picture, args: {file_name: 'steps.Shoot[2].result.file'}}\n"
     )
-    plan = compiled(text).plan
+    plan = compile_steps(text).plan
     assert plan.steps[2].args == {"file_name": {"$result": [1, "file"]}}
     assert plan.feeds == (1,)
 
@@ -91,7 +94,7 @@ def test_a_used_file_brings_its_steps_with_their_own_names_and_payload() -> None
         "- {name: Q, use: prep.yaml, payload: {}}\n"
         "- {name: End, module: cam, action: take_picture, args: {file_name: steps.P/Again.result}}\n"
     )
-    plan = compiled(text, {"f": "a.jpg"}, files=used(prep=PREP))
+    plan = compile_steps(text, {"f": "a.jpg"}, files=make_used(prep=PREP))
     assert order(plan) == {
         "Shoot": [],
         "P/Open": ["Shoot"],
@@ -114,7 +117,7 @@ def test_files_are_used_in_files_and_for_each_element() -> None:
     inner = "steps:\n" + SHOOT % ", args: {file_name: payload.p}"
     outer = "steps:\n- {name: in, use: inner.yaml}\n- {name: in, use: inner.yaml}\n"
     text = "- {name: out, use: outer.yaml, for_each: {item: p, in: [a, b]}}\n"
-    plan = compiled(text, files=used(inner=inner, outer=outer))
+    plan = compile_steps(text, files=make_used(inner=inner, outer=outer))
     assert [(step.key, step.args["file_name"]) for step in plan.plan.steps] == [
         ("out[1]/in/Shoot", "a"), ("out[1]/in#2/Shoot", "a"), ("out[2]/in/Shoot", "b"), ("out[2]/in#2/Shoot", "b"),
     ]  # fmt: skip
@@ -135,11 +138,11 @@ def test_a_fault_is_told_where_it_was_written_with_the_element() -> None:
 
 def test_a_fault_in_a_used_file_names_that_file() -> None:
     bad = "steps:\n- name: Seal\n  module: sealer\n  action: seal\n  args: {time: payload.t}\n"
-    found = only("- {name: P, use: bad.yaml, payload: {t: -1}}\n", files=used(bad=bad))
+    found = only("- {name: P, use: bad.yaml, payload: {t: -1}}\n", files=make_used(bad=bad))
     assert (found.file, *where(found)) == ("bad.yaml", 6, 16)
     assert "'P/Seal'" in found.message
     unknown = only(
-        "- {name: P, use: bad.yaml}\n", files=used(bad="steps:\n- {name: S, modul: x, action: y}\n")
+        "- {name: P, use: bad.yaml}\n", files=make_used(bad="steps:\n- {name: S, modul: x, action: y}\n")
     )
     assert (unknown.file, *where(unknown)) == ("bad.yaml", 3, 31)
 
@@ -166,7 +169,7 @@ def test_a_fault_in_a_used_file_names_that_file() -> None:
 )  # fmt: skip
 def test_what_is_refused(text: str, files: dict[str, str], why: str) -> None:
     payload = {"n": 1, "long": [0] * 3000}
-    found = faults(text, payload, files=used(**files))
+    found = faults(text, payload, files=make_used(**files))
     assert any(why in finding.message for finding in found), found
     assert all(finding.line for finding in found)
 
@@ -178,7 +181,7 @@ def test_what_grows_without_measure_is_stopped() -> None:
         for n in range(6)
     }
     files["f6"] = "steps:\n" + SHOOT % ", when: 1 > 2"
-    found = only("- {name: P, use: f0.yaml}\n", files=used(**files))
+    found = only("- {name: P, use: f0.yaml}\n", files=make_used(**files))
     assert "more than 2000 steps" in found.message
 
 
@@ -186,15 +189,17 @@ def test_a_step_left_out_by_the_payload_leaves_the_rest_consistent() -> None:
     text = SHOOT % "" + "- {name: Open, module: cycler, action: open_lid, when: payload.n > 1}\n" + (
         "- {name: Close, module: cycler, action: close_lid, when: payload.n == 1 and 'x' in payload.s}\n"
     )  # fmt: skip
-    assert order(compiled(text, {"n": 1, "s": "xy"})) == {"Shoot": [], "Close": ["Shoot"]}
-    assert order(compiled(text, {"n": 2, "s": ""})) == {"Shoot": [], "Open": ["Shoot"]}
+    assert order(compile_steps(text, {"n": 1, "s": "xy"})) == {"Shoot": [], "Close": ["Shoot"]}
+    assert order(compile_steps(text, {"n": 2, "s": ""})) == {"Shoot": [], "Open": ["Shoot"]}
 
 
 def test_a_long_chain_of_left_out_steps_is_no_trouble() -> None:
     text = SHOOT % "" + "".join(
         f"- {{name: S{n}, module: cam, action: take_picture, when: 1 > 2}}\n" for n in range(1500)
     )
-    assert list(order(compiled(text + "- {name: End, module: cam, action: take_picture}\n")).values()) == [
+    assert list(
+        order(compile_steps(text + "- {name: End, module: cam, action: take_picture}\n")).values()
+    ) == [
         [],
         ["Shoot"],
     ]
@@ -202,4 +207,4 @@ def test_a_long_chain_of_left_out_steps_is_no_trouble() -> None:
 
 def test_all_left_out_is_refused_by_what_is_left() -> None:
     with pytest.raises(SpecErrors, match="no step is left"):
-        compiled(SHOOT % ", when: 1 > 2")
+        compile_steps(SHOOT % ", when: 1 > 2")

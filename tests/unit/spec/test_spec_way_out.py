@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.core.model import MAIN, ON_CANCEL
-from tests.unit.spec.spec_bench import compiled, faults
+from tests.unit.spec.spec_bench import compile_steps, faults
 
 CARRY = "- {name: %s, module: arm, action: transfer, args: {source: %s, target: %s}}\n"
 GET = "- {name: Get, module: stack, action: get_plate, args: {loc: tower1}}\n"
@@ -17,7 +17,7 @@ OPEN = "- {name: Open it, module: cycler, action: open_lid}\n"
 
 
 def test_its_steps_stand_apart() -> None:
-    found = compiled(FLOW + "on_cancel:\n" + OPEN + FROM_EXCHANGE + FROM_CYCLER)
+    found = compile_steps(FLOW + "on_cancel:\n" + OPEN + FROM_EXCHANGE + FROM_CYCLER)
     assert [step.part for step in found.plan.steps] == [MAIN] * 5 + [ON_CANCEL] * 3
     assert [step.key for step in found.plan.steps][-1] == "on_cancel/From cycler"
     assert [step.after for step in found.plan.steps][-3:] == [(), (5,), (5, 6)]
@@ -26,7 +26,7 @@ def test_its_steps_stand_apart() -> None:
 
 def test_a_file_may_hold_them() -> None:
     out = b"name: out\nsteps:\n" + (OPEN + FROM_EXCHANGE + FROM_CYCLER).encode()
-    found = compiled(FLOW + "on_cancel: out.yaml\n", files={"out.yaml": out})
+    found = compile_steps(FLOW + "on_cancel: out.yaml\n", files={"out.yaml": out})
     assert [step.key for step in found.plan.steps][5:] == [
         "on_cancel/Open it",
         "on_cancel/From exchange",

@@ -94,7 +94,7 @@ def test_an_unknown_place_says_what_is_near(text: str, says: str) -> None:
     assert says in str(caught.value)
 
 
-def changed(old: str, new: str) -> str:
+def change_text(old: str, new: str) -> str:
     assert old in WORKCELL
     return WORKCELL.replace(old, new)
 
@@ -102,35 +102,41 @@ def changed(old: str, new: str) -> str:
 @pytest.mark.parametrize(
     ("text", "line", "column", "field", "says"),
     [
-        (changed("name: wc1", "nmae: wc1"), 2, 1, "nmae", "Did you mean 'name'"),
-        (changed("name: wc1", "name: a/b"), 2, 7, "name", "cannot be a name"),
-        (changed("labos: 1", "labos: 2"), 1, 8, "labos", "Write 1"),
-        (changed("name: sealer, model", "name: sealer, modle"), 6, 20, "modules[2].modle", "'model'"),
-        (changed("A4S_sealer", "A5S_sealer"), 6, 27, "modules[2].model", "Did you mean 'A4S_sealer'"),
-        (changed("model: A4S_sealer", "driver: seeler"), 6, 28, "modules[2].driver", "'sealer'"),
-        (changed("name: sealer", "name: arm"), 6, 12, "modules[2].name", "twice"),
-        (changed("{name: cam, model: camera (logitech)}", "{name: cam}"), 9, 5, "modules[5]", "no model"),
-        (changed("kind: waste", "kind: waist"), 11, 20, "stations.wc.trash.kind", "choices"),
-        (changed("capacity: 5", "capacity: 0"), 11, 37, "stations.wc.trash.capacity", "at least 1"),
-        (changed("capacity: 5", "capacity: five"), 11, 37, "stations.wc.trash.capacity", "a whole number"),
-        (changed("capacity: 5", "capcity: 5"), 11, 27, "stations.wc.trash.capcity", "'capacity'"),
-        (changed("{arm: [narrow]}", "{amr: [narrow]}"), 15, 23, "stations.ot2.deck2.reach.amr", "'arm'"),
-        (changed("  wc.pcr: {k", "  pcr: {k"), 13, 3, "stations.pcr", "cannot be a station"),
-        (changed("    sealer.default:", "    sealer.defualt:"), 19, 5, None, "'sealer.default'"),
-        (changed("  arm:\n", "  amr:\n"), 17, 3, "locations.amr", "no module"),
-        (changed("wc.trash: [1, 2]", "wc.trash: [1, a]"), 22, 19, "locations.arm.wc.trash[1]", "number"),
-        (changed("{plate96: 20}", "{plate96: 21}"), 27, 17, "stock.stack.tower1", "holds 20"),
-        (changed("stack.tower1: {p", "stack.tower9: {p"), 27, 3, "stock.stack.tower9", "'stack.tower"),
+        (change_text("name: wc1", "nmae: wc1"), 2, 1, "nmae", "Did you mean 'name'"),
+        (change_text("name: wc1", "name: a/b"), 2, 7, "name", "cannot be a name"),
+        (change_text("labos: 1", "labos: 2"), 1, 8, "labos", "Write 1"),
+        (change_text("name: sealer, model", "name: sealer, modle"), 6, 20, "modules[2].modle", "'model'"),
+        (change_text("A4S_sealer", "A5S_sealer"), 6, 27, "modules[2].model", "Did you mean 'A4S_sealer'"),
+        (change_text("model: A4S_sealer", "driver: seeler"), 6, 28, "modules[2].driver", "'sealer'"),
+        (change_text("name: sealer", "name: arm"), 6, 12, "modules[2].name", "twice"),
+        (change_text("{name: cam, model: camera (logitech)}", "{name: cam}"), 9, 5, "modules[5]", "no model"),
+        (change_text("kind: waste", "kind: waist"), 11, 20, "stations.wc.trash.kind", "choices"),
+        (change_text("capacity: 5", "capacity: 0"), 11, 37, "stations.wc.trash.capacity", "at least 1"),
         (
-            changed("stack.tower1: {plate96: 20}", "wc.pcr:  {plate96: 1}"),
+            change_text("capacity: 5", "capacity: five"),
+            11,
+            37,
+            "stations.wc.trash.capacity",
+            "a whole number",
+        ),
+        (change_text("capacity: 5", "capcity: 5"), 11, 27, "stations.wc.trash.capcity", "'capacity'"),
+        (change_text("{arm: [narrow]}", "{amr: [narrow]}"), 15, 23, "stations.ot2.deck2.reach.amr", "'arm'"),
+        (change_text("  wc.pcr: {k", "  pcr: {k"), 13, 3, "stations.pcr", "cannot be a station"),
+        (change_text("    sealer.default:", "    sealer.defualt:"), 19, 5, None, "'sealer.default'"),
+        (change_text("  arm:\n", "  amr:\n"), 17, 3, "locations.amr", "no module"),
+        (change_text("wc.trash: [1, 2]", "wc.trash: [1, a]"), 22, 19, "locations.arm.wc.trash[1]", "number"),
+        (change_text("{plate96: 20}", "{plate96: 21}"), 27, 17, "stock.stack.tower1", "holds 20"),
+        (change_text("stack.tower1: {p", "stack.tower9: {p"), 27, 3, "stock.stack.tower9", "'stack.tower"),
+        (
+            change_text("stack.tower1: {plate96: 20}", "wc.pcr:  {plate96: 1}"),
             27,
             13,
             "stock.wc.pcr.plate96",
             "accept",
         ),
-        (changed("regrip: wc.regrip", "regrip: wc.rigrep"), 5, 39, "modules[1].regrip", "'wc.regrip'"),
-        (changed("A4S_sealer}", "A4S_sealer, resources: {foli: 5}}"), 6, 51, None, "'foil'"),
-        (changed("A4S_sealer}", "A4S_sealer, coordinates: [1]}"), 6, 52, None, "seven numbers"),
+        (change_text("regrip: wc.regrip", "regrip: wc.rigrep"), 5, 39, "modules[1].regrip", "'wc.regrip'"),
+        (change_text("A4S_sealer}", "A4S_sealer, resources: {foli: 5}}"), 6, 51, None, "'foil'"),
+        (change_text("A4S_sealer}", "A4S_sealer, coordinates: [1]}"), 6, 52, None, "seven numbers"),
         ("labos: 1\nname: x\n", 1, 1, "modules", "'modules' is missing"),
         ("labos: 1\nname: x\nmodules: []\n", 3, 10, "modules", "at least 1"),
         ("name: x\nconfig: 5\nmodules: []\n", 2, 9, "config", "table"),
@@ -156,7 +162,7 @@ def test_a_model_that_several_drivers_serve_needs_a_driver() -> None:
     assert fault.severity == "error"
     assert fault.message == "The model 'A4S_sealer' is served by several drivers: sealer, other_sealer."
     assert "driver: sealer" in fault.remedy
-    chosen = changed("name: sealer, model: A4S_sealer", "name: sealer, driver: other_sealer")
+    chosen = change_text("name: sealer, model: A4S_sealer", "name: sealer, driver: other_sealer")
     modules = {m.name: m for m in parse_workcell(chosen, known).workcell.modules}
     assert modules["wc1/sealer"].driver == "other_sealer"  # type: ignore[index]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from spec_bench import BENCH, DESCRIPTIONS, compiled, faults, steps, where
+from spec_bench import BENCH, DESCRIPTIONS, compile_steps, faults, steps, where
 
 from labos.core.canonical import digest
 from labos.core.effects import Move, Needs
@@ -50,7 +50,7 @@ def move(source: str, target: str, name: str = "go", more: str = "", grips: str 
 )
 def test_references_keep_their_type(written: str, payload: dict[str, Any], value: Any) -> None:
     text = f"- {{name: seal, module: sealer, action: seal, args: {{time: {written}}}}}\n"
-    result = compiled(text, payload)
+    result = compile_steps(text, payload)
     assert result.plan.steps[0].args["time"] == value
 
 
@@ -68,7 +68,7 @@ def test_references_inside_text_and_defaults_of_parameters() -> None:
 def test_results_of_earlier_steps() -> None:
     picture = "- {name: p, module: cam, action: take_picture}\n"
     again = "- {name: q, module: cam, action: take_picture, args: {file_name: steps.p.result.image.name}}\n"
-    result = compiled(picture + again)
+    result = compile_steps(picture + again)
     assert result.plan.steps[1].args["file_name"] == {"$result": [0, "image", "name"]}
     assert result.plan.feeds == (0,)
 
@@ -82,7 +82,7 @@ def test_names_may_repeat_and_after_makes_branches() -> None:
         "- {name: p, module: cam, action: take_picture, after: []}\n"
         "- {name: q, module: cam, action: take_picture, after: ['p#1', 'p#2']}\n"
     )
-    plan = compiled(text).plan
+    plan = compile_steps(text).plan
     assert [step.key for step in plan.steps] == ["p", "p#2", "q"]
     assert [step.after for step in plan.steps] == [(), (), (0, 1)]
 
@@ -94,7 +94,7 @@ def test_windows() -> None:
         "- {name: c, module: cam, action: take_picture, after: [a], wait: {after: a, at_least: 30 s},\n"
         "   within: [{after: a, at_most: 10 min, on_breach: fail}, {after: b, at_most: 12 h}]}\n"
     )
-    plan = compiled(text).plan
+    plan = compile_steps(text).plan
     assert plan.steps[2].windows == (Window(0, 30, 600, "fail"), Window(1, 0, 43200))
     assert plan.steps[2].after == (0, 1)
 
@@ -106,7 +106,7 @@ def test_windows_of_another_run() -> None:
         "   within: [{of: incubate, after: Put in, at_most: 13 h, on_breach: ask},\n"
         "            {of: payload.plate, after: Shake, at_most: 5}]}\n"
     )
-    (step,) = compiled(text, {"plate": "R7"}).plan.steps
+    (step,) = compile_steps(text, {"plate": "R7"}).plan.steps
     assert step.after == ()
     assert step.windows == (
         Window(None, 43200, 46800, "ask", "incubate", "Put in"),
@@ -129,7 +129,7 @@ def test_windows_of_another_run() -> None:
 )
 def test_faults_of_windows_of_another_run(window: str, payload: dict[str, Any], message: str) -> None:
     with pytest.raises(SpecErrors, match=message):
-        compiled(f"- {{name: a, module: cam, action: take_picture, {window}}}\n", payload)
+        compile_steps(f"- {{name: a, module: cam, action: take_picture, {window}}}\n", payload)
 
 
 # -- effects ----------------------------------------------------------------------------------
@@ -137,17 +137,17 @@ def test_faults_of_windows_of_another_run(window: str, payload: dict[str, Any], 
 
 def test_a_change_of_grip_goes_by_the_regrip_station() -> None:
     grips = ", source_plate_rotation: narrow, target_plate_rotation: wide"
-    [effect] = compiled(move("sealer", "cam", grips=grips)).plan.steps[0].effects
+    [effect] = compile_steps(move("sealer", "cam", grips=grips)).plan.steps[0].effects
     assert isinstance(effect, Move)
     assert effect.via == "wc1/wc.regrip"
     grips = ", source_plate_rotation: wide, target_plate_rotation: wide"
-    [effect] = compiled(move("sealer", "cam", grips=grips)).plan.steps[0].effects
+    [effect] = compile_steps(move("sealer", "cam", grips=grips)).plan.steps[0].effects
     assert isinstance(effect, Move)
     assert effect.via == ""
 
 
 def test_inputs_and_outputs() -> None:
-    result = compiled(SEAL + move("sealer", "wc.hotel") + move("cam", "wc.hotel"))
+    result = compile_steps(SEAL + move("sealer", "wc.hotel") + move("cam", "wc.hotel"))
     assert result.inputs == ("wc1/sealer.default", "wc1/cam.plate_station")
     assert result.outputs == ("wc1/wc.hotel", "wc1/wc.hotel")
     assert isinstance(result.plan.steps[0].effects[0], Needs)
@@ -318,14 +318,14 @@ def test_faults(text: str, line: int, column: int, field: str, says: str) -> Non
     assert fault.remedy
     assert len(found) == len({(f.message, f.line) for f in found})
     with pytest.raises(SpecErrors) as caught:
-        compiled(text, {"a": {"b": 1}, "time": 1})
+        compile_steps(text, {"a": {"b": 1}, "time": 1})
     assert len(caught.value.errors) == len(found)
     assert str(caught.value).startswith("w.yaml:")
 
 
 def test_what_branches_may_break_is_only_a_warning() -> None:
     text = move("sealer", "cam", "a") + move("cycler", "cam", "b", ", after: []")
-    [finding] = compiled(text).findings
+    [finding] = compile_steps(text).findings
     assert finding.severity == "warning"
     assert "is full" in finding.message
 
@@ -341,7 +341,7 @@ def test_a_payload_that_cannot_be_recorded(payload: dict[str, Any]) -> None:
     [finding] = faults(SEAL, payload)
     assert "cannot be recorded" in finding.message
     with pytest.raises(SpecError):
-        compiled(SEAL, payload)
+        compile_steps(SEAL, payload)
 
 
 def test_a_payload_cannot_smuggle_in_a_reference() -> None:
@@ -363,7 +363,9 @@ OPEN_AND_FILL = "".join(
 
 
 def holds(head: str) -> list[tuple[str, int, int]]:
-    return [(local(hold.module), hold.first, hold.last) for hold in compiled(OPEN_AND_FILL + head).plan.holds]
+    return [
+        (local(hold.module), hold.first, hold.last) for hold in compile_steps(OPEN_AND_FILL + head).plan.holds
+    ]
 
 
 def test_who_works_on_a_module_first_keeps_it_until_the_labware_has_come() -> None:

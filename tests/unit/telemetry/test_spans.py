@@ -34,7 +34,7 @@ def spans_of(name: str, *, restart_at: int = 0) -> list[Span]:
             recorder.begin_with(state)
         elif head.position > restart_at:
             now[0] = head.recorded_at + COMMIT_NS
-            recorder.committed([entry])
+            recorder.on_committed([entry])
     return found
 
 
