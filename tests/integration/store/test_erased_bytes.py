@@ -62,7 +62,8 @@ def written(store: SqlEventStore, number: int = 200) -> tuple[Head, list[Kept]]:
     head = store.claim(LAB, "test", LEASE_S)
     texts = []
     for at in range(number):
-        record, words = pause_with_words(head, f"{NOBODY} {at} " + "and so on " * (at % 5), salt=at.to_bytes(16))
+        text = f"{NOBODY} {at} " + "and so on " * (at % 5)
+        record, words = pause_with_words(head, text, salt=at.to_bytes(16))
         head = store.append(head, [record])
         texts.append(words)
     record, _ = pause_with_words(head, STAYS)
