@@ -15,12 +15,12 @@ import pytest
 
 from labos.bootstrap import LabThread
 from labos.cli.files import _fetch
+from labos.core.binding import bind
 from labos.core.decide.users import AddUser, GrantRole
+from labos.core.waits import Wait
 from labos.errors import LabosError
-from labos.planning.scheduler import Scheduler
 from labos.services.files import ResultFile
 from labos.services.trust.proof import Trust, prove_bundle
-from labos.services.waits import reasons
 from labos.store import FolderBlobs, move_old_segments, read_backup
 from tests.integration.http.signed import client_of, execute, lab_with_users, token_of
 
@@ -89,7 +89,7 @@ def test_a_file_is_found_by_its_digest_alone(eve: httpx.Client, digest: str) -> 
 # -- what is somebody else's ------------------------------------------------------------------------
 
 
-def test_ids_of_others_open_nothing(lab: LabThread, bob: httpx.Client, eve: httpx.Client) -> None:
+def test_ids_of_othis_open_nothing(lab: LabThread, bob: httpx.Client, eve: httpx.Client) -> None:
     run = bob.post("/runs", json={"workflow": {"text": FLOW}}).json()["run"]
     experiment = bob.post("/experiments", json={"name": "e"}).json()["experiment"]
     rows = "labos: 1\ncampaign: c\nworkflow: f\nrows: {list: [{}]}\n"
@@ -146,18 +146,24 @@ def test_a_plate_of_somebody_else_is_not_used_by_another_name(
     inner = f"labos: 1\nname: inner\nsteps:\n  - {{name: take, module: pf400, action: transfer, {carry}}}\n"
     outer = "labos: 1\nname: outer\nsteps:\n  - {name: inside, use: inner.yaml}\n"
     encoded = b64encode(inner.encode()).decode()
-    told = eve.post(
-        "/runs",
-        json={
-            "workflow": {"text": outer, "name": "outer.yaml", "files": {"inner.yaml": encoded}},
-            "payload": {"from": "hidex.default"},
-        },
-    )
+    asked = {
+        "workflow": {"text": outer, "name": "outer.yaml", "files": {"inner.yaml": encoded}},
+        "payload": {"from": "hidex.default"},
+    }
+    told = eve.post("/runs", json=asked)
     assert told.status_code == 201, told.text
     run = told.json()["run"]
     state = lab.runtime.kernel.state
-    waits = reasons(state, state.runs.queued[run], lab.runtime.kernel.clock.now_ns(), Scheduler())
-    assert any("bob" in reason.why for reason in waits), waits
+    plan = state.runs.plan_of(state.runs.queued[run])
+    (taken,) = (step for step in plan.steps if step.key == "inside/take")
+    found = bind(state, state.runs.queued[run], taken)
+    assert isinstance(found, Wait)
+    assert found.code == "not_yours"
+    owners = {item.id: item.owner for item in state.bench.labware.values()}
+    his = bob.post("/runs", json=asked).json()["run"]
+    assert not isinstance(bind(state, state.runs.queued[his], taken), Wait), "bob's own run may take it"
+    bob.post(f"/runs/{his}/cancel", json={})
+    assert owners[plate] == "user:bob"
     assert {i["id"]: i["owner"] for i in bob.get("/state").json()["labware"]}[plate] == "user:bob"
     eve.post(f"/runs/{run}/cancel", json={})
 
