@@ -43,6 +43,14 @@ def unclean(client: LabClient) -> list[Any]:
     return [*alive, *away]
 
 
+def says_the_same_again(client: LabClient, work: Callable[[], str], before: str) -> None:
+    """An application that has ended is started again with ``--resume E1``: all it says comes from the log,
+    and nothing is written into it."""
+    position = client.health()["position"]
+    assert work() == before
+    assert list(client.events(position, correlation="E1")) == []
+
+
 def cancel_at(
     client: LabClient, work: Callable[[], object], action: str, *, count: int = 1
 ) -> BaseException | None:

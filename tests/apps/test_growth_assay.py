@@ -22,7 +22,7 @@ from labos.spec import find_spec, load_workcell
 from labos_drivers._growth import IC50_MG_PER_L
 from labos_drivers.hidex import simulator
 from tests.apps.growth import APP, table
-from tests.apps.support import cancel_at, until_clean
+from tests.apps.support import cancel_at, says_the_same_again, until_clean
 from tests.apps.virtual_lab import VirtualExperiment, VirtualLab
 from tests.support.lab_process import until
 from tests.unit.test_growth_analysis import TOLERANCE
@@ -59,6 +59,13 @@ def test_on_bio(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
         told = capsys.readouterr().out
         with LabClient(lab.url) as client:
             runs = [client.status(f"R{number}") for number in range(1, 7)]
+
+            def resumed() -> str:
+                monkeypatch.setattr(sys, "argv", ["growth_assay", *words, "--resume", "E1"])
+                assert growth_assay.main() == 0
+                return capsys.readouterr().out
+
+            says_the_same_again(client, resumed, told)
             kinds = {note["payload"]["kind"] for note in client.events(type="experiment.noted")}
             leaves_the_bench_clean(client, World(str(lab.runtime.settings.world("bio"))))
     assert "growth assay: IC50 0.9" in told or "growth assay: IC50 0.8" in told

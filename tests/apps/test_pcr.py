@@ -13,7 +13,7 @@ from labos.client import LabClient, RunFailed
 from labos.errors import BadInput
 from labos.node import World
 from tests.apps.conftest import OpenLab
-from tests.apps.support import cancel_at, notes, standing, until_clean
+from tests.apps.support import cancel_at, notes, says_the_same_again, standing, until_clean
 
 STANDARD = pcr.HERE / "payloads" / "standard.yaml"
 
@@ -51,6 +51,9 @@ def test_as_published_and_with_our_own_ending(open_lab: OpenLab, tmp_path: Path)
             wanted = pcr.read_wanted(STANDARD)
             told = pcr.run_pcr(client, "ada", wanted, published=published, out=out)
             assert told.startswith(f"1 plates are done and {ending}. The data: experiment E")
+            if published:
+                resumed = lambda: pcr.run_pcr(client, "ada", wanted, published=True, out=out, resume="E1")  # noqa: B023, E731
+                says_the_same_again(client, resumed, told)
             assert told.endswith(str(out / "index.html"))
             with (out / "data.csv").open() as file:
                 (row,) = csv.DictReader(file)
