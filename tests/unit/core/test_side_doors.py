@@ -156,7 +156,7 @@ def test_a_window_that_waits_for_anothers_run_is_refused() -> None:
 @pytest.mark.parametrize("of", ["R1", "R2", "route", "flow"])
 def test_nobodys_run_but_ones_own_starts_a_clock(of: str) -> None:
     """Bo has an experiment of his own, and names ada's run in it, by its id or by its workflow."""
-    lab = crowded()
+    lab = make_crowded()
     lab.step("R2")
     lab.do(StartExperiment("app", "bo"), "bo")
     window = Window(None, wait_s=1.0, within_s=2.0, of=of, of_step="move")
@@ -168,7 +168,7 @@ def test_nobodys_run_but_ones_own_starts_a_clock(of: str) -> None:
 
 
 def test_nothing_is_given_to_anothers_run_nor_taken_out_of_it() -> None:
-    lab = crowded()
+    lab = make_crowded()
     run = lab.submit(route("stack", "b", "c"), "ada")
     lab.step(run, 0)
     (hers,) = [item.id for item in lab.state.bench.labware.values() if item.owner == f"run:{run}"]
@@ -185,7 +185,7 @@ def test_nothing_is_given_to_anothers_run_nor_taken_out_of_it() -> None:
 
 
 def test_a_campaign_is_archived_by_its_owner_and_by_operators_only() -> None:
-    lab = crowded()
+    lab = make_crowded()
     lab.do(CancelCampaign(C), "ada")
     assert C in lab.state.campaigns.ended
     found = lab.refused(ArchiveCampaign(C), "bo")
