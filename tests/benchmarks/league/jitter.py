@@ -26,9 +26,6 @@ CASES = (
 )
 JITTER = 0.1
 SEEDS = 3
-SECONDS = 1.0
-"""So long the planner may look each time, counted by work done."""
-
 HEADINGS = ("case", "durations", "online", "planner, middle", "planner, quantile 0.8")
 
 
@@ -42,34 +39,35 @@ class Mean(msgspec.Struct, frozen=True):
         return f"{self.makespan_s:,.0f} s, {self.missed} missed"
 
 
-def mean(case: Case, jitter: float, seeds: int, level: float | None) -> Mean:
+def mean(case: Case, jitter: float, seeds: int, seconds: float, level: float | None) -> Mean:
     """Play a case, with the planner at a quantile of durations if there is one."""
     outcomes = []
     for seed in range(seeds if jitter else 1):
         planner = None
         if level is not None:
-            planner = Planner(seconds=SECONDS, solver=partial(solve, counted=True), level=level)
+            planner = Planner(seconds=seconds, solver=partial(solve, counted=True), level=level)
         player = Player(case.cell, case.stock, jitter=jitter, seed=seed, planner=planner)
         outcomes.append(player.play(case.works))
     total = sum(outcome.makespan_s for outcome in outcomes)
     return Mean(total / len(outcomes), sum(outcome.breaches for outcome in outcomes))
 
 
-def row(case: Case, jitter: float, seeds: int) -> tuple[str, ...]:
+def row(case: Case, jitter: float, seeds: int, seconds: float) -> tuple[str, ...]:
     told = f"± {jitter:.0%}, {seeds} seeds" if jitter else "exact"
-    return (case.name, told, *(str(mean(case, jitter, seeds, level)) for level in (None, 0.5, 0.8)))
+    return (case.name, told, *(str(mean(case, jitter, seeds, seconds, level)) for level in (None, 0.5, 0.8)))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.league.jitter", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="parts of names of cases")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="how often each is played")
+    parser.add_argument("--seconds", type=float, default=1.0, help="how long the planner may look each time")
     options = parser.parse_args(arguments)
     print("| " + " | ".join(HEADINGS) + " |\n|" + " --- |" * len(HEADINGS))
     for case in cases():
         wanted = any(name in case.name for name in options.names) if options.names else case.name in CASES
         for jitter in (0.0, JITTER) if wanted else ():
-            print("| " + " | ".join(row(case, jitter, options.seeds)) + " |", flush=True)
+            print("| " + " | ".join(row(case, jitter, options.seeds, options.seconds)) + " |", flush=True)
     print(machine())
 
 

@@ -31,9 +31,6 @@ HOUR_S = 3600.0
 SHIFT_S = 8 * HOUR_S
 JITTER = 0.1
 SEEDS = 3
-SECONDS = 0.5
-"""So long the planner may look each time, counted by work done."""
-
 URGENT = 10
 
 GROWTH = """
@@ -94,9 +91,11 @@ def works(seed: int) -> list[Work]:
     return [*found, Work((urgent,), after_s=HOUR_S * 3.7)]
 
 
-def play(seed: int, *, planner: bool) -> Result:
+def play(seed: int, seconds: float) -> Result:
+    """Play a shift with a planner that may look for so many seconds each time, counted by work done; without
+    one if that is 0."""
     done = works(seed)
-    planned = Planner(seconds=SECONDS, solver=partial(solve, counted=True)) if planner else None
+    planned = Planner(seconds=seconds, solver=partial(solve, counted=True)) if seconds else None
     stock = {**RPL_STOCK, StationName("rpl/sciclops.tower3"): ("plate96", 20)}
     outcome = Player(CELL.workcell, stock, jitter=JITTER, seed=seed, planner=planned).play(done)
     waits = dict(_waits(outcome, done))
@@ -146,14 +145,15 @@ HEADINGS = (
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.league.shift", description=__doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS, help="how many shifts are played")
+    parser.add_argument("--seconds", type=float, default=1.0, help="how long the planner may look each time")
     options = parser.parse_args(arguments)
     print("| " + " | ".join(HEADINGS) + " |\n|" + " --- |" * len(HEADINGS))
     for seed in range(options.seeds):
-        for planner in (False, True):
-            r = play(seed, planner=planner)
+        for seconds in (0.0, options.seconds):
+            r = play(seed, seconds)
             cells = (
                 str(seed),
-                "planner" if planner else "online",
+                "planner" if seconds else "online",
                 f"{r.ended} of {r.runs}",
                 f"{r.waited_s:,.0f} s",
                 f"{r.mean_waited_s:,.0f} s",
