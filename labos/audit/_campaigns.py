@@ -33,6 +33,9 @@ def on_submitted(rows: Rows, event: c.CampaignSubmitted, head: Envelope, at: flo
             "by_run": "",
             "row_table": event.table,
             "definition": event.definition,
+            "visibility": event.visibility,
+            "cloned_from": event.cloned_from,
+            "archived": False,
             "submitted_position": head.position,
             "ended_position": None,
         },
@@ -86,6 +89,14 @@ def on_completed(rows: Rows, event: c.CampaignCompleted, head: Envelope, at: flo
         row["status"], row["why"] = "completed", event.why
 
 
+def on_archived(
+    rows: Rows, event: c.CampaignArchived | c.CampaignUnarchived, head: Envelope, at: float
+) -> None:
+    row = rows.change(CAMPAIGNS, event.campaign)
+    if row is not None:
+        row["archived"] = isinstance(event, c.CampaignArchived)
+
+
 def on_row_refused(rows: Rows, event: c.CampaignRowRefused, head: Envelope, at: float) -> None:
     row = rows.change(CAMPAIGNS, event.campaign)
     if row is not None:
@@ -123,6 +134,8 @@ HANDLERS: dict[Any, Any] = {
     c.CampaignStopped: on_stopped,
     c.CampaignCancelled: on_cancelled,
     c.CampaignCompleted: on_completed,
+    c.CampaignArchived: on_archived,
+    c.CampaignUnarchived: on_archived,
     r.RunSubmitted: on_run_submitted,
     r.RunCompleted: on_run_ended,
     r.RunFailed: on_run_ended,

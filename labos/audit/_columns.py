@@ -12,11 +12,12 @@ Kind = Literal["text", "integer", "number", "flag", "json", "time"]
 
 class Column(msgspec.Struct, frozen=True):
     """``time`` is kept as seconds since 1970 in a column ``…_s``; its view has both that and a moment that
-    people can read. ``flag`` is 0 or 1."""
+    people can read. ``flag`` is 0 or 1. ``by_people``: words that may have to be erased can stand in it."""
 
     name: str
     kind: Kind
     about: str
+    by_people: bool = False
 
     @property
     def stored(self) -> str:
@@ -49,6 +50,12 @@ def _make_kind(kind: Kind) -> Callable[[str, str], Column]:
 
 text, whole, number = _make_kind("text"), _make_kind("integer"), _make_kind("number")
 flag, json, time = _make_kind("flag"), _make_kind("json"), _make_kind("time")
+
+
+def by_people(name: str, about: str) -> Column:
+    """A column of text in which people's words can stand."""
+    return Column(name, "text", about, by_people=True)
+
 
 POSITION = whole("position", "Where in the log it stands.")
 AT = time("at", "When it was recorded.")

@@ -65,6 +65,8 @@ def make_all(dialect: Dialect) -> Iterator[str]:
     )
     for table in TABLES:
         yield _table(table, dialect)
+        if dialect == "postgresql":
+            yield from _unsampled(table)
         for columns in table.indexes:
             name = f"labos_{table.name}_{'_'.join(columns)}"
             listed = ", ".join(f'"{column}"' for column in columns)
@@ -103,6 +105,14 @@ def _table(table: Table, dialect: Dialect) -> str:
     return f"{made}{compact}"
 
 
+def _unsampled(table: Table) -> Iterator[str]:
+    """PostgreSQL takes no samples of what people wrote: those would outlive the table in its catalogue."""
+    for column in table.columns:
+        if column.by_people:
+            name = table_name(table.name, "postgresql")
+            yield f'ALTER TABLE {name} ALTER COLUMN "{column.stored}" SET STATISTICS 0'
+
+
 def words_name(table: Table) -> str:
     """SQLite's index of the words of a table, a table by itself."""
     return table_name(f"{table.name}_words", "sqlite")
@@ -120,6 +130,7 @@ def _words(table: Table, dialect: Dialect) -> Iterator[str]:
             f'CREATE INDEX "labos_{table.name}_words" ON {table_name(table.name, dialect)} '
             f"USING gin ({vector(table)})"
         )
+        yield f'ALTER INDEX {TABLE_SCHEMA}."labos_{table.name}_words" ALTER COLUMN 1 SET STATISTICS 0'
         return
     (key,), column = table.key, table.searched
     name, made = table_name(table.name, dialect), words_name(table)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.audit._columns import MODULE, Table, json, text, time, whole
+from labos.audit._columns import MODULE, Table, by_people, json, text, time, whole
 
 KINDS = ("experiment", "run", "sample", "image", "file", "result", "publication")
 
@@ -14,8 +14,8 @@ ENTRIES = Table(
         whole("number", "Its number in the index, for the projector's own use."),
         text("kind", "experiment, run, sample, image, file, result or publication."),
         text("name", "What other commands call it: E1, R1, `P7/B7`, `R1#3`, a SHA-256, `E1@2041`."),
-        text("title", "Its title."),
-        text("about", "What else was said of it; empty if nothing was."),
+        by_people("title", "Its title."),
+        by_people("about", "What else was said of it; empty if nothing was."),
         time("at", "When it began, was registered, was returned or was published."),
         text("user_id", "Whose it is."),
         text("workcell", "Where it was made; empty for what has no workcell of its own."),
@@ -27,7 +27,7 @@ ENTRIES = Table(
         json("keywords", "Of a publication those that it names, of a result what was measured."),
         json("creators", "Who made what is published."),
         json("files", "Name, SHA-256 and size of its files."),
-        text("words", "All words by which it is found, in small letters and without accents."),
+        by_people("words", "All words by which it is found, in small letters and without accents."),
     ),
     view="entries",
     indexes=(("kind", "at_s"), ("experiment",), ("run",)),

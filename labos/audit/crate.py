@@ -105,11 +105,11 @@ class Run(msgspec.Struct, frozen=True):
 
 
 def runs_of(asker: Asker, name: str) -> list[Run]:
-    """The run of that name, or the runs of the experiment. Raises NotFound."""
+    """The run of that name, or the runs of the experiment, which may have none. Raises NotFound."""
     rows = asker.fetch(_RUNS.format("run = ?"), name) or asker.fetch(_RUNS.format("experiment = ?"), name)
-    if not rows:
+    if not rows and experiment_of(asker, name) is None:
         raise NotFound(
-            f"There is no run {name!r} in this log, and no experiment of that name that has a run.",
+            f"There is no run {name!r} in this log, and no experiment of that name.",
             remedy="List them: labos runs --all, labos experiments --all",
         )
     return [Run(*row) for row in rows]
@@ -122,14 +122,16 @@ def make_crate(
     ``program`` the source of the experiment's application. Raises NotFound, LogDamaged, and BadInput for the
     program of a run."""
     runs = runs_of(asker, name)
-    experiment = None if runs[0].run == name else experiment_of(asker, name)
+    experiment = None if runs and runs[0].run == name else experiment_of(asker, name)
     if experiment is None and program is not None:
         raise BadInput(f"{name} is a run, and has no program.", remedy="Name an experiment, or no program.")
     crate = Crate()
     about = {"@id": "./"}
     crate.add("CreativeWork", METADATA, about=about, conformsTo=link(VERSION))
     told = ", ".join(dict.fromkeys(run.workflow for run in runs))
-    kind = "Run" if runs[0].run == name else "Experiment"
+    if experiment is not None:
+        told = told or experiment.name
+    kind = "Run" if experiment is None else "Experiment"
     crate.add(
         "Dataset",
         "./",
@@ -155,7 +157,8 @@ def make_crate(
         profiles += OF_ONE_WORKFLOW
         crate.tell("./", mainEntity=link(*main))
         crate.tell(METADATA, conformsTo=link(VERSION, OF_ONE_WORKFLOW[-1][0]))
-    crate.tell("./", author=link(*(local_id("user", run.user) for run in runs)))
+    users = [run.user for run in runs] or [experiment.user for experiment in (experiment,) if experiment]
+    crate.tell("./", author=link(*(local_id("user", user) for user in users)))
     for table, (words, columns, query) in _TABLES.items():
         _add_table(crate, asker, runs, table, words, columns, query)
     for id_, title, version in profiles:

@@ -32,7 +32,8 @@ _WORD_AND_STAR = re.compile(r"\S+")
 class Question(msgspec.Struct, frozen=True):
     """What is asked for: all ``words`` (none: everything) and every filter that is not empty, one of each
     list. ``since`` and ``until`` are UTC nanoseconds, 0: no limit. The first ``offset`` are left out, and no
-    more than ``limit`` are told. ``facets``: how many there are of each user, workcell and so on."""
+    more than ``limit`` are told. ``facets``: how many there are of each user, workcell and so on. Nothing of
+    the campaigns ``hidden`` is found."""
 
     words: str = ""
     kinds: tuple[str, ...] = ()
@@ -48,6 +49,7 @@ class Question(msgspec.Struct, frozen=True):
     limit: int = 20
     offset: int = 0
     facets: bool = False
+    hidden: tuple[str, ...] = ()
 
 
 class FoundFile(msgspec.Struct, frozen=True):
@@ -165,6 +167,10 @@ def _conditions(asker: Asker, question: Question) -> tuple[str, list[Any]]:
     if question.until:
         parts.append("at_s < ?")
         values.append(question.until / 1e9)
+    if question.hidden:
+        marks = ", ".join("?" * len(question.hidden))
+        parts.append(f"run NOT IN (SELECT run FROM runs WHERE campaign IN ({marks}))")
+        values += question.hidden
     return " AND ".join(parts) or "1 = 1", values
 
 

@@ -25,6 +25,7 @@ FOLDER = frozenset(
         "labos bundle",
         "labos checkpoint",
         "labos db restored",
+        "labos db scrub",
         "labos db status",
         "labos db upgrade",
         "labos db url",

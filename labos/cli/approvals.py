@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from labos.cli._options import find_user, home_option, json_option, user_option, why_option
 from labos.cli._out import show_json, show_table, tell
+from labos.errors import LabosError
 from labos.services.times import show_span, show_time
+
+if TYPE_CHECKING:
+    from labos.client import LabClient
 
 DIGEST_SHOWN = 12
 
@@ -19,12 +23,14 @@ _subject = click.argument("subject", metavar="ID")
 
 @click.command("approvals", short_help="What waits for an approval, and why.")
 @click.argument("subject", metavar="ID", required=False)
+@click.option("--no-forecast", is_flag=True, help="Do not work out what it would bring.")
 @home_option
 @json_option
-def approvals(subject: str | None, home: str | None, as_json: bool) -> None:
+def approvals(subject: str | None, no_forecast: bool, home: str | None, as_json: bool) -> None:
     """The runs, campaigns and experiments that wait for an approval by the lab's policy, and changes of
-    campaigns. With an ID: what it asks of the lab, and how it differs from what was approved last under its
-    name.
+    campaigns. With an ID: what it asks of the lab, what it would bring if it were approved now (when it
+    starts and ends, whom it delays, what it uses up), and how it differs from what was approved last under
+    its name.
 
     \b
     labos approvals
@@ -36,10 +42,15 @@ def approvals(subject: str | None, home: str | None, as_json: bool) -> None:
 
     with need_lab(home) as client:
         told: Any = client.approval_of(subject) if subject else client.approvals()
+        forecast = _forecast(client, subject, told) if subject and not no_forecast else None
+    if forecast is not None:
+        told["forecast"] = forecast
     if as_json:
         show_json(told)
     elif subject:
         _show(told)
+        if forecast is not None:
+            _show_forecast(forecast, subject)
     elif not told:
         click.echo("Nothing waits for an approval.")
     else:
@@ -49,6 +60,34 @@ def approvals(subject: str | None, home: str | None, as_json: bool) -> None:
         ]
         show_table(("id", "kind", "name", "user", "since", "because"), rows)
         click.echo("Look at one: labos approvals ID; answer: labos approve ID, labos refuse ID")
+
+
+def _forecast(client: LabClient, subject: str, told: dict[str, Any]) -> dict[str, Any] | None:
+    """What it would bring; None if that cannot be said, which is said to whoever looks."""
+    if told["proposal"]["kind"] == "experiment":
+        return None
+    try:
+        return client.approval_forecast(subject)
+    except LabosError as error:
+        click.echo(f"labos: there is no forecast: {error.message}", err=True)
+        return None
+
+
+def _show_forecast(told: dict[str, Any], subject: str) -> None:
+    from labos.cli._forecast import show_campaign, show_change, show_ways
+
+    found = told["forecast"]
+    click.echo("If it were approved now:")
+    campaigns = [each for each in found["campaigns"] if each["campaign"] == subject]
+    for campaign in campaigns:
+        for what, text in show_campaign(campaign, found["now_at"]):
+            click.echo(f"{what + ':':<12} {_plain(text)}")
+    if not campaigns:
+        show_ways(found)
+    for kind, item in told["consumables"].items():
+        left = "not counted" if item["left"] is None else f"{item['left']:g} left"
+        click.echo(f"uses up:     {item['needed']:g} {_plain(kind)} ({left})")
+    show_change(found)
 
 
 def _why(proposal: dict[str, Any]) -> str:
@@ -139,15 +178,11 @@ def approve(
     labos approve C3 --runs 20 --lab-time "10 h"
     """
     from labos.cli._lab import need_lab
-    from labos.cli.campaign import amount_of
-    from labos.spec.durations import parse_duration
+    from labos.cli._terms import amount_of, seconds_of
 
     wanted = {name: value for name, value in changes.items() if value is not None}
     if lab_time is not None:
-        try:
-            wanted["lab_time_s"] = parse_duration(lab_time)
-        except ValueError as error:
-            raise click.BadParameter(f"{error}.", param_hint="--lab-time") from None
+        wanted["lab_time_s"] = seconds_of(lab_time)
     if consumables:
         wanted["consumables"] = dict(map(amount_of, consumables))
     if alike:

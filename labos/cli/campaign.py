@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
-from typing import Any
+from typing import Any, get_args
 
 import click
 import msgspec
@@ -23,6 +23,8 @@ from labos.cli._options import (
 )
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._query import Where, log_options, open_log
+from labos.cli._terms import terms_options
+from labos.core.sight import Visibility
 from labos.services.campaigns import (
     CampaignHistory,
     RowHistory,
@@ -44,6 +46,7 @@ def command() -> None:
     labos campaign submit screen.yaml     submit it
     labos campaign show C1                its progress
     labos campaign report C1 --csv        the results of its rows
+    labos campaign clone C1               submit it once more
     """
 
 
@@ -111,13 +114,15 @@ def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
 
 @command.command("list")
 @all_option
+@click.option("--archived", is_flag=True, help="Also those that are archived.")
 @json_option
 @log_options
-def list_(where: Where, everything: bool, as_json: bool) -> None:
-    """Campaigns that have not been completed and the last ones that have."""
+def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None:
+    """Campaigns that have not been completed and the last ones that have; not those that are archived, nor
+    those that are private to others."""
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
-        told = list(campaign_histories(store).values())
+        told = [s for s in campaign_histories(store).values() if archived or not s.archived]
     ended = [story.campaign.id for story in told if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in told if story.campaign.id not in hidden]
@@ -161,6 +166,9 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
         "used": ", ".join(f"{amount:g} {kind}" for kind, amount in found.used.items()),
         "most consumables": ", ".join(f"{amount:g} {kind}" for kind, amount in budget.consumables.items()),
         "tags": ", ".join(terms.tags),
+        "seen by": {"lab": "", "group": "the group of its user", "private": "its user"}[story.visibility],
+        "clone of": found.cloned_from,
+        "archived": "yes" if story.archived else "",
         **_find_expected(where, story),
     }
     show_table(("what", found.id), [(what, text) for what, text in lines.items() if text])
@@ -222,6 +230,23 @@ def resume(campaign: str, user: str | None, home: str | None, as_json: bool) -> 
     tell(f"{campaign} goes on.", {"campaign": campaign, "paused": False}, as_json=as_json)
 
 
+@command.command("archive")
+@_campaign
+@user_option
+@click.option("--undo", is_flag=True, help="Let it stand in lists again.")
+@home_option
+@json_option
+def archive(campaign: str, user: str | None, undo: bool, home: str | None, as_json: bool) -> None:
+    """Leave a campaign that has ended out of lists. Nothing of it is deleted: `labos campaign list
+    --archived` shows it, and so do all other commands that name it."""
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        client.archive_campaign(campaign, find_user(user), undo=undo)
+    told = f"{campaign} stands in lists again." if undo else f"{campaign} is archived."
+    tell(told, {"campaign": campaign, "archived": not undo}, as_json=as_json)
+
+
 @command.command("cancel")
 @_campaign
 @user_option
@@ -241,47 +266,79 @@ def cancel(campaign: str, user: str | None, why: str, stay: bool, home: str | No
 @command.command("amend")
 @_campaign
 @user_option
-@click.option("--priority", type=int, help="The priority of rows that are submitted from now on.")
-@click.option("--deadline", metavar="TIME", help="2026-05-04T10:30, 12h from now, or empty for none.")
-@click.option("--runs", type=click.IntRange(min=0), help="So many runs at most; 0: no limit.")
-@click.option("--lab-time", metavar="TIME", help="So much module time at most, as `20 h`; 0: no limit.")
-@click.option("--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="So much at most.")
-@click.option("--until", metavar="RULE", help="The stop rule; empty for none.")
-@click.option("--stop-after", type=click.IntRange(min=0), help="So many rows may fail; 0: however many.")
-@click.option("--tag", "tags", multiple=True, metavar="TAG", help="Its tags, in place of those it has.")
+@terms_options
 @home_option
 @json_option
 def amend(
-    campaign: str,
-    user: str | None,
-    lab_time: str | None,
-    consumables: tuple[str, ...],
-    tags: tuple[str, ...],
-    home: str | None,
-    as_json: bool,
-    **changes: Any,
+    campaign: str, user: str | None, home: str | None, as_json: bool, terms_wanted: dict[str, Any]
 ) -> None:
     """Change the terms of a campaign: priority, deadline, budget, stop rule, tags. What is not given
     stays."""
     from labos.cli._lab import need_lab
-    from labos.spec.durations import parse_duration
 
-    told = {name: value for name, value in changes.items() if value is not None}
-    if lab_time is not None:
-        try:
-            told["lab_time_s"] = parse_duration(lab_time)
-        except ValueError as error:
-            raise click.BadParameter(f"{error}.", param_hint="--lab-time") from None
-    if consumables:
-        told["consumables"] = dict(map(amount_of, consumables))
-    if tags:
-        told["tags"] = list(tags)
     with need_lab(home) as client:
-        terms = client.amend_campaign(campaign, find_user(user), **told)
+        terms = client.amend_campaign(campaign, find_user(user), **terms_wanted)
         if client.approval:
             click.echo(f"labos: {client.approval}", err=True)
     if as_json:
         show_json(terms)
+
+
+@command.command("clone")
+@_campaign
+@user_option
+@click.option("--name", default="", metavar="NAME", help="Its name; that of the first one if left out.")
+@click.option(
+    "--visibility",
+    type=click.Choice(get_args(Visibility)),
+    help="Who sees it besides you and operators: everybody, your group, or nobody.",
+)
+@terms_options
+@click.option("--dry-run", is_flag=True, help="Only check it: nothing is submitted.")
+@click.option("--request", default="", metavar="KEY", help="The same key twice is one campaign.")
+@propose_option
+@home_option
+@json_option
+def clone(
+    campaign: str,
+    user: str | None,
+    name: str,
+    visibility: str | None,
+    dry_run: bool,
+    request: str,
+    propose: bool,
+    home: str | None,
+    as_json: bool,
+    terms_wanted: dict[str, Any],
+) -> None:
+    """Submit a campaign once more, also one that has ended, and print the id of the new one. It has the same
+    rows and the same workflow, is checked row by row in the lab as it is now, and is yours. What is not given
+    is as in the campaign that is cloned, but for its deadline: the clone has none.
+
+    \b
+    labos campaign clone C1 --priority 2 --deadline 36h
+    labos campaign clone C1 --dry-run
+    """
+    from labos.cli._lab import need_lab
+
+    with need_lab(home) as client:
+        told = client.clone_campaign(
+            campaign,
+            find_user(user),
+            request=request,
+            name=name,
+            visibility=visibility,
+            dry_run=dry_run,
+            propose=propose,
+            **terms_wanted,
+        )
+    if as_json:
+        show_json(told)
+        return
+    if told["approval"]:
+        click.echo(f"labos: {told['approval']}", err=True)
+    estimate = told["estimate"]
+    click.echo(told["campaign"] or f"{estimate['rows']} rows of {estimate['workflow']} can be carried out.")
 
 
 def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
@@ -301,20 +358,13 @@ def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
     return dict(show_campaign(known[0], found["now_at"])) if known else {}
 
 
-def amount_of(text: str) -> tuple[str, float]:
-    kind, _, amount = text.partition("=")
-    try:
-        return kind, float(amount)
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is not KIND=AMOUNT.", param_hint="--consumable") from None
-
-
 def _plain(story: CampaignHistory) -> dict[str, Any]:
     """For programs: without what only the fold needs."""
     found: dict[str, Any] = msgspec.to_builtins(story.campaign)
     for key in ("reads", "results", "met_by", "spent_ns", "first_started_at"):
         del found[key]
-    return {**found, "status": story.status, "left": story.campaign.left, "ended_at": story.ended_at}
+    more = {"status": story.status, "left": story.campaign.left, "ended_at": story.ended_at}
+    return {**found, **more, "visibility": story.visibility, "archived": story.archived}
 
 
 def _counts(story: CampaignHistory) -> str:

@@ -20,6 +20,7 @@ from labos.store import (
     lease_holder,
     migrate,
     raise_epoch,
+    scrub_words,
     show_url,
 )
 
@@ -33,6 +34,7 @@ def command() -> None:
     labos db upgrade    bring it to this version of LabOS
     labos db restored   record that it was restored from a copy
     labos db writer ROLE   let a PostgreSQL role write the log, and nothing else
+    labos db scrub      let nothing of erased words stand in its files
     labos db url        which database the other commands use
     """
 
@@ -115,6 +117,24 @@ def writer(where: Where, role: str) -> None:
         f"{role} may write the log in {show_url(where.url)}: add records, move the head, keep snapshots."
     )
     click.echo("It may not change, delete or truncate records, nor upgrade the tables: the owner does that.")
+
+
+@command.command("scrub")
+@json_option
+@log_options
+def scrub(where: Where, as_json: bool) -> None:
+    """Let nothing of words that were erased stand in the database's files. `labos erase` does so itself; this
+    is for when it says that something is left. On PostgreSQL the table of words is written anew, for which
+    the owner's URL always suffices (--database); the lab may go on. Exit code 1 if something is still left.
+
+    PostgreSQL's write-ahead log and its archive are not reached: they keep what was written for as long as
+    they are kept themselves.
+    """
+    left = scrub_words(where.url)
+    told = f"Something may be left: {left}." if left else "Nothing of erased words stands in the files."
+    tell(told, {"left": left}, as_json=as_json)
+    if left:
+        click.get_current_context().exit(1)
 
 
 @command.command("url")

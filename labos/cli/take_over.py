@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -59,6 +60,7 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
             "A kernel on Windows cannot leave its lab to a standby.",
             remedy="Stop it, and start `labos up` on the other computer.",
         )
+    expect_to_listen(running.pid, number)
     store = open_store(running.database, create=False, read_only=True, home=settings.home)
     try:
         standing_by = store.standbys()
@@ -82,6 +84,23 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
     facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
     told = f"The kernel {owner} has taken over (epoch {epoch}). There was none for {pause_s:.1f} s."
     tell(told, facts, as_json=as_json)
+
+
+def expect_to_listen(pid: int, number: int) -> None:
+    """A process that does not listen to a signal would end by it, at once. Raises Refused for one of which
+    the system says that."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return  # no Linux, or nobody may ask: nothing is known
+    caught = next((line for line in status.splitlines() if line.startswith("SigCgt:")), "")
+    if caught and not int(caught.split()[1], 16) & (1 << (number - 1)):
+        raise Refused(
+            f"The kernel (process {pid}) does not know how to leave its lab: it is of an earlier version, or "
+            "has not come so far yet. It would end, and is left alone.",
+            remedy="Wait until it says that its lab runs. One of an earlier version: stop it (Ctrl-C); the "
+            "standby takes over when it has ended.",
+        )
 
 
 def _wait(store: SqlEventStore, epoch: int, patience_s: float) -> float:

@@ -277,9 +277,9 @@ def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
         people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
         _tell_damage(error, as_json)
-    accounts = None if people is None else {"users": people.users, "copied_at": people.copied_at}
     if as_json:
-        show_json({"whole": True, "backup": found, "state": state_hash(state), "accounts": accounts})
+        facts = {"whole": True, "backup": found, "state": state_hash(state), "accounts": _counted(people)}
+        show_json(facts)
         return
     end = iso_time(found.segments[-1].recorded_at)
     click.echo(
@@ -291,10 +291,7 @@ def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
     )
     click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
     click.echo(f"State {state_hash(state)}")
-    if people is None:
-        click.echo("It holds no accounts: who may sign in is not in it.")
-    else:
-        click.echo(f"The accounts of {people.users} users are whole, as of {iso_time(people.copied_at)}.")
+    _tell_accounts(people)
 
 
 def _accounts_of(folder: Path, lab: str, key: bytes) -> AccountsCopy | None:
@@ -304,6 +301,17 @@ def _accounts_of(folder: Path, lab: str, key: bytes) -> AccountsCopy | None:
         return read_accounts_copy(folder, lab, key)
     except (BadInput, Refused) as error:
         raise LogDamaged(error.message, position=0, remedy=error.remedy) from None
+
+
+def _counted(people: AccountsCopy | None) -> dict[str, int] | None:
+    return None if people is None else {"users": people.users, "copied_at": people.copied_at}
+
+
+def _tell_accounts(people: AccountsCopy | None) -> None:
+    if people is None:
+        click.echo("It holds no accounts: who may sign in is not in it.")
+    else:
+        click.echo(f"The accounts of {people.users} users are whole, as of {iso_time(people.copied_at)}.")
 
 
 def _tell_damage(error: LogDamaged, as_json: bool) -> NoReturn:
@@ -317,10 +325,11 @@ def _tell_damage(error: LogDamaged, as_json: bool) -> NoReturn:
 def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
     try:
         found = verify_detached(folder, key=key)
+        people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
         _tell_damage(error, as_json)
     if as_json:
-        show_json({"whole": True, "detached": found})
+        show_json({"whole": True, "detached": found, "accounts": _counted(people)})
         return
     first, last = found.segments[0], found.segments[-1]
     seals = ", every seal good" if found.sealed else ""
@@ -339,6 +348,7 @@ def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
         f"Lab {found.lab}, position {last.last}, hash {last.hash}, last event {iso_time(last.recorded_at)}"
     )
     click.echo("No state was folded: that begins at position 1, with all segments.")
+    _tell_accounts(people)
 
 
 def _write(file: Path, end: Checkpoint) -> None:

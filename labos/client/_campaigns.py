@@ -47,6 +47,11 @@ class CampaignCalls(GeneratedCalls):
         self.approval = str(found.get("approval", ""))
         return dict(found["terms"])
 
+    def clone_campaign(self, campaign: str, by: str, *, request: str = "", **changes: Any) -> dict[str, Any]:
+        """Submit a campaign once more, also one that has ended; returns as ``submit_campaign``. Changes:
+        ``name``, ``visibility``, ``dry_run``, ``propose``, and those of ``amend_campaign``."""
+        return self._clone_a_campaign(campaign, by, request=request, **changes)
+
     def approvals(self) -> list[dict[str, Any]]:
         """What waits for an approval, the oldest first: ``subject``, ``digest``, ``why`` and the like."""
         found: list[dict[str, Any]] = []

@@ -9,7 +9,7 @@ from random import Random  # noqa: TID251 - its seed stands in the log
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from labos.client import _flows, _transfers
+from labos.client import _flows, _globus, _transfers
 from labos.client._files import workflow_text
 from labos.client._flows import Flow, FlowFailed, FlowResult
 from labos.client._lab import LabClient, LabUnreachable
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from labos.services.compute import Attempts
+    from labos.services.globus import GlobusCarrier, GlobusFlow, GlobusIndex
 
 HEARTBEAT_S = 5.0
 LONGEST_WHY = 500
@@ -72,6 +73,7 @@ class Experiment(LoggedEvents):
         self.id = ""
         self._record = Record(self)
         self._computations = Computations(self._record)
+        self._carrier: GlobusCarrier | None = None
 
     def __enter__(self) -> Experiment:
         if self._resume:
@@ -231,17 +233,28 @@ class Experiment(LoggedEvents):
         creators: Sequence[str] = (),
         files: Iterable[str | Path] | Mapping[str, bytes] = (),
         runs: Sequence[str] = (),
+        index: GlobusIndex | None = None,
+        key: str = "",
     ) -> None:
         """Make something known that came of the experiment, as one event: `labos find` finds it by its title,
         what it is about, keywords, creators and the names of its files, which the lab keeps. Files are paths,
         or contents by name. Creators are ids of users, or their ORCID iDs: what is published stays in the
-        log for ever, so name no persons. Raises BadInput for a file that cannot be read."""
+        log for ever, so name no persons. With an ``index`` of Globus Search it can be found there, too.
+        Raises BadInput for a file that cannot be read, GlobusError."""
+        from labos.services.compute import PlaceUnavailable
+
+        taken = self._take("publish", title, key)
         kept = [
             {"file": name, "sha256": self.keep_file(content), "bytes": len(content)}
             for name, content in _contents(files)
         ]
         listed = {"keywords": list(keywords), "creators": list(creators) or [self.user], "runs": list(runs)}
-        self.note("publication", title, title=title, about=about, files=kept, **listed)
+        facts = {"title": title, "about": about, "files": kept, **listed}
+        with self._record.asking(taken, PlaceUnavailable):
+            self._record.keep(taken, "publication", title, facts)
+            if index is not None:
+                of = {"experiment": self.id, "application": self.name}
+                _globus.ingest(self._record, taken, index, {**facts, **of})
 
     def decide(self, name: str, function: Callable[[], Any], *, key: str = "") -> Any:
         """What a function returns, as JSON gives it back (a tuple is a list), logged as a decision. When the
@@ -256,8 +269,9 @@ class Experiment(LoggedEvents):
     ) -> Any:
         """What a function returns that is computed in another process, with an event that names it, the
         digests of its code and arguments, where it ran, how long, and what it returned. ``where`` is local (a
-        thread), pool (processes of this computer), parsl or dask. What was computed before the program was
-        started again is not computed twice. Raises ComputeFailed, ReplayMismatch."""
+        thread), pool (processes of this computer), parsl, dask or globus. What was computed before the
+        program was started again is not computed twice. Raises ComputeFailed, ReplayMismatch,
+        PlaceUnavailable."""
         return self.submit_compute(function, *args, where=where, key=key, **named).result()
 
     def submit_compute(
@@ -275,34 +289,59 @@ class Experiment(LoggedEvents):
         where: str = "pool",
         key: str = "",
     ) -> list[Any]:
-        """What a function returns for each argument, in their order. Raises ComputeFailed, ReplayMismatch."""
-        taken = self._take("compute_all", function, key)
-        return [each.result() for each in self._computations.submit_all(function, arguments, where, taken)]
+        """What a function returns for each argument, in their order. Raises ComputeFailed, ReplayMismatch,
+        PlaceUnavailable."""
+        from labos.services.compute import PlaceUnavailable
 
-    def run_flow(self, flow: Flow, *, check: bool = True, key: str = "", **given: Any) -> FlowResult:
+        taken = self._take("compute_all", function, key)
+        with self._record.asking(taken, PlaceUnavailable):
+            begun = self._computations.submit_all(function, arguments, where, taken)
+            return [each.result() for each in begun]
+
+    def run_flow(
+        self, flow: Flow | GlobusFlow, *, check: bool = True, key: str = "", **given: Any
+    ) -> FlowResult:
         """Carry out the steps of a flow, one after the other, with what is ``given`` as ``input`` of its
         state; its start, its end, each step and each further attempt are in the log. A program that was
-        started again goes on with the step at which it was. Raises FlowFailed if a step fails for good,
-        unless ``check`` is false; ReplayMismatch."""
+        started again goes on with the step at which it was. One that stands in Globus Flows is started there
+        once, and waited for. Raises FlowFailed if a step fails for good, unless ``check`` is false;
+        ReplayMismatch, GlobusError."""
+        from labos.services.compute import PlaceUnavailable
+
         taken = self._take("run_flow", flow, key)
-        result = _flows.run(self._record, self._computations, taken, flow, given)
+        with self._record.asking(taken, PlaceUnavailable):
+            if isinstance(flow, Flow):
+                result = _flows.run(self._record, self._computations, taken, flow, given)
+            else:
+                result = _globus.run_flow(self._record, taken, flow, given)
         if check and result.status != "succeeded":
             raise FlowFailed(result)
         return result
 
-    def transfer(self, source: Place, target: str | Path, *, key: str = "") -> Transferred:
+    def transfer(self, source: Place, target: str | Path, *, sha256: str = "", key: str = "") -> Transferred:
         """Copy a file to another place, with an event that has its SHA-256. A place is a path, a URL that
         fsspec knows (extra ``transfer``), or as the source a file of the lab: ``result.files()[0]``. What
-        was transferred before the program was started again is not transferred twice. Raises TransferFailed,
-        ReplayMismatch."""
+        was transferred before the program was started again is not transferred twice. Between
+        ``globus://<collection>/<path>`` Globus carries it (extra ``globus``), and compares the SHA-256 that
+        is given. Raises TransferFailed, ReplayMismatch, GlobusError."""
+        from labos.services.compute import PlaceUnavailable
+
         taken = self._take("transfer", target, key)
-        with self._record.asking(taken, TransferFailed):
+        with self._record.asking(taken, TransferFailed, PlaceUnavailable):
+            if _globus.is_globus(source) or _globus.is_globus(target):
+                return _globus.transfer(self._record, taken, source, target, self._carrier, sha256)
             return _transfers.transfer(self._record, taken, source, target)
 
     def configure_compute(self, *, attempts: Attempts | None = None, **places: Any) -> None:
         """How often a computation is tried, and what the places need: ``pool=4`` processes,
-        ``parsl=parsl.config.Config(…)``, ``dask=distributed.Client(…)``."""
+        ``parsl=parsl.config.Config(…)``, ``dask=distributed.Client(…)``,
+        ``globus=labos.services.globus.GlobusEndpoint(…)``."""
         self._computations.configure(places, attempts)
+
+    def configure_transfer(self, *, globus: GlobusCarrier) -> None:
+        """How the program is let in where it transfers files: ``globus`` is a
+        `labos.services.globus.GlobusCarrier`."""
+        self._carrier = globus
 
     def keep_file(self, content: bytes) -> str:
         """Keep a file in the lab; returns its SHA-256, by which ``lab.file`` gives it back."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
@@ -20,7 +20,7 @@ from labos.client._replay import (
     name_of,
     request_of,
 )
-from labos.core.canonical import canonical
+from labos.core.canonical import canonical, digest
 from labos.errors import CommitInDoubt, KeyReused, LabosError, NotFound, Refused
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ KINDS = {
     "compute_all": "computes",
     "decide": "decision",
     "run_flow": "flow",
+    "publish": "publication",
 }
 """The kind of call that stands in a key, if it is not called as the method."""
 
@@ -147,6 +148,14 @@ class Record:
                 known = self.keep(key, "decision", name, self.json_as_facts(as_json(function())))
             return self.json_of(known["facts"])
 
+    def sent(self, key: str, service: str) -> SentToService:
+        """What the log has of something that is sent to a service elsewhere."""
+        return SentToService(self, key, service)
+
+    def give_back(self, key: str) -> None:
+        """The call has left no result: who makes it again means the same one."""
+        self._keys.give_back(key)
+
     # -- values ------------------------------------------------------------------------------
 
     def json_as_facts(self, value: Any) -> dict[str, Any]:
@@ -163,7 +172,12 @@ class Record:
         )
 
     def keep_file(self, content: bytes) -> str:
-        """Keep a file in the lab; returns its SHA-256."""
+        """Keep a file in the lab; returns its SHA-256. An experiment that has ended takes no more of them:
+        what it has kept is there already."""
+        if self.past.status in ("closing", "ended"):
+            with suppress(NotFound):
+                self.file(digest(content))
+                return digest(content)
         return self._of.lab.keep_file(self.experiment, content, self._of.user)
 
     def file(self, sha256: str) -> bytes:
@@ -173,6 +187,45 @@ class Record:
     def _past_again(self) -> Past:
         self.past.lab = self._of.lab
         return self.past.read()
+
+
+class SentToService:
+    """What the log has of something that was sent to a service elsewhere, under the key of its call: a note
+    of kind ``flow`` before it is sent, another one when it has arrived."""
+
+    def __init__(self, record: Record, key: str, service: str) -> None:
+        self._record, self._key, self._service = record, key, service
+        self.of = record.experiment
+        self.mark = f"{record.past.seed}/{key}"
+
+    def known(self, name: str) -> Mapping[str, Any] | None:
+        return self._facts(f"{self._key} {name}")
+
+    def keep(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
+        return self._keep(f"{self._key} {name}", {"state": name, "of": self._key, **facts})
+
+    def shared(self, name: str) -> Mapping[str, Any] | None:
+        return self._facts(f"{self._service}: {name}")
+
+    def keep_shared(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
+        return self._keep(f"{self._service}: {name}", {"state": name, **facts})
+
+    def all_known(self, fact: str) -> set[str]:
+        notes = list(self._record.past.notes.values())
+        return {
+            str(note["facts"][fact])
+            for note in notes
+            if note["name"] == self._service and fact in note["facts"]
+        }
+
+    def _facts(self, key: str) -> dict[str, Any] | None:
+        note = self._record.find_note(key)
+        return None if note is None else note["facts"]
+
+    def _keep(self, key: str, facts: Mapping[str, Any]) -> dict[str, Any]:
+        note = self._record.past.notes.setdefault(key, self._record.keep(key, "flow", self._service, facts))
+        kept: dict[str, Any] = note["facts"]
+        return kept
 
 
 def function_name(function: Callable[..., Any]) -> str:

@@ -62,6 +62,8 @@ class Computations:
             where=where,
             then=lambda computed: self._tell(key, kind, computed, what),
             failed=lambda error: self._tell_failure(key, kind, error, what),
+            unavailable=lambda: self._record.give_back(key),
+            sent=lambda attempt: self._record.sent(f"{key} attempt {attempt}", "Globus Compute"),
         )
 
     def submit_all(

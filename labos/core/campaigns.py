@@ -25,6 +25,7 @@ from labos.core.model import Condition
 from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
+from labos.core.sight import Restricted, Visibility
 from labos.core.steps import StepUnexpected
 from labos.core.words import Words
 
@@ -54,6 +55,10 @@ class Terms(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     stop_after: int = 0
 
 
+ARCHIVE = "archive"
+"""The stream of what is archived: that of a campaign ends with the campaign."""
+
+
 class CampaignEvent(Event, frozen=True):
     campaign: CampaignId
 
@@ -64,7 +69,8 @@ class CampaignEvent(Event, frozen=True):
 @event("campaign.submitted")
 class CampaignSubmitted(CampaignEvent, frozen=True):
     """A workflow is to be carried out for each of so many ``rows``. ``table`` is the digest of the rows, a
-    JSON object a line; ``definition`` that of the workflow's text and files."""
+    JSON object a line; ``definition`` that of the workflow's text and files. ``cloned_from`` is the campaign
+    whose rows and workflow it has once more."""
 
     name: str
     user: str
@@ -75,6 +81,8 @@ class CampaignSubmitted(CampaignEvent, frozen=True):
     definition: str
     terms: Terms = Terms()
     request: str = ""
+    visibility: Visibility = "lab"
+    cloned_from: CampaignId = CampaignId("")
 
 
 @event("campaign.paused")
@@ -132,6 +140,26 @@ class CampaignCompleted(CampaignEvent, frozen=True):
     why: str = ""
 
 
+@event("campaign.archived")
+class CampaignArchived(Event, frozen=True):
+    """A campaign that has ended is left out of lists."""
+
+    campaign: CampaignId
+
+    def stream(self) -> str:
+        return ARCHIVE
+
+
+@event("campaign.unarchived")
+class CampaignUnarchived(Event, frozen=True):
+    """A campaign stands in lists again."""
+
+    campaign: CampaignId
+
+    def stream(self) -> str:
+        return ARCHIVE
+
+
 class CampaignStatus(StrEnum):
     """Rows of one that is ``OPEN`` become runs. One that is ``PROPOSED`` waits for an approval. One that is
     ``STOPPED`` by its own rules lets its runs go on, one that is ``CANCELLED`` does not."""
@@ -175,6 +203,7 @@ class Campaign(msgspec.Struct):
     met_by: str = ""
     first_started_at: int = 0
     danger_seen: bool = False
+    cloned_from: CampaignId = CampaignId("")
 
     @property
     def queued(self) -> int:
@@ -202,10 +231,19 @@ class Campaign(msgspec.Struct):
         )
 
 
+class EndedCampaign(msgspec.Struct):
+    """What is remembered of a campaign that has ended."""
+
+    user: str
+    workcell: str
+    archived: bool = False
+
+
 class Campaigns(msgspec.Struct):
     """``open`` are those that have not been completed; ``named`` and ``requests`` as for runs. ``members``
     are the runs alive of campaigns, ``clocks`` hold when their open actions were requested. ``due`` are the
-    campaigns that must be stopped or are over."""
+    campaigns that must be stopped or are over. ``ended`` and ``restricted`` are kept for ever: a campaign may
+    be archived years later, and its events stay in the log."""
 
     open: dict[CampaignId, Campaign] = {}
     named: int = 0
@@ -213,6 +251,12 @@ class Campaigns(msgspec.Struct):
     members: dict[RunId, CampaignId] = {}
     clocks: dict[ActionId, int] = {}
     due: dict[CampaignId, bool] = {}
+    ended: dict[CampaignId, EndedCampaign] = {}
+    restricted: dict[CampaignId, Restricted] = {}
+
+    def visibility_of(self, campaign: CampaignId) -> Visibility:
+        known = self.restricted.get(campaign)
+        return known.visibility if known is not None else "lab"
 
     def find_by_run(self, run: str) -> Campaign | None:
         """The campaign of a run that is alive."""
@@ -255,7 +299,10 @@ def fold_campaign_submitted(campaigns: Campaigns, event: CampaignSubmitted, at: 
         definition=event.definition,
         submitted_at=at,
         terms=event.terms,
+        cloned_from=event.cloned_from,
     )
+    if event.visibility != "lab":
+        campaigns.restricted[event.campaign] = Restricted(event.user, event.workcell, event.visibility)
 
 
 def fold_campaign_paused(campaigns: Campaigns, event: CampaignPaused, at: int) -> None:
@@ -296,8 +343,17 @@ def _close(campaigns: Campaigns, event: CampaignStopped | CampaignCancelled, sta
 
 
 def fold_campaign_completed(campaigns: Campaigns, event: CampaignCompleted, at: int) -> None:
-    del campaigns.open[event.campaign]
+    campaign = campaigns.open.pop(event.campaign)
     campaigns.due.pop(event.campaign, None)
+    campaigns.ended[event.campaign] = EndedCampaign(campaign.user, campaign.workcell)
+
+
+def fold_campaign_archived(campaigns: Campaigns, event: CampaignArchived, at: int) -> None:
+    campaigns.ended[event.campaign].archived = True
+
+
+def fold_campaign_unarchived(campaigns: Campaigns, event: CampaignUnarchived, at: int) -> None:
+    campaigns.ended[event.campaign].archived = False
 
 
 def fold_run_submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
@@ -407,6 +463,8 @@ HANDLERS = {
     CampaignStopped: fold_campaign_stopped,
     CampaignCancelled: fold_campaign_cancelled,
     CampaignCompleted: fold_campaign_completed,
+    CampaignArchived: fold_campaign_archived,
+    CampaignUnarchived: fold_campaign_unarchived,
     RunSubmitted: fold_run_submitted,
     RunStarted: fold_run_started,
     RunCompleted: fold_run_ended,

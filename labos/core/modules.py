@@ -115,6 +115,20 @@ class EmergencyStopped(ModuleEvent, frozen=True):
     stopped_at: int
 
 
+@event("lab.stop_reported")
+class StopReported(Event, frozen=True):
+    """What came of somebody's request to stop modules in an emergency: those that said that they stopped, and
+    when (UTC ns), and the others, each with a reason. Written after it."""
+
+    by: str
+    target: str
+    stopped: dict[ModuleName, int]
+    silent: dict[ModuleName, str]
+
+    def stream(self) -> str:
+        return "lab"
+
+
 @event("location.taught")
 class LocationTaught(ModuleEvent, frozen=True):
     """A manipulator has a new pose for a station; ``version`` counts them, from 1. With a

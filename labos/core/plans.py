@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
-from labos.core.ids import ModuleName
+from labos.core.ids import CampaignId, ModuleName
 from labos.core.model import MAIN, Hold, Plan, PlanStep
 from labos.core.registry import Event, event
 from labos.core.resources import uses_up
@@ -17,7 +17,8 @@ from labos.core.resources import uses_up
 class PlanRecorded(Event, frozen=True):
     """A workflow with its payload filled in, named by its digest. ``shape`` is the digest of
     what it does to the bench: plans of one shape start under the same conditions. ``by`` is
-    the run or experiment that needed it first."""
+    the run or experiment that needed it first. ``campaign``: it belongs to the runs of a campaign that not
+    everybody sees, and its name is theirs alone."""
 
     by: str
     plan: str
@@ -28,6 +29,7 @@ class PlanRecorded(Event, frozen=True):
     feeds: tuple[int, ...]
     files: dict[str, str]
     holds: tuple[Hold, ...] = ()
+    campaign: CampaignId = CampaignId("")
 
     def stream(self) -> str:
         return self.by
@@ -41,6 +43,7 @@ class PlanStepsRecorded(Event, frozen=True):
     plan: str
     first: int
     steps: tuple[PlanStep, ...]
+    campaign: CampaignId = CampaignId("")
 
     def stream(self) -> str:
         return self.by

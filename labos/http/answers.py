@@ -71,6 +71,7 @@ class RunDetail(msgspec.Struct, frozen=True):
     why: str
     paused: bool
     closing: bool
+    campaign: str
     busy: list[tuple[int, int]]
 
     @classmethod

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
+from labos.core.sight import Visibility
 from labos.core.signatures import Meaning
 from labos.core.suggestions import MOST_STEPS
 from labos.http.access import StationChange
@@ -134,6 +135,20 @@ class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     tags: Annotated[Tags | None, says("its tags, in place of those it has")] = None
     until: Annotated[Line | None, says("the stop rule; empty for none")] = None
     stop_after: Annotated[Limit | None, says("so many rows may fail; 0 for however many")] = None
+
+
+class Clone(Amendment, forbid_unknown_fields=True, kw_only=True):
+    """What is left out is as in the campaign that is cloned, but for its deadline: the clone has none."""
+
+    name: Annotated[Line, says("of the new campaign; that of the first one if empty")] = ""
+    visibility: Annotated[Visibility | None, says("who sees it: lab, group or private")] = None
+    dry_run: Annotated[bool, says("only check it")] = False
+    propose: Annotated[bool, WAITS] = False
+
+
+class Archiving(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+    undo: Annotated[bool, says("let it stand in lists again")] = False
 
 
 class SharesFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):

@@ -13,6 +13,7 @@ from labos.core.decide.campaigns import RefuseRow, SubmitRow
 from labos.core.ids import CampaignId
 from labos.errors import BadInput
 from labos.http.service import LabService, WorkflowText
+from labos.ports import BlobReader
 
 _definition = msgspec.json.Decoder(WorkflowText)
 
@@ -39,6 +40,14 @@ class Table:
         return found
 
 
+def read_table(blobs: BlobReader, digest: str) -> Table:
+    return Table(blobs.get(digest))
+
+
+def read_definition(blobs: BlobReader, digest: str) -> WorkflowText:
+    return _definition.decode(blobs.get(digest))
+
+
 class CampaignRows:
     """Plans rows of campaigns for the feeder. Keeps the tables of those that go on."""
 
@@ -62,8 +71,8 @@ class CampaignRows:
                 name for name in self._known if name not in self._service.kernel.state.campaigns.open
             ]:
                 del self._known[name]
-            get = self._service.parts.blobs.get
-            table = Table(await asyncio.to_thread(get, campaign.table))
-            definition = _definition.decode(await asyncio.to_thread(get, campaign.definition))
+            blobs = self._service.parts.blobs
+            table = await asyncio.to_thread(read_table, blobs, campaign.table)
+            definition = await asyncio.to_thread(read_definition, blobs, campaign.definition)
             self._known[campaign.id] = table, definition
         return self._known[campaign.id]

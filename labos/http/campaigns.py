@@ -12,8 +12,11 @@ from labos.core.campaigns import Budget, Campaign, Terms
 from labos.core.conditions import find_reads
 from labos.core.decide.campaigns import SubmitCampaign, consumption, module_time_s
 from labos.core.decide.policy import demand_of
+from labos.core.decide.runs import NOBODYS
 from labos.core.ids import CampaignId, local
 from labos.core.model import MAIN, Plan
+from labos.core.sight import Visibility
+from labos.core.state import LabState
 from labos.core.users import person_of
 from labos.errors import BadInput, KeyReused, SpecError
 from labos.http.bodies import Amendment, NewCampaign
@@ -59,7 +62,8 @@ class Estimate(msgspec.Struct, frozen=True):
 
 class CampaignView(msgspec.Struct, frozen=True):
     """``status``: proposed, open, paused, stopped or cancelled. Of its ``rows``, ``left`` are those that are
-    no runs yet. ``lab_time_s`` is module time, ``used`` are consumables."""
+    no runs yet. ``lab_time_s`` is module time, ``used`` are consumables. ``visibility``: who sees it
+    (lab, group or private); ``cloned_from`` is the campaign that it repeats."""
 
     id: str
     name: str
@@ -79,9 +83,11 @@ class CampaignView(msgspec.Struct, frozen=True):
     lab_time_s: float
     used: dict[str, float]
     terms: Terms
+    visibility: Visibility
+    cloned_from: str
 
 
-class _Checked(msgspec.Struct):
+class Checked(msgspec.Struct):
     """What the check of a campaign's rows has found: a plan of each that was planned, and in ``rows`` all of
     them between which it chooses."""
 
@@ -95,6 +101,20 @@ async def submit_campaign(service: LabService, new: NewCampaign, request: str) -
     """Check all of it, keep table and workflow, and submit it; with ``dry_run``, only check. Raises
     SpecError, SpecErrors with what is wrong in which row, NotFound, Refused, KeyReused."""
     told, deadline, workcell, checked = await _read(service, new)
+    return await keep_campaign(service, new, told, workcell, checked, deadline, request)
+
+
+async def keep_campaign(
+    service: LabService,
+    new: NewCampaign,
+    told: CampaignSource,
+    workcell: str,
+    checked: Checked,
+    deadline: int,
+    request: str,
+    cloned_from: CampaignId = NOBODYS,
+) -> tuple[str, Estimate]:
+    """Keep table and workflow of what was checked, and submit it. Raises Refused, KeyReused."""
     estimate = _estimate(service, told, workcell, checked)
     if new.dry_run:
         return "", estimate
@@ -110,6 +130,7 @@ async def submit_campaign(service: LabService, new: NewCampaign, request: str) -
         table=await asyncio.to_thread(blobs.put, table),
         definition=await asyncio.to_thread(blobs.put, definition),
         request=request,
+        cloned_from=cloned_from,
     )
     known = service.kernel.state.campaigns.requests
     if request in known:
@@ -129,25 +150,26 @@ async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Esti
     return estimate, await service.forecasts.forecast_campaign(command, checked.rows, new.user)
 
 
-async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, _Checked]:
+async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, Checked]:
     """A campaign file as it is meant, its deadline (UTC ns), its workcell, and what was found in it."""
     service.expect_role(new.user, "submitter")  # before anything is planned or kept
     told = await service.beside(len(new.text), parse_campaign, new.text, new.name, new.files)
     deadline = _deadline(service, told)
     workcell = service.workcell(told.file.workcell or await _workcell_of(service, new.workflow)).name
-    return told, deadline, workcell, await _check(service, new, told, workcell, _chosen(told.lines))
+    return told, deadline, workcell, await check_rows(service, new, told, workcell)
 
 
 def _command(
     new: NewCampaign,
     told: CampaignSource,
     estimate: Estimate,
-    checked: _Checked,
+    checked: Checked,
     deadline: int,
     *,
     table: str = "",
     definition: str = "",
     request: str = "",
+    cloned_from: CampaignId = NOBODYS,
 ) -> SubmitCampaign:
     return SubmitCampaign(
         name=told.file.campaign,
@@ -161,6 +183,8 @@ def _command(
         request=request,
         demand=demand_of(checked.plans, len(told.lines) / len(checked.plans)),
         propose=new.propose,
+        visibility=told.file.visibility,
+        cloned_from=cloned_from,
     )
 
 
@@ -206,11 +230,9 @@ def _chosen(lines: Sequence[RowLine]) -> list[int]:
     return sorted({round(last * part / (MOST_CHECKED - 1)) for part in range(MOST_CHECKED)})
 
 
-async def _check(
-    service: LabService, new: NewCampaign, told: CampaignSource, workcell: str, rows: Sequence[int]
-) -> _Checked:
+async def check_rows(service: LabService, new: NewCampaign, told: CampaignSource, workcell: str) -> Checked:
     """Plan rows. Raises SpecErrors with the faults of all of them."""
-    checked = _Checked(Report(new.name))
+    checked, rows = Checked(Report(new.name)), _chosen(told.lines)
     for first in range(0, len(rows), CHECKED_AT_ONCE):
         part = rows[first : first + CHECKED_AT_ONCE]
         size = len(new.workflow.text) * len(part)
@@ -226,7 +248,7 @@ def _plan_rows(
     told: CampaignSource,
     workcell: str,
     rows: Sequence[int],
-    checked: _Checked,
+    checked: Checked,
 ) -> None:
     cell, bench = service.workcell(workcell), service.bench(workcell)
     source = parse_workflow(new.workflow.text, new.workflow.name)
@@ -273,7 +295,7 @@ def _report_row(report: Report, row: int, line: RowLine, finding: Finding, workf
     )
 
 
-def _check_stop_rule(told: CampaignSource, checked: _Checked) -> None:
+def _check_stop_rule(told: CampaignSource, checked: Checked) -> None:
     until = told.terms.until
     if until is None or not checked.plans:
         return
@@ -284,7 +306,7 @@ def _check_stop_rule(told: CampaignSource, checked: _Checked) -> None:
         checked.report.error(f"The workflow has no step {key!r}.", place, field="until", remedy=remedy)
 
 
-def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: _Checked) -> Estimate:
+def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: Checked) -> Estimate:
     plans = checked.plans
     times = len(told.lines) / len(plans)
     modules: dict[str, float] = {}
@@ -308,13 +330,13 @@ def _estimate(service: LabService, told: CampaignSource, workcell: str, checked:
         bounds_s=modules[busiest],
         busiest=busiest,
         consumables={
-            kind: ConsumableEstimate(n, _remaining(service, workcell, kind)) for kind, n in needed.items()
+            kind: ConsumableEstimate(n, remaining(service, workcell, kind)) for kind, n in needed.items()
         },
         findings=tuple(checked.findings),
     )
 
 
-def _remaining(service: LabService, workcell: str, kind: str) -> float | None:
+def remaining(service: LabService, workcell: str, kind: str) -> float | None:
     """What is left of a consumable in all modules of a workcell."""
     levels = service.kernel.state.resources.levels
     found = [
@@ -346,7 +368,7 @@ def amended(terms: Terms, asked: Amendment, now: int) -> Terms:
     return msgspec.structs.replace(terms, **changes)
 
 
-def view_of(pace: float, campaign: Campaign) -> CampaignView:
+def view_of(state: LabState, campaign: Campaign) -> CampaignView:
     return CampaignView(
         id=campaign.id,
         name=campaign.name,
@@ -363,7 +385,9 @@ def view_of(pace: float, campaign: Campaign) -> CampaignView:
         cancelled=campaign.cancelled,
         refused=campaign.refused,
         left=campaign.left,
-        lab_time_s=campaign.spent_ns / 1e9 * pace,
+        lab_time_s=campaign.spent_ns / 1e9 * state.lab.pace,
         used=campaign.used,
         terms=campaign.terms,
+        visibility=state.campaigns.visibility_of(campaign.id),
+        cloned_from=campaign.cloned_from,
     )

@@ -65,6 +65,10 @@ class Forecasts:
         """What a campaign would bring whose rows have such plans to choose from. Raises Refused."""
         return await self._ask(command, actor, rows)
 
+    async def of_proposal(self, subject: str) -> LabForecast:
+        """What would come if a run, a campaign or a change of one were approved. Raises Refused."""
+        return await self._ask(approved=subject)
+
     async def drifts(self) -> list[Drift]:
         """The actions whose last times differ much from their earlier ones."""
         return (await self._learned.durations()).drifts()
@@ -74,6 +78,7 @@ class Forecasts:
         new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None,
         actor: str = "",
         new_rows: list[tuple[Plan, ...]] | None = None,
+        approved: str = "",
     ) -> LabForecast:
         spreads = (await self._learned.durations()).spreads()
         newcomers = await self._learned.newcomers()
@@ -90,6 +95,7 @@ class Forecasts:
                 new=new,
                 actor=actor,
                 new_rows=new_rows or [],
+                approved=approved,
             )
 
         return await self._process.forecast_lab(request)

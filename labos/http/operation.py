@@ -18,7 +18,11 @@ import msgspec
 from starlette.requests import Request
 from starlette.responses import Response
 
-from labos.errors import Forbidden, NotSignedIn
+from labos.core.ids import CampaignId
+from labos.core.registry import Event
+from labos.core.sight import Sight
+from labos.core.visibility import hidden_from, sight_of
+from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http import wire
 from labos.http.body_reader import BodyReader, drain
 from labos.http.ends import Ends
@@ -40,6 +44,10 @@ ADMITTED = "labos.admitted"
 """Where the scope of a request has who asks, if an API process has let them in."""
 
 
+MOST_SIGHTS = 100
+"""So many answers about the state of the lab are kept apart, for those who do not see the same."""
+
+
 class Api:
     """What the operations of one lab share."""
 
@@ -51,8 +59,16 @@ class Api:
         gate.accounts.on_end.append(self.ends.cut)
         self.arriving = BodyReader()
         self.idempotent = IdempotentAnswers()
-        self.state = Shared(partial(self._view, waits=True), self._flush)
-        self.state_without_waits = Shared(partial(self._view, waits=False), self._flush)
+        self._states: dict[tuple[bool, Sight | None], Shared] = {}
+
+    def state_for(self, sight: Sight | None, *, waits: bool) -> Shared:
+        """The state of the lab for all who see the same of its campaigns."""
+        if sight is not None and not self.kernel.state.campaigns.restricted:
+            sight = None
+        if (waits, sight) not in self._states and len(self._states) >= MOST_SIGHTS:
+            del self._states[next(iter(self._states))]
+        work = partial(self._view, waits=waits, sight=sight)
+        return self._states.setdefault((waits, sight), Shared(work, self._flush))
 
     async def _flush(self) -> None:
         await self.kernel.flush()
@@ -63,13 +79,14 @@ class Api:
         link = self.service.link
         return link.notes if link is not None else notes_of(self.service)
 
-    def _view(self, *, waits: bool) -> bytes:
+    def _view(self, *, waits: bool, sight: Sight | None) -> bytes:
         view = lab_view(
             self.kernel,
             simulated=self.service.parts.simulated,
             rejected=self._notes.rejected,
             supervised=self._notes.supervised,
             waits=waits,
+            hidden=hidden_from(self.kernel.state, sight),
         )
         return msgspec.json.encode(view)
 
@@ -87,6 +104,27 @@ class Call:
         """Who asks: whoever has signed in; in a lab without users by the header LabOS-User. Raises
         BadInput."""
         return self.who.actor if self.who.is_known else wire.asker(self.request)
+
+    @cached_property
+    def sight(self) -> Sight | None:
+        """What whoever asks sees of campaigns; None: everything."""
+        return sight_of(self.kernel.state, self.who.actor) if self.who.is_known else None
+
+    @cached_property
+    def hidden(self) -> frozenset[CampaignId]:
+        """The campaigns that whoever asks does not see."""
+        return hidden_from(self.kernel.state, self.sight)
+
+    def expect_seen(self, campaign: str) -> None:
+        """Raises NotFound for a campaign that whoever asks does not see, as for one that is not there."""
+        if campaign in self.hidden:
+            raise NotFound(f"There is no campaign {campaign!r}.", remedy="List them: labos campaign list")
+
+    def expect_run_seen(self, run: str) -> None:
+        """Raises NotFound for a run that is alive, of a campaign that whoever asks does not see."""
+        known = self.kernel.state.runs.get(run)
+        if known is not None and known.campaign in self.hidden:
+            raise NotFound(f"There is no run {run!r}.", remedy="List them: labos runs")
 
     @property
     def is_sent_on(self) -> bool:
@@ -134,7 +172,8 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     repetition is known after a restart, too. ``needs`` is the least role of whoever asks, ``nobody`` for what
     somebody asks who has not signed in yet; ``by_home``: the owner of the lab's folder may do it;
     ``by_link``: a token of scope viewer may stand in the address. ``secret``: the answer is not kept for a
-    repetition. ``at_kernel``: only the kernel's process can answer."""
+    repetition. ``at_kernel``: only the kernel's process can answer. ``recall`` tells from the events of a
+    request what was answered, where the handler cannot be asked once more."""
 
     method: Literal["GET", "POST"]
     path: str
@@ -157,6 +196,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     headers: tuple[str, ...] = ()
     largest_body: int = SMALL_BODY
     logs_key: bool = False
+    recall: Callable[[list[Event]], Any] | None = None
 
     @property
     def id(self) -> str:

@@ -110,6 +110,10 @@ class RecordedKernel:
             return []
         return list(self._fold_next())
 
+    def events_of_command(self) -> list[Event]:
+        """Those of the request's next command."""
+        return list(self._fold_next())
+
     def _fold_next(self) -> Iterator[Event]:
         """The events of the request's next command; the state goes on to the last of them."""
         cause = ""
@@ -182,6 +186,8 @@ class Recorded(msgspec.Struct, frozen=True):
         try:
             async with _turn:  # to fold a log takes a while
                 kernel = RecordedKernel(*await asyncio.to_thread(read), mark)
+            if self.operation.recall is not None:
+                return respond(self.operation, self.operation.recall(kernel.events_of_command()))
             parts = _RecordedParts(self.api.service.parts, kernel)
             call = Call(self.api, self.request, self.who, LabService(parts, Feed()))
             return respond(self.operation, await self.operation.handler(call, **self.told))

@@ -15,6 +15,7 @@ from labos.core.decide.access import EndAccess, RequestAccess
 from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking
 from labos.core.decide.campaigns import (
     AmendCampaign,
+    ArchiveCampaign,
     CancelCampaign,
     PauseCampaign,
     ResumeCampaign,
@@ -75,6 +76,8 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "resume_campaign": (ResumeCampaign,),
     "cancel_campaign": (CancelCampaign,),
     "amend_campaign": (AmendCampaign,),
+    "clone_a_campaign": (SubmitCampaign,),
+    "archive_campaign": (ArchiveCampaign,),
     "apply_shares": (ApplyShares,),
     "approve_proposal": (ApproveProposal,),
     "refuse_proposal": (RefuseProposal,),
@@ -156,6 +159,8 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "resume_campaign": ("labos campaign resume",),
     "cancel_campaign": ("labos campaign cancel",),
     "amend_campaign": ("labos campaign amend",),
+    "clone_a_campaign": ("labos campaign clone",),
+    "archive_campaign": ("labos campaign archive",),
     "apply_shares": ("labos shares",),
     "approve_proposal": ("labos approve",),
     "refuse_proposal": ("labos refuse",),

@@ -497,7 +497,7 @@ class LabService:
             )
         report = await stop_modules(self.parts.bus, registry.lab, modules, by)
         with contextlib.suppress(LabosError):  # the nodes tell it again with their states
-            self.kernel.submit(RecordStops(by, report.stopped), by)
+            self.kernel.submit(RecordStops(by, report.stopped, target, report.silent), by)
         return report
 
     async def take_out(self, module: str, why: str, until: int, by: str) -> None:

@@ -25,6 +25,7 @@ async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Sig
     user, store = call.who.user, call.service.parts.store
     if not call.who.is_known:
         raise NotSignedIn("Only a user can sign.", remedy="Sign in: labos login")
+    await _expect_seen(call, subject, kind)
     if not call.is_sent_on:
         await _expect_password(call, user, asked.password)
         asked.password = ""  # an API process sends the request on to the kernel, over the bus, without it
@@ -42,11 +43,21 @@ async def sign(call: Call, subject: str, kind: Kind, asked: RunSignature) -> Sig
 
 async def list_signatures_under(call: Call, subject: str, kind: Kind) -> list[Signature]:
     """Raises NotFound."""
+    await _expect_seen(call, subject, kind)
     store = call.service.parts.store
     await call.kernel.flush()
     if await asyncio.to_thread(kind_of, store, subject) != kind:
         raise NotFound(f"There is no {kind} {subject!r}.", remedy="Check its name.")
     return await asyncio.to_thread(signatures_of, store, subject)
+
+
+async def _expect_seen(call: Call, subject: str, kind: Kind) -> None:
+    """Raises NotFound."""
+    of = subject
+    if kind == "run" and call.hidden:
+        of = (await call.service.story(subject)).campaign
+    if of in call.hidden:
+        raise NotFound(f"There is no {kind} {subject!r}.", remedy="Check its name.")
 
 
 def _command(subject: str, signed: Signed, by: str, asked: RunSignature) -> Command:

@@ -19,8 +19,10 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.core.envelope import Record
+from labos.core.sight import Sight
 from labos.core.words import references_in
 from labos.http.lines import line_of
+from labos.http.veil import Veil
 from labos.ports import LogQuery
 from labos.services.filters import is_of_type
 from labos.services.shown import show_json
@@ -64,17 +66,18 @@ class Line(msgspec.Struct, frozen=True):
 
 
 class Filter(msgspec.Struct, frozen=True):
-    """Which events somebody wants, as ``LogQuery`` says it."""
+    """Which events somebody wants, as ``LogQuery`` says it, and what they see of campaigns (``sight``)."""
 
     types: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()
     correlation: str = ""
     actor: str = ""
     mentions: str = ""
+    sight: Sight | None = None
 
     @classmethod
-    def make(cls, query: LogQuery) -> Filter:
-        return cls(query.types, query.streams, query.correlation, query.actor, query.mentions)
+    def make(cls, query: LogQuery, sight: Sight | None = None) -> Filter:
+        return cls(query.types, query.streams, query.correlation, query.actor, query.mentions, sight)
 
     def takes(self, line: Line) -> bool:
         return (
@@ -94,9 +97,9 @@ class _Follower:
     """``after``: everything up to there was handed on or is of no interest. A follower that is ``live`` gets
     what is new."""
 
-    def __init__(self, query: LogQuery) -> None:
+    def __init__(self, query: LogQuery, sight: Sight | None) -> None:
         self.query, self.after = query, query.after
-        self.filter = Filter.make(query)
+        self.filter = Filter.make(query, sight)
         self.live = self.dropped = False
         self._pieces: list[bytes] = []
         self._size = 0
@@ -138,6 +141,7 @@ class Tail:
 
     def __init__(self, log: Log, durable: Callable[[], int]) -> None:
         self._log, self._durable = log, durable
+        self._veil = Veil(log)
         self._lines: deque[Line] = deque()
         self._size = 0
         self._begin = self._end = self._flushed = 0
@@ -158,6 +162,7 @@ class Tail:
         """What was written last, in order."""
         if not records:
             return
+        self._veil.learn(records)
         first, last = records[0].head.position, records[-1].head.position
         if not self._is_wanted():
             self._begin_at(last)
@@ -181,6 +186,7 @@ class Tail:
 
     def on_reopened(self) -> None:
         """The log was read again: something may be in it of which nobody was told."""
+        self._veil.forget()
         self._begin_at(self._durable())
 
     def close(self) -> None:
@@ -191,28 +197,38 @@ class Tail:
 
     # -- for those who ask ---------------------------------------------------------------------
 
-    async def page(self, query: LogQuery, *, stored: bool = False) -> bytes:
+    async def page(self, query: LogQuery, *, stored: bool = False, sight: Sight | None = None) -> bytes:
         """One page of events as JSON, and the position from which to go on: with the words that stand beside
-        the log, or as it is ``stored``. Raises StoreUnavailable."""
+        the log, or as it is ``stored``; without those that a ``sight`` does not reach. Raises
+        StoreUnavailable."""
         self._want()
+        if sight is not None:
+            await self._veil.read()
+        mine = Filter.make(query, sight)
         upto = self._durable()
         if _is_open(query) and self._covers(query.after) and self._end == upto:
-            mine = Filter.make(query)
-            found, full = _cut(line for line in self._since(query.after) if mine.takes(line))
+            found, full = _cut(line for line in self._since(query.after) if self._takes(mine, line))
         else:
             upto = upto if query.upto is None else min(upto, query.upto)
-            found, full = await self._read(msgspec.structs.replace(query, upto=upto))
+            found, full = await self._read(msgspec.structs.replace(query, upto=upto), mine)
         seen = found[-1].position if full else upto
         data = await self._show(b",".join(line.data for line in found), stored=stored)
         return b'{"events":[%b],"position":%d}' % (data, seen)
 
     async def follow(
-        self, query: LogQuery, end: End | None = None, *, stored: bool = False
+        self,
+        query: LogQuery,
+        end: End | None = None,
+        *,
+        stored: bool = False,
+        sight: Sight | None = None,
     ) -> AsyncIterator[bytes]:
         """Server-sent events, for ever; or until their ``end`` comes, or the follower has fallen too far
         behind."""
         self._want()
-        me = _Follower(query)
+        if sight is not None:
+            await self._veil.read()
+        me = _Follower(query, sight)
         self._followers.add(me)
         if end is not None:
             end.when = me.wake
@@ -236,6 +252,12 @@ class Tail:
 
     # -- inside --------------------------------------------------------------------------------
 
+    def _takes(self, wanted: Filter, line: Line) -> bool:
+        return wanted.takes(line) and self._shows(wanted, line)
+
+    def _shows(self, wanted: Filter, line: Line) -> bool:
+        return self._veil.shows(wanted.sight, line.type, line.stream, line.correlation)
+
     async def _show(self, data: bytes, *, stored: bool) -> bytes:
         """Put in the words that stand beside the log now. They are not kept here: they may be erased."""
         if stored or not references_in(data):
@@ -245,16 +267,18 @@ class Tail:
     async def _catch_up(self, me: _Follower) -> bytes:
         """What a follower has missed, or a page of that; it is live if there is no more."""
         if me.query.last is None and (me.after > self._end or self._covers(me.after)):
-            piece = _encode_lines(line for line in self._since(me.after) if me.filter.takes(line))
+            piece = _encode_lines(line for line in self._since(me.after) if self._takes(me.filter, line))
             me.after, me.live = max(me.after, self._end), True
             return piece
         upto = self._durable()
-        found, full = await self._read(msgspec.structs.replace(me.query, after=me.after, upto=upto))
+        found, full = await self._read(
+            msgspec.structs.replace(me.query, after=me.after, upto=upto), me.filter
+        )
         me.query = msgspec.structs.replace(me.query, last=None)
         me.after = found[-1].position if full else max(upto, me.after)
         return _encode_lines(found)
 
-    async def _read(self, query: LogQuery) -> tuple[list[Line], bool]:
+    async def _read(self, query: LogQuery, wanted: Filter) -> tuple[list[Line], bool]:
         """A page of the log, and whether there may be more. Readers take turns, and the more of them wait,
         the longer is the pause between two pages: the kernel works on."""
         if query.upto is not None and query.after >= query.upto:
@@ -263,12 +287,16 @@ class Tail:
         try:
             async with self._turn:
                 begun = time.monotonic()
-                found = await asyncio.to_thread(_page_of, self._log, query)
+                found = await asyncio.to_thread(self._page_of, query, wanted)
                 if self._waiting > 1:
                     await asyncio.sleep((time.monotonic() - begun) * min(self._waiting, 8))
                 return found
         finally:
             self._waiting -= 1
+
+    def _page_of(self, query: LogQuery, wanted: Filter) -> tuple[list[Line], bool]:
+        lines = map(_line, self._log.select(query))
+        return _cut(line for line in lines if self._shows(wanted, line))
 
     def _flush(self) -> None:
         """Hand on what is new; what one filter takes is put together once."""
@@ -283,13 +311,12 @@ class Tail:
                 continue
             mine = follower.filter
             if new and follower.after >= new[0].position:
-                piece = _encode_lines(
-                    line for line in new if line.position > follower.after and mine.takes(line)
-                )
+                later = (line for line in new if line.position > follower.after)
+                piece = _encode_lines(line for line in later if self._takes(mine, line))
             elif mine in pieces:
                 piece = pieces[mine]
             else:
-                piece = pieces[mine] = _encode_lines(line for line in new if mine.takes(line))
+                piece = pieces[mine] = _encode_lines(line for line in new if self._takes(mine, line))
             follower.give(piece, self._end)
 
     def _since(self, after: int) -> list[Line]:
@@ -324,10 +351,6 @@ def _line(record: Record) -> Line:
     head = record.head
     data = msgspec.json.encode(line_of(record))
     return Line(head.position, head.type, head.stream, head.correlation, head.actor, record.payload, data)
-
-
-def _page_of(log: Log, query: LogQuery) -> tuple[list[Line], bool]:
-    return _cut(_line(record) for record in log.select(query))
 
 
 def _cut(lines: Iterable[Line]) -> tuple[list[Line], bool]:

@@ -11,7 +11,7 @@ import structlog
 from labos.core.actions import Action
 from labos.core.bench import Labware, Station
 from labos.core.decide.access import in_motion, perhaps_in_motion
-from labos.core.ids import ModuleName, RunId, local
+from labos.core.ids import CampaignId, ModuleName, RunId, local
 from labos.core.interventions import Intervention
 from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
@@ -239,11 +239,14 @@ def lab_view(
     rejected: Mapping[str, str],
     supervised: Mapping[str, Any],
     waits: bool = True,
+    hidden: frozenset[CampaignId] = frozenset(),
 ) -> LabView:
-    """Everything that is alive in the lab."""
+    """Everything that is alive in the lab, but for the runs of the campaigns ``hidden``."""
     state, now = kernel.state, kernel.clock.now_ns()
     queued = list(state.runs.queued.values())
-    runs = [*state.runs.active.values(), *queued[:QUEUED_SHOWN]]
+    seen = [run for run in queued if run.campaign not in hidden] if hidden else queued
+    runs = [run for run in state.runs.active.values() if run.campaign not in hidden]
+    runs += seen[:QUEUED_SHOWN]
     flying = {(action.run, action.step): action for action in state.actions.open.values()}
     return LabView(
         lab=_lab_info(state, simulated),

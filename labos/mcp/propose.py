@@ -55,3 +55,12 @@ class Propose:
             campaign_of(campaign, workflow, tables, files), user=self._user, request=key, propose=True
         )
         return encode_answer({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)
+
+    def propose_clone(self, campaign: str, name: str = "", priority: int | None = None, key: str = "") -> str:
+        """Proposes a campaign once more, with the same rows and workflow; `campaign` is its id, as C3, also
+        of one that has ended. It waits until an operator has looked at it and approved it; you cannot start
+        it. The same `key` twice is one proposal."""
+        answer = self._lab.clone_campaign(
+            campaign, self._user, request=key, name=name, priority=priority, propose=True
+        )
+        return encode_answer({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)

@@ -34,7 +34,7 @@ LOOK = (
     *("campaigns", "proposals", "log", "provenance", "read_file"),
 )
 PLAN = ("check_workflow", "check_campaign")
-PROPOSE = ("propose_run", "propose_campaign")
+PROPOSE = ("propose_run", "propose_campaign", "propose_clone")
 """The tools by what they may do. There are no others."""
 
 

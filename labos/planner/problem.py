@@ -14,6 +14,7 @@ from itertools import islice
 import msgspec
 
 from labos.core.actions import ActionStatus
+from labos.core.booked import contacts, find_blocked, is_exempt
 from labos.core.effects import list_carried
 from labos.core.ids import RunId, StationName, experiment_owner, run_owner
 from labos.core.model import MAIN, PlanStep
@@ -33,6 +34,9 @@ GOES_ON = 1
 """An experiment's end of a run counts so many times the end of all that is known: more runs follow, which
 nobody knows yet. With more than that, experiments go before what takes longer by itself."""
 
+AHEAD_NS = 24 * 3600 * 10**9
+"""So far ahead bookings are looked at (wall time)."""
+
 LEAST_S = 1.0
 """What takes longer than it should is expected to take so much longer still (lab seconds)."""
 
@@ -49,7 +53,8 @@ class TimeLag(msgspec.Struct, frozen=True):
 
 class Task(msgspec.Struct, frozen=True):
     """A step that has not ended: how long it still takes (lab seconds), the keys of what one task at a time
-    may have, and the numbers of the tasks that end before. ``runs``: it is under way, and started."""
+    may have, and the numbers of the tasks that end before. ``runs``: it is under way, and started. In the
+    times of ``shut`` (lab seconds from now) its module is booked for others."""
 
     run: RunId
     step: int
@@ -58,6 +63,7 @@ class Task(msgspec.Struct, frozen=True):
     after: tuple[int, ...]
     lags: tuple[TimeLag, ...] = ()
     runs: bool = False
+    shut: tuple[tuple[float, float], ...] = ()
 
 
 class Stay(msgspec.Struct, frozen=True):
@@ -131,7 +137,8 @@ class _Reader:
             lags = tuple(self._lags(step, numbers, ended))
             duration_s = self._left_s(run, index, step) if flying else self._takes_s(step)
             taken = tuple(list_taken(self.state, step))
-            self.tasks.append(Task(run.id, index, duration_s, taken, after, lags, runs=flying))
+            shut = () if flying else tuple(self._shut(run, step))
+            self.tasks.append(Task(run.id, index, duration_s, taken, after, lags, runs=flying, shut=shut))
             assert number == len(self.tasks) - 1
         self._carry(run, plan.steps, numbers)
         before = {number for task in self.tasks[base:] for number in task.after}
@@ -154,6 +161,15 @@ class _Reader:
             elif (ended_at := ended.get(window.anchor)) is not None:
                 gone_s = (self.now - ended_at) / 1e9 * self.state.lab.pace
                 yield TimeLag(None, gone_s, window.wait_s, window.within_s)
+
+    def _shut(self, run: RunState, step: PlanStep) -> Iterator[tuple[float, float]]:
+        state, now = self.state, self.now
+        if not state.bookings.open or is_exempt(state, run, step):
+            return
+        for module, clears in contacts(state, step).items():
+            for span in find_blocked(state, run.user, module, now, now + AHEAD_NS, clears=clears):
+                begins, ends = ((at - now) / 1e9 * state.lab.pace for at in (span.begins, span.ends))
+                yield max(0.0, begins), ends
 
     def _left_s(self, run: RunState, index: int, step: PlanStep) -> float:
         for action in self.state.actions.within(self.state.runs.plan_of(run).workcell):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 TIDY = 0.3
 """This part of the time is for ending each run sooner, once the whole is as short as was found."""
+
+BOOKED_UNIT_S = 10.0
 
 
 class Schedule(msgspec.Struct, frozen=True):
@@ -48,10 +50,13 @@ def solve(
     from ortools.sat.python import cp_model
 
     tasks = problem.tasks
-    unit = _unit_of([task.duration_s for task in tasks])
+    # A booking begins when it likes: then time goes on in smaller steps.
+    booked = [BOOKED_UNIT_S] if any(task.shut for task in tasks) else []
+    unit = _unit_of([*(task.duration_s for task in tasks), *booked])
     length = [max(1, math.ceil(task.duration_s / unit - 1e-9)) for task in tasks]
     waits = [lag.wait_s for task in tasks for lag in task.lags]
-    horizon = sum(length) + math.ceil(sum(waits) / unit) + 1
+    shut_s = max((ends for task in tasks for _, ends in task.shut), default=0.0)
+    horizon = sum(length) + math.ceil((sum(waits) + shut_s) / unit) + 1
     model = cp_model.CpModel()
     begin = [model.new_int_var(0, 0 if task.runs else horizon, f"s{n}") for n, task in enumerate(tasks)]
     end = [start + takes for start, takes in zip(begin, length, strict=True)]
@@ -65,6 +70,8 @@ def solve(
         interval = model.new_fixed_size_interval_var(begin[number], length[number], f"i{number}")
         for name in task.takes:
             using.setdefault(name, []).append(interval)
+        if task.shut:
+            model.add_no_overlap([interval, *_closed(model, task.shut, unit)])
         for before in task.after:
             model.add(begin[number] >= end[before])
         for lag in task.lags:
@@ -121,6 +128,19 @@ def solve(
         starts = [solver.value(start) for start in begin]
     makespan = max((start + takes for start, takes in zip(starts, length, strict=True)), default=0)
     return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
+
+
+def _closed(
+    model: cp_model.CpModel, times: Sequence[tuple[float, float]], unit: float
+) -> list[cp_model.IntervalVar]:
+    """Times in which something cannot be, those that overlap as one."""
+    found: list[list[int]] = []
+    for begins, ends in sorted((math.floor(b / unit), math.ceil(e / unit)) for b, e in times):
+        if found and begins <= found[-1][1]:
+            found[-1][1] = max(found[-1][1], ends)
+        else:
+            found.append([begins, ends])
+    return [model.new_fixed_size_interval_var(b, e - b, f"shut{n}") for n, (b, e) in enumerate(found)]
 
 
 def _limit(solver: cp_model.CpSolver, seconds: float, *, counted: bool) -> None:

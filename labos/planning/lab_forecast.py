@@ -122,7 +122,8 @@ class LabForecast(msgspec.Struct, frozen=True):
 class ForecastRequest(msgspec.Struct):
     """What is asked: of a state as a picture, at a time. ``new`` is what somebody thinks of submitting, and
     ``new_rows`` the plans of its rows, between which they choose, if it is a campaign. ``rows`` are those of
-    campaigns that are known; ``newcomers`` tell who may come meanwhile."""
+    campaigns that are known; ``newcomers`` tell who may come meanwhile. In place of what is new, a submission
+    that waits for an approval (``approved``) is let go on."""
 
     picture: bytes
     now: int
@@ -132,6 +133,7 @@ class ForecastRequest(msgspec.Struct):
     new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None
     actor: str = ""
     new_rows: list[tuple[Plan, ...]] = []
+    approved: str = ""
     most_runs: int = MOST_RUNS
     most_steps: int = MOST_STEPS
     steps: int = STEPS
@@ -147,11 +149,12 @@ def forecast_lab(request: ForecastRequest, is_late: Callable[[], bool] = lambda:
     if forecaster.refusal:
         return LabForecast(request.now, 0, left_out=left_out, refusal=forecaster.refusal)
     count = max(FEWEST, min(MOST, request.steps // max(1, usual.steps)))
-    before = forecaster.play(0, without=True) if request.new is not None else None
+    asks = request.new is not None or bool(request.approved)
+    before = forecaster.play(0, without=True) if asks else None
     plays = [usual]
     while len(plays) <= count and not is_late():
         plays.append(forecaster.play(len(plays)))
-    conflicts = list(_conflicts(request, base, plays, forecaster.new)) if request.new is not None else []
+    conflicts = list(_conflicts(request, base, plays, forecaster.new)) if asks else []
     return LabForecast(
         now_at=request.now,
         plays=len(plays),
@@ -161,7 +164,11 @@ def forecast_lab(request: ForecastRequest, is_late: Callable[[], bool] = lambda:
         left_out=left_out,
         cut=usual.cut,
         new=[str(name) for name in usual.users if _is_new(forecaster, usual, name)],
-        delays=list(_delays(before, usual)) if before is not None else [],
+        delays=[
+            delay
+            for delay in (_delays(before, usual) if before is not None else ())
+            if forecaster.new not in (delay.run, delay.campaign) or not request.approved
+        ],
         conflicts=conflicts,
     )
 
@@ -196,6 +203,9 @@ class _Forecaster:
         )
         if asked.new is not None and not without:
             self._submit(lab, asked.new)
+        if asked.approved and not without:
+            lab.approve(asked.approved)
+            self.new = asked.approved
         for campaign in state.campaigns.open.values():
             self.campaigns[campaign.id] = (campaign.name, campaign.left)
         for run in [*state.runs.active.values(), *state.runs.queued.values()]:
@@ -342,9 +352,7 @@ def _sure_to_use(plans: Sequence[Plan]) -> list[ModuleName]:
 
 def _conflicts(request: ForecastRequest, state: LabState, plays: list[Play], new: str) -> Iterator[str]:
     """What stands in the way of something that is not submitted yet, as sentences."""
-    command = request.new
-    run = command.run if isinstance(command, SubmitWithLabware) else command
-    rows = request.new_rows if isinstance(run, SubmitCampaign) else [run.plans] if run else []
+    user, deadline, rows = _what_is_asked(request, state)
     modules = {module: True for plans in rows for module in _sure_to_use(plans)}
     for name in modules:
         module = state.modules.by_name.get(name)
@@ -357,16 +365,34 @@ def _conflicts(request: ForecastRequest, state: LabState, plays: list[Play], new
         if new and new in (name, play.members.get(name))
     ]
     until = max(ends, default=request.now)
-    user = run.user if run is not None else ""
     yield from _list_booked(state, user, modules, request.now, until)
-    if isinstance(run, SubmitCampaign) and run.terms.deadline:
-        late = [end for end in ends if end > run.terms.deadline]
+    if deadline:
+        late = [end for end in ends if end > deadline]
         if late or not ends:
             yield "The deadline would be missed."
     stays = sum(new in (name, plays[0].members.get(name)) for name in plays[0].stays) if new else 0
     if stays:
         why = next(why for name, why in plays[0].stays.items() if new in (name, plays[0].members.get(name)))
         yield f"{stays} of its runs would wait for a person: {why}."
+
+
+def _what_is_asked(request: ForecastRequest, state: LabState) -> tuple[str, int, Sequence[Sequence[Plan]]]:
+    """Whose it is that may begin, its deadline (0: none), and the plans of its runs."""
+    command = request.new
+    if isinstance(command, SubmitCampaign):
+        return command.user, command.terms.deadline, request.new_rows
+    if command is not None:
+        run = command.run if isinstance(command, SubmitWithLabware) else command
+        return run.user, 0, [run.plans]
+    known = state.runs.queued.get(RunId(request.approved))
+    if known is not None:
+        return known.user, 0, [[state.runs.plans[one].plan for one in known.choices or (known.plan,)]]
+    campaign = state.campaigns.open.get(CampaignId(request.approved))
+    if campaign is None:
+        return "", 0, []
+    proposal = state.approvals.open.get(request.approved)
+    terms = (proposal.terms if proposal is not None else None) or campaign.terms
+    return campaign.user, terms.deadline, request.rows.get(campaign.id, [])
 
 
 def _list_booked(

@@ -6,6 +6,7 @@ it. So that bad advice does little harm, a step waits for another only
 
 - while something moves in the workcell: where nothing does, nobody waits for advice;
 - until that other should have started, and ``GRACE_S`` after that;
+- for ``MOST_S`` in all, whatever is suggested meanwhile;
 - if its own run is not urgent, of a higher priority, or overtaken too often.
 """
 
@@ -31,6 +32,10 @@ from labos.planning.urgency import is_urgent
 GRACE_S = 60.0
 """So many lab seconds after its time a step that has not started keeps nobody waiting any more."""
 
+MOST_S = 4 * 3600.0
+"""No step waits longer than that (lab seconds) for advice, counted from when it could have started. With that
+a planner that suggests again and again what cannot start stops nobody where something else always moves."""
+
 LAST = 2**62
 
 
@@ -50,6 +55,7 @@ class Adviser:
 
     def __init__(self) -> None:
         self._known: dict[str, Advice] = {}
+        self._since: dict[tuple[RunId, int], int] = {}
 
     def start_of(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
         """When a step (of a run that waits: its first one) should start; ``LAST`` if nothing is suggested."""
@@ -99,8 +105,11 @@ class Adviser:
                     continue
                 if run.priority > other.priority or (urgent and not is_urgent(state, other, now)):
                     continue
+                enough = self._since.setdefault((run.id, step), now) + lab_ns(state, MOST_S)
+                if enough < now:
+                    return None
                 why = reasons.AfterSuggested(str(other.id), resource.partition(":")[2])
-                return Wait(why, (cell_key(plan.workcell),), until + 1)
+                return Wait(why, (cell_key(plan.workcell),), min(until, enough) + 1)
         return None
 
     def _advice(self, state: LabState, cell: str, now: int) -> Advice | None:
@@ -110,6 +119,7 @@ class Adviser:
         known = self._known.get(cell)
         if known is None or known.order is not order:
             known = self._known[cell] = _put_in_order(state, order)
+            self._since = {who: at for who, at in self._since.items() if state.runs.get(who[0]) is not None}
         return known
 
 

@@ -166,6 +166,19 @@ class VirtualLab:
                 campaign.status = CampaignStatus.OPEN
         return answer
 
+    def approve(self, subject: str) -> None:
+        """Let a submission go on, or a change of a campaign be made, that waits for an approval."""
+        proposal = self.state.approvals.open.pop(subject, None)
+        run = self.state.runs.queued.get(RunId(subject))
+        if run is not None:
+            with let_wait_anew(self.state.runs, run):
+                run.held = run.unapproved = False
+        campaign = self.state.campaigns.open.get(CampaignId(subject))
+        if campaign is not None and proposal is not None:
+            campaign.terms = proposal.terms or campaign.terms
+            if campaign.status == CampaignStatus.PROPOSED:
+                campaign.status = CampaignStatus.OPEN
+
     def _ask(self, command: Command, actor: str = LABOS) -> list[Event] | Rejection:
         answer = carry_out(self.state, command, self._write, actor)
         for event in [] if isinstance(answer, Rejection) else answer:

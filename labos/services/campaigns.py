@@ -9,13 +9,16 @@ import msgspec
 from labos.core.campaigns import (
     HANDLERS,
     Campaign,
+    CampaignArchived,
     CampaignCompleted,
     CampaignEvent,
     CampaignRowRefused,
     Campaigns,
     CampaignSubmitted,
+    CampaignUnarchived,
 )
 from labos.core.runs import RunSubmitted
+from labos.core.sight import Visibility
 from labos.errors import NotFound
 from labos.ports import LogQuery
 from labos.services.catalogue import Catalogue, catalogue_of
@@ -26,10 +29,12 @@ TYPES = ("campaign", *FAMILIES, "step", "resource")
 
 
 class CampaignHistory(msgspec.Struct):
-    """A campaign and when it ended (UTC ns, 0 if it has not)."""
+    """A campaign, who sees it, when it ended (UTC ns, 0 if it has not), and whether it is archived."""
 
     campaign: Campaign
+    visibility: Visibility = "lab"
     ended_at: int = 0
+    archived: bool = False
 
     @property
     def status(self) -> str:
@@ -57,11 +62,13 @@ def campaign_histories(log: Log) -> dict[str, CampaignHistory]:
     for event, head in events(log.select(LogQuery(types=TYPES))):
         if isinstance(event, CampaignCompleted):
             told[event.campaign].ended_at = head.recorded_at
+        elif isinstance(event, CampaignArchived | CampaignUnarchived):
+            told[event.campaign].archived = isinstance(event, CampaignArchived)
         handler = HANDLERS.get(type(event))
         if handler is not None:
             handler(folded, event, head.recorded_at)  # type: ignore[operator]
         if isinstance(event, CampaignSubmitted):
-            told[event.campaign] = CampaignHistory(folded.open[event.campaign])
+            told[event.campaign] = CampaignHistory(folded.open[event.campaign], event.visibility)
     return told
 
 

@@ -301,6 +301,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         + f" by {e.by}{_when(e.why, f': {e.why}')}"
     ),
     m.EmergencyStopped: lambda e, _: f"stopped in an emergency by {e.by or 'somebody'}",
+    m.StopReported: lambda e, _: (
+        f"{e.by or 'somebody'} stopped {'everything' if e.target == '*' else e.target} in an emergency: "
+        f"{len(e.stopped)} modules say so"
+        + (f", not known of {', '.join(map(local, e.silent))}" if e.silent else "")
+    ),
     s.LevelSet: lambda e, _: (
         f"{e.resource} set to {e.level:g} of {e.capacity:g}{_when(e.lot, f' (lot {e.lot})')}"
     ),
@@ -322,6 +327,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     i.InterventionOverdue: lambda e, _: f"not confirmed by {show_time(e.due_at)}, when it was due",
     c.CampaignSubmitted: lambda e, _: (
         f"{e.user} submitted the campaign {e.name!r}: {e.workflow} for {e.rows} rows"
+        + _when(e.cloned_from, f", once more after {e.cloned_from}")
+        + ("" if e.visibility == "lab" else f" ({e.visibility})")
     ),
     c.CampaignPaused: lambda e, _: f"paused{_when(e.why, f': {e.why}')}",
     c.CampaignResumed: lambda e, _: "resumed",
@@ -329,6 +336,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     c.CampaignRowRefused: lambda e, _: f"row {e.row + 1} cannot be carried out: {e.why}",
     c.CampaignStopped: lambda e, _: f"stopped: {e.why}",
     c.CampaignCancelled: lambda e, _: f"cancelled{_when(e.why, f': {e.why}')}",
+    c.CampaignArchived: lambda e, _: "archived",
+    c.CampaignUnarchived: lambda e, _: "stands in lists again",
     c.CampaignCompleted: lambda e, _: (
         f"completed: of its runs {e.completed} completed, {e.failed} failed, {e.cancelled} were cancelled"
         + _when(e.refused, f"; {e.refused} rows were refused")

@@ -57,6 +57,7 @@ class RunHistory(msgspec.Struct):
     why: str = ""
     paused: bool = False
     closing: bool = False
+    campaign: str = ""
     busy: list[tuple[int, int]] = []
     flying: dict[str, int] = {}
 
@@ -106,6 +107,7 @@ class RunBook:
             experiment=event.experiment,
             submitted_at=at,
             closing=event.closing,
+            campaign=event.campaign,
             steps=[
                 StepHistory(
                     index,

@@ -15,7 +15,7 @@ from labos.store._home import HomeFiles, KnownEnd, forget_end
 from labos.store._lease import database_bytes, database_file, lease_holder, show_url, silent_holder
 from labos.store._migrate import DatabaseStatus, database_status, is_replica, migrate, migrations_folder
 from labos.store._objects import Blobs, ObjectBlobs, open_blobs
-from labos.store._open import open_store
+from labos.store._open import open_store, scrub_words
 from labos.store._restore import leap_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
 from labos.store._segment import check_chain, line_of, read_segment, write_segment
@@ -79,6 +79,7 @@ __all__ = [
     "records_of",
     "refuse_to_overwrite",
     "restore_log",
+    "scrub_words",
     "show_url",
     "silent_holder",
     "sqlite_path",

@@ -24,6 +24,16 @@ class WordChanges(msgspec.Struct, frozen=True):
 INSERT_WORDS = "INSERT INTO words (reference, position, salt, text, erased_at) VALUES (?, ?, ?, ?, ?)"
 ERASE_WORDS = "UPDATE words SET salt = ?, text = '', erased_at = ? WHERE reference = ?"
 
+REWRITE_WORDS = (
+    "ALTER TABLE words ALTER COLUMN text SET STATISTICS 0, "
+    "ALTER COLUMN text TYPE text COLLATE \"C\" USING text || ''"
+)
+"""Writes the table into a new file, without the rows that are no more. The server takes no samples of the
+texts for its planner: they would stand in its catalogue."""
+
+REWRITING = "labos_rewrite_words"
+"""The function by which a role that does not own the table has that done."""
+
 MOVE_HEAD = (
     "UPDATE head SET position = ?, hash = ?, recorded_at = ? "
     "WHERE position = ? AND hash = ? AND epoch = ? AND lab = ?"

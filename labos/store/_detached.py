@@ -2,7 +2,8 @@
 
 A segment's manifest says which hash the chain had in front of it. From there on the chain is checked as
 in a whole backup; that the log before was what it was, the segment takes on trust. A seal covers that
-hash too. A state cannot be folded from the middle: it is as the manifests say, not as anybody checked.
+hash too. Words that the segments refer to are checked as in a whole backup. A state cannot be folded from the
+middle: it is as the manifests say, not as anybody checked.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from labos.store._backup import (
     stretch,
 )
 from labos.store._blobs import FolderBlobs
+from labos.store._words_copy import WordsExpected
 
 
 class Detached(msgspec.Struct, frozen=True):
@@ -61,8 +63,10 @@ def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
         rests_on = bytes.fromhex(before) if after else GENESIS
     except ValueError:
         raise report_damage(segments[0], "names no hash that it rests on") from None
-    for _ in stretch(folder, found.lab, segments, rests_on, after):
-        pass
+    words = WordsExpected(folder)
+    for record in stretch(folder, found.lab, segments, rests_on, after):
+        words.take(record)
+    words.end()
     check_files(folder, segments)
     checked, missing = _blobs(folder, found)
     return Detached(found.lab, segments, after, before, bool(key), absent, checked, missing)

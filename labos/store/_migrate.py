@@ -163,6 +163,18 @@ def _list_revisions() -> set[str]:
     return {script.revision for script in scripts.walk_revisions()}
 
 
+def schema_of_log(connection: Connection) -> str:
+    """PostgreSQL's schema in which the log stands, quoted; empty if there is none. It is not always the first
+    that a role looks into: a role `labos` finds the schema of the views before it."""
+    found = connection.execute(
+        text(
+            "SELECT quote_ident(nspname) FROM pg_class JOIN pg_namespace ON pg_namespace.oid = relnamespace "
+            "WHERE pg_class.oid = to_regclass('event')"
+        )
+    ).scalar()
+    return str(found or "")
+
+
 def _upgrade(url: URL) -> None:
     from alembic import command
 
@@ -174,6 +186,10 @@ def _upgrade(url: URL) -> None:
                 raise StoreUnavailable(
                     f"The {display_name(url)} has the encoding {encoding}, which cannot hold every text.",
                     remedy="Create it with ENCODING 'UTF8' TEMPLATE template0.",
+                )
+            if schema := schema_of_log(connection):
+                connection.execute(
+                    text("SELECT set_config('search_path', :schema, true)"), {"schema": schema}
                 )
         config.attributes["connection"] = connection
         command.upgrade(config, "head")

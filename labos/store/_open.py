@@ -37,6 +37,19 @@ def open_store(
         return SqlEventStore(parsed, backend_for(parsed), read_only=read_only, home=home)
 
 
+def scrub_words(url: str) -> str:
+    """Let nothing of words that were erased stand in a database's files any more; returns why something still
+    may, empty if it does not. Raises StoreUnavailable."""
+    parsed = parse_url(url)
+    _expect_current(_migrate.database_status(url))
+    backend = backend_for(parsed)
+    try:
+        with Door(parsed):
+            return backend.scrub()
+    finally:
+        backend.close()
+
+
 def _own_files(url: URL, home: Path | None) -> list[Path]:
     """What of a lab only its owner may read: the folder, so all that is in it, and the database, which may
     stand elsewhere."""

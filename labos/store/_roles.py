@@ -2,7 +2,7 @@
 
 The writer may add records to the log and move its head. It may not change, delete or truncate records, nor
 take away the triggers that refuse this to everybody: those belong to the owner, whose password no running
-lab needs.
+lab needs. It may have the table of people's words written anew, by a function of the owner's.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from __future__ import annotations
 from sqlalchemy import text
 
 from labos.errors import BadInput, NotFound, Refused
+from labos.store._backend import REWRITE_WORDS, REWRITING
 from labos.store._errors import Door
-from labos.store._migrate import database_status, refuse_newer
+from labos.store._migrate import database_status, refuse_newer, schema_of_log
 from labos.store._open import backend_for
 from labos.store._tables import VERSION_TABLE, metadata
 from labos.store._url import display_name, parse_url
@@ -27,9 +28,18 @@ _RIGHTS = (
     f"GRANT SELECT ON {VERSION_TABLE} TO {{role}}",
 )
 
+_REWRITING = (
+    f"CREATE OR REPLACE FUNCTION {{schema}}.{REWRITING}() RETURNS void LANGUAGE plpgsql SECURITY DEFINER "
+    "SET search_path = pg_catalog, {schema}, pg_temp AS $$ BEGIN "
+    f"{REWRITE_WORDS.replace('TABLE words', 'TABLE {schema}.words')}; END $$",
+    f"REVOKE ALL ON FUNCTION {{schema}}.{REWRITING}() FROM PUBLIC",
+    f"GRANT EXECUTE ON FUNCTION {{schema}}.{REWRITING}() TO {{role}}",
+)
+"""What takes an owner, and a kernel may have done all the same: what was erased leaves the table's file."""
+
 _ROLE = text(
-    "SELECT rolsuper, pg_has_role(rolname, (SELECT tableowner FROM pg_tables WHERE tablename = 'event' "
-    "AND schemaname = current_schema()), 'MEMBER') AS owns FROM pg_roles WHERE rolname = :role"
+    "SELECT rolsuper, pg_has_role(rolname, (SELECT relowner FROM pg_class WHERE oid = to_regclass('event')), "
+    "'MEMBER') AS owns FROM pg_roles WHERE rolname = :role"
 )
 
 
@@ -63,10 +73,12 @@ def grant_writer(url: str, role: str) -> None:
                     remedy="Name a role of its own for the kernel.",
                 )
             quoted = connection.dialect.identifier_preparer.quote_identifier(role)
-            schema = connection.execute(text("SELECT quote_ident(current_schema())")).scalar_one()
+            schema = schema_of_log(connection)
             connection.execute(text(f"REVOKE ALL ON {', '.join(_TABLES)} FROM {quoted}, PUBLIC"))
             connection.execute(text(f"GRANT USAGE ON SCHEMA {schema} TO {quoted}"))
             for right in _RIGHTS:
                 connection.execute(text(right.format(role=quoted)))
+            for part in _REWRITING:
+                connection.execute(text(part.format(role=quoted, schema=schema)))
     finally:
         backend.close()

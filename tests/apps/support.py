@@ -43,8 +43,19 @@ def unclean(client: LabClient) -> list[Any]:
     return [*alive, *away]
 
 
-def cancel_at(client: LabClient, work: Callable[[], object], action: str) -> BaseException | None:
-    """Start an application, and cancel its experiment when an action is requested; what it raised."""
+def says_the_same_again(client: LabClient, work: Callable[[], str], before: str) -> None:
+    """An application that has ended is started again with ``--resume E1``: all it says comes from the log,
+    and nothing is written into it."""
+    position = client.health()["position"]
+    assert work() == before
+    assert list(client.events(position, correlation="E1")) == []
+
+
+def cancel_at(
+    client: LabClient, work: Callable[[], object], action: str, *, count: int = 1
+) -> BaseException | None:
+    """Start an application, and cancel its experiment when an action is requested for the ``count``th time;
+    what it raised."""
     raised: list[BaseException] = []
     after = client.health()["position"]
 
@@ -58,7 +69,9 @@ def cancel_at(client: LabClient, work: Callable[[], object], action: str) -> Bas
     thread.start()
     for event in client.events(after, follow=True, type="action.requested"):
         if event["payload"]["action_name" if "action_name" in event["payload"] else "name"] == action:
-            break
+            count -= 1
+            if not count:
+                break
     (experiment,) = client.state()["experiments"]
     client.control("cancel", experiment["id"], "ada")
     thread.join(60)

@@ -166,6 +166,18 @@ def test_three_liquid_handlers_at_once_are_quicker_than_one() -> None:
     assert (ended[1] - began) / (ended[3] - began) > 1.8
 
 
+@pytest.mark.slow
+def test_samples_are_told_in_the_order_of_their_decision_whichever_liquid_handler_is_quicker() -> None:
+    """A program that is started again may hear of the ends in another order."""
+    config = {"ot2_cp_gamma": {"dose_s": 90.0}, "camera_module": {"bad_pictures": 0.0}}
+    with VirtualLab("rpl_picker", 1, config=config) as lab:
+        handlers = ["ot2_cp_gamma", "ot2_growth_beta"]
+        search = search_on(lab, Wanted(GREY, samples=4, batch=4, close=0.0, handlers=handlers))
+        (decided,) = [facts["value"] for _, name, facts in lab.notes if name == "next mixtures"]
+    assert [list(sample.mixture) for sample in search.samples] == decided
+    assert search.samples[0].mixed_at > search.samples[-1].mixed_at
+
+
 # -- what it is given ------------------------------------------------------------------------------
 
 

@@ -15,7 +15,7 @@ from PIL import Image
 from labos.client import LabClient, RunFailed
 from labos.node import World
 from tests.apps.conftest import OpenLab
-from tests.apps.support import cancel_at, notes, standing, until_clean
+from tests.apps.support import cancel_at, notes, says_the_same_again, standing, until_clean
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -42,6 +42,13 @@ def test_a_colour_is_looked_for_and_its_data_is_where_the_last_line_says(
             assert standing(client) == []
             published = notes(client, "samples")
             kept = json.loads(client.file(published[0]["file"]))
+
+            def resumed() -> str:
+                monkeypatch.setattr(sys, "argv", ["color_picker", *words, "--resume", "E1"])
+                assert color_picker.main() == 0
+                return capsys.readouterr().out
+
+            says_the_same_again(client, resumed, told)
     assert told.startswith("color picker: not found: a distance of ")
     assert told.rstrip().endswith(str(out / "index.html"))
     assert len(kept) == published[0]["count"] > 0

@@ -13,11 +13,17 @@ import pytest
 
 from labos.bootstrap import LabThread, descriptions
 from labos.client import LabClient
+from labos.core.decide.interventions import ResolveIntervention
+from labos.core.registry import decode
+from labos.errors import LabosError
 from labos.node.world import World
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from labos_drivers._growth import IC50_MG_PER_L
+from labos_drivers.hidex import simulator
 from tests.apps.growth import APP, table
+from tests.apps.support import cancel_at, says_the_same_again, until_clean
+from tests.apps.virtual_lab import VirtualExperiment, VirtualLab
 from tests.support.lab_process import until
 from tests.unit.test_growth_analysis import TOLERANCE
 
@@ -53,6 +59,13 @@ def test_on_bio(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
         told = capsys.readouterr().out
         with LabClient(lab.url) as client:
             runs = [client.status(f"R{number}") for number in range(1, 7)]
+
+            def resumed() -> str:
+                monkeypatch.setattr(sys, "argv", ["growth_assay", *words, "--resume", "E1"])
+                assert growth_assay.main() == 0
+                return capsys.readouterr().out
+
+            says_the_same_again(client, resumed, told)
             kinds = {note["payload"]["kind"] for note in client.events(type="experiment.noted")}
             leaves_the_bench_clean(client, World(str(lab.runtime.settings.world("bio"))))
     assert "growth assay: IC50 0.9" in told or "growth assay: IC50 0.8" in told
@@ -95,10 +108,70 @@ def leaves_the_bench_clean(client: LabClient, world: World) -> None:
     }
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", ["rpl_growth", "bio"])
+def test_a_cancelled_assay_leaves_no_plate_on_the_bench(tmp_path: Path, cell: str) -> None:
+    """Cancelled while its second plate goes into the incubator, where the first stands."""
+    where = cell.partition("_")[0]
+    with lab_of(cell, tmp_path / "lab") as lab, LabClient(lab.url) as client:
+        raised = cancel_at(
+            client,
+            lambda: growth_assay.assay(client, "ada", where, tmp_path / "out", plates=2),
+            "load_plate",
+            count=2,
+        )
+        assert isinstance(raised, LabosError)
+        until_clean(client)
+        ends = {run.workflow: run.status for run in map(client.status, run_ids(client))}
+        world = World(str(lab.runtime.settings.world(where)))
+        places = {place.partition(".")[0] for place in world.places() if not place.startswith("lid:")}
+    assert ends["throw_away"] == "completed"
+    assert places <= {"sciclops", "platecrane"}, "only fresh plates are left"
+    assert world.crashes() == []
+    assert not (tmp_path / "out").exists()
+
+
+def run_ids(client: LabClient) -> list[str]:
+    return [event["payload"]["run"] for event in client.events(type="run.submitted")]
+
+
+@pytest.mark.slow
+def test_a_reading_that_overflows_is_asked_about_with_its_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that can see next to nothing; then it is mended, and the plate is read again."""
+    monkeypatch.setattr(simulator, "HIGHEST_OD", 0.02)
+    with VirtualLab("rpl_growth", 3) as lab:
+        experiment = VirtualExperiment(lab, "growth assay", "bo")
+        (run,) = experiment.submit_all(APP / "rpl" / "create_plate.yaml", [{"slot": 1}])
+        assert lab.kernel is not None
+        open_ = lab.kernel.state.interventions.open
+        lab.wait(lambda: bool(open_))
+        (asked,) = open_.values()
+        assert (asked.kind, asked.run) == ("failed_step", run)
+        assert "expected len(result.overflow) == 0" in asked.text
+        monkeypatch.setattr(simulator, "HIGHEST_OD", 4.0)
+        lab.execute(ResolveIntervention(asked.id, "retry", "bo"))
+        lab.wait(lambda: lab.is_over(run))
+        result = lab.status(run)
+    read = [decode(r.head.type, r.head.schema, r.payload) for r in lab.store.records]
+    tables = [
+        e.result for e in read if type(e).__name__ == "ActionSucceeded" and e.result and "wells" in e.result
+    ]  # type: ignore[attr-defined]
+    assert [len(table["overflow"]) for table in tables] == [96, 0], "both tables are in the log"
+    assert set(tables[0]["wells"].values()) == {None}
+    assert result.succeeded
+    assert result.result("Read T0")["overflow"] == []
+
+
 @pytest.mark.full
 def test_ten_plates_interleave_on_rpl(tmp_path: Path) -> None:
     with lab_of("rpl_growth", tmp_path / "lab") as lab, LabClient(lab.url) as client:
         found = growth_assay.assay(client, "bo", "rpl", tmp_path / "out", plates=10)
+        steps = [step for run in run_ids(client) for step in client.status(run).steps]
+        world = World(str(lab.runtime.settings.world("rpl")))
+    into = [step.ended_at for step in steps if step.key.endswith("Into incubator")]
+    out = [step.requested_at for step in steps if step.key.endswith("Out of incubator")]
+    assert (len(into), len(out), max(into) < min(out)) == (10, 10, True), "ten plates grow at once"
+    assert world.crashes() == []
     assert (found.plates, found.bad) == (10, [])
     assert found.curve.ic50 == pytest.approx(TRUTH, rel=TOLERANCE)
 
@@ -137,6 +210,7 @@ def test_the_workcells_files_are_those_that_the_program_names() -> None:
                 "get_plate.yaml",
                 "incubate.yaml",
                 "take_out.yaml",
+                "throw_away.yaml",
                 "way_out.yaml",
             )
         }

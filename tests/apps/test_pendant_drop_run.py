@@ -19,7 +19,7 @@ from labos.node import World
 from labos.settings import Settings
 from tests.apps.beamline import Beamline
 from tests.apps.conftest import OpenLab
-from tests.apps.support import cancel_at, notes, standing, until_clean
+from tests.apps.support import cancel_at, notes, says_the_same_again, standing, until_clean
 from tests.support.needed import need
 
 need("aioca", "epics")
@@ -72,6 +72,8 @@ def test_the_diffusion_coefficient_is_that_of_stokes_and_einstein(open_lab: Open
         assert not counts.any()
         assert [note["well"] for note in notes(client, "diffusion coefficient")] == ["A1", "A2"]
         until_clean(client)
+        resumed = lambda: measure_diffusion(client, "qi", wanted, out=out, resume="E1")[1]  # noqa: E731
+        says_the_same_again(client, resumed, told)
     assert found.diffusion == pytest.approx(TRUTH, rel=0.08)
     assert found.radius == pytest.approx(50e-9, rel=0.08)
     assert len(drops_of(tmp_path)) == 4

@@ -12,7 +12,7 @@ from polymers import Wanted, find_polymer
 from labos.client import LabClient, RunFailed
 from labos.node import World
 from tests.apps.conftest import OpenLab
-from tests.apps.support import cancel_at, notes, standing, until_clean
+from tests.apps.support import cancel_at, notes, says_the_same_again, standing, until_clean
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(120)]
 
@@ -36,6 +36,8 @@ def test_a_colour_is_found_and_its_data_is_where_the_last_line_says(
         assert [note["met"] for note in notes(client, "near enough")][-1] is True
         until_clean(client)
         assert standing(client) == []
+        wanted = Wanted(BLUE, tolerance=1.0)
+        says_the_same_again(client, lambda: find_polymer(client, "ada", wanted, out=out, resume="E1"), told)
     with (out / "data.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert min(float(row["difference_CIE2000"]) for row in rows) <= 1.0

@@ -16,7 +16,7 @@ from labos.audit.projector import Projector
 from labos.audit.provenance import subject_of, trace
 from labos.audit.query import Asker, open_asker
 from labos.store import open_store
-from tests.benchmarks.figures import Figure, Report, median, milliseconds, scratch, spread, times
+from tests.benchmarks.figures import Figure, Report, milliseconds, scratch, spread, times
 from tests.benchmarks.replay import SEED, Pattern, Took, middle, raw, write_log
 
 MUST_S, MUST_ANSWER_S = 60.0, 1.0
@@ -93,8 +93,7 @@ def measure(events: int = 1_000_000, rounds: int = 3) -> Report:
         figures = [_projection(events, middle(limits), middle(ours))]
         with open_asker(f"sqlite:///{path}") as asker:
             for name, question in questions(asker, events).items():
-                took = [_time(question) for _ in range(rounds)]
-                figures.append(_answer(name, events, median(took)))
+                figures.append(_answer(name, events, middle([_time(question) for _ in range(rounds)])))
     ratios = [took.cpu_s / limit.cpu_s for took, limit in zip(ours, limits, strict=True)]
     note = f"ratios of work in {rounds} rounds: {spread(ratios)}"
     notes = [f"{note}; {size / events:.0f} bytes of tables an event"]
@@ -113,15 +112,16 @@ def _projection(events: int, limit: Took, took: Took) -> Figure:
     )
 
 
-def _answer(name: str, events: int, took: float) -> Figure:
-    must = f"≤ {MUST_ANSWER_S:.0f} s"
-    return Figure(f"{name}, {events:,} events", milliseconds(took), must=must, ok=took <= MUST_ANSWER_S)
+def _answer(name: str, events: int, took: Took) -> Figure:
+    ours = f"{milliseconds(took.wall_s)} ({milliseconds(took.cpu_s)} of work)"
+    must = f"≤ {MUST_ANSWER_S:.0f} s of work"
+    return Figure(f"{name}, {events:,} events", ours, must=must, ok=took.cpu_s <= MUST_ANSWER_S)
 
 
-def _time(question: Callable[[], object]) -> float:
-    began = time.perf_counter()
+def _time(question: Callable[[], object]) -> Took:
+    began, worked = time.perf_counter(), time.process_time()
     question()
-    return time.perf_counter() - began
+    return Took(time.perf_counter() - began, time.process_time() - worked)
 
 
 def smoke() -> Report:

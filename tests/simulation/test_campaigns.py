@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from collections.abc import Sequence
 
 import pytest
 
 from labos.core.campaigns import Campaign, CampaignCompleted, CampaignSubmitted
 from labos.core.decide.campaigns import RefuseRow, SubmitCampaign, SubmitRow
+from labos.core.envelope import Record
+from labos.core.fold import evolve
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
+from labos.core.sight import Sight
+from labos.core.state import LabState
+from labos.http.veil import Veil
 from labos.runtime.feeder import Feeder
 from labos.runtime.kernel import Kernel
 from labos.testing.faults import QUIET, STORMY, FaultRates
@@ -39,11 +45,30 @@ class Facility(SimulatedLab):
         Feeder(kernel, Table()).start()
 
     async def _user(self, job: Job) -> None:
-        submit = SubmitCampaign("screen", job.user, "pcr", "rpl", ROWS, "d", "d", request=job.name)
+        submit = SubmitCampaign(
+            *("screen", job.user, "pcr", "rpl", ROWS, "d", "d"),
+            request=job.name,
+            visibility="private" if job.name == "one" else "lab",
+        )
         await self._insist(submit, lambda state: job.name in state.campaigns.requests)
         name = self.fold_log().campaigns.requests[job.name]
         await self._until(lambda state: name not in state.campaigns.open)
         self.done_jobs.add(job.name)
+
+
+def fold_what_others_see(records: Sequence[Record]) -> tuple[LabState, int]:
+    """The state as somebody has it to whom the events of private campaigns are not told, and how many
+    these are."""
+    veil = Veil(None)  # type: ignore[arg-type]  # it is told of all records
+    veil.learn(records)
+    sight, state, hidden = Sight("eve"), LabState(), 0
+    for record in records:
+        head = record.head
+        if not veil.shows(sight, head.type, head.stream, head.correlation):
+            hidden += 1
+            continue
+        evolve(state, decode(head.type, head.schema, record.payload), head.position, head.recorded_at)
+    return state, hidden
 
 
 @pytest.mark.parametrize(
@@ -71,6 +96,12 @@ def test_each_row_is_one_run_or_refused_once(rates: FaultRates, seeds: range) ->
             rows = Counter((e.campaign, e.row) for e in events if isinstance(e, RunSubmitted) and e.campaign)
             wanted = [(name, row) for name in campaigns for row in range(ROWS) if row != BAD_ROW]
             assert rows == Counter(wanted), f"seed {seed}"
+            others, hidden = fold_what_others_see(lab.store.records)
+            assert hidden > ROWS * 10
+            assert others.bench.labware == state.bench.labware, f"seed {seed}"
+            levels = {key: level.level for key, level in state.resources.levels.items()}
+            assert {key: level.level for key, level in others.resources.levels.items()} == levels
+            assert not [c for c in others.campaigns.ended if c in others.campaigns.restricted]
             ends = [e for e in events if isinstance(e, CampaignCompleted)]
             assert [end.refused for end in ends] == [1] * len(jobs)
             assert [end.completed + end.failed + end.cancelled for end in ends] == [ROWS - 1] * len(jobs)

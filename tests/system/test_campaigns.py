@@ -117,6 +117,43 @@ def test_the_command_line(lab: LabThread, tmp_path: Path) -> None:
     assert isinstance(labos(lab, "campaign", "show", "C99").exception, NotFound)
 
 
+def test_one_is_cloned_and_archived(lab: LabThread, client: LabClient, tmp_path: Path) -> None:
+    path = write_campaign(tmp_path, "1\n2\n3\n", "budget: {runs: 9}\ntags: [x]\ndeadline: 90h\n")
+    first = str(client.submit_campaign(path, user="ada")["campaign"])
+    labos(lab, "campaign", "amend", first, "--runs", "7")
+    early = labos(lab, "campaign", "archive", first)
+    assert isinstance(early.exception, Refused)
+    assert "has not ended" in str(early.exception)
+    client.cancel_campaign(first, "ada")
+    until(lambda: all(c["id"] != first for c in client.campaigns()), "it has ended")
+    checked = labos(lab, "campaign", "clone", first, "--dry-run")
+    assert checked.stdout == "3 rows of pcr can be carried out.\n"
+    again = labos(lab, "campaign", "clone", first, "--user", "bo", "--name", "once more", "--priority", "2")
+    name = again.stdout.strip()
+    told = client.campaign(name)
+    assert (told["rows"], told["user"], told["name"], told["cloned_from"]) == (3, "bo", "once more", first)
+    terms = told["terms"]
+    assert (terms["priority"], terms["budget"]["runs"], terms["tags"], terms["deadline"]) == (2, 7, ["x"], 0)
+    shown = labos(lab, "campaign", "show", name).output
+    assert f"clone of  {first}" in shown
+    rows = {row: json.loads(labos(lab, "campaign", "show", row, "--json").output) for row in (first, name)}
+    assert rows[first]["table"] == rows[name]["table"]
+    assert rows[first]["definition"] == rows[name]["definition"]
+    # The same key twice is one clone.
+    twice = {client.clone_campaign(first, "bo", request="again")["campaign"] for _ in range(2)}
+    assert len(twice) == 1
+    with pytest.raises(NotFound, match="C99"):
+        client.clone_campaign("C99", "bo")
+    for clone in (name, *twice):
+        client.cancel_campaign(clone, "bo")
+    assert labos(lab, "campaign", "archive", first).stdout == f"{first} is archived.\n"
+    assert f"{first} " not in labos(lab, "campaign", "list", "--all").output
+    listed = json.loads(labos(lab, "campaign", "list", "--all", "--archived", "--json").output)
+    assert [c["archived"] for c in listed if c["id"] == first] == [True]
+    assert labos(lab, "campaign", "archive", first, "--undo").exit_code == 0
+    assert f"{first} " in labos(lab, "campaign", "list", "--all").output
+
+
 def test_shares_are_applied_and_shown(lab: LabThread, client: LabClient, tmp_path: Path) -> None:
     path = tmp_path / "shares.yaml"
     path.write_text("labos: 1\ngroups: {chem: {weight: 3.0, members: {ada: {}}}}\nusers: {eve: {}}\n")

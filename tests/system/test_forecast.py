@@ -101,6 +101,23 @@ def test_a_forecast_takes_labware_that_would_be_placed(home: Home) -> None:
 
 
 @pytest.mark.slow
+def test_what_waits_for_an_approval_is_forecast_as_if_it_were_given(home: Home) -> None:
+    name = home("campaign", "submit", str(home.campaign), "--propose", "--user", "ada").stdout.strip()
+    told = json.loads(home("approvals", name, "--json").output)["forecast"]
+    forecast = told["forecast"]
+    (found,) = (each for each in forecast["campaigns"] if each["campaign"] == name)
+    starts = found["starts"]
+    assert starts["earliest_at"] <= starts["expected_at"] <= starts["latest_at"]
+    assert (found["rows_left"], found["rows_forecast"], len(forecast["new"])) == (4, 4, 4)
+    assert told["consumables"]["foil"] == {"needed": 4, "left": 3}
+    assert any("deadline" in conflict for conflict in forecast["conflicts"])
+    with LabClient(home.lab.url) as client:
+        queue = client.forecast()["forecast"]
+        assert not [run for run in queue["runs"] if run["campaign"] == name], "it waits"
+    assert home("refuse", name).exit_code == 0
+
+
+@pytest.mark.slow
 def test_the_queue_shows_when_runs_start_and_end(home: Home) -> None:
     names = [home("submit", str(home.flow), "--payload", "time=2").output.split()[0] for _ in range(2)]
     told = json.loads(home("forecast", "--json").output)["forecast"]
@@ -112,3 +129,8 @@ def test_the_queue_shows_when_runs_start_and_end(home: Home) -> None:
     assert names[1] in text
     delayed = home("run", str(home.flow), "--payload", "time=2", "--priority", "9", "--dry-run").output
     assert f"delays:      {names[1]} of " in delayed
+    with LabClient(home.lab.url) as client:
+        urgent = client.submit(home.flow, {"time": 2}, user="ada", priority=9, propose=True)
+    shown = home("approvals", urgent).output
+    for word in ("If it were approved now:", "starts:      about", "uses up:     1 foil", "delays:      "):
+        assert word in shown, shown

@@ -3,7 +3,11 @@ a token. No secret and no name is found anywhere but where it belongs."""
 
 from __future__ import annotations
 
+import gzip
 import json
+import os
+import signal
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ from tests.system.test_private import children_of
 pytestmark = pytest.mark.slow
 
 PASSWORD, NAME, MAIL = "correct horse unmistakable", "Ada Unmistakable", "ada@unmistakable.example"
+OF_DEVICE = "arm password of the device"
 FLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 
 
@@ -29,7 +34,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def lab(folder: Path) -> Iterator[Up]:
     up = Up(folder / "lab", "--simulate", "--speed", "200")
-    up.environment = {"LABOS_LOG": "debug"}
+    # A crash writes where every thread was; secrets of devices stand in the environment.
+    up.environment = {"LABOS_LOG": "debug", "PYTHONFAULTHANDLER": "1", "ARM_PASSWORD": OF_DEVICE}
     try:
         yield up.start_with("sciclops", "pf400", "sealer")
     finally:
@@ -76,15 +82,62 @@ def test_from_the_first_user_to_a_program(lab: Up, folder: Path) -> None:
     key = (folder / "lab" / "home.key").read_text().strip()
     assert all(len(secret) > 20 for secret in secrets)
     look_everywhere(lab, folder, secrets, key)
+    look_into_copies(folder, {*secrets, key, OF_DEVICE})
+    assert lab.process is not None
+    node = next(pid for pid in children_of(lab.process.pid) if is_node(pid))
+    os.kill(node, signal.SIGSEGV)
+    until(
+        lambda: any(b"Segmentation" in file.read_bytes() for file in logs(folder)), "it wrote its last words"
+    )
+    look_everywhere(lab, folder, secrets, key)
 
     assert "You are signed out" in run(folder, "logout")
     assert "labos login" in run(folder, "pause", "lab", fails=True)
     run(folder, "user", "erase", "ada")
+    lab.process.send_signal(signal.SIGABRT)
+    lab.process.wait(60)
+    crashed = (folder / "lab" / "up.log").read_text()
+    assert "Fatal Python error: Aborted" in crashed
+    assert not any(secret in crashed for secret in (*secrets, key, NAME, MAIL, OF_DEVICE))
+    lab.start_with("sciclops", "pf400", "sealer")
     assert lab.interrupt() == 0
     assert not (folder / "lab" / "home.key").exists()
     for file in (folder / "lab").rglob("*"):
         assert not file.is_file() or b"nmistakable" not in file.read_bytes(), file
     assert {record.head.actor for record in lab.records()} >= {"ada", "robot"}
+
+
+def is_node(pid: int) -> bool:
+    try:
+        return b"sealer" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
+
+
+def logs(folder: Path) -> list[Path]:
+    return [file for file in (folder / "lab" / "logs").rglob("*") if file.is_file()]
+
+
+def look_into_copies(folder: Path, secrets: set[str]) -> None:
+    """What is handed on or kept elsewhere bears no secret: backups, bundles, exports, shown settings."""
+    made = folder / "copies"
+    made.mkdir()
+    run(folder, "backup", str(made / "backup"))
+    run(folder, "key", "create")
+    run(folder, "checkpoint")
+    run(folder, "bundle", "R1", "-o", str(made / "R1.zip"))
+    told = [run(folder, *words) for words in (("log", "--json"), ("doctor",), ("nodes", "--json"))]
+    contents = [(str(file), file.read_bytes()) for file in made.rglob("*") if file.is_file()]
+    assert {Path(name).suffix for name, _ in contents} >= {".gz", ".zip", ".json"}
+    for name, content in list(contents):
+        if name.endswith(".gz"):
+            contents.append((name, gzip.decompress(content)))
+        elif name.endswith(".zip"):
+            with zipfile.ZipFile(name) as bundle:
+                contents += [(f"{name}/{part}", bundle.read(part)) for part in bundle.namelist()]
+    for name, content in (*contents, *(("what a command said", text.encode()) for text in told)):
+        for secret in secrets:
+            assert secret.encode() not in content, f"{secret} in {name}"
 
 
 def look_everywhere(lab: Up, folder: Path, secrets: set[str], key: str) -> None:
@@ -95,7 +148,7 @@ def look_everywhere(lab: Up, folder: Path, secrets: set[str], key: str) -> None:
         if not file.is_file() or file.name == "home.key":
             continue
         content = file.read_bytes()
-        for secret in (*secrets, key):
+        for secret in (*secrets, key, OF_DEVICE):
             assert secret.encode() not in content, f"{secret} in {file}"
         if file.name not in database:
             assert b"nmistakable" not in content, file
@@ -105,7 +158,10 @@ def look_everywhere(lab: Up, folder: Path, secrets: set[str], key: str) -> None:
     lines = [Path(f"/proc/{pid}/cmdline").read_text() for pid in children_of(lab.process.pid)]
     assert len(lines) > 3
     for line in lines:
-        assert not any(secret in line for secret in (*secrets, key, NAME, MAIL)), line
+        assert not any(secret in line for secret in (*secrets, key, NAME, MAIL, OF_DEVICE)), line
+    for pid in children_of(lab.process.pid):  # only a device's own secret stands in an environment
+        inherited = Path(f"/proc/{pid}/environ").read_text(errors="replace")
+        assert not any(secret in inherited for secret in (*secrets, key, NAME, MAIL)), pid
     with lab.client() as client:
         abouts: list[dict[str, Any]] = [dict(event) for event in client.events(type="node.joined")]
         told = json.dumps([abouts, client.state(), client.users(), client.health()])

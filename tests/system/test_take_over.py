@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import itertools
 import json
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from labos.cli.take_over import expect_to_listen
 from labos.core.actions import ActionRequested
 from labos.core.lab import KernelStarted
 from labos.core.registry import decode
+from labos.errors import Refused
 from tests.support.lab_process import Up, labos, statuses, until
 from tests.support.other_version import copy_as
 from tests.system.test_standby import AWAY, CELL, Pair, under_way
@@ -123,6 +128,33 @@ def test_a_kernel_that_nobody_could_follow_stays(tmp_path: Path, postgres_url: s
         assert "No kernel runs" in none.stderr
     finally:
         lab.clean_up()
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="only Linux tells")
+def test_a_kernel_of_an_earlier_version_is_not_ended(tmp_path: Path) -> None:
+    """One that does not listen to the signal would end by it."""
+    for listens, code in (
+        (False, "import time; print('here', flush=True); time.sleep(60)"),
+        (
+            True,
+            "import signal, time; signal.signal(signal.SIGUSR1, lambda *_: None); print('here', flush=True); "
+            "time.sleep(60)",
+        ),
+    ):
+        process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "here\n"
+            if listens:
+                expect_to_listen(process.pid, signal.SIGUSR1)
+            else:
+                with pytest.raises(Refused, match="earlier version"):
+                    expect_to_listen(process.pid, signal.SIGUSR1)
+            assert process.poll() is None
+        finally:
+            process.kill()
+            process.wait()
+            process.stdout.close()
 
 
 def _host() -> str:

@@ -22,6 +22,12 @@ class GeneratedApprovals(Calls):
         ``differences``."""
         return self._get(f"/approvals/{in_path(subject)}")
 
+    def approval_forecast(self, subject: str) -> dict[str, Any]:
+        """What a submission that waits for an approval would bring. It is taken as approved now, as it is.
+        Nothing is approved by that. Of an experiment nothing can be forecast: its application decides as it
+        goes. Returns ``forecast``, ``consumables``. Raises Refused."""
+        return self._get(f"/approvals/{in_path(subject)}/forecast")
+
     def approve(
         self,
         subject: str,

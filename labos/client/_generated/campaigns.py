@@ -53,8 +53,8 @@ class GeneratedCampaigns(Calls):
     def campaign(self, campaign: str) -> dict[str, Any]:
         """A campaign that has not been completed: how far it is, and its terms. Returns ``id``, ``name``,
         ``user``, ``workflow``, ``workcell``, ``status``, ``why``, ``rows``, ``queued``, ``active``,
-        ``completed``, ``failed``, ``cancelled``, ``refused``, ``left``, ``lab_time_s``, ``used``,
-        ``terms``."""
+        ``completed``, ``failed``, ``cancelled``, ``refused``, ``left``, ``lab_time_s``, ``used``, ``terms``,
+        ``visibility``, ``cloned_from``."""
         return self._get(f"/campaigns/{in_path(campaign)}")
 
     def pause_campaign(self, campaign: str, by: str, *, why: str = "") -> None:
@@ -110,6 +110,61 @@ class GeneratedCampaigns(Calls):
             },
             repeat=True,
         )
+
+    def _clone_a_campaign(
+        self,
+        campaign: str,
+        by: str,
+        *,
+        priority: int | None = None,
+        deadline: str | None = None,
+        runs: int | None = None,
+        lab_time_s: float | None = None,
+        consumables: Mapping[str, float] | None = None,
+        tags: Sequence[str] | None = None,
+        until: str | None = None,
+        stop_after: int | None = None,
+        name: str = "",
+        visibility: str | None = None,
+        dry_run: bool = False,
+        propose: bool = False,
+        request: str = "",
+    ) -> dict[str, Any]:
+        """Submit a campaign once more. It has the same rows and the same workflow, and is checked like a new
+        one. It is whoever asks who gets it. A campaign that has ended can be cloned, too. What is left out is
+        as in the campaign that is cloned, but for its deadline: the clone has none. ``priority``: of rows
+        that are submitted from now on. ``deadline``: a time, or how long from now (``12h``); empty for none.
+        ``runs``: so many runs at most; 0 for no limit. ``lab_time_s``: so much module time at most; 0 for no
+        limit. ``consumables``: so much at most, by kind of consumable. ``tags``: its tags, in place of those
+        it has. ``until``: the stop rule; empty for none. ``stop_after``: so many rows may fail; 0 for however
+        many. ``name``: of the new campaign; that of the first one if empty. ``visibility``: who sees it: lab,
+        group or private. ``dry_run``: only check it. ``propose``: it waits for an approval, whatever the
+        policy says. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused, BadInput."""
+        return self._post(
+            f"/campaigns/{in_path(campaign)}/clone",
+            {
+                "by": by,
+                "priority": priority,
+                "deadline": deadline,
+                "runs": runs,
+                "lab_time_s": lab_time_s,
+                "consumables": consumables,
+                "tags": tags,
+                "until": until,
+                "stop_after": stop_after,
+                "name": name,
+                "visibility": visibility,
+                "dry_run": dry_run,
+                "propose": propose,
+            },
+            request=request or self._ids.new(),
+            timeout_s=900.0,
+        )
+
+    def archive_campaign(self, campaign: str, by: str, *, undo: bool = False) -> None:
+        """Leave a campaign that has ended out of lists. It is left out of lists; nothing of it is deleted.
+        ``undo``: let it stand in lists again. Raises NotFound, Refused."""
+        self._post(f"/campaigns/{in_path(campaign)}/archive", {"by": by, "undo": undo}, repeat=True)
 
     def shares(self) -> list[dict[str, Any]]:
         """Who is to have which part of the lab, and who has had which. Returns the accounts."""

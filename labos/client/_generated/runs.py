@@ -59,7 +59,7 @@ class GeneratedRuns(Calls):
     def _get_run(self, run: str, *, wait: float = 0.0) -> dict[str, Any]:
         """A run with its steps, or its end. ``wait``: seconds to wait for its end. Returns ``id``,
         ``workflow``, ``workcell``, ``user``, ``experiment``, ``submitted_at``, ``steps``, ``status``,
-        ``started_at``, ``ended_at``, ``why``, ``paused``, ``closing``, ``busy``."""
+        ``started_at``, ``ended_at``, ``why``, ``paused``, ``closing``, ``campaign``, ``busy``."""
         return self._get(f"/runs/{in_path(run)}", wait=wait)
 
     def cancel(self, run: str, by: str = "somebody", *, stay: bool = False, why: str = "") -> None:

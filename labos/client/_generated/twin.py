@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from labos.client._runs import Put
     from labos.client._transfers import Place, Transferred
     from labos.services.compute import Attempts
+    from labos.services.globus import GlobusCarrier, GlobusFlow, GlobusIndex
     from labos.services.results import Readings
 
 
@@ -107,6 +108,12 @@ class AsyncLabClient(AsyncCalls):
         ``labos`` and ``protocol``, whether it is ``simulated``, the ``unit`` (serial number) it is pinned
         to, and what its device ``sees``, or ``sees_nothing``: why not."""
         return await self.threads.call(self.sync.check_nodes, modules)
+
+    async def clone_campaign(
+        self, campaign: str, by: str, *, request: str = "", **changes: Any
+    ) -> dict[str, Any]:
+        """Submit a campaign once more, also one that has ended; returns as ``submit_campaign``."""
+        return await self.threads.call(self.sync.clone_campaign, campaign, by, request=request, **changes)
 
     async def close(self) -> None:
         self.threads.give_up()
@@ -394,8 +401,14 @@ class AsyncExperiment:
 
     async def configure_compute(self, *, attempts: Attempts | None = None, **places: Any) -> None:
         """How often a computation is tried, and what the places need: ``pool=4`` processes,
-        ``parsl=parsl.config.Config(…)``, ``dask=distributed.Client(…)``."""
+        ``parsl=parsl.config.Config(…)``, ``dask=distributed.Client(…)``,
+        ``globus=labos.services.globus.GlobusEndpoint(…)``."""
         await self.threads.wait(self.sync.configure_compute, attempts=attempts, **places)
+
+    async def configure_transfer(self, *, globus: GlobusCarrier) -> None:
+        """How the program is let in where it transfers files: ``globus`` is a
+        `labos.services.globus.GlobusCarrier`."""
+        await self.threads.wait(self.sync.configure_transfer, globus=globus)
 
     async def decide(self, name: str, function: Callable[[], Any], *, key: str = "") -> Any:
         """What a function returns, as JSON gives it back (a tuple is a list), logged as a decision."""
@@ -461,6 +474,8 @@ class AsyncExperiment:
         creators: Sequence[str] = (),
         files: Iterable[str | Path] | Mapping[str, bytes] = (),
         runs: Sequence[str] = (),
+        index: GlobusIndex | None = None,
+        key: str = "",
     ) -> None:
         """Make something known that came of the experiment, as one event: `labos find` finds it by its
         title, what it is about, keywords, creators and the names of its files, which the lab keeps."""
@@ -472,6 +487,8 @@ class AsyncExperiment:
             creators=creators,
             files=files,
             runs=runs,
+            index=index,
+            key=self.sync._take("publish", title, key),
         )
 
     @property
@@ -497,7 +514,9 @@ class AsyncExperiment:
             key=self.sync._take("run", workflow, key),
         )
 
-    async def run_flow(self, flow: Flow, *, check: bool = True, key: str = "", **given: Any) -> FlowResult:
+    async def run_flow(
+        self, flow: Flow | GlobusFlow, *, check: bool = True, key: str = "", **given: Any
+    ) -> FlowResult:
         """Carry out the steps of a flow, one after the other, with what is ``given`` as ``input`` of its
         state; its start, its end, each step and each further attempt are in the log."""
         return await self.threads.wait(
@@ -537,10 +556,12 @@ class AsyncExperiment:
             **named,
         )
 
-    async def transfer(self, source: Place, target: str | Path, *, key: str = "") -> Transferred:
+    async def transfer(
+        self, source: Place, target: str | Path, *, sha256: str = "", key: str = ""
+    ) -> Transferred:
         """Copy a file to another place, with an event that has its SHA-256."""
         return await self.threads.wait(
-            self.sync.transfer, source, target, key=self.sync._take("transfer", source, key)
+            self.sync.transfer, source, target, sha256=sha256, key=self.sync._take("transfer", source, key)
         )
 
 

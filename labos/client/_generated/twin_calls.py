@@ -44,6 +44,10 @@ class AsyncCalls:
         """Let weights and quotas be as a shares file says."""
         await self.threads.call(self.sync.apply_shares, text, file, by)
 
+    async def approval_forecast(self, subject: str) -> dict[str, Any]:
+        """What a submission that waits for an approval would bring."""
+        return await self.threads.call(self.sync.approval_forecast, subject)
+
     async def approval_of(self, subject: str) -> dict[str, Any]:
         """What waits for an approval, and how it differs from what was approved before."""
         return await self.threads.call(self.sync.approval_of, subject)
@@ -80,6 +84,10 @@ class AsyncCalls:
     async def approve_erasure(self, erasure: str, by: str) -> dict[str, Any]:
         """Agree, as the second person, that words are erased."""
         return await self.threads.call(self.sync.approve_erasure, erasure, by)
+
+    async def archive_campaign(self, campaign: str, by: str, *, undo: bool = False) -> None:
+        """Leave a campaign that has ended out of lists."""
+        await self.threads.call(self.sync.archive_campaign, campaign, by, undo=undo)
 
     async def barcode(self, labware: str, barcode: str, by: str, *, replace: bool = False) -> None:
         """Say which barcode labware bears."""

@@ -12,6 +12,7 @@ from labos.core.approvals import Demand
 from labos.core.campaigns import (
     Campaign,
     CampaignAmended,
+    CampaignArchived,
     CampaignCancelled,
     CampaignCompleted,
     CampaignPaused,
@@ -20,6 +21,8 @@ from labos.core.campaigns import (
     CampaignStatus,
     CampaignStopped,
     CampaignSubmitted,
+    CampaignUnarchived,
+    EndedCampaign,
     Terms,
     is_over,
     must_stop,
@@ -27,7 +30,7 @@ from labos.core.campaigns import (
 from labos.core.conditions import find_reads
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.cancelling import CancelRun, cancel_run
-from labos.core.decide.runs import QUOTA, SubmitRun, submit_run
+from labos.core.decide.runs import NOBODYS, QUOTA, SubmitRun, submit_run
 from labos.core.ids import CampaignId, RunId
 from labos.core.model import MAIN, Plan
 from labos.core.registry import Event
@@ -35,6 +38,7 @@ from labos.core.repeated import record_repeat
 from labos.core.resources import uses_up
 from labos.core.roles import lacks_role_for
 from labos.core.runs import RunPaused, RunResumed, RunSubmitted
+from labos.core.sight import Visibility
 from labos.core.state import LabState
 from labos.core.texts import LONGEST_REASON, cut
 from labos.core.users import UserDisabled
@@ -53,7 +57,8 @@ NOT_OPEN = "not_open"
 class SubmitCampaign(Command, frozen=True):
     """Carry out a workflow for each row of a table. ``table`` and ``definition`` are digests of blobs;
     the same ``request`` twice is one campaign. ``demand`` is what its rows ask of the lab by their plans.
-    ``propose``: it waits for an approval, whatever the policy."""
+    ``propose``: it waits for an approval, whatever the policy. ``visibility``: who sees it; ``cloned_from``:
+    the campaign that it repeats."""
 
     name: str
     user: str
@@ -66,6 +71,8 @@ class SubmitCampaign(Command, frozen=True):
     request: str = ""
     demand: Demand = Demand()
     propose: bool = False
+    visibility: Visibility = "lab"
+    cloned_from: CampaignId = CampaignId("")
 
 
 class SubmitRow(Command, frozen=True):
@@ -111,6 +118,13 @@ class CancelCampaign(Command, frozen=True):
     why: Words = ""
 
 
+class ArchiveCampaign(Command, frozen=True):
+    """Leave a campaign that has ended out of lists; ``undo``: no longer."""
+
+    campaign: CampaignId
+    undo: bool = False
+
+
 @decides(SubmitCampaign)
 def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
     if command.request and command.request in state.campaigns.requests:
@@ -132,6 +146,8 @@ def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
             definition=command.definition,
             terms=command.terms,
             request=command.request,
+            visibility=command.visibility,
+            cloned_from=command.cloned_from,
         )
     ]
 
@@ -157,6 +173,7 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
         priority=campaign.terms.priority,
         pins=command.pins,
         others=command.others,
+        apart=campaign.id if campaign.id in state.campaigns.restricted else NOBODYS,
     )
     answer = submit_run(state, run)
     if isinstance(answer, Rejection) and answer.code == QUOTA:
@@ -248,6 +265,23 @@ def cancel_campaign(state: LabState, command: CancelCampaign) -> Decision:
         runs = campaign.runs if command.stay else ()
         return chain(again, _cancel_runs(state, runs, command.why, stay=True))
     return _cancel(state, campaign, command)
+
+
+@decides(ArchiveCampaign)
+def archive_campaign(state: LabState, command: ArchiveCampaign) -> Decision:
+    name = command.campaign
+    if name in state.campaigns.open:
+        return Rejection(
+            "not_ended",
+            f"The campaign {name} has not ended.",
+            f"Wait for its end, or cancel it: labos campaign cancel {name}",
+        )
+    known: EndedCampaign | None = state.campaigns.ended.get(name)
+    if known is None:
+        return Rejection("no_campaign", f"There is no campaign {name}.", "List them: labos campaign list")
+    if known.archived is not command.undo:
+        return []
+    return [CampaignUnarchived(name) if command.undo else CampaignArchived(name)]
 
 
 def _cancel(state: LabState, campaign: Campaign, command: CancelCampaign) -> Iterator[Event]:

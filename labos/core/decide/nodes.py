@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.shorter import Found, record_journal
@@ -17,10 +18,12 @@ from labos.core.modules import (
     NodeJoined,
     NodeLeft,
     NodeStateChanged,
+    StopReported,
 )
 from labos.core.registry import Event
 from labos.core.rules import find_give_up_time, lab_ns
 from labos.core.state import LabState
+from labos.core.texts import cut
 from labos.core.words import Words
 
 
@@ -97,11 +100,21 @@ class EndOutage(Command, frozen=True):
     now: int
 
 
+MOST_SILENT = 300
+"""So many modules are recorded that did not say that they stopped."""
+
+LONGEST_SILENT = 120
+"""Characters of why they did not."""
+
+
 class RecordStops(Report, frozen=True):
-    """Somebody has stopped modules in an emergency, at these times (UTC ns)."""
+    """Somebody has stopped modules in an emergency, at these times (UTC ns). ``target`` is what was to be
+    stopped, if this is the lab's own word about a request; ``silent`` are those that did not say so."""
 
     by: str
     stopped_at: dict[ModuleName, int]
+    target: str = ""
+    silent: dict[ModuleName, str] = {}
 
 
 def _refuse_unknown(module: ModuleName) -> Rejection:
@@ -227,4 +240,9 @@ def record_stops(state: LabState, command: RecordStops) -> Decision:
     known = state.modules.by_name
     stops = command.stopped_at.items()
     fresh = [(name, at) for name, at in stops if name in known and known[name].stopped_at != at]
-    return [EmergencyStopped(name, command.by, at) for name, at in fresh]
+    events: list[Event] = [EmergencyStopped(name, command.by, at) for name, at in fresh]
+    if command.target:
+        silent = dict(islice(command.silent.items(), MOST_SILENT))
+        silent = {name: cut(why, LONGEST_SILENT) for name, why in silent.items()}
+        events.append(StopReported(command.by, command.target, command.stopped_at, silent))
+    return events

@@ -229,6 +229,7 @@ RIGHTS: dict[type[Command], Right] = {
     campaigns.ResumeCampaign: Right("submitter", _OWN, targets.find_campaign_target),
     campaigns.AmendCampaign: Right("submitter", _OWN, targets.find_campaign_target),
     campaigns.CancelCampaign: Right("submitter", _OWN, targets.find_campaign_target),
+    campaigns.ArchiveCampaign: Right("submitter", _OWN, targets.find_campaign_target),
     control.PauseStarts: Right("submitter", "an experiment: " + _OWN, targets.find_named_target, "by"),
     control.ResumeStarts: Right("submitter", "an experiment: " + _OWN, targets.find_named_target, "by"),
     control.CancelRuns: Right("operator", _OPERATOR, targets.find_named_target),

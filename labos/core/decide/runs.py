@@ -19,6 +19,7 @@ from labos.core.decide.windows import (
 )
 from labos.core.effects import Consumes, list_carried, places
 from labos.core.ids import (
+    CampaignId,
     ExperimentId,
     ModuleName,
     RunId,
@@ -53,11 +54,15 @@ QUOTA = "quota"
 """The code of a rejection of a run for which its user's quota leaves no room."""
 
 
+NOBODYS = CampaignId("")
+"""In place of the campaign of a run that belongs to none."""
+
+
 class SubmitRun(Command, frozen=True):
     """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
     one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy.
     ``others`` are plans of the same steps on other modules, of which it may choose one in place of ``plan``
-    when it is let in."""
+    when it is let in. ``apart``: the campaign that shares its plans with nobody."""
 
     plan: Plan
     user: str
@@ -68,6 +73,7 @@ class SubmitRun(Command, frozen=True):
     request: str = ""
     propose: bool = False
     others: tuple[Plan, ...] = ()
+    apart: CampaignId = NOBODYS
 
     @property
     def plans(self) -> tuple[Plan, ...]:
@@ -95,11 +101,13 @@ class BreachWindow(Command, frozen=True):
     now: int
 
 
-def plan_digest(plan: Plan) -> str:
-    return digest(canonical(plan))
+def plan_digest(plan: Plan, apart: str = "") -> str:
+    """The name of a plan; another one for a campaign that keeps its plans apart."""
+    name = digest(canonical(plan))
+    return digest(f"{apart} {name}".encode()) if apart else name
 
 
-def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
+def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: CampaignId = NOBODYS) -> list[Event]:
     """The events that make a plan known, none if it is."""
     if name in state.runs.plans:
         return []
@@ -121,10 +129,12 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str) -> list[Event]:
             feeds=plan.feeds,
             files=plan.files,
             holds=plan.holds,
+            campaign=apart,
         )
     ]
     for first in range(0, len(plan.steps), STEPS_PER_EVENT):
-        events.append(PlanStepsRecorded(by, name, first, plan.steps[first : first + STEPS_PER_EVENT]))
+        steps = plan.steps[first : first + STEPS_PER_EVENT]
+        events.append(PlanStepsRecorded(by, name, first, steps, apart))
     return events
 
 
@@ -204,7 +214,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         return Rejection(QUOTA, full, "Wait until some have begun, or cancel some.")
     run = RunId(f"R{state.runs.named + 1}")
     try:
-        plans = {plan_digest(plan): plan for plan in command.plans}
+        plans = {plan_digest(plan, command.apart): plan for plan in command.plans}
     except (ValueError, TypeError) as error:
         return Rejection("unfit", f"This cannot be recorded: {str(error).rstrip('.')}.")
     name = next(iter(plans))
@@ -220,7 +230,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
     if isinstance(anchors, Rejection):
         return anchors
     events: list[Event] = [
-        *(event for one, plan in plans.items() for event in record_plan(state, plan, one, run)),
+        *(e for one, plan in plans.items() for e in record_plan(state, plan, one, run, command.apart)),
         RunSubmitted(
             run=run,
             plan=name,

@@ -121,10 +121,11 @@ def find_experiment_target(state: LabState, command: Any) -> Iterable[Target]:
 
 
 def find_campaign_target(state: LabState, command: Any) -> Iterable[Target]:
-    campaign = state.campaigns.open.get(CampaignId(command.campaign))
+    name = CampaignId(command.campaign)
+    campaign = state.campaigns.open.get(name) or state.campaigns.ended.get(name)
     if campaign is None:
         return (Target("submitter", (ANYWHERE,)),)
-    return (Target("submitter", (campaign.workcell,), campaign.user, f"The campaign {campaign.id}"),)
+    return (Target("submitter", (campaign.workcell,), campaign.user, f"The campaign {name}"),)
 
 
 def the_labware(state: LabState, name: LabwareId) -> Target:

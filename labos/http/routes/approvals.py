@@ -15,11 +15,13 @@ from labos.core.ids import CampaignId
 from labos.core.policy import Policy
 from labos.core.state import LabState
 from labos.errors import NotFound
+from labos.http.approval_forecast import ProposalForecast, forecast_proposal
 from labos.http.bodies import Amendment, Amounts, Limit
 from labos.http.campaigns import amended
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
+from labos.http.routes.forecasts import FORECAST_S, shown
 from labos.http.tail import PAGE
 from labos.services.proposals import ChangedPart, differences, sentence
 from labos.spec.policy import parse_policy
@@ -126,8 +128,8 @@ async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     """The oldest first, a page of them: ask again with `after` = the last `subject` while there are
     `more`."""
     state = call.kernel.state
-    names = list(state.approvals.open)
-    begin = names.index(query.after) + 1 if query.after in state.approvals.open else 0
+    names = [name for name in state.approvals.open if name not in call.hidden]
+    begin = names.index(query.after) + 1 if query.after in names else 0
     shown = names[begin : begin + query.limit]
     found = [_view(state, state.approvals.open[name]) for name in shown]
     await call.kernel.flush()
@@ -142,6 +144,13 @@ async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     parts = call.service.parts
     changed = await asyncio.to_thread(differences, parts.store, parts.blobs, state, proposal)
     return ProposalDetail(view, changed)
+
+
+async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
+    """It is taken as approved now, as it is. Nothing is approved by that. Of an experiment nothing can be
+    forecast: its application decides as it goes."""
+    found = await forecast_proposal(call.service, _proposal(call, path))
+    return msgspec.structs.replace(found, forecast=shown(found.forecast, call))
 
 
 async def approve_proposal(call: Call, path: OfProposal, body: Approval) -> ProposalAnswer:
@@ -204,7 +213,7 @@ async def apply_policy(call: Call, body: PolicyText) -> PolicyReference:
 def _proposal(call: Call, path: OfProposal) -> Proposal:
     """Raises NotFound."""
     found = call.kernel.state.approvals.open.get(path.subject)
-    if found is None:
+    if found is None or path.subject in call.hidden:
         raise NotFound(
             f"{path.subject} does not wait for an approval.", remedy="List what does: labos approvals"
         )
@@ -245,6 +254,16 @@ OPERATIONS = (
         summary="What waits for an approval, and how it differs from what was approved before",
         tag="approvals",
         needs="viewer",
+    ),
+    Operation(
+        method="GET",
+        path="/approvals/{subject}/forecast",
+        handler=forecast_approval,
+        client=Method("approval_forecast", timeout_s=FORECAST_S),
+        summary="What a submission that waits for an approval would bring",
+        tag="approvals",
+        needs="viewer",
+        problems=("refused",),
     ),
     Operation(
         method="POST",

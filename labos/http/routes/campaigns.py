@@ -5,7 +5,13 @@ from __future__ import annotations
 from starlette.responses import Response
 
 from labos.core.campaigns import Campaign
-from labos.core.decide.campaigns import AmendCampaign, CancelCampaign, PauseCampaign, ResumeCampaign
+from labos.core.decide.campaigns import (
+    AmendCampaign,
+    ArchiveCampaign,
+    CancelCampaign,
+    PauseCampaign,
+    ResumeCampaign,
+)
 from labos.core.decide.shares import ApplyShares
 from labos.core.ids import CampaignId
 from labos.errors import NotFound
@@ -18,8 +24,18 @@ from labos.http.answers import (
     Shares,
     SharesReference,
 )
-from labos.http.bodies import Amendment, By, CampaignCancel, CampaignPause, NewCampaign, SharesFile
+from labos.http.bodies import (
+    Amendment,
+    Archiving,
+    By,
+    CampaignCancel,
+    CampaignPause,
+    Clone,
+    NewCampaign,
+    SharesFile,
+)
 from labos.http.campaigns import CampaignView, amended, submit_campaign, view_of
+from labos.http.cloning import clone_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
@@ -31,13 +47,13 @@ from labos.spec.shares import parse_shares
 
 async def list_campaigns(call: Call) -> Campaigns:
     state = call.kernel.state
-    found = [view_of(state.lab.pace, campaign) for campaign in state.campaigns.open.values()]
+    found = [view_of(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden]
     await call.kernel.flush()
     return Campaigns(found)
 
 
 async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
-    found = view_of(call.kernel.state.lab.pace, _open_campaign(call, path))
+    found = view_of(call.kernel.state, _open_campaign(call, path))
     await call.kernel.flush()
     return found
 
@@ -79,6 +95,23 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
     return CampaignTerms(campaign.id, campaign.terms, sentence(call.kernel.state, campaign.id))
 
 
+async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Response:
+    """It has the same rows and the same workflow, and is checked like a new one. It is whoever asks who gets
+    it. A campaign that has ended can be cloned, too. What is left out is as in the campaign that is cloned,
+    but for its deadline: the clone has none."""
+    call.expect_seen(path.campaign)
+    name, estimate = await clone_campaign(call.service, path.campaign, body, body.by, call.key)
+    told = CampaignSubmission(name, estimate, sentence(call.kernel.state, name))
+    return wire.answer(told, 200 if body.dry_run else 201)
+
+
+async def archive_campaign(call: Call, path: OfCampaign, body: Archiving) -> CampaignReference:
+    """It is left out of lists; nothing of it is deleted."""
+    call.expect_seen(path.campaign)
+    await call.kernel.execute(ArchiveCampaign(CampaignId(path.campaign), body.undo), body.by)
+    return CampaignReference(path.campaign)
+
+
 async def list_shares(call: Call) -> Shares:
     accounts = ledger(call.kernel.state, call.kernel.clock.now_ns())
     await call.kernel.flush()
@@ -94,7 +127,7 @@ async def apply_shares(call: Call, body: SharesFile) -> SharesReference:
 def _open_campaign(call: Call, path: OfCampaign) -> Campaign:
     """Raises NotFound."""
     known = call.kernel.state.campaigns.open.get(CampaignId(path.campaign))
-    if known is None:
+    if known is None or known.id in call.hidden:
         raise NotFound(
             f"There is no campaign {path.campaign!r} that has not ended.",
             remedy="See what became of it: labos campaign show",
@@ -197,6 +230,33 @@ OPERATIONS = (
         needs="submitter",
         problems=("refused", "spec_error"),
         example={"by": "ada", "priority": 5, "runs": 100},
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns/{campaign}/clone",
+        handler=clone_a_campaign,
+        client=Method("_clone_a_campaign", key="given", timeout_s=900.0),
+        summary="Submit a campaign once more",
+        tag="campaigns",
+        needs="submitter",
+        status=201,
+        other_statuses={200: "It was only checked (`dry_run`)"},
+        problems=("not_found", "refused", "spec_error", "spec_errors"),
+        logs_key=True,
+        example={"by": "ada", "name": "sealing times, again", "deadline": "36h", "dry_run": True},
+        answer=CampaignSubmission,
+    ),
+    Operation(
+        method="POST",
+        path="/campaigns/{campaign}/archive",
+        handler=archive_campaign,
+        client=Method("archive_campaign", take=None, repeat=True),
+        summary="Leave a campaign that has ended out of lists",
+        tag="campaigns",
+        needs="submitter",
+        problems=("not_found", "refused"),
+        example={"by": "ada"},
+        example_answer={"campaign": "C1"},
     ),
     Operation(
         method="GET",

@@ -63,6 +63,7 @@ async def find_entries(call: Call, query: FindQuery) -> Found:
             limit=query.limit,
             offset=query.offset,
             facets=query.facets,
+            hidden=tuple(sorted(call.hidden)),
         )
     )
 

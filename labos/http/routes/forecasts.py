@@ -44,7 +44,7 @@ async def get_forecast(call: Call) -> Forecast:
     """The lab is carried on in virtual time, with durations drawn from what its log has taught: nothing
     fails, and nobody fills anything up. The first 200 runs that wait are looked at."""
     forecasts = call.service.forecasts
-    return Forecast(await forecasts.queue(), await forecasts.drifts())
+    return Forecast(shown(await forecasts.queue(), call), await forecasts.drifts())
 
 
 async def forecast_run(call: Call, body: NewRun) -> RunForecast:
@@ -63,13 +63,30 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
         others=compiled.others,
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
-    return RunForecast(await service.forecasts.forecast_run(command, body.user), compiled.findings)
+    forecast = await service.forecasts.forecast_run(command, body.user)
+    return RunForecast(shown(forecast, call), compiled.findings)
 
 
 async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
     """It is checked row by row; nothing is submitted, nothing is kept. It is taken as approved."""
     estimate, forecast = await forecast_campaign(call.service, body)
-    return CampaignForecast(estimate, forecast)
+    return CampaignForecast(estimate, shown(forecast, call))
+
+
+def shown(forecast: LabForecast, call: Call) -> LabForecast:
+    """A forecast without what is expected of campaigns that whoever asks does not see; that they delay, and
+    are delayed, is not said either."""
+    hidden = call.hidden
+    if not hidden:
+        return forecast
+    runs = {run.run for run in forecast.runs if run.campaign in hidden}
+    return msgspec.structs.replace(
+        forecast,
+        runs=[run for run in forecast.runs if run.run not in runs],
+        campaigns=[campaign for campaign in forecast.campaigns if campaign.campaign not in hidden],
+        touches=[touch for touch in forecast.touches if touch.run not in runs],
+        delays=[delay for delay in forecast.delays if delay.campaign not in hidden],
+    )
 
 
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"

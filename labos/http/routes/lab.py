@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from starlette.responses import Response
 
+from labos.core.modules import StopReported
+from labos.core.registry import Event
 from labos.http import wire
 from labos.http.answers import Health, LogCheckView, NodeAnswers
 from labos.http.asking import ask_nodes
@@ -39,8 +41,7 @@ async def get_health(call: Call) -> Health:
 
 async def get_state(call: Call, query: StateQuery) -> Response:
     """Those who ask at the same time get one answer, which is newer than their questions."""
-    shared = call.api.state if query.waits else call.api.state_without_waits
-    return wire.answer_encoded(await shared.get())
+    return wire.answer_encoded(await call.api.state_for(call.sight, waits=query.waits).get())
 
 
 async def get_inventory(call: Call) -> Inventory:
@@ -80,6 +81,12 @@ async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
     the modules that say that they stopped, and when (UTC nanoseconds), `silent` the others. A stopped module
     is brought out of its error by a run of its action `reset`, as `labos reset` makes one."""
     return await call.service.emergency_stop(body.target, name_in_emergency(body.said_by))
+
+
+def recall_stop(events: list[Event]) -> StopReport:
+    """What was answered to whoever stopped modules: nothing is stopped anew."""
+    (told,) = (event for event in events if isinstance(event, StopReported))
+    return StopReport(told.stopped, told.silent)
 
 
 _NODE = {"module": "rpl/sealer", "name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
@@ -166,6 +173,7 @@ OPERATIONS = (
         method="POST",
         path="/estop",
         handler=stop_modules,
+        recall=recall_stop,
         client=Method("emergency_stop", "target, by='somebody'", repeat=True, timeout_s=5.0),
         summary="Stop modules at once, in an emergency",
         tag="lab",

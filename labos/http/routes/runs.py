@@ -42,13 +42,14 @@ async def list_runs(call: Call, query: RunsQuery) -> Runs:
     = `ended_position`."""
     runs = call.kernel.state.runs
     alive = sorted((*runs.active.values(), *runs.queued.values()), key=lambda run: run.position)
-    left = [run for run in alive if run.position > query.after]
+    left = [run for run in alive if run.position > query.after and run.campaign not in call.hidden]
     shown = left[: query.limit]
     await call.kernel.flush()
     over = await _read_ends(call, query) if query.ended else []
     names = [*(record.head.stream for record in over), *(str(run.id) for run in shown)]
+    stories = [await call.service.story(name) for name in names]
     return Runs(
-        runs=[RunDetail.make(await call.service.story(name)) for name in names],
+        runs=[RunDetail.make(story) for story in stories if story.campaign not in call.hidden],
         position=shown[-1].position if shown else query.after,
         more=len(left) > len(shown),
         ended_position=over[0].head.position if over else 0,
@@ -64,7 +65,10 @@ async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
 
 
 async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
-    return RunDetail.make(await call.service.story(path.run, query.wait))
+    story = await call.service.story(path.run, query.wait)
+    if story.campaign in call.hidden:
+        raise NotFound(f"There is no run {path.run!r}.", remedy="List them: labos runs")
+    return RunDetail.make(story)
 
 
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:
@@ -85,16 +89,19 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
 async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
     """It ends when what is in flight has ended. Its labware goes the way out that its workflow has under
     `on_cancel` (the run is `leaving` meanwhile), else it stays where it is."""
+    call.expect_run_seen(path.run)
     await call.service.change(path.run, "cancel", body.by, stay=body.stay, why=body.why)
     return RunReference(path.run)
 
 
 async def pause_run(call: Call, path: OfRun, body: RunPause) -> RunReference:
+    call.expect_run_seen(path.run)
     await call.service.change(path.run, "pause", body.by, why=body.why)
     return RunReference(path.run)
 
 
 async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
+    call.expect_run_seen(path.run)
     await call.service.change(path.run, "resume", body.by)
     return RunReference(path.run)
 

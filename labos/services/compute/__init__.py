@@ -2,16 +2,31 @@
 
 from labos.services.compute._calls import Attempts, Computed, ComputeFailed, Computing
 from labos.services.compute._places import PLACES, open_place
-from labos.services.compute._work import Measured, code_digest, value_digest
+from labos.services.compute._sent import ComputesOnce, Forgotten, PlaceUnavailable, Sent
+from labos.services.compute._work import (
+    Measured,
+    Returned,
+    code_digest,
+    do_nothing,
+    return_marked,
+    value_digest,
+)
 
 __all__ = [
     "PLACES",
     "Attempts",
     "ComputeFailed",
     "Computed",
+    "ComputesOnce",
     "Computing",
+    "Forgotten",
     "Measured",
+    "PlaceUnavailable",
+    "Returned",
+    "Sent",
     "code_digest",
+    "do_nothing",
     "open_place",
+    "return_marked",
     "value_digest",
 ]

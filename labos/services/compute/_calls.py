@@ -12,6 +12,7 @@ import msgspec
 
 from labos.errors import BadInput, LabosError
 from labos.services.compute._places import open_place
+from labos.services.compute._sent import ComputesOnce, Forgotten, PlaceUnavailable, Sent
 from labos.services.compute._work import Measured, code_digest, encode, measure, name_of, value_digest
 
 MOST_WAITING = 64
@@ -79,16 +80,22 @@ class Computing:
         where: str = "pool",
         then: Callable[[Computed], Any] = lambda computed: computed.measured.value,
         failed: Callable[[ComputeFailed], None] = lambda error: None,
+        unavailable: Callable[[], None] = lambda: None,
+        sent: Callable[[int], Sent] = lambda attempt: Forgotten(),
     ) -> Future[Any]:
         """Begin a computation; its future gives what ``then`` makes of it, and raises ComputeFailed after
-        ``failed`` was told of it. Raises NotFound, BadInput."""
+        ``failed`` was told of it, PlaceUnavailable after ``unavailable`` was. ``sent`` gives what the log has
+        of an attempt at a place that asks before it sends again. Raises NotFound, BadInput."""
         self._executor(where)  # a place that cannot be had is said at once
         given = dict(named or {})
         arguments = value_digest({"args": list(args), "named": given})
 
         def compute() -> Any:
             try:
-                computed = self._compute(function, args, given, where, arguments)
+                computed = self._compute(function, args, given, where, arguments, sent)
+            except PlaceUnavailable:
+                unavailable()
+                raise
             except ComputeFailed as error:
                 failed(error)
                 raise
@@ -111,13 +118,20 @@ class Computing:
         named: dict[str, Any],
         where: str,
         arguments: str,
+        sent: Callable[[int], Sent],
     ) -> Computed:
         name, deaths, errors = name_of(function), 0, 0
         while True:
             executor = self._executor(where)
             try:
-                measured = executor.submit(measure, function, args, named).result()
+                if isinstance(executor, ComputesOnce):
+                    attempt = sent(deaths + errors + 1)
+                    measured = executor.compute_once(attempt, measure, (function, args, named), {})
+                else:
+                    measured = executor.submit(measure, function, args, named).result()
                 encode(measured.value)  # what cannot be written down is no result
+            except PlaceUnavailable:
+                raise
             except (Exception, CancelledError) as error:
                 if _is_death(error):
                     self._forget(where, executor, error)

@@ -64,11 +64,24 @@ def _open_dask(configuration: Any) -> Executor:
     return opened
 
 
+def _open_globus(configuration: Any) -> Executor:
+    """``configuration`` is a `labos.services.globus.GlobusEndpoint`."""
+    from labos.services.globus import GlobusEndpoint
+
+    if not isinstance(configuration, GlobusEndpoint):
+        raise BadInput(
+            "Globus Compute needs to be told where to compute.",
+            remedy="Give a labos.services.globus.GlobusEndpoint.",
+        )
+    return configuration.open()
+
+
 PLACES: dict[str, Callable[[Any], Executor]] = {
     "local": _open_local,
     "pool": _open_pool,
     "parsl": _open_parsl,
     "dask": _open_dask,
+    "globus": _open_globus,
 }
 
 

@@ -37,6 +37,34 @@ def measure(function: Callable[..., Any], args: tuple[Any, ...], named: dict[str
     return Measured(value, socket.gethostname(), getpid(), seconds, platform.python_version())
 
 
+class Returned(msgspec.Struct, frozen=True):
+    """What came of a function: what it returned, or the name and text of its error."""
+
+    measured: Any = None
+    error: str = ""
+    text: str = ""
+
+    def value(self) -> Any:
+        """What it returned. Raises an error of the same name and text as the function has raised."""
+        if self.error:
+            raise type(self.error, (Exception,), {})(self.text)
+        return self.measured
+
+
+def return_marked(
+    mark: str, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
+) -> tuple[str, Returned]:
+    """Call a function at a worker that does not know who asks; returns the mark by which it was asked."""
+    try:
+        return mark, Returned(function(*args, **named))
+    except Exception as error:
+        return mark, Returned(error=type(error).__name__, text=str(error))
+
+
+def do_nothing() -> None:
+    """What a group of tasks may begin with."""
+
+
 def name_of(function: Callable[..., Any]) -> str:
     """Module and name of a function."""
     module = getattr(function, "__module__", "") or ""

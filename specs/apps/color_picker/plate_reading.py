@@ -168,5 +168,5 @@ def _opencv() -> Any:
     try:
         import cv2
     except ImportError as error:
-        raise BadInput("OpenCV is not installed.", remedy='Run: pip install "labos-sdl[vision]"') from error
+        raise BadInput("OpenCV is not installed.", remedy='Run: pip install "labos-sdl[camera]"') from error
     return cv2

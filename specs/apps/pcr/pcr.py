@@ -25,6 +25,10 @@ from labos.client.report import write_report as write_page
 from labos.errors import BadInput
 
 HERE = Path(__file__).resolve().parent
+sys.path[:0] = [path for path in [str(HERE.parent / "color_picker")] if path not in sys.path]
+
+from plate_reading import BadPicture, read_plate  # noqa: E402
+
 PUBLISHED = HERE / "published" / "pcr_demo_wf.yaml"
 PICTURES = {False: "Take picture", True: "camera takes picture of plate"}
 CYCLES = {False: "Cycle", True: "Run biometra program"}
@@ -123,6 +127,7 @@ def run_pcr(
         pictures = {
             f"plate{number}.jpg": _picture(lab, result, published) for number, result in enumerate(done, 1)
         }
+        bad = [result.id for result in done if not _can_be_used(lab, experiment, result, published)]
         report = write_page(
             experiment,
             out or Path(f"pcr-{experiment.id}"),
@@ -130,6 +135,7 @@ def run_pcr(
             said=[
                 f"{len(done)} plates, program {wanted.program} of the cycler: {programme.cycles} cycles, "
                 f"lid at {programme.lid_c:g} °C.",
+                *([f"Pictures that do not show the plate well: {', '.join(bad)}."] if bad else []),
             ],
             pictures={
                 "programme.png": ("the thermal programme, without ramps", draw_programme(programme)),
@@ -139,11 +145,32 @@ def run_pcr(
             files="pictures",
         )
     where = "are in the trash" if published else "wait in the output hotel"
-    return f"{len(done)} plates are done and {where}. {report.line}"
+    look = f" Look at the plates of {', '.join(bad)}: their pictures are bad." if bad else ""
+    return f"{len(done)} plates are done and {where}.{look} {report.line}"
 
 
 def _picture(lab: LabClient, result: RunResult, published: bool) -> bytes:
     return lab.file(result.result(PICTURES[published]))
+
+
+def _can_be_used(lab: LabClient, experiment: Experiment, result: RunResult, published: bool) -> bool:
+    """Whether the picture shows the plate in its nest. If not, that is an experiment error in the log, with
+    the picture; the plate is done all the same, and who fetches it is told to look."""
+    try:
+        read_plate(_picture(lab, result, published), [])
+    except BadPicture as bad:
+        experiment.note(
+            "condition_checked",
+            "the picture can be used",
+            met=False,
+            error="experiment",
+            why=bad.kind,
+            message=bad.message,
+            picture=result.result(PICTURES[published]),
+            then="a person looks at the plate",
+        )
+        return False
+    return True
 
 
 def _row(result: RunResult, published: bool) -> dict[str, Any]:

@@ -51,7 +51,7 @@ COLOR_PICKER = App(
     "rpl",
     ("--workcell", "rpl", "--seed", "3"),
     "color_picker/payloads/grey.yaml",
-    {"samples": 24, "batch": 6, "close": 0.0, "bad_pictures": "leave_out"},
+    {"samples": 60, "batch": 6, "close": 0.0, "bad_pictures": "leave_out"},
     loads_much=True,
 )
 PCR = App(
@@ -62,7 +62,7 @@ PCR = App(
     "rpl",
     ("--workcell", "rpl"),
     "pcr/payloads/standard.yaml",
-    {"plates": 2},
+    {"plates": 3},
 )
 GROWTH_ASSAY = App(
     "growth_assay",
@@ -70,7 +70,7 @@ GROWTH_ASSAY = App(
     "growth assay",
     "bo",
     "bio",
-    ("--workcell", "bio", "--plates", "3"),
+    ("--workcell", "bio", "--plates", "4"),
 )
 POLYMERS = App(
     "polymers",
@@ -162,7 +162,7 @@ class Program:
         assert self._process.returncode in (0, -signal.SIGKILL), f"{self.app.name}: {self.read_log()}"
         return self._process.returncode == 0
 
-    def said(self) -> str:
+    def read_log(self) -> str:
         return self.log.read_text("utf-8", "replace")[-3000:] if self.log.exists() else ""
 
     def workers(self) -> list[int]:

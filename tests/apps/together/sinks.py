@@ -37,7 +37,7 @@ class Sink:
             self._process.kill()
             self._process.wait()
 
-    def said(self) -> str:
+    def read_log(self) -> str:
         return self._log.read_text("utf-8", "replace")[-2000:]
 
 

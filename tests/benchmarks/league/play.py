@@ -29,6 +29,7 @@ from labos.core.registry import Event
 from labos.core.runs import RunCompleted, RunSubmitted
 from labos.core.steps import WindowBreached
 from labos.planner.planner import Planner
+from labos.planner.watch import Watch, waiting_in
 from labos.planning.scheduler import Scheduler
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
@@ -68,7 +69,8 @@ class Outcome(msgspec.Struct):
 
 
 class Player:
-    """One workcell with full stacks. ``jitter`` scatters durations by this fraction, either way."""
+    """One workcell with full stacks. ``jitter`` scatters durations by this fraction, either way. A planner
+    looks when runs are submitted; where durations scatter also when runs come or go inside, or are late."""
 
     def __init__(
         self,
@@ -85,6 +87,7 @@ class Player:
         self.clock = VirtualClock(self.loop)
         self._plan_with = plan_with
         self.planner = planner
+        self.watch = Watch() if jitter else None
         self._asked = False
         self.outcome = Outcome(0.0, [], 0, {})
         self._begun: dict[tuple[RunId, int], float] = {}
@@ -143,9 +146,8 @@ class Player:
     def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
             event, now = entry.event, self.loop.time()
-            if isinstance(event, RunSubmitted) and self.planner is not None and not self._asked:
-                self._asked = True
-                self.loop.call_soon(self._ask_planner)
+            if isinstance(event, RunSubmitted):
+                self._let_plan()
             if isinstance(event, ActionRequested):
                 self._begin(event, now)
             elif isinstance(event, ActionSucceeded):
@@ -155,16 +157,27 @@ class Player:
                 self.outcome.breaches += 1
             elif isinstance(event, RunCompleted):
                 self._ends.setdefault(event.run, asyncio.Event()).set()
+        if self.watch is not None:
+            self._let_plan()
 
     def on_reopened(self) -> None:
         raise AssertionError("a log in memory is never read again")
 
+    def _let_plan(self) -> None:
+        if self.planner is not None and not self._asked:
+            self._asked = True
+            self.loop.call_soon(self._ask_planner)
+
     def _ask_planner(self) -> None:
         self._asked = False
         assert self.planner is not None
-        state = self.kernel.state
-        waiting = list(state.runs.queued.values())
-        found = self.planner.suggest(state, self.cell.name, waiting, self.clock.now_ns())
+        state, now = self.kernel.state, self.clock.now_ns()
+        waiting = waiting_in(state, self.cell.name)
+        if self.watch is not None and not self.watch.is_due(state, self.cell.name, waiting, now):
+            return
+        found = self.planner.suggest(state, self.cell.name, waiting, now)
+        if self.watch is not None:
+            self.watch.note(state, self.cell.name, waiting, found)
         if found is not None:
             self._tell(found)
         if WHOLE_LAB in state.lab.paused:

@@ -18,7 +18,7 @@ from labos.audit.crate import make_crate
 from labos.audit.database import open_audit
 from labos.audit.query import open_asker
 from labos.cli.app import main
-from labos.core.decide.experiments import NoteExperiment, StartExperiment
+from labos.core.decide.experiments import EndExperiment, NoteExperiment, StartExperiment
 from labos.core.decide.lab import StartKernel
 from labos.core.ids import ExperimentId, LabId
 from labos.core.labware import SamplesRegistered
@@ -89,9 +89,9 @@ def ids(value: Any) -> list[str]:
 # -- crates ------------------------------------------------------------------------------------
 
 
-def validate(*crates: str) -> list[dict[str, Any]]:
-    """What foreign software says of crates, as Provenance Run Crates."""
-    wanted = [f"{name}=provenance-run-crate" for name in crates]
+def validate(*crates: str, profile: str = "provenance-run-crate") -> list[dict[str, Any]]:
+    """What foreign software says of crates."""
+    wanted = [f"{name}={profile}" for name in crates]
     command = [python_of("exports"), ROOT / "tests" / "foreign" / "crate_check.py", "cache", *wanted]
     run = subprocess.run(command, capture_output=True, check=True)
     answers: list[dict[str, Any]] = json.loads(run.stdout)
@@ -190,6 +190,35 @@ def test_the_crate_of_an_experiment_holds_what_its_application_did(finished: Pat
     assert failed["error"] == "ValueError: no colours"
     events = Path("E1/experiments/E1/events.jsonl").read_text().splitlines()
     assert json.loads(events[0])["type"] == "labos.experiment.started"
+
+
+@pytest.mark.slow
+def test_an_experiment_without_runs_is_in_order_with_its_program_and_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that only computed and published, and one that did nothing at all. Without a run that was carried
+    out each is a Process Run Crate."""
+    monkeypatch.chdir(tmp_path)
+    book = Logbook()
+    book.furnish()
+    computed = {"code": "c" * 64, "where": "pool", "host": "desk", "result": [1, 2]}
+    for number, notes in enumerate(
+        ([("compute", "app.best", computed), ("publication", "a page", {})], []), 1
+    ):
+        book.do(StartExperiment("analysis", "ada"))
+        for kind, name, facts in notes:
+            book.do(NoteExperiment(ExperimentId(f"E{number}"), kind, name, facts))
+        book.do(EndExperiment(ExperimentId(f"E{number}")))
+    book.save(tmp_path / "lab")
+    Path("app.py").write_text("print('thinking')\n")
+    names = []
+    for experiment in ("E1", "E2"):
+        export(tmp_path / "lab", "crate", experiment, "--to", experiment)
+        export(tmp_path / "lab", "crate", experiment, "--to", f"{experiment}.zip", "--program", "app.py")
+        names += [experiment, f"{experiment}.zip"]
+    for name, told in zip(names, validate(*names, profile="process-run-crate"), strict=True):
+        assert told["wrong"] == [], name
+        assert f"#experiment-{name[:2]}" in told["actions"]
 
 
 def test_only_an_experiment_has_a_program(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -96,6 +96,8 @@ ACT = {
     "campaign resume C1": "labos campaign resume",
     "campaign amend C1 --priority 5": "labos campaign amend",
     "campaign cancel C1": "labos campaign cancel",
+    "campaign clone C1 --dry-run": "labos campaign clone",
+    "campaign archive C1": "labos campaign archive",
     "shares --apply shares.yaml": "labos shares",
     "logout": "labos logout",
     "book hidex --from now --to +1h --maintenance": "labos book add",

@@ -253,9 +253,13 @@ def test_what_the_killed_program_told_at_last_holds(lab: LabClient) -> None:
 def test_one_that_has_ended_can_be_read_again_but_does_nothing(lab: LabClient) -> None:
     with Experiment(lab, "plates", "ada") as experiment:
         first = read_twice(experiment)
+        kept = experiment.keep_file(b"a table")
     before = lab.health()["position"]
     with again(lab, experiment.id) as ended:
         assert read_twice(ended) == first
+        assert ended.keep_file(b"a table") == kept
+        with pytest.raises(NotFound, match="not ended"):
+            ended.keep_file(b"another table")
         with pytest.raises(Refused, match="is not open"):
             ended.run(READ)
     assert lab.health()["position"] == before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
@@ -11,11 +12,15 @@ import tomllib
 from pathlib import Path
 from xml.etree import ElementTree
 
+import httpx
 import pytest
 import yaml
 
+from labos.settings import free_port
 from tests.docs.markdown import ROOT
 from tests.docs.test_pages import what_is_wrong
+from tests.support.lab_process import Up, labos, until
+from tests.support.prometheus import Prometheus
 
 DEPLOY = ROOT / "deploy"
 UNITS = sorted([*(DEPLOY / "systemd").glob("*.service"), *(DEPLOY / "systemd").glob("*.timer")])
@@ -119,7 +124,7 @@ def test_the_compose_file_publishes_on_this_computer_only() -> None:
     ports = [port for service in services.values() for port in service.get("ports", [])]
     assert ports
     assert [port for port in ports if not port.startswith("127.0.0.1:")] == []
-    images = [service["image"] for service in services.values() if "build" not in service]
+    images = [service["image"] for service in services.values() if service["image"] != "labos"]
     assert [image for image in images if not re.search(r":v?\d", image)] == [], "an image has no version"
 
 
@@ -132,6 +137,64 @@ def test_the_lab_of_the_compose_file_can_be_started() -> None:
         if "=" in line
     )
     assert what_is_wrong(line.replace("$$LABOS_UP", told["LABOS_UP"]), strict=True) == ""
+
+
+def test_the_grafana_of_the_compose_file_is_told_what_its_provisioning_asks_for() -> None:
+    grafana = yaml.safe_load((DEPLOY / "compose" / "compose.yaml").read_text())["services"]["grafana"]
+    files = [path for path in (DEPLOY / "grafana" / "provisioning").rglob("*") if path.is_file()]
+    asked = {name for path in files for name in re.findall(r"\$(LABOS_\w+)", path.read_text())}
+    assert asked - {"LABOS_SQLITE_FILE"} <= grafana["environment"].keys()
+    mounted = dict(volume.split(":")[1::-1] for volume in grafana["volumes"])
+    place, _, folder = grafana["environment"]["LABOS_DASHBOARDS"].rpartition("/")
+    assert list((DEPLOY / "compose" / mounted[place] / folder).glob("*.json"))
+
+
+@pytest.mark.slow
+def test_the_prometheus_of_the_compose_file_finds_the_lab(tmp_path: Path) -> None:
+    """A lab that is started as in its container, and Prometheus with the configuration of its container: only
+    the places are others. The name of the lab's container is one of its names."""
+    service = yaml.safe_load((DEPLOY / "compose" / "compose.yaml").read_text())["services"]["lab"]
+    options = re.findall(r"exec labos up \$\$LABOS_UP (.*)", service["entrypoint"][-1])[0]
+    port, password = free_port(), tmp_path / "admin"
+    password.write_text("correct horse battery")
+    options = options.replace("/run/secrets/admin", str(password)).replace("$$LABOS_ADMIN", "admin")
+    options = options.replace("--http-port 8720", f"--http-port {port}").replace("--bus-port 7447", "")
+    lab = Up(tmp_path / "lab", "--simulate", "--no-nodes", *shlex.split(options))
+    token = tmp_path / "token"
+    text = (DEPLOY / "compose" / "prometheus.yml").read_text()
+    for there, here in (
+        ("lab:8720", f"127.0.0.1:{port}"),
+        ("/run/secrets/prometheus", str(token)),
+        ("/etc/prometheus/rules.yml", str(DEPLOY / "prometheus" / "rules.yml")),
+        ("15s", "1s"),
+    ):
+        assert there in text
+        text = text.replace(there, here)
+    try:
+        lab.start("rpl")
+        said = labos(
+            "token",
+            "create",
+            "prometheus",
+            "--for",
+            "admin",
+            "--scope",
+            "viewer",
+            "--days",
+            "366",
+            "--json",
+            "--home",
+            str(lab.home),
+        )
+        assert said.returncode == 0, said.stderr
+        token.write_text(json.loads(said.stdout)["secret"])
+        shown = {"authorization": f"Bearer {token.read_text()}", "host": "lab:8720"}
+        found = httpx.get(f"http://127.0.0.1:{port}/metrics/targets", headers=shown)
+        assert (found.status_code, found.json()[0]["targets"]) == (200, ["lab:8720"])
+        with Prometheus(tmp_path, text) as prometheus:
+            until(lambda: prometheus.ask("labos_build_info"), "Prometheus has the lab's metrics")
+    finally:
+        lab.clean_up()
 
 
 def test_the_compose_file_with_a_secure_bus() -> None:

@@ -23,7 +23,7 @@ PACKAGES = "python3,python3-venv,ca-certificates"
 
 pytestmark = [
     pytest.mark.full,
-    pytest.mark.timeout(900),
+    pytest.mark.timeout(2400),
     pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="images are built by root here"),
     pytest.mark.skipif(any(not shutil.which(tool) for tool in TOOLS), reason=f"needs {', '.join(TOOLS)}"),
 ]
@@ -42,7 +42,7 @@ class Store:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def __call__(self, tool: str, *words: str | Path, timeout_s: float = 600.0) -> str:
+    def __call__(self, tool: str, *words: str | Path, timeout_s: float = 1800.0) -> str:
         where = [
             "--root",
             f"{self.folder}/root",
@@ -80,7 +80,8 @@ def test_the_image_is_built_and_a_lab_runs_in_it(store: Store, tmp_path: Path) -
     told = tmp_path / "pip.conf"
     told.write_text("[global]\ncert = /etc/ssl/machine.pem\n")
     store(
-        *("podman", "build", "--isolation", "chroot", "--network", "host"),
+        # Not a layer for each step: this store copies all files for each.
+        *("podman", "build", "--layers=false", "--isolation", "chroot", "--network", "host"),
         *(
             "-v",
             "/etc/ssl/certs/ca-certificates.crt:/etc/ssl/machine.pem:ro",

@@ -157,6 +157,45 @@ def test_a_campaign_is_approved_with_changes_and_enlarged_only_by_another_approv
     people["agent"].cancel_campaign(name, "")
 
 
+@pytest.mark.slow
+def test_what_a_proposal_would_bring_is_shown_before_it_is_approved(people: People, lab: LabThread) -> None:
+    run = people.seal("agent")
+    before = lab.runtime.kernel.state.position
+    told = json.loads(people.labos("olga", "approvals", run, "--json").output)["forecast"]
+    assert lab.runtime.kernel.state.position == before
+    (expected,) = (found for found in told["forecast"]["runs"] if found["run"] == run)
+    assert told["forecast"]["new"] == [run]
+    assert expected["ends"] is None, "no node is there"
+    assert any("sealer is not there" in conflict for conflict in told["forecast"]["conflicts"])
+    assert told["consumables"]["foil"]["needed"] == 1
+    shown = people.labos("olga", "approvals", run).output
+    for word in (
+        "If it were approved now",
+        "starts:      ",
+        "uses up:     1 foil",
+        "person:",
+        "delays:",
+    ):
+        assert word in shown, shown
+    assert "If it were" not in people.labos("olga", "approvals", run, "--no-forecast").output
+    name = people.screen("agent")["campaign"]
+    found = people["bob"].approval_forecast(name)
+    (campaign,) = (each for each in found["forecast"]["campaigns"] if each["campaign"] == name)
+    assert campaign["rows_left"] == 3
+    assert found["consumables"]["foil"]["needed"] == 3
+    # A change of a campaign that goes on.
+    people.labos("olga", "approve", name, "--runs", "2")
+    people["agent"].amend_campaign(name, "", runs=3)
+    assert people["bob"].approval_forecast(name)["forecast"]["refusal"] == ""
+    experiment = people["agent"].start_experiment("app", "")
+    with pytest.raises(BadInput, match="cannot be forecast"):
+        people["bob"].approval_forecast(experiment)
+    assert "If it were" not in people.labos("olga", "approvals", experiment).output
+    people["agent"].end_experiment(experiment)
+    people["agent"].cancel_campaign(name, "")
+    people["agent"].cancel(run)
+
+
 def test_an_experiment_of_a_program_waits(people: People) -> None:
     name = people["agent"].start_experiment("app", "")
     assert people["agent"].approval.startswith(f"{name} waits for approval")

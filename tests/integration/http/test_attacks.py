@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import zipfile
+from base64 import b64encode
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ import pytest
 
 from labos.bootstrap import LabThread
 from labos.cli.files import _fetch
+from labos.core.binding import bind
 from labos.core.decide.users import AddUser, GrantRole
+from labos.core.waits import Wait
 from labos.errors import LabosError
 from labos.services.files import ResultFile
 from labos.services.trust.proof import Trust, prove_bundle
@@ -86,7 +89,7 @@ def test_a_file_is_found_by_its_digest_alone(eve: httpx.Client, digest: str) -> 
 # -- what is somebody else's ------------------------------------------------------------------------
 
 
-def test_ids_of_others_open_nothing(lab: LabThread, bob: httpx.Client, eve: httpx.Client) -> None:
+def test_ids_of_othis_open_nothing(lab: LabThread, bob: httpx.Client, eve: httpx.Client) -> None:
     run = bob.post("/runs", json={"workflow": {"text": FLOW}}).json()["run"]
     experiment = bob.post("/experiments", json={"name": "e"}).json()["experiment"]
     rows = "labos: 1\ncampaign: c\nworkflow: f\nrows: {list: [{}]}\n"
@@ -119,6 +122,50 @@ def test_ids_of_others_open_nothing(lab: LabThread, bob: httpx.Client, eve: http
     assert {event["actor"] for event in written} <= {"labos"}, "what is refused leaves no event"
     for path in (f"/runs/{run}/cancel", f"/campaigns/{campaign}/cancel", f"/bookings/{booking}/cancel"):
         assert bob.post(path, json={}).status_code == 200
+
+
+def test_a_plate_of_somebody_else_is_not_used_by_another_name(
+    lab: LabThread, bob: httpx.Client, eve: httpx.Client, folder: Path
+) -> None:
+    """Not by a value of the payload, by a workflow that is used, nor by its id or barcode."""
+    with client_of(lab, token_of(folder, "ada", scope="admin")) as ada:
+        placed = ada.post("/stations/load", json={"station": "hidex.default", "labware": "plate96"})
+        assert placed.is_success, placed.text
+        plate = next(i["id"] for i in ada.get("/state").json()["labware"] if i["station"] == "hidex.default")
+        assert ada.post(f"/labware/{plate}/barcode", json={"barcode": "of bob"}).is_success
+        assert ada.post(f"/labware/{plate}/owner", json={"to": "user:bob"}).is_success
+    for name in (plate, "of%20bob"):
+        for path, body in (
+            (f"/labware/{name}/owner", {"to": "user:eve"}),
+            (f"/labware/{name}/owner", {"to": "user:eve", "force": True, "note": "mine"}),
+            (f"/labware/{name}/barcode", {"barcode": "of eve"}),
+            ("/samples", {"text": f"plate,well,sample\n{plate},A1,x\n"}),
+        ):
+            refused(eve.post(path, json=body))
+    carry = "args: {source: payload.from, target: camera_module.plate_station}"
+    inner = f"labos: 1\nname: inner\nsteps:\n  - {{name: take, module: pf400, action: transfer, {carry}}}\n"
+    outer = "labos: 1\nname: outer\nsteps:\n  - {name: inside, use: inner.yaml}\n"
+    encoded = b64encode(inner.encode()).decode()
+    asked = {
+        "workflow": {"text": outer, "name": "outer.yaml", "files": {"inner.yaml": encoded}},
+        "payload": {"from": "hidex.default"},
+    }
+    told = eve.post("/runs", json=asked)
+    assert told.status_code == 201, told.text
+    run = told.json()["run"]
+    state = lab.runtime.kernel.state
+    plan = state.runs.plan_of(state.runs.queued[run])
+    (taken,) = (step for step in plan.steps if step.key == "inside/take")
+    found = bind(state, state.runs.queued[run], taken)
+    assert isinstance(found, Wait)
+    assert found.code == "not_yours"
+    owners = {item.id: item.owner for item in state.bench.labware.values()}
+    his = bob.post("/runs", json=asked).json()["run"]
+    assert not isinstance(bind(state, state.runs.queued[his], taken), Wait), "bob's own run may take it"
+    bob.post(f"/runs/{his}/cancel", json={})
+    assert owners[plate] == "user:bob"
+    assert {i["id"]: i["owner"] for i in bob.get("/state").json()["labware"]}[plate] == "user:bob"
+    eve.post(f"/runs/{run}/cancel", json={})
 
 
 def test_a_key_of_somebody_else_tells_nothing(bob: httpx.Client, eve: httpx.Client) -> None:

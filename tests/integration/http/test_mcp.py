@@ -151,7 +151,9 @@ def test_what_it_proposes_waits_whatever_its_token_allows(agent: Agent, lab: Lab
     campaign = agent.ask("propose_campaign", campaign=CAMPAIGN, workflow=SEAL, tables={"rows.csv": ROWS})[
         "data"
     ]["campaign"]
-    assert set(state.approvals.open) >= {run, campaign}
+    clone = agent.ask("propose_clone", campaign=campaign, name="again", key="two")["data"]["campaign"]
+    assert state.campaigns.open[clone].cloned_from == campaign
+    assert set(state.approvals.open) >= {run, campaign, clone}
     waits = agent.ask("why_run_waits", run=run)["data"]["waits"]
     assert waits == [
         f"seal it: run {run} waits for approval, because agent asks for it, and it was made by a program "
@@ -174,6 +176,7 @@ def test_what_it_proposes_waits_whatever_its_token_allows(agent: Agent, lab: Lab
     with LabClient(lab.url, token=token_of_ada(lab)) as ada:
         ada.approve(run, "", digest, comment="fine")
         ada.refuse(campaign, "")
+        ada.refuse(clone, "")
         ada.refuse(direct, "")
     assert "waits for approval" not in str(agent.ask("why_run_waits", run=run)["data"]["waits"])
     assert not state.approvals.open

@@ -21,9 +21,10 @@ from labos.client import LabClient
 from labos.core.words import ERASED, references_in
 from labos.errors import NotFound, Refused
 from labos.runtime.ledger import load
-from labos.settings import Settings, find_kernel
+from labos.settings import Settings, find_kernel, free_port
 from labos.spec import parse_workcell
 from labos.store import SqlEventStore, first_damage, open_store
+from tests.support.api_process import ApiProcess
 
 CELL = """
 labos: 1
@@ -293,3 +294,28 @@ def test_words_are_put_into_problems_calendars_and_longer_sentences(tmp_path: Pa
         client.erase_words("mistake", "ada", records=[cancelled["position"]])
         (cancelled,) = events(client, "experiment.cancelled")
         assert cancelled["payload"]["why"] == f"cancelled by bo: {ERASED}"
+
+
+def test_an_api_process_shows_words_and_no_more_after_they_were_erased(tmp_path: Path) -> None:
+    home = tmp_path / "lab"
+    with a_lab(tmp_path) as client:
+        api = ApiProcess(tmp_path, "one", free_port(), "--home", str(home)).start()
+        try:
+            with LabClient(api.url) as other:
+                client.control("pause", "lab", "bo", why=SECRET)
+                (paused,) = events(other, "starts.paused")
+                assert paused["payload"]["why"] == SECRET
+                other.take_out("press", f"{SECRET} and so", "bo")  # words that come by this way
+                assert SECRET in json.dumps(other.state(), ensure_ascii=False)
+                (stored,) = events(other, "starts.paused", stored=True)
+                assert references_in(json.dumps(stored["payload"]).encode())
+                done = other.erase_words("request", "ada", user="bo")
+                assert (done["erased"], done["left"]) == (2, "")
+                for each in (client, other):
+                    assert events(each, "starts.paused")[0]["payload"]["why"] == ERASED
+                    assert "Quux" not in json.dumps(each.state(), ensure_ascii=False)
+                    assert ERASED in json.dumps(each.state())
+                assert SECRET.encode() not in bytes_of(home)
+        finally:
+            api.kill()
+    assert "Quux" not in api.log.read_text()

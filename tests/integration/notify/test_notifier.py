@@ -12,17 +12,22 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from labos.core.decide.actions import DoubtAction, FinishAction
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import StartKernel
 from labos.core.decide.nodes import JoinNode, LoseNode, ReportState
+from labos.core.erasure import WordsErased
 from labos.core.ids import InterventionId, LabId, ModuleName
+from labos.core.modules import ModuleTakenOut
 from labos.core.steps import WindowBreached
+from labos.core.words import ERASED, PREFIX, Kept, keep
 from labos.ports import Head
 from labos.services.notify import Notifier, Outbox, load_contacts
 from labos.services.notify.notifier import GIVEN_UP_S
+from labos.services.shown import show_struct
 from labos.settings import free_port
 from labos.spec import parse_source
 from labos.store import SqlEventStore, open_store
@@ -442,3 +447,53 @@ def test_to_a_server_without_encryption_nothing_is_said(
     (waiting,) = scene.outbox.deliveries()
     assert "STARTTLS" in waiting.error
     assert (scene.post.letters, scene.post.logins) == ([], [])
+
+
+def quarantine(scene: Scene, text: str) -> Kept:
+    """The arm is out of service for a reason that a person wrote."""
+    words = keep(text, bytes(range(16)))
+    scene.book.write([ModuleTakenOut(ARM, words.reference, failures=3)])
+    scene.book.records[-1] = msgspec.structs.replace(scene.book.records[-1], words=(words,))
+    return words
+
+
+def erase(scene: Scene, words: Kept) -> None:
+    digest = words.reference.removeprefix(PREFIX)
+    scene.book.write([WordsErased("", "personal", "ada", (digest,), (scene.book.position,))])
+
+
+def kept_by_the_outbox(scene: Scene, text: str) -> bool:
+    return any(text.encode() in file.read_bytes() for file in scene.folder.glob("notifications.db*"))
+
+
+def test_a_message_that_waits_is_sent_without_what_was_erased(scene: Scene) -> None:
+    scene.turn()
+    words = quarantine(scene, "Zoë Quux dropped it")
+    scene.turn()  # there is no mail server yet
+    assert [state for _, _, state in scene.states()] == ["waiting", "waiting"]
+    assert not kept_by_the_outbox(scene, "Quux")
+    erase(scene, words)
+    with mail_server(scene.post, scene.smtp_port):
+        scene.turn(60)
+    (letter,) = scene.post.letters
+    assert "Quux" not in letter.get_content()
+    assert ERASED in letter.get_content()
+
+
+@pytest.mark.usefixtures("mail")
+def test_a_message_that_was_sent_is_out_of_reach_and_shown_without_what_was_erased(scene: Scene) -> None:
+    """Also the next one about the same thing, to somebody else."""
+    scene.turn()
+    words = quarantine(scene, "Zoë Quux dropped it")
+    scene.turn()
+    scene.turn(60)  # modules have a minute of grace
+    (letter,) = scene.post.letters
+    assert "Zoë Quux dropped it" in letter.get_content()
+    assert not kept_by_the_outbox(scene, "Quux")
+    erase(scene, words)
+    scene.turn(15 * 60)
+    ((_, body),) = scene.hook.calls
+    assert "Quux" not in str(body)
+    assert ERASED in body["text"]
+    shown = [show_struct(scene.store, each) for each in scene.outbox.deliveries()]
+    assert [(each.state, ERASED in each.notice.text) for each in shown] == [("sent", True), ("sent", True)]

@@ -8,16 +8,20 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from labos.clock import SystemClock, Uuid7Ids
+from labos.core.erasure import WordsErased
 from labos.core.ids import LabId
-from labos.core.lab import KernelStarted, LabCreated
+from labos.core.lab import KernelStarted, LabCreated, StartsPaused
 from labos.core.registry import Event
 from labos.core.state import LabState, state_hash
+from labos.core.words import PREFIX, Kept, keep
 from labos.errors import LogDamaged, Refused
 from labos.ports import Head
 from labos.runtime.ledger import Ledger, fold
+from labos.services.words_check import check_words
 from labos.store import (
     FolderBlobs,
     SqlEventStore,
@@ -26,6 +30,7 @@ from labos.store import (
     leap_epoch,
     open_store,
     read_segment,
+    read_words_copy,
     records_of,
     restore_log,
     verify_backup,
@@ -50,6 +55,12 @@ class Writing:
     def write(self, events: list[Event]) -> Head:
         records = [self.ledger.write(event, "ada").record for event in events]
         self.head = self.store.append(self.head, records)
+        return self.head
+
+    def say(self, event: Event, *words: Kept) -> Head:
+        """Write an event with words of people."""
+        record = msgspec.structs.replace(self.ledger.write(event, "ada").record, words=words)
+        self.head = self.store.append(self.head, [record])
         return self.head
 
 
@@ -112,6 +123,31 @@ def test_a_backup_under_load_holds_a_whole_log_and_comes_back_on_either_database
         assert (head.lab, head.epoch) == (LAB, epoch + 1)
         with pytest.raises(Refused, match=r"not overwritten|lives on"):
             restore_log(target, (), found.lab, epoch)
+
+
+def test_words_come_back_on_either_database_and_what_was_erased_does_not(
+    store: SqlEventStore, store_url: str, tmp_path: Path, opened: Open, request: pytest.FixtureRequest
+) -> None:
+    kernel = Writing(store)
+    stays, goes = keep("it smells", bytes(16)), keep("bo has a cold", bytes(range(16)))
+    for words in (stays, goes):
+        kernel.say(StartsPaused("*", "ada", words.reference), words)
+    digest = goes.reference.removeprefix(PREFIX)
+    kernel.write([WordsErased("", "personal", "ada", (digest,), (kernel.head.position,))])
+    made = backup(store, FolderBlobs(tmp_path / "blobs"), tmp_path / "safe")
+    verify_backup(tmp_path / "safe")
+    server = request.getfixturevalue("postgres_server")
+    name = "from_" + ("postgres" if store_url.startswith("postgresql") else "sqlite")
+    for target in (f"sqlite:///{tmp_path / 'back.db'}", server.create_database(f"words_{name}")):
+        texts = read_words_copy(tmp_path / "safe")
+        restore_log(target, records_of(tmp_path / "safe", made), made.lab, 99, texts)
+        back = opened(target)
+        assert first_damage(back) is None
+        assert check_words(back).faults == ()
+        found = back.words_of([stays.reference, goes.reference])
+        assert found == {stays.reference: stays, goes.reference: Kept(goes.reference, b"", "")}
+        assert list(back.all_words()) == list(store.all_words())
+        back.close()
 
 
 def test_a_restore_that_fails_leaves_nothing_and_can_be_repeated(store_url: str, tmp_path: Path) -> None:

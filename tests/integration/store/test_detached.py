@@ -13,13 +13,26 @@ import pytest
 from labos.cli.app import main
 from labos.core.envelope import GENESIS, Record
 from labos.core.ids import LabId
-from labos.core.lab import LabCreated
+from labos.core.lab import LabCreated, StartsPaused
 from labos.core.registry import Event
 from labos.core.state import LabState
+from labos.core.words import keep
 from labos.errors import BadInput, LogDamaged
 from labos.ports import Head
 from labos.runtime.ledger import Ledger
-from labos.store import FolderBlobs, SqlEventStore, backup, verify_backup, verify_detached, write_segment
+from labos.store import (
+    FolderBlobs,
+    SqlEventStore,
+    backup,
+    copy_accounts,
+    key_of,
+    open_accounts,
+    verify_backup,
+    verify_detached,
+    write_segment,
+)
+from tests.integration.store.records import LAB
+from tests.integration.store.test_accounts_copy import fill
 from tests.integration.store.test_backup import KEY, Writing, notes
 from tests.unit.services.logbook import Clock, Ids
 
@@ -163,6 +176,7 @@ def test_the_command_says_what_it_rests_on(
     assert f"whole from position {rest.first} on: 10 records in 2 segments, 1 blobs." in told
     assert f"It rests on position {rest.first - 1} with the hash {rest.before}" in told
     assert f"Not here: {safe.made.segments[0].file}." in told
+    assert "It holds no accounts" in told
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["whole"], found["detached"]["before"]) == (True, rest.before)
@@ -170,3 +184,39 @@ def test_the_command_says_what_it_rests_on(
     assert "The backup is damaged." in capsys.readouterr().out
     assert main(["verify", "--detached"]) == 2
     assert main(["verify", "--backup", str(safe.folder)]) == 1
+
+
+def test_accounts_and_words_beside_the_later_segments_are_checked_too(
+    tmp_path: Path, opened: Open, capsys: pytest.CaptureFixture[str]
+) -> None:
+    key, url = tmp_path / "key", f"sqlite:///{tmp_path / 'lab.db'}"
+    key.write_bytes(b"0123456789abcdef")
+    safe = Safe(tmp_path / "safe", opened(url), key_of(key))
+    words = keep("it smells", bytes(16))
+    safe.kernel.say(StartsPaused("*", "ada", words.reference), words)
+    backup(safe.store, FolderBlobs(tmp_path / "blobs"), safe.folder, key=safe.key)
+    safe.detach(2)
+    fill(url)
+    accounts = open_accounts(url)
+    copy_accounts(accounts, LAB, safe.folder, 7, safe.key)
+    accounts.close()
+    argv = ["verify", "--backup", str(safe.folder), "--detached", "--key", str(key)]
+    assert main(argv) == 0
+    assert "The accounts of 2 users are whole" in capsys.readouterr().out
+    assert main([*argv, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["accounts"]["users"] == 2
+    for name, old, new, fault in (
+        ("accounts.json", '"bob"', '"eve"', "its seal was not made with this key"),
+        ("accounts.json", LAB, "lab-9", "it is of the lab lab-9"),
+        ("accounts.json", "{", "", "holds no accounts"),
+        ("words.jsonl", "smells", "shines", "the text is not the one that was written"),
+        ("words.jsonl", words.reference, f"words:{'0' * 64}", "the text is not the one that was written"),
+    ):
+        good = (safe.folder / name).read_text()
+        (safe.folder / name).write_text(good.replace(old, new))
+        assert main(argv) == 1, fault
+        assert fault in capsys.readouterr().out
+        (safe.folder / name).write_text(good)
+    (safe.folder / "words.jsonl").unlink()
+    assert main(argv) == 1
+    assert "its words are missing" in capsys.readouterr().out

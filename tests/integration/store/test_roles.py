@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,9 +12,11 @@ import pytest
 from click.testing import CliRunner
 from psycopg import errors
 
+from labos.audit.database import open_audit
 from labos.cli.db import command as db
 from labos.errors import BadInput, NotFound, Refused, StoreUnavailable
 from labos.store import SqlEventStore, first_damage, grant_writer, lease_holder, migrate
+from tests.docs.markdown import DOCS
 from tests.integration.store.records import LAB, batch, write_records
 from tests.integration.store.test_words import erasing, pause_with_words
 from tests.support.postgres import PostgresServer
@@ -36,6 +39,7 @@ FORBIDDEN = [
     "DROP TABLE snapshot",
     "SET session_replication_role = replica",
     "CREATE OR REPLACE FUNCTION labos_refuse() RETURNS trigger LANGUAGE plpgsql AS 'BEGIN RETURN NEW; END'",
+    "CREATE OR REPLACE FUNCTION labos_rewrite_words() RETURNS void LANGUAGE sql AS 'SELECT'",
     "CREATE TABLE another (x int)",
     "UPDATE labos_version SET version_num = '9999'",
 ]
@@ -88,6 +92,7 @@ def test_a_writer_keeps_and_erases_words_also_where_it_was_there_before_them(
     grant_writer(roles.owners_url, roles.writer)
     with psycopg.connect(roles.owners_url, autocommit=True) as owner:  # as before the upgrade
         owner.execute("DROP TABLE words")
+        owner.execute("DROP FUNCTION labos_rewrite_words")
         owner.execute("UPDATE labos_version SET version_num = '0002'")
     migrate(roles.owners_url)
     store = opened(roles.writers_url)
@@ -96,7 +101,9 @@ def test_a_writer_keeps_and_erases_words_also_where_it_was_there_before_them(
     head = store.append(head, [record])
     store.append(head, [erasing(head, words)])
     assert store.words_of([words.reference])[words.reference].is_erased
-    assert "VACUUM FULL words" in store.scrub()
+    assert "labos db writer" in store.scrub()  # it was granted nothing since
+    grant_writer(roles.owners_url, roles.writer)
+    assert store.scrub() == ""
     with psycopg.connect(roles.writers_url, autocommit=True) as writer:
         for statement in ("DELETE FROM words", "TRUNCATE words"):
             with pytest.raises(errors.InsufficientPrivilege):
@@ -153,3 +160,59 @@ def test_a_writer_that_finds_an_old_database_is_sent_to_the_owner(
     fresh = Roles(postgres_server)
     with pytest.raises(StoreUnavailable, match="labos db upgrade"):
         opened(fresh.writers_url)
+
+
+def test_the_role_of_an_api_process_reads_the_log_and_its_words(roles: Roles, opened: Open) -> None:
+    """What docs/api-processes.md grants it, and no more."""
+    store = opened(roles.owners_url)
+    head = store.claim(LAB, "test", 30.0)
+    record, words = pause_with_words(head, "a cold")
+    store.append(head, [record])
+    name = f"lab_api_{roles.owner}"
+    (granted,) = re.findall(r"```sql\n(.*?)```", (DOCS / "api-processes.md").read_text(), re.DOTALL)
+    with psycopg.connect(roles.owners_url, autocommit=True) as owner:
+        with psycopg.connect(roles.server.url, autocommit=True) as admin:
+            admin.execute(f"CREATE ROLE {name} LOGIN")
+        for statement in granted.split(";")[1:]:
+            owner.execute(statement.replace("lab_api", name))
+    url = f"postgresql://{name}@{roles.base}"
+    api = opened(url, read_only=True)
+    assert len(list(api.read())) == 1
+    assert api.words_of([words.reference]) == {words.reference: words}
+    with psycopg.connect(url, autocommit=True) as connection:
+        for statement in (*FORBIDDEN, "UPDATE words SET text = ''", "DELETE FROM words"):
+            with pytest.raises(errors.InsufficientPrivilege):
+                connection.execute(statement)
+    store.close()
+
+
+def test_a_role_that_finds_the_views_first(postgres_server: PostgresServer, opened: Open) -> None:
+    """PostgreSQL looks into a schema of the role's own name first, and that of the views is called labos."""
+    url = postgres_server.create_database("views_first")
+    assert url.startswith("postgresql://labos@")
+    migrate(url)
+    tables = open_audit(url)
+    tables.reset()
+    tables.close()
+    with psycopg.connect(url, autocommit=True) as owner:
+        assert owner.execute("SELECT current_schema()").fetchone() == ("labos",)
+        owner.execute("CREATE ROLE views_first_kernel LOGIN")
+        owner.execute("DROP TABLE words")
+        owner.execute("UPDATE labos_version SET version_num = '0002'")
+        grant = "GRANT SELECT, INSERT ON event TO views_first_kernel"  # as before the upgrade
+        owner.execute(grant)
+        migrate(url)
+        assert owner.execute("SELECT schemaname FROM pg_tables WHERE tablename = 'words'").fetchall() == [
+            ("public",)
+        ]
+    with pytest.raises(Refused, match="superuser"):
+        grant_writer(url, "labos")
+    grant_writer(url, "views_first_kernel")
+    for each in (url, url.replace("labos@", "views_first_kernel@")):
+        store = opened(each)
+        head = store.claim(LAB, "test", 30.0)
+        record, words = pause_with_words(head, f"a cold of {each}")
+        head = store.append(head, [record])
+        store.append(head, [erasing(head, words)])
+        assert store.scrub() == ""
+        store.close()

@@ -11,6 +11,7 @@ from labos.core.conditions import condition
 from labos.core.decide import Rejection
 from labos.core.decide.campaigns import (
     AmendCampaign,
+    ArchiveCampaign,
     CancelCampaign,
     PauseCampaign,
     RefuseRow,
@@ -187,6 +188,21 @@ def test_other_terms_hold_from_now_on() -> None:
     lab.work({"od": 0.6})
     assert lab.lab.log[-1].event.TYPE == "campaign.completed"
     assert lab.lab.reject(AmendCampaign(C1, Terms())).code == "no_campaign"
+
+
+def test_one_that_has_ended_is_archived_and_brought_back() -> None:
+    lab = Lab(rows=1)
+    early = lab.lab.ask(ArchiveCampaign(C1))
+    assert isinstance(early, Rejection)
+    assert early.code == "not_ended"
+    lab.to_the_end()
+    for undo, kind in ((False, "campaign.archived"), (True, "campaign.unarchived")):
+        assert [event.TYPE for event in lab.lab.do(ArchiveCampaign(C1, undo))] == [kind]
+        assert lab.lab.do(ArchiveCampaign(C1, undo)) == []
+        assert lab.lab.state.campaigns.ended[C1].archived is not undo
+    unknown = lab.lab.ask(ArchiveCampaign(CampaignId("C9")))
+    assert isinstance(unknown, Rejection)
+    assert unknown.code == "no_campaign"
 
 
 def test_cancelling_a_run_is_no_failure() -> None:

@@ -44,6 +44,7 @@ from labos.core.bookings import (
 from labos.core.campaigns import (
     Budget,
     CampaignAmended,
+    CampaignArchived,
     CampaignCancelled,
     CampaignCompleted,
     CampaignPaused,
@@ -51,6 +52,7 @@ from labos.core.campaigns import (
     CampaignRowRefused,
     CampaignStopped,
     CampaignSubmitted,
+    CampaignUnarchived,
     Terms,
 )
 from labos.core.conditions import condition
@@ -108,6 +110,7 @@ from labos.core.modules import (
     NodeStateChanged,
     SetpointClaimed,
     SetpointReleased,
+    StopReported,
     VariableSet,
 )
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
@@ -299,6 +302,9 @@ EXAMPLES: list[Event] = [
     CampaignRowRefused("C1", 2, "no such well"),  # type: ignore[arg-type]
     CampaignStopped("C1", "enough", "R7"),  # type: ignore[arg-type]
     CampaignCancelled("C1", "wrong plate"),  # type: ignore[arg-type]
+    CampaignArchived("C1"),  # type: ignore[arg-type]
+    CampaignUnarchived("C1"),  # type: ignore[arg-type]
+    StopReported("ada", "*", {"cell/m": 5}, {"cell/n": "no node answers for it"}),  # type: ignore[dict-item]
     CampaignCompleted("C1", 1, 2, 3, 4, 5, "enough"),  # type: ignore[arg-type]
     UserAdded("robot", "service"),
     UserDisabled("ada"),
@@ -455,7 +461,14 @@ def test_every_type_is_folded_somewhere_or_only_remembered() -> None:
     assert set(TABLE) == set(TYPES.values())
     silent = {kind.TYPE for kind, handlers in TABLE.items() if not handlers}
     assert silent == {
-        *("experiment.resumed", "records.signed", "request.repeated", "run.signed", "user.erased"),
+        *(
+            "experiment.resumed",
+            "lab.stop_reported",
+            "records.signed",
+            "request.repeated",
+            "run.signed",
+            "user.erased",
+        ),
     }
 
 

@@ -7,10 +7,11 @@ from collections.abc import Callable
 import pytest
 
 from labos.core.campaigns import CampaignStopped, Terms
-from labos.core.decide import Command, Denied
+from labos.core.decide import Command, Denied, Rejection
 from labos.core.decide.access import EndAccess, RequestAccess
 from labos.core.decide.campaigns import (
     AmendCampaign,
+    ArchiveCampaign,
     CancelCampaign,
     PauseCampaign,
     ResumeCampaign,
@@ -42,7 +43,7 @@ from labos.core.ids import (
     StationName,
 )
 from labos.core.lab import WHOLE_LAB
-from labos.core.model import ON_CANCEL
+from labos.core.model import ON_CANCEL, Window
 from tests.support.bench import Driver, full, plan, route, small_cell, step
 from tests.unit.core.test_rights import make_peopled
 
@@ -150,6 +151,49 @@ def test_a_window_that_waits_for_anothers_run_is_refused() -> None:
     waiting = plan(step("arm", windows=()), name="waits")
     asked = SubmitRun(waiting, "bo", experiment=E)
     assert lab.reject(asked, "bo").code == "not_yours"
+
+
+@pytest.mark.parametrize("of", ["R1", "R2", "route", "flow"])
+def test_nobodys_run_but_ones_own_starts_a_clock(of: str) -> None:
+    """Bo has an experiment of his own, and names ada's run in it, by its id or by its workflow."""
+    lab = make_crowded()
+    lab.step("R2")
+    lab.do(StartExperiment("app", "bo"), "bo")
+    window = Window(None, wait_s=1.0, within_s=2.0, of=of, of_step="move")
+    timed = plan(step("arm", windows=(window,)), name="waits")
+    asked = SubmitRun(timed, "bo", experiment=ExperimentId("E2"))
+    assert lab.refused(asked, "bo").code == "no_anchor"
+    assert lab.refused(SubmitRun(timed, "bo", experiment=E), "bo").code == "not_yours"
+    assert lab.refused(SubmitRun(timed, "bo"), "bo").code == "no_anchor"
+
+
+def test_nothing_is_given_to_anothers_run_nor_taken_out_of_it() -> None:
+    lab = make_crowded()
+    run = lab.submit(route("stack", "b", "c"), "ada")
+    lab.step(run, 0)
+    (hers,) = [item.id for item in lab.state.bench.labware.values() if item.owner == f"run:{run}"]
+    lab.do(SubmitRun(route("stack", "b"), "bo"), "bo")
+    for to in ("user:bo", "run:R5", "shared"):
+        taken = HandOver(hers, Owner(to), "bo")
+        assert lab.refused(taken, "bo").code == "not_yours", to
+    assert lab.refused(HandOver(P, Owner("run:R5"), "bo"), "bo").code == "not_yours"
+    before = lab.owner("P1")
+    for to in ("run:R5", str(f"run:{run}"), "experiment:E1"):
+        assert isinstance(lab.ask(HandOver(P, Owner(to), "bo"), "bo"), Rejection), to
+    assert lab.owner("P1") == before
+    assert lab.owner(str(hers)) == f"run:{run}"
+
+
+def test_a_campaign_is_archived_by_its_owner_and_by_operators_only() -> None:
+    lab = make_crowded()
+    lab.do(CancelCampaign(C), "ada")
+    assert C in lab.state.campaigns.ended
+    found = lab.refused(ArchiveCampaign(C), "bo")
+    assert (found.code, "olga" in found.remedy) == ("not_yours", True)
+    assert lab.refused(ArchiveCampaign(C), "vic").code == "not_yours"
+    lab.do(ArchiveCampaign(C), "ada")
+    assert lab.refused(ArchiveCampaign(C, undo=True), "bo").code == "not_yours"
+    lab.do(ArchiveCampaign(C, undo=True), "olga")
 
 
 def test_anothers_plate_is_not_used_whatever_the_workflow_names() -> None:

@@ -146,6 +146,7 @@ SAID_BY_LABOS = frozenset(
         "StepRetried.why",
         "StepSkipped.why",
         "StepUnexpected.why",
+        "StopReported.silent",
         "Why.text",
     }
 )

@@ -6,15 +6,16 @@ from collections.abc import Mapping
 
 import pytest
 
+from labos.core.decide.bookings import MakeBooking, NewTerms
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
 from labos.core.lengths import Times, kind_of
 from labos.core.model import Plan
 from labos.planner.planner import Planner
 from labos.planner.problem import Problem, problem_of
-from labos.planner.solve import Schedule
+from labos.planner.solve import Schedule, solve
 from labos.planner.watch import waiting_in
-from tests.support.bench import Driver, plan, step
+from tests.support.bench import SECOND, Driver, plan, step
 from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
 
 
@@ -92,3 +93,21 @@ def test_durations_are_those_of_a_quantile_of_the_last_times(level: float, took_
     found = {(task.run, task.step): task.duration_s for task in problem.tasks}
     assert found[run, 2] == took_s
     assert found[run, 0] == pytest.approx(10.0 * (0.9 + 0.2 * level)), "of which nothing is known"
+
+
+def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
+    pytest.importorskip("ortools")
+    lab, first, second = waits()
+    begins, ends = lab.now + 700 * SECOND, lab.now + 1500 * SECOND
+    lab.do(MakeBooking("cell/dev", NewTerms(begins=begins, ends=ends, maintenance=True), "op", lab.now))
+    problem = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    shut = {(task.run, task.step): task.shut for task in problem.tasks}
+    assert shut[first, 0] == ((700.0, 1500.0),)
+    assert shut[second, 1] == (), "the other module is free"
+    found = solve(problem, 5.0)
+    assert found is not None
+    for task, start in zip(problem.tasks, found.starts_s, strict=True):
+        assert not task.shut or start + task.duration_s <= 700.0 or start >= 1500.0
+    assert found.makespan_s == 2700.0
+    order = asked(Planner(), lab)
+    assert order is None or order.steps[0].run == second

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import count
 
 import pytest
 
+from labos.core.decide.nodes import ReportState
 from labos.core.decide.runs import PauseRun
 from labos.core.decide.suggestions import SuggestOrder
-from labos.core.ids import RunId
+from labos.core.ids import ModuleName, RunId
 from labos.core.model import Plan
 from labos.core.suggestions import MOST_STEPS, Suggested
 from labos.planning.explain import sentence
-from labos.planning.suggested import GRACE_S
-from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
+from labos.planning.suggested import GRACE_S, MOST_S
+from tests.support.bench import Driver, full, module, move, plan, station, step, take, workcell
 
 SECOND = 1_000_000_000
 
 CELL = workcell(
-    [module("tower"), module("arm"), module("dev"), module("other"), module("clock")],
+    [module(name) for name in ("tower", "arm", "dev", "other", "clock", "watch")],
     [
         station("stack", "stack", 90),
         station("trash", "waste", 90),
@@ -29,6 +31,9 @@ CELL = workcell(
         station("other.nest", "deck", claim=True),
     ],
 )
+
+
+TICKING = (full("clock"), full("watch"))
 
 
 def visit(*modules: str, name: str = "visit", work_s: float = 100.0) -> Plan:
@@ -44,6 +49,7 @@ def visit(*modules: str, name: str = "visit", work_s: float = 100.0) -> Plan:
 
 
 TICK = plan(step("clock", key="tick", duration_s=5000.0), name="tick")
+OTHER_TICK = plan(step("watch", key="tick", duration_s=5000.0), name="other tick")
 
 
 def make_lab(*plans: Plan) -> tuple[Driver, list[RunId]]:
@@ -164,4 +170,57 @@ def test_bad_advice_stops_nobody(seed: int) -> None:
         assert lab.find_missed() == []
 
     assert lab.work(rng, pump), lab.describe_stuck()
+    lab.check_log()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["stops", "renews", "turns", "strangers", "stale", "floods"])
+def test_no_planner_holds_a_lab_up(kind: str) -> None:
+    """Something moves all the time, one run cannot go on as its module is broken, and the planner does its
+    worst. The others come to their ends, none of their steps later than the longest time for advice."""
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    broken = lab.submit(visit("other"))
+    runs = [lab.submit(visit("dev", name=f"n{number}")) for number in range(3)]
+    lab.do(ReportState(ModuleName(full("other")), "ERROR", "jammed"))
+    everybody = [broken, *runs]
+
+    def orders() -> Iterator[list[tuple[str, int, float]]]:
+        match kind:
+            case "stops":  # for ever, once
+                yield [(broken, step, 10.0**8) for step in range(4)]
+                while True:
+                    yield []
+            case "renews":  # what cannot start is always about to start
+                while True:
+                    yield [(broken, step, 30.0) for step in range(4)]
+            case "turns":  # now one goes first, now another; later steps before earlier ones
+                for number in count():
+                    turned = everybody[number % 4 :] + everybody[: number % 4]
+                    yield [(r, s, 20.0 * i + 5 * (4 - s)) for i, r in enumerate(turned) for s in range(4)]
+            case "strangers":
+                while True:
+                    yield [("R99", 0, 0.0), *((run, 3, 10.0**6) for run in everybody)]
+            case "stale":  # of times that have long passed
+                while True:
+                    yield [(run, step, -(10.0**6)) for run in everybody for step in range(4)]
+            case _:
+                while True:
+                    yield [(broken, number % 4, 60.0 + number) for number in range(100)]
+
+    begun = lab.now
+    for number, steps in enumerate(orders()):
+        for _ in range(3 if kind == "floods" else 1 if steps else 0):
+            found = [(run, step, max(at, -lab.now / SECOND)) for run, step, at in steps]
+            suggest(lab, *found, until_s=10.0**9)
+        lab.submit(OTHER_TICK if number % 2 else TICK)  # before the one that is under way has ended
+        lab.pump()
+        if all(lab.state.runs.get(run) is None for run in runs):
+            break
+        lab.wait(500.0)
+        ticking = [a.id for a in lab.state.actions.open.values() if a.module in TICKING]
+        for action in [*ticking[:-1], *(each for each in lab.flying() if each not in ticking)]:
+            lab.finish(action)
+        assert (lab.now - begun) / SECOND < 3 * 4 * (MOST_S + 1000.0), lab.stuck()
+    assert lab.state.runs.get(broken) is not None
     lab.check_log()

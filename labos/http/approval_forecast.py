@@ -1,0 +1,36 @@
+"""What a proposal would bring if it were approved now."""
+
+from __future__ import annotations
+
+import msgspec
+
+from labos.core.approvals import Proposal
+from labos.core.decide.targets import cells_of
+from labos.errors import BadInput
+from labos.http.campaigns import ConsumableEstimate, remaining
+from labos.http.service import LabService
+from labos.planning.lab_forecast import LabForecast
+
+
+class ProposalForecast(msgspec.Struct, frozen=True):
+    """What a proposal would bring: when it starts and ends, when a person is needed, whom it delays, what
+    stands in its way, and of each consumable what it needs by its plan and what is left."""
+
+    forecast: LabForecast
+    consumables: dict[str, ConsumableEstimate]
+
+
+async def forecast_proposal(service: LabService, proposal: Proposal) -> ProposalForecast:
+    """Raises BadInput for an experiment, of which nobody knows what it will ask for; Refused."""
+    if proposal.kind == "experiment":
+        raise BadInput(
+            f"What the experiment {proposal.subject} will bring cannot be forecast: its application decides "
+            "as it goes.",
+            remedy="Each of its runs waits for an approval; look at those.",
+        )
+    (cell,) = cells_of(service.kernel.state, proposal.subject)
+    needed = proposal.demand.consumables
+    consumables = {
+        kind: ConsumableEstimate(amount, remaining(service, cell, kind)) for kind, amount in needed.items()
+    }
+    return ProposalForecast(await service.forecasts.of_proposal(proposal.subject), consumables)

@@ -1,0 +1,79 @@
+"""Events of campaigns that not everybody sees are kept back from those who do not.
+
+Which campaigns these are is learned from the log itself, so that every process that hands events on knows.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from labos.core.envelope import Record
+from labos.core.sight import Restricted, Sight
+from labos.ports import LogQuery
+
+if TYPE_CHECKING:
+    # The process for followers starts without it.
+    from labos.services.log import Log
+
+SUBMITTED = "campaign.submitted"
+
+SHOWN = ("labware.", "liquid.", "resource.", "intervention.")
+"""How the types of events begin that are never kept back: what happens to labware and stock, and what people
+are asked about it, concerns everybody who works at the bench."""
+
+
+class _Submitted(msgspec.Struct, frozen=True):
+    """The part of ``CampaignSubmitted`` that says who sees it."""
+
+    campaign: str
+    user: str
+    workcell: str
+    visibility: Any = "lab"
+
+
+_decode = msgspec.json.Decoder(_Submitted).decode
+
+
+class Veil:
+    """The restricted campaigns of a log."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self._restricted: dict[str, Restricted] = {}
+        self._is_read = False
+        self._turn = asyncio.Lock()
+
+    def learn(self, records: Iterable[Record]) -> None:
+        """What was written last."""
+        for record in records:
+            if record.head.type == SUBMITTED:
+                found = _decode(record.payload)
+                if found.visibility != "lab":
+                    self._restricted[found.campaign] = Restricted(
+                        found.user, found.workcell, found.visibility
+                    )
+
+    def forget(self) -> None:
+        """Something may be in the log of which nobody was told."""
+        self._is_read = False
+
+    async def read(self) -> None:
+        """Learn of all that were ever submitted, once. Raises StoreUnavailable."""
+        async with self._turn:
+            if not self._is_read:
+                self.learn(await asyncio.to_thread(self._read_submitted))
+                self._is_read = True
+
+    def _read_submitted(self) -> list[Record]:
+        return list(self._log.select(LogQuery(types=(SUBMITTED,))))
+
+    def shows(self, sight: Sight | None, type_: str, stream: str, correlation: str) -> bool:
+        """Whether an event is shown to somebody (None: to whoever sees everything)."""
+        if sight is None or not self._restricted:
+            return True
+        of = self._restricted.get(correlation) or self._restricted.get(stream)
+        return of is None or sight.sees(of) or type_.startswith(SHOWN)

@@ -1,0 +1,191 @@
+"""Globus Compute as a place where functions are computed: an executor that sends each task once.
+
+A submission bears no key of ours by which the service would know it again when its answer was lost. But
+each task belongs to a group, and a group can be asked for its tasks. So all tasks of an experiment go into
+one group, one after the other, each written down before and after it is sent; one that is in the group and
+not written down is the one whose answer was lost. It says itself whose it is: a task returns its mark.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any
+
+from labos.errors import BadInput
+from labos.services.compute import ComputesOnce, Forgotten, Returned, Sent, do_nothing, return_marked
+from labos.services.globus._asking import GlobusAccess, GlobusFailed, Patience, missing, send_once, wait_for
+
+SERVICE = "Globus Compute"
+MOST_WAITING = 64
+
+WORKER_DEATHS = ("WorkerLost", "ManagerLost")
+"""How an endpoint calls it that a worker died with its task."""
+
+
+class WorkerLost(Exception):
+    """A worker at a Globus endpoint died with its task."""
+
+
+class GlobusEndpoint:
+    """An endpoint of Globus Compute: its id, and how the program is let in (see `GlobusAccess`)."""
+
+    def __init__(
+        self,
+        endpoint: str,
+        *,
+        app: Any = None,
+        authorizer: Any = None,
+        base_url: str | None = None,
+        patience: Patience | None = None,
+    ) -> None:
+        self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
+        self.endpoint, self.patience = endpoint, patience or Patience()
+
+    def open(self) -> GlobusExecutor:
+        """Raises BadInput if the kit is not installed."""
+        asked, sent = self._access.open("ComputeClientV2"), self._access.open("ComputeClientV3")
+        try:
+            from globus_compute_sdk.serialize import ComputeSerializer
+        except ImportError:
+            raise missing() from None
+        return GlobusExecutor(self.endpoint, asked, sent, ComputeSerializer(), self.patience)
+
+
+class GlobusExecutor(ComputesOnce, Executor):
+    """Computes at an endpoint. For many threads."""
+
+    def __init__(self, endpoint: str, asked: Any, sending: Any, forms: Any, patience: Patience) -> None:
+        self._endpoint, self._asked, self._sending = endpoint, asked, sending
+        self._forms, self._patience = forms, patience
+        self._lock = threading.Lock()
+        self._groups: dict[str, _Group] = {}
+        self._functions: dict[Callable[..., Any], str] = {}
+        self._threads = ThreadPoolExecutor(MOST_WAITING, thread_name_prefix="globus")
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """As of every executor: what was sent is forgotten with the process."""
+        return self._threads.submit(self.compute_once, Forgotten(), fn, args, kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._threads.shutdown(wait, cancel_futures=cancel_futures)
+
+    def compute_once(
+        self, sent: Sent, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
+    ) -> Any:
+        """What a function returns. Raises its error, WorkerLost, GlobusError."""
+        known = sent.known("sent")
+        if known is None:
+            task = self._task_in_doubt(sent) if sent.known("sending") is not None else ""
+            with self._lock:
+                known = sent.known("sent")  # another thread may have sent it meanwhile
+                if known is None:
+                    known = self._adopt(sent, task) if task else self._send(sent, function, args, named)
+        mark, returned = self._result(known["task"])
+        if mark != sent.mark:
+            raise GlobusFailed(
+                f"The task {known['task']} of {SERVICE} was taken for that of {sent.mark}, but it is {mark}."
+            )
+        return returned.value()
+
+    def _task_in_doubt(self, sent: Sent) -> str:
+        """The task that a program which was killed has sent under this mark, without hearing of it; empty if
+        there is none. A task says its mark when it ends."""
+        with self._lock:
+            strays = self._group(sent).strays
+        for task in sorted(strays):
+            try:
+                mark, _ = self._result(task)
+            except WorkerLost:
+                continue  # nothing is left of it
+            if mark == sent.mark:
+                return task
+        return ""
+
+    def _adopt(self, sent: Sent, task: str) -> dict[str, Any]:
+        group = self._group(sent)
+        group.own.add(task)
+        return sent.keep("sent", {"task": task, "task_group": group.id})
+
+    def _send(
+        self, sent: Sent, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
+    ) -> dict[str, Any]:
+        """One after the other, so that at most one task is in doubt."""
+        group = self._group(sent)
+        sent.keep("sending", {"endpoint": self._endpoint, "task_group": group.id})
+        batch = self._batch(return_marked, sent.mark, function, args, named)
+        batch["task_group_id"] = group.id
+
+        def send() -> str:
+            return _only_task(self._sending.submit(self._endpoint, batch))
+
+        def find() -> str | None:
+            return min(self._tasks_of(group.id) - group.own - group.strays, default=None)
+
+        task = send_once(SERVICE, self._sending, self._patience, send, find)
+        return self._adopt(sent, task)
+
+    def _group(self, sent: Sent) -> _Group:
+        """The group of an experiment's tasks, which begins with one that does nothing."""
+        if (group := self._groups.get(sent.of)) is not None:
+            return group
+        name = f"task group at {self._endpoint}"
+        known = sent.shared(name)
+        if known is None:
+            batch = self._batch(do_nothing)
+            answer = wait_for(SERVICE, self._patience, lambda: self._sending.submit(self._endpoint, batch))
+            opened = {"task_group": str(answer["task_group_id"]), "task": _only_task(answer)}
+            known = sent.keep_shared(name, {"endpoint": self._endpoint, **opened})
+        own = {str(known["task"]), *sent.all_known("task")}
+        there = wait_for(SERVICE, self._patience, lambda: self._tasks_of(known["task_group"]))
+        group = self._groups[sent.of] = _Group(known["task_group"], own, there - own)
+        return group
+
+    def _tasks_of(self, group: str) -> set[str]:
+        return {str(task["id"]) for task in self._asked.get_task_group(group)["tasks"]}
+
+    def _batch(self, function: Callable[..., Any], *args: Any) -> dict[str, Any]:
+        if function not in self._functions:
+            code = self._forms.pack_buffers([self._forms.serialize(function)])
+            told = {"function_name": function.__name__, "function_code": code, "serialized": True}
+            answer = wait_for(SERVICE, self._patience, lambda: self._asked.register_function(told))
+            self._functions[function] = str(answer["function_uuid"])
+        try:
+            payload = self._forms.pack_buffers([self._forms.serialize(args), self._forms.serialize({})])
+        except Exception as error:  # __reduce__ of anybody's class
+            raise BadInput(
+                f"An argument cannot be sent to {SERVICE}: {error}.",
+                remedy="Give numbers, text, lists, tables or arrays.",
+            ) from error
+        return {"create_queue": False, "tasks": {self._functions[function]: [payload]}}
+
+    def _result(self, task: str) -> tuple[str, Returned]:
+        """The mark of a task and what came of it. Raises WorkerLost, GlobusFailed, GlobusError."""
+
+        def look() -> dict[str, Any] | None:
+            found: dict[str, Any] = self._asked.get_task(task).data
+            return found if found.get("status") in ("success", "failed") else None
+
+        ended = wait_for(SERVICE, self._patience, look)
+        if "result" in ended:
+            mark, returned = self._forms.deserialize(ended["result"])
+            return mark, returned
+        why = str(ended.get("exception") or ended.get("reason") or "no reason is given").strip()
+        last = why.splitlines()[-1]
+        if any(death in why for death in WORKER_DEATHS):
+            raise WorkerLost(last)
+        raise GlobusFailed(f"The task {task} of {SERVICE} failed: {last}.")
+
+
+class _Group:
+    """Tasks of an experiment: ``own`` are written down; ``strays`` were there before this program began, and
+    are not."""
+
+    def __init__(self, id_: str, own: set[str], strays: set[str]) -> None:
+        self.id, self.own, self.strays = id_, own, strays
+
+
+def _only_task(answer: Any) -> str:
+    ((task,),) = answer["tasks"].values()
+    return str(task)

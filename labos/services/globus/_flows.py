@@ -1,0 +1,127 @@
+"""Flows that Globus carries out: each is started once, and waited for."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import msgspec
+
+from labos.services.compute import Sent
+from labos.services.globus._asking import GlobusAccess, GlobusRefused, Patience, ask, send_once, wait_for
+
+SERVICE = "Globus Flows"
+MOST_RUNS = 500
+"""So many of a flow's last runs are looked through for the one whose answer was lost."""
+
+ENDS = ("SUCCEEDED", "FAILED", "ENDED")
+
+
+class GlobusFlow:
+    """A flow that stands in Globus Flows: its id, and how the program is let in (see `GlobusAccess`). A run
+    that fails is started again until it was started ``attempts`` times."""
+
+    def __init__(
+        self,
+        name: str,
+        flow: str,
+        *,
+        attempts: int = 1,
+        app: Any = None,
+        authorizer: Any = None,
+        base_url: str | None = None,
+        patience: Patience | None = None,
+    ) -> None:
+        self.name, self.flow, self.attempts = name, flow, max(attempts, 1)
+        self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
+        self.patience = patience or Patience()
+
+    def __str__(self) -> str:
+        return self.name
+
+    @cached_property
+    def starts(self) -> Any:
+        """The client that may start it."""
+        return self._access.open("SpecificFlowClient", self.flow)
+
+    @cached_property
+    def looks(self) -> Any:
+        """The client that may look at its runs."""
+        return self._access.open("FlowsClient")
+
+
+class GlobusRun(msgspec.Struct, frozen=True):
+    """A run of a flow that has ended. ``status``: SUCCEEDED, FAILED, or ENDED (cancelled); ``states`` are
+    what its log says of each state, in order; ``output`` is what it gave, ``why`` it failed."""
+
+    id: str
+    status: str
+    states: list[dict[str, str]]
+    output: Any = None
+    why: str = ""
+
+
+def run_once(flow: GlobusFlow, sent: Sent, given: Mapping[str, Any]) -> GlobusRun:
+    """Start a flow, or find the run that was started before; wait for its end. The run bears a tag of ours,
+    by which it is found if the answer was lost. Raises GlobusRefused, GlobusUnreachable."""
+    tag = f"labos-{hashlib.sha256(sent.mark.encode()).hexdigest()[:32]}"
+    known = sent.known("sent")
+    if known is None:
+        run = _find(flow, tag) if sent.known("sending") is not None else None
+        if run is None:
+            sent.keep("sending", {"globus_flow": flow.flow, "tag": tag})
+            run = send_once(
+                SERVICE,
+                flow.starts,
+                flow.patience,
+                lambda: str(flow.starts.run_flow(dict(given), label=flow.name[:64], tags=[tag])["run_id"]),
+                lambda: _find_now(flow, tag),
+            )
+        known = sent.keep("sent", {"globus_flow": flow.flow, "globus_run": run})
+    return _wait(flow, str(known["globus_run"]))
+
+
+def _find(flow: GlobusFlow, tag: str) -> str | None:
+    return wait_for(SERVICE, flow.patience, lambda: (_find_now(flow, tag),))[0]
+
+
+def _find_now(flow: GlobusFlow, tag: str) -> str | None:
+    latest_first = {"orderby": "start_time DESC"}
+    runs = flow.looks.paginated.list_runs(filter_flow_id=flow.flow, query_params=latest_first).items()
+    for number, run in enumerate(runs):
+        if tag in (run.get("tags") or ()):
+            return str(run["run_id"])
+        if number >= MOST_RUNS:
+            break
+    return None
+
+
+def _wait(flow: GlobusFlow, run: str) -> GlobusRun:
+    def look() -> dict[str, Any] | None:
+        found: dict[str, Any] = flow.looks.get_run(run).data
+        return None if found["status"] == "ACTIVE" else found
+
+    ended = wait_for(SERVICE, flow.patience, look)
+    details = ended.get("details") or {}
+    if ended["status"] not in ENDS:
+        raise GlobusRefused(
+            f"The run {run} of {flow.name} stands still ({ended['status']}): {_told(details)}.",
+            remedy="Look at it in Globus, and resume it there; then start the program again.",
+        )
+    states = [
+        {"state": str(entry["details"]["state_name"]), "code": str(entry["code"]), "time": str(entry["time"])}
+        for entry in ask(SERVICE, lambda: list(flow.looks.paginated.get_run_logs(run).items()))
+        if "state_name" in (entry.get("details") or {})
+    ]
+    if ended["status"] == "SUCCEEDED":
+        return GlobusRun(run, ended["status"], states, details.get("output"))
+    return GlobusRun(run, ended["status"], states, why=_told(details))
+
+
+def _told(details: Mapping[str, Any]) -> str:
+    return (
+        f"{details.get('code', '')}: {details.get('description', '')}".strip(": ")[:300]
+        or "no reason is given"
+    )

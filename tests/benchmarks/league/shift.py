@@ -1,0 +1,169 @@
+"""A virtual shift of eight hours in the RPL workcell, with and without a planner: ``python -m
+tests.benchmarks.league.shift`` (needs the extra ``plan``).
+
+Three people submit PCR, colour picker and growth assays as the day goes on; a plate of growth has to be read
+soon after it was pipetted. In the middle of the day somebody comes with an urgent PCR. Durations stray.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+from collections.abc import Iterator, Sequence
+from functools import partial
+from statistics import mean, median
+
+import msgspec
+from msgspec.structs import replace
+
+from labos.core.decide.experiments import StartExperiment
+from labos.core.decide.runs import SubmitRun
+from labos.core.ids import RunId, StationName
+from labos.planner.planner import Planner
+from labos.planner.solve import solve
+from labos.spec import compile_workflow, parse_workflow
+from tests.benchmarks.figures import machine
+from tests.benchmarks.league.cases import RPL_STOCK, with_durations
+from tests.benchmarks.league.play import Outcome, Player, Work
+from tests.simulation.mixes import CELL, DESCRIPTIONS, PLANS
+
+HOUR_S = 3600.0
+SHIFT_S = 8 * HOUR_S
+JITTER = 0.1
+SEEDS = 3
+URGENT = 10
+
+GROWTH = """
+labos: 1
+name: growth
+steps:
+  - {name: Get plate, module: sciclops, action: get_plate, args: {loc: tower3}}
+  - {name: To OT-2, module: pf400, action: transfer, args: {source: sciclops.exchange, target: ot2_growth_beta.deck2}}
+  - {name: Pipette, module: ot2_growth_beta, action: run_protocol, args: {protocol: growth.py}}
+  - {name: Open reader, module: hidex, action: open_lid}
+  - {name: To reader, module: pf400, action: transfer, args: {source: ot2_growth_beta.deck2, target: hidex.default}}
+  - {name: Close reader, module: hidex, action: close_lid}
+  - name: Read
+    module: hidex
+    action: read_plate
+    args: {assay_name: growth}
+    within: {after: Pipette, at_most: 150}
+  - {name: Open again, module: hidex, action: open_lid}
+  - {name: To waste, module: pf400, action: transfer, args: {source: hidex.default, target: wc.trash}}
+"""  # noqa: E501
+
+
+class Result(msgspec.Struct, frozen=True):
+    """What came of a shift: runs that ended in it, how long runs waited for their first step (the middle and
+    the mean of all, and the urgent one), when the last one ended (all in seconds), and windows missed."""
+
+    ended: int
+    runs: int
+    waited_s: float
+    mean_waited_s: float
+    urgent_s: float
+    over_s: float
+    missed: int
+
+
+def growth() -> SubmitRun:
+    parsed = parse_workflow(GROWTH, "growth.yaml")
+    found = compile_workflow(parsed, {}, CELL.workcell, DESCRIPTIONS, bench=CELL.bench, simulate=True)
+    return with_durations(SubmitRun(found.plan, "cy"), {"Pipette": 420.0, "Read": 300.0})
+
+
+def works(seed: int) -> list[Work]:
+    """Who comes when."""
+    rng = random.Random(f"shift/{seed}")
+    pcr = with_durations(replace(PLANS["pcr"], user="ada"), {"Cycle": 1800.0, "Mix reactions": 600.0})
+    found: list[Work] = []
+    for burst in range(4):  # PCR come in threes
+        at = HOUR_S * (1.6 * burst + rng.uniform(0.0, 0.5))
+        found += [Work((pcr,), after_s=at + 60.0 * number) for number in range(3)]
+    start = StartExperiment("colour picker", "bo", PLANS["cp_trashplate"].plan)
+    for number in range(4):  # one experiment after the other, sometimes two at once
+        names = ["cp_newplate", *["cp_mixcolor"] * rng.randint(5, 8), "cp_trashplate"]
+        runs = tuple(replace(PLANS[name], user="bo") for name in names)
+        found.append(Work(runs, start, HOUR_S * (1.5 * number + rng.uniform(0.0, 0.5))))
+    plate = growth()
+    found += [Work((plate,), after_s=HOUR_S * rng.uniform(0.0, 6.5)) for _ in range(20)]
+    urgent = replace(pcr, user="dee", priority=URGENT)
+    return [*found, Work((urgent,), after_s=HOUR_S * 3.7)]
+
+
+def play(seed: int, seconds: float) -> Result:
+    """Play a shift with a planner that may look for so many seconds each time, counted by work done; without
+    one if that is 0."""
+    done = works(seed)
+    planned = Planner(seconds=seconds, solver=partial(solve, counted=True)) if seconds else None
+    stock = {**RPL_STOCK, StationName("rpl/sciclops.tower3"): ("plate96", 20)}
+    outcome = Player(CELL.workcell, stock, jitter=JITTER, seed=seed, planner=planned).play(done)
+    waits = dict(_waits(outcome, done))
+    ends = _ends(outcome)
+    urgent = next(run for run, (work, _) in outcome.works.items() if work == len(done) - 1)
+    return Result(
+        sum(end <= SHIFT_S for end in ends.values()),
+        len(ends),
+        median(waits.values()),
+        mean(waits.values()),
+        waits[urgent],
+        max(ends.values()),
+        outcome.breaches,
+    )
+
+
+def _ends(outcome: Outcome) -> dict[RunId, float]:
+    ends: dict[RunId, float] = {}
+    for step in outcome.steps:
+        ends[step.run] = max(ends.get(step.run, 0.0), step.end_s)
+    return ends
+
+
+def _waits(outcome: Outcome, done: Sequence[Work]) -> Iterator[tuple[RunId, float]]:
+    """How long each run waited for its first step, from its submission on."""
+    ends, names = _ends(outcome), {place: run for run, place in outcome.works.items()}
+    starts: dict[RunId, float] = {}
+    for step in outcome.steps:
+        starts[step.run] = min(starts.get(step.run, step.start_s), step.start_s)
+    for (work, index), run in names.items():
+        submitted = ends[names[work, index - 1]] if index else done[work].after_s
+        yield run, starts[run] - submitted
+
+
+HEADINGS = (
+    "seed",
+    "",
+    "ended in 8 h",
+    "wait, median",
+    "wait, mean",
+    "urgent waited",
+    "all over after",
+    "windows missed",
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.league.shift", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="how many shifts are played")
+    parser.add_argument("--seconds", type=float, default=1.0, help="how long the planner may look each time")
+    options = parser.parse_args(arguments)
+    print("| " + " | ".join(HEADINGS) + " |\n|" + " --- |" * len(HEADINGS))
+    for seed in range(options.seeds):
+        for seconds in (0.0, options.seconds):
+            r = play(seed, seconds)
+            cells = (
+                str(seed),
+                "planner" if seconds else "online",
+                f"{r.ended} of {r.runs}",
+                f"{r.waited_s:,.0f} s",
+                f"{r.mean_waited_s:,.0f} s",
+                f"{r.urgent_s:,.0f} s",
+                f"{r.over_s:,.0f} s",
+                str(r.missed),
+            )
+            print("| " + " | ".join(cells) + " |", flush=True)
+    print(machine())
+
+
+if __name__ == "__main__":
+    main()
