@@ -141,7 +141,7 @@ def test_a_plate_of_somebody_else_is_not_used_by_another_name(
             (f"/labware/{name}/barcode", {"barcode": "of eve"}),
             ("/samples", {"text": f"plate,well,sample\n{plate},A1,x\n"}),
         ):
-            refused(eve.post(path, json=body))
+            check_refused(eve.post(path, json=body))
     carry = "args: {source: payload.from, target: camera_module.plate_station}"
     inner = f"labos: 1\nname: inner\nsteps:\n  - {{name: take, module: pf400, action: transfer, {carry}}}\n"
     outer = "labos: 1\nname: outer\nsteps:\n  - {name: inside, use: inner.yaml}\n"
