@@ -89,7 +89,7 @@ def test_a_file_is_found_by_its_digest_alone(eve: httpx.Client, digest: str) -> 
 # -- what is somebody else's ------------------------------------------------------------------------
 
 
-def test_ids_of_othis_open_nothing(lab: LabThread, bob: httpx.Client, eve: httpx.Client) -> None:
+def test_ids_of_others_open_nothing(lab: LabThread, bob: httpx.Client, eve: httpx.Client) -> None:
     run = bob.post("/runs", json={"workflow": {"text": FLOW}}).json()["run"]
     experiment = bob.post("/experiments", json={"name": "e"}).json()["experiment"]
     rows = "labos: 1\ncampaign: c\nworkflow: f\nrows: {list: [{}]}\n"
@@ -141,7 +141,7 @@ def test_a_plate_of_somebody_else_is_not_used_by_another_name(
             (f"/labware/{name}/barcode", {"barcode": "of eve"}),
             ("/samples", {"text": f"plate,well,sample\n{plate},A1,x\n"}),
         ):
-            refused(eve.post(path, json=body))
+            check_refused(eve.post(path, json=body))
     carry = "args: {source: payload.from, target: camera_module.plate_station}"
     inner = f"labos: 1\nname: inner\nsteps:\n  - {{name: take, module: pf400, action: transfer, {carry}}}\n"
     outer = "labos: 1\nname: outer\nsteps:\n  - {name: inside, use: inner.yaml}\n"
