@@ -162,9 +162,9 @@ def test_nobodys_run_but_ones_own_starts_a_clock(of: str) -> None:
     window = Window(None, wait_s=1.0, within_s=2.0, of=of, of_step="move")
     timed = plan(step("arm", windows=(window,)), name="waits")
     asked = SubmitRun(timed, "bo", experiment=ExperimentId("E2"))
-    assert lab.refuse(asked, "bo").code == "no_anchor"
-    assert lab.refuse(SubmitRun(timed, "bo", experiment=E), "bo").code == "not_yours"
-    assert lab.refuse(SubmitRun(timed, "bo"), "bo").code == "no_anchor"
+    assert lab.reject(asked, "bo").code == "no_anchor"
+    assert lab.reject(SubmitRun(timed, "bo", experiment=E), "bo").code == "not_yours"
+    assert lab.reject(SubmitRun(timed, "bo"), "bo").code == "no_anchor"
 
 
 def test_nothing_is_given_to_anothers_run_nor_taken_out_of_it() -> None:
@@ -175,8 +175,8 @@ def test_nothing_is_given_to_anothers_run_nor_taken_out_of_it() -> None:
     lab.do(SubmitRun(route("stack", "b"), "bo"), "bo")
     for to in ("user:bo", "run:R5", "shared"):
         taken = HandOver(hers, Owner(to), "bo")
-        assert lab.refuse(taken, "bo").code == "not_yours", to
-    assert lab.refuse(HandOver(P, Owner("run:R5"), "bo"), "bo").code == "not_yours"
+        assert lab.reject(taken, "bo").code == "not_yours", to
+    assert lab.reject(HandOver(P, Owner("run:R5"), "bo"), "bo").code == "not_yours"
     before = lab.owner("P1")
     for to in ("run:R5", str(f"run:{run}"), "experiment:E1"):
         assert isinstance(lab.ask(HandOver(P, Owner(to), "bo"), "bo"), Rejection), to
@@ -188,11 +188,11 @@ def test_a_campaign_is_archived_by_its_owner_and_by_operators_only() -> None:
     lab = make_crowded()
     lab.do(CancelCampaign(C), "ada")
     assert C in lab.state.campaigns.ended
-    found = lab.refuse(ArchiveCampaign(C), "bo")
+    found = lab.reject(ArchiveCampaign(C), "bo")
     assert (found.code, "olga" in found.remedy) == ("not_yours", True)
-    assert lab.refuse(ArchiveCampaign(C), "vic").code == "not_yours"
+    assert lab.reject(ArchiveCampaign(C), "vic").code == "not_yours"
     lab.do(ArchiveCampaign(C), "ada")
-    assert lab.refuse(ArchiveCampaign(C, undo=True), "bo").code == "not_yours"
+    assert lab.reject(ArchiveCampaign(C, undo=True), "bo").code == "not_yours"
     lab.do(ArchiveCampaign(C, undo=True), "olga")
 
 
