@@ -66,7 +66,7 @@ def make_all(dialect: Dialect) -> Iterator[str]:
     for table in TABLES:
         yield _table(table, dialect)
         if dialect == "postgresql":
-            yield from _unsampled(table)
+            yield from _forbid_samples(table)
         for columns in table.indexes:
             name = f"labos_{table.name}_{'_'.join(columns)}"
             listed = ", ".join(f'"{column}"' for column in columns)
@@ -105,7 +105,7 @@ def _table(table: Table, dialect: Dialect) -> str:
     return f"{made}{compact}"
 
 
-def _unsampled(table: Table) -> Iterator[str]:
+def _forbid_samples(table: Table) -> Iterator[str]:
     """PostgreSQL takes no samples of what people wrote: those would outlive the table in its catalogue."""
     for column in table.columns:
         if column.by_people:

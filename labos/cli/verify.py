@@ -278,7 +278,12 @@ def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
     except LogDamaged as error:
         _tell_damage(error, as_json)
     if as_json:
-        facts = {"whole": True, "backup": found, "state": state_hash(state), "accounts": _counted(people)}
+        facts = {
+            "whole": True,
+            "backup": found,
+            "state": state_hash(state),
+            "accounts": _count_accounts(people),
+        }
         show_json(facts)
         return
     end = iso_time(found.segments[-1].recorded_at)
@@ -303,7 +308,7 @@ def _accounts_of(folder: Path, lab: str, key: bytes) -> AccountsCopy | None:
         raise LogDamaged(error.message, position=0, remedy=error.remedy) from None
 
 
-def _counted(people: AccountsCopy | None) -> dict[str, int] | None:
+def _count_accounts(people: AccountsCopy | None) -> dict[str, int] | None:
     return None if people is None else {"users": people.users, "copied_at": people.copied_at}
 
 
@@ -329,7 +334,7 @@ def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
     except LogDamaged as error:
         _tell_damage(error, as_json)
     if as_json:
-        show_json({"whole": True, "detached": found, "accounts": _counted(people)})
+        show_json({"whole": True, "detached": found, "accounts": _count_accounts(people)})
         return
     first, last = found.segments[0], found.segments[-1]
     seals = ", every seal good" if found.sealed else ""

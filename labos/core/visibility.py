@@ -27,7 +27,7 @@ def sight_of(state: LabState, actor: str) -> Sight | None:
     return Sight(person, tuple(sorted(peers)), tuple(sorted(cells)))
 
 
-def hidden_from(state: LabState, sight: Sight | None) -> frozenset[CampaignId]:
+def find_hidden(state: LabState, sight: Sight | None) -> frozenset[CampaignId]:
     """The campaigns that somebody does not see."""
     if sight is None:
         return frozenset()

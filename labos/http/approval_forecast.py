@@ -33,4 +33,4 @@ async def forecast_proposal(service: LabService, proposal: Proposal) -> Proposal
     consumables = {
         kind: ConsumableEstimate(amount, remaining(service, cell, kind)) for kind, amount in needed.items()
     }
-    return ProposalForecast(await service.forecasts.of_proposal(proposal.subject), consumables)
+    return ProposalForecast(await service.forecasts.forecast_proposal(proposal.subject), consumables)

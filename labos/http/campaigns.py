@@ -222,7 +222,7 @@ async def _workcell_of(service: LabService, workflow: WorkflowText) -> str:
     return wanted if isinstance(wanted, str) and len(service.kernel.state.lab.workcells) != 1 else ""
 
 
-def _chosen(lines: Sequence[RowLine]) -> list[int]:
+def _choose_rows(lines: Sequence[RowLine]) -> list[int]:
     """The rows that are planned before the campaign is submitted: all, or so many evenly spread."""
     if len(lines) <= MOST_CHECKED:
         return list(range(len(lines)))
@@ -232,7 +232,7 @@ def _chosen(lines: Sequence[RowLine]) -> list[int]:
 
 async def check_rows(service: LabService, new: NewCampaign, told: CampaignSource, workcell: str) -> Checked:
     """Plan rows. Raises SpecErrors with the faults of all of them."""
-    checked, rows = Checked(Report(new.name)), _chosen(told.lines)
+    checked, rows = Checked(Report(new.name)), _choose_rows(told.lines)
     for first in range(0, len(rows), CHECKED_AT_ONCE):
         part = rows[first : first + CHECKED_AT_ONCE]
         size = len(new.workflow.text) * len(part)
@@ -347,7 +347,7 @@ def remaining(service: LabService, workcell: str, kind: str) -> float | None:
     return sum(found) if found else None
 
 
-def amended(terms: Terms, asked: Amendment, now: int) -> Terms:
+def amend_terms(terms: Terms, asked: Amendment, now: int) -> Terms:
     """The terms with what is asked. Raises BadInput."""
     budget = Budget(
         terms.budget.runs if asked.runs is None else asked.runs,

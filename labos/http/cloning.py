@@ -12,7 +12,7 @@ from labos.core.campaigns import CampaignAmended, CampaignSubmitted, Terms
 from labos.errors import NotFound
 from labos.http.bodies import Clone, NewCampaign
 from labos.http.campaign_rows import read_definition, read_table
-from labos.http.campaigns import Estimate, amended, check_rows, keep_campaign
+from labos.http.campaigns import Estimate, amend_terms, check_rows, keep_campaign
 from labos.http.service import LabService
 from labos.ports import LogQuery
 from labos.services.log import Log, events
@@ -31,7 +31,7 @@ async def clone_campaign(
     blobs = service.parts.blobs
     workflow = await asyncio.to_thread(read_definition, blobs, first.definition)
     table = await asyncio.to_thread(read_table, blobs, first.table)
-    terms = amended(msgspec.structs.replace(terms, deadline=0), asked, service.kernel.clock.now_ns())
+    terms = amend_terms(msgspec.structs.replace(terms, deadline=0), asked, service.kernel.clock.now_ns())
     file = CampaignFile(
         labos=1,
         campaign=asked.name or first.name,

@@ -65,7 +65,7 @@ class Forecasts:
         """What a campaign would bring whose rows have such plans to choose from. Raises Refused."""
         return await self._ask(command, actor, rows)
 
-    async def of_proposal(self, subject: str) -> LabForecast:
+    async def forecast_proposal(self, subject: str) -> LabForecast:
         """What would come if a run, a campaign or a change of one were approved. Raises Refused."""
         return await self._ask(approved=subject)
 

@@ -21,7 +21,7 @@ from starlette.responses import Response
 from labos.core.ids import CampaignId
 from labos.core.registry import Event
 from labos.core.sight import Sight
-from labos.core.visibility import hidden_from, sight_of
+from labos.core.visibility import find_hidden, sight_of
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http import wire
 from labos.http.body_reader import BodyReader, drain
@@ -86,7 +86,7 @@ class Api:
             rejected=self._notes.rejected,
             supervised=self._notes.supervised,
             waits=waits,
-            hidden=hidden_from(self.kernel.state, sight),
+            hidden=find_hidden(self.kernel.state, sight),
         )
         return msgspec.json.encode(view)
 
@@ -113,7 +113,7 @@ class Call:
     @cached_property
     def hidden(self) -> frozenset[CampaignId]:
         """The campaigns that whoever asks does not see."""
-        return hidden_from(self.kernel.state, self.sight)
+        return find_hidden(self.kernel.state, self.sight)
 
     def expect_seen(self, campaign: str) -> None:
         """Raises NotFound for a campaign that whoever asks does not see, as for one that is not there."""

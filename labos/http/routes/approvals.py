@@ -17,11 +17,11 @@ from labos.core.state import LabState
 from labos.errors import NotFound
 from labos.http.approval_forecast import ProposalForecast, forecast_proposal
 from labos.http.bodies import Amendment, Amounts, Limit
-from labos.http.campaigns import amended
+from labos.http.campaigns import amend_terms
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
-from labos.http.routes.forecasts import FORECAST_S, shown
+from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
 from labos.services.proposals import ChangedPart, differences, sentence
 from labos.spec.policy import parse_policy
@@ -150,7 +150,7 @@ async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     """It is taken as approved now, as it is. Nothing is approved by that. Of an experiment nothing can be
     forecast: its application decides as it goes."""
     found = await forecast_proposal(call.service, _proposal(call, path))
-    return msgspec.structs.replace(found, forecast=shown(found.forecast, call))
+    return msgspec.structs.replace(found, forecast=hide_others(found.forecast, call))
 
 
 async def approve_proposal(call: Call, path: OfProposal, body: Approval) -> ProposalAnswer:
@@ -184,7 +184,7 @@ def _changes(call: Call, proposal: Proposal, body: Approval) -> tuple[int | None
         consumables=body.consumables,
     )
     asked = _terms(call.kernel.state, proposal) or Terms()
-    terms = amended(asked, wanted, call.kernel.clock.now_ns())
+    terms = amend_terms(asked, wanted, call.kernel.clock.now_ns())
     return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None
 
 

@@ -34,7 +34,7 @@ from labos.http.bodies import (
     NewCampaign,
     SharesFile,
 )
-from labos.http.campaigns import CampaignView, amended, submit_campaign, view_of
+from labos.http.campaigns import CampaignView, amend_terms, submit_campaign, view_of
 from labos.http.cloning import clone_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
@@ -90,7 +90,7 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
     """What is left out stays as it is. A change by which it may do more may wait for an approval; until then
     it goes on under the terms that are answered."""
     campaign = _open_campaign(call, path)
-    terms = amended(campaign.terms, body, call.kernel.clock.now_ns())
+    terms = amend_terms(campaign.terms, body, call.kernel.clock.now_ns())
     await call.kernel.execute(AmendCampaign(campaign.id, terms), body.by)
     return CampaignTerms(campaign.id, campaign.terms, sentence(call.kernel.state, campaign.id))
 

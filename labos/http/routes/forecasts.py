@@ -44,7 +44,7 @@ async def get_forecast(call: Call) -> Forecast:
     """The lab is carried on in virtual time, with durations drawn from what its log has taught: nothing
     fails, and nobody fills anything up. The first 200 runs that wait are looked at."""
     forecasts = call.service.forecasts
-    return Forecast(shown(await forecasts.queue(), call), await forecasts.drifts())
+    return Forecast(hide_others(await forecasts.queue(), call), await forecasts.drifts())
 
 
 async def forecast_run(call: Call, body: NewRun) -> RunForecast:
@@ -64,16 +64,16 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
     forecast = await service.forecasts.forecast_run(command, body.user)
-    return RunForecast(shown(forecast, call), compiled.findings)
+    return RunForecast(hide_others(forecast, call), compiled.findings)
 
 
 async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
     """It is checked row by row; nothing is submitted, nothing is kept. It is taken as approved."""
     estimate, forecast = await forecast_campaign(call.service, body)
-    return CampaignForecast(estimate, shown(forecast, call))
+    return CampaignForecast(estimate, hide_others(forecast, call))
 
 
-def shown(forecast: LabForecast, call: Call) -> LabForecast:
+def hide_others(forecast: LabForecast, call: Call) -> LabForecast:
     """A forecast without what is expected of campaigns that whoever asks does not see; that they delay, and
     are delayed, is not said either."""
     hidden = call.hidden
