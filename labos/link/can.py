@@ -98,7 +98,7 @@ class CanLink(_Bus):
         with self._lock:
             if not self._is_open:
                 self.open()
-            with self._judged():
+            with self._judge():
                 while self._next(0.0) is not None:
                     pass  # what came before the question is no answer to it
                 deadline = time.monotonic() + timeout_s
@@ -116,7 +116,7 @@ class CanLink(_Bus):
         with self._lock:
             if not self._is_open:
                 self.open()
-            with self._judged():
+            with self._judge():
                 self._put(message)
 
     def receive(self, timeout_s: float) -> CanMessage:
@@ -124,7 +124,7 @@ class CanLink(_Bus):
         with self._lock:
             if not self._is_open:
                 self.open()
-            with self._judged():
+            with self._judge():
                 message = self._next(timeout_s)
                 if message is None:
                     raise NoReply(f"{self.name} is silent.")
@@ -190,7 +190,7 @@ class SdoLink(_Bus):
         with self._lock:
             if not self._is_open:
                 self.open()
-            with self._judged():
+            with self._judge():
                 time.sleep(max(self._failed_at + self._late_s - time.monotonic(), 0.0))
                 self._client.RESPONSE_TIMEOUT = timeout_s
                 try:

@@ -90,7 +90,7 @@ class HttpLink(Life):
                 data=form or None,
                 timeout=timeout_s,
             )
-            with self._judged():
+            with self._judge():
                 return self._ask(client, request, timeout_s)
 
     def get(self, path: str, *, timeout_s: float = 10.0, **more: Any) -> HttpReply:

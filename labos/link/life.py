@@ -107,7 +107,7 @@ class Life(ABC):
             )
 
     @contextlib.contextmanager
-    def _judged(self) -> Iterator[None]:
+    def _judge(self) -> Iterator[None]:
         """Errors are told to the transcript; a connection that is lost is closed."""
         try:
             yield

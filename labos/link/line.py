@@ -57,7 +57,7 @@ class Link(Life):
         with self._lock:
             self._make_ready(answers)
             deadline = time.monotonic() + timeout_s
-            with self._judged():
+            with self._judge():
                 self._write(question, timeout_s)
                 try:
                     return self._await(question, answers, deadline)
@@ -74,7 +74,7 @@ class Link(Life):
         LinkLost."""
         with self._lock:
             self._make_ready(self._answers)
-            with self._judged():
+            with self._judge():
                 self._write(message, timeout_s)
 
     def receive(self, timeout_s: float) -> bytes:
@@ -83,12 +83,12 @@ class Link(Life):
         with self._lock:
             if not self._is_open:
                 self.open()
-            with self._judged(), _nothing_sent():
+            with self._judge(), _nothing_sent():
                 return self._next(time.monotonic() + timeout_s)
 
     def drain(self) -> None:
         """Forget what has come so far, but hand on what was said unasked. Raises LinkLost."""
-        with self._lock, self._judged(), _nothing_sent():
+        with self._lock, self._judge(), _nothing_sent():
             self._discard(keep_partial=False)
 
     # -- inside ------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ class Link(Life):
         """Connected, in step, and with nothing left over from before."""
         if not self._is_open:
             self.open()
-        with self._judged(), _nothing_sent():
+        with self._judge(), _nothing_sent():
             if not self._in_step and answers is None:
                 self._get_in_step()
             self._in_step = True

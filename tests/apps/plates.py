@@ -9,8 +9,8 @@ from color_solvers import Mixture
 from plate_reading import Color
 
 from labos.node import World
-from labos_drivers.camera.photo import photographed
-from labos_drivers.camera.sketch import as_file, colors_of, lie_of, sketch
+from labos_drivers.camera.photo import take_photo
+from labos_drivers.camera.sketch import as_file, colors_of, draw_placement, sketch
 
 NEST = "camera_module.plate_station"
 
@@ -32,5 +32,5 @@ class Plate:
 
     def picture(self, trouble: str = "", *, rotation_deg: float = 0.0, empty: bool = False) -> bytes:
         """A JPEG."""
-        scene = sketch(self.world, "" if empty else self.plate, lie_of(self._draw, trouble))
-        return as_file(photographed(scene, self._draw, trouble), "plate.jpg", rotation_deg)
+        scene = sketch(self.world, "" if empty else self.plate, draw_placement(self._draw, trouble))
+        return as_file(take_photo(scene, self._draw, trouble), "plate.jpg", rotation_deg)

@@ -21,7 +21,7 @@ from labos.node.node import Setup
 from labos_drivers._onhttp import HttpEnd, Reply
 from labos_drivers.camera import Camera, source, vision
 from labos_drivers.camera.driver import views_of
-from labos_drivers.camera.photo import seen_at
+from labos_drivers.camera.photo import project
 from labos_drivers.camera.render import picture_of
 from labos_drivers.camera.sketch import HEIGHT, WIDTH, centre_of
 from labos_drivers.camera.wire import CameraOnWire
@@ -47,12 +47,12 @@ def camera(address: Any, **config: Any) -> Camera:
 def picture(result: Attachment | str) -> Any:
     assert isinstance(result, Attachment)
     assert isinstance(result.content, bytes)
-    return vision.decoded(result.content)
+    return vision.decode(result.content)
 
 
 def color(shown: Any, well: str) -> tuple[float, float, float]:
     """Red, green and blue in the middle of a well of a rendered plate."""
-    x, y = seen_at(centre_of(*well_index(well)), (WIDTH, HEIGHT))
+    x, y = project(centre_of(*well_index(well)), (WIDTH, HEIGHT))
     blue, green, red = shown[round(y) - 4 : round(y) + 4, round(x) - 4 : round(x) + 4].mean(axis=(0, 1))
     return red, green, blue
 
@@ -211,7 +211,7 @@ def test_pictures_of_a_folder_come_one_after_the_other(world: World, tmp_path: P
     world.stock("eye.plate_station", "plate96")
     for number in range(2):
         shown = picture_of(world, ["eye.plate_station"], number)
-        (tmp_path / f"{number}.png").write_bytes(vision.encoded(shown + number, f"{number}.png"))
+        (tmp_path / f"{number}.png").write_bytes(vision.encode(shown + number, f"{number}.png"))
     (tmp_path / "notes.txt").write_text("no picture")
 
     async def body() -> None:
@@ -294,7 +294,7 @@ def test_a_camera_that_hangs_is_not_waited_for(tmp_path: Path, monkeypatch: pyte
 )
 def test_a_plate_is_seen_however_it_lies(degrees: float, world: World) -> None:
     world.stock("eye.plate_station", "plate96")
-    shown = vision.turned(picture_of(world, ["eye.plate_station"], 7), degrees)
+    shown = vision.rotate(picture_of(world, ["eye.plate_station"], 7), degrees)
     assert vision.stands_there(shown) is True
     assert vision.label_in(shown) == "LB000001"
 

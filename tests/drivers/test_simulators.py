@@ -18,8 +18,8 @@ from labos_drivers.barty import Barty
 from labos_drivers.biometra import Biometra
 from labos_drivers.brooks_peeler import BrooksPeeler
 from labos_drivers.camera import Camera
-from labos_drivers.camera.photo import TROUBLES, photographed, seen_at
-from labos_drivers.camera.sketch import EMPTY_WELL, FOIL, NEST, centre_of, colors_of, lie_of, sketch
+from labos_drivers.camera.photo import TROUBLES, project, take_photo
+from labos_drivers.camera.sketch import EMPTY_WELL, FOIL, NEST, centre_of, colors_of, draw_placement, sketch
 from labos_drivers.chemspeed import Chemspeed
 from labos_drivers.hidex import Hidex
 from labos_drivers.inheco import Inheco
@@ -631,15 +631,15 @@ def test_an_ot2_takes_time_for_each_volume_if_it_is_told_how_long(world: World) 
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_a_picture_may_be_bad(trouble: str, world: World) -> None:
     (plate,) = world.stock("camera.plate_station", "plate96")
-    good = photographed(sketch(world, plate), Random(1))
-    bad = photographed(sketch(world, plate, lie_of(Random(2), trouble)), Random(1), trouble)
+    good = take_photo(sketch(world, plate), Random(1))
+    bad = take_photo(sketch(world, plate, draw_placement(Random(2), trouble)), Random(1), trouble)
     apart = ImageChops.difference(good, bad)
     assert ImageStat.Stat(apart.convert("L")).mean[0] > 4
 
 
 def find_seen_color(image: Image.Image, well: str) -> tuple[float, ...]:
     """What is in the picture where the middle of a well should be."""
-    x, y = seen_at(centre_of(*well_index(well)), image.size)
+    x, y = project(centre_of(*well_index(well)), image.size)
     return tuple(ImageStat.Stat(image.crop((round(x) - 2, round(y) - 2, round(x) + 3, round(y) + 3))).mean)
 
 

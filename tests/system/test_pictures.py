@@ -56,6 +56,6 @@ def test_a_picture_is_a_file_of_the_lab(tmp_path: Path) -> None:
     data = FolderBlobs(home / "blobs").get(told["sha256"])
     assert data is not None
     assert len(data) == told["bytes"]
-    picture = vision.decoded(data)
+    picture = vision.decode(data)
     assert vision.label_in(picture) == barcode
     assert vision.stands_there(picture) is True

@@ -40,8 +40,8 @@ class CameraDriver(Wired):
         """The picture as a file."""
         vision.format_of(file_name)
         with self.motion():
-            picture = vision.turned(self._picture(focus), rotation_deg)
-            return Attachment(str(PurePosixPath(folder) / file_name), vision.encoded(picture, file_name))
+            picture = vision.rotate(self._picture(focus), rotation_deg)
+            return Attachment(str(PurePosixPath(folder) / file_name), vision.encode(picture, file_name))
 
     @off_loop
     def read_barcode(self) -> str:

@@ -41,7 +41,7 @@ def image_library() -> tuple[Any, Any]:
     return Image, ImageDraw
 
 
-def photographed(scene: Photograph, draw: Random, trouble: str = "") -> Photograph:
+def take_photo(scene: Photograph, draw: Random, trouble: str = "") -> Photograph:
     """The picture that a camera takes of a scene; ``draw`` is its chance, ``trouble`` one of ``TROUBLES``."""
     from PIL import ImageChops, ImageFilter
 
@@ -62,7 +62,7 @@ def photographed(scene: Photograph, draw: Random, trouble: str = "") -> Photogra
     return ImageChops.add(lit, _noise(scene.size, draw), scale=1, offset=-128)
 
 
-def seen_at(point: Point, size: tuple[int, int]) -> Point:
+def project(point: Point, size: tuple[int, int]) -> Point:
     """Where a point of the scene is in the picture."""
     a, b, c, d, e, f, g, h = _mapping(_corners(size), _targets(size))
     x, y = point

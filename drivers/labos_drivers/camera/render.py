@@ -7,8 +7,8 @@ from random import Random  # noqa: TID251 (seeded by whoever takes the picture)
 from typing import Any
 
 from labos.node import World
-from labos_drivers.camera.photo import photographed
-from labos_drivers.camera.sketch import HEIGHT, WIDTH, corner, lie_of, sketch
+from labos_drivers.camera.photo import take_photo
+from labos_drivers.camera.sketch import HEIGHT, WIDTH, corner, draw_placement, sketch
 from labos_drivers.camera.vision import MARKERS, Picture, cv
 
 MARKER, MARKER_PX, MODULE_PX = 7, 140, 7
@@ -28,7 +28,7 @@ def _nest(world: World, place: str, draw: Random) -> Picture:
 
     plates = world.at(place)
     plate = plates[-1] if plates else ""
-    view = numpy.asarray(sketch(world, plate, lie_of(draw))).copy()
+    view = numpy.asarray(sketch(world, plate, draw_placement(draw))).copy()
     if not plate:
         _marker(view)
     elif label := world.barcode(plate):
@@ -36,7 +36,7 @@ def _nest(world: World, place: str, draw: Random) -> Picture:
         side = MODULE_PX * code.shape[0]
         large = cv().resize(code, (side, side), interpolation=cv().INTER_NEAREST)
         _paste(view, large, WIDTH // 2, (corner()[1] + HEIGHT) // 2, 10)
-    seen = numpy.asarray(photographed(Image.fromarray(view), draw))
+    seen = numpy.asarray(take_photo(Image.fromarray(view), draw))
     return numpy.ascontiguousarray(seen[:, :, ::-1])
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from labos.node import Attachment
 from labos_drivers._simulation import Simulated
-from labos_drivers.camera.photo import TROUBLES, photographed
-from labos_drivers.camera.sketch import as_file, lie_of, sketch
+from labos_drivers.camera.photo import TROUBLES, take_photo
+from labos_drivers.camera.sketch import as_file, draw_placement, sketch
 from labos_drivers.camera.vision import format_of
 
 
@@ -29,8 +29,8 @@ class CameraSimulator(Simulated):
                 rotation_deg=rotation_deg,
             )
             trouble = self._trouble()
-            scene = sketch(self.world, self.top(nest), lie_of(self._random, trouble))
-            shown = as_file(photographed(scene, self._random, trouble), file_name, rotation_deg)
+            scene = sketch(self.world, self.top(nest), draw_placement(self._random, trouble))
+            shown = as_file(take_photo(scene, self._random, trouble), file_name, rotation_deg)
             return Attachment(str(PurePosixPath(folder) / file_name), shown)
 
     def _trouble(self) -> str:

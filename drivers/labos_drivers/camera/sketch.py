@@ -69,7 +69,7 @@ def centre_of(row: int, column: int) -> tuple[int, int]:
     return round(x), round(y)
 
 
-class Lie(NamedTuple):
+class Placement(NamedTuple):
     """How a plate lies in its nest: how far from where it should (pixels), and how it is turned (degrees)."""
 
     right: float = 0.0
@@ -77,14 +77,14 @@ class Lie(NamedTuple):
     turned: float = 0.0
 
 
-def lie_of(draw: Random, trouble: str = "") -> Lie:
+def draw_placement(draw: Random, trouble: str = "") -> Placement:
     """A plate has some play in its nest; one that lies askew has left it."""
     play = SLACK_MM * PX_PER_MM
     right, down = draw.uniform(-play, play), draw.uniform(-play, play)
-    return Lie(right, down + 3 * PX_PER_MM, 3.0) if trouble == "askew" else Lie(right, down)
+    return Placement(right, down + 3 * PX_PER_MM, 3.0) if trouble == "askew" else Placement(right, down)
 
 
-def sketch(world: World, plate: str, lie: Lie = Lie()) -> Photograph:  # noqa: B008 (it cannot be changed)
+def sketch(world: World, plate: str, at: Placement = Placement()) -> Photograph:  # noqa: B008 (it cannot be changed)
     """The nest with this plate in it (none, if it is empty), without what a lens and a lamp do to it."""
     images, drawing = image_library()
     image = images.new("RGB", (WIDTH, HEIGHT), NEST)
@@ -93,9 +93,9 @@ def sketch(world: World, plate: str, lie: Lie = Lie()) -> Photograph:  # noqa: B
         _marker(draw, modules, x, y)
     if plate:
         seen = _plate(world, plate)
-        mask = images.new("L", seen.size, 255).rotate(lie.turned, images.Resampling.BICUBIC, expand=True)
-        seen = seen.rotate(lie.turned, images.Resampling.BICUBIC, expand=True)
-        image.paste(seen, (round(LEFT + lie.right), round(TOP + lie.down)), mask)
+        mask = images.new("L", seen.size, 255).rotate(at.turned, images.Resampling.BICUBIC, expand=True)
+        seen = seen.rotate(at.turned, images.Resampling.BICUBIC, expand=True)
+        image.paste(seen, (round(LEFT + at.right), round(TOP + at.down)), mask)
     return image
 
 

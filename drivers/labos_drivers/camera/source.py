@@ -18,7 +18,7 @@ from labos.link import HttpLink, HttpReply
 from labos.link.life import Life
 from labos.node import under_way
 from labos.node.secrets import secret_of
-from labos_drivers.camera.vision import Picture, cv, decoded
+from labos_drivers.camera.vision import Picture, cv, decode
 
 T = TypeVar("T")
 Limit = Callable[[str, float], float]
@@ -66,19 +66,19 @@ class VideoDevice(Life):
     def take(self, focus: int | None = None, *, glance: bool = False) -> list[Picture]:
         if not self.is_open:
             self.open()
-        with self._judged():
+        with self._judge():
             return self._within(self._limit_s("frame", FRAME_S), lambda: self._frames(focus))
 
     def _connect(self) -> None:
         try:
-            self._within(self._limit_s("open", OPEN_S), lambda: self._opened().release())
+            self._within(self._limit_s("open", OPEN_S), lambda: self._open_device().release())
         except LinkLost as error:
             raise NotConnected(error.message, remedy=error.remedy) from error
 
     def _disconnect(self) -> None:
         """It is open only while a picture is taken."""
 
-    def _opened(self) -> Any:
+    def _open_device(self) -> Any:
         capture = cv().VideoCapture(self._where)
         if not capture.isOpened():
             raise NotConnected(
@@ -88,7 +88,7 @@ class VideoDevice(Life):
         return capture
 
     def _frames(self, focus: int | None) -> list[Picture]:
-        capture = self._opened()
+        capture = self._open_device()
         try:
             count = self._focus(capture, focus)
             frames: list[Picture] = []
@@ -178,7 +178,7 @@ class NetworkCamera:
                 f"{self._name}: the camera answers {reply.status} in the place of a picture.",
                 remedy="Look at the camera, then reset the module.",
             )
-        picture = decoded(reply.body)
+        picture = decode(reply.body)
         if picture is None:
             raise Garbled(
                 f"{self._name}: what came ({len(reply.body)} bytes) is no whole picture.",
@@ -213,7 +213,7 @@ class StoredPictures(Life):
             raise no_focus(self.name)
         if not self.is_open:
             self.open()
-        with self._judged():
+        with self._judge():
             files = self._files()
             if not files:
                 raise LinkLost(
@@ -223,7 +223,7 @@ class StoredPictures(Life):
                 )
             file = files[self._next % len(files)]
             self._next += 1
-            picture = decoded(file.read_bytes())
+            picture = decode(file.read_bytes())
             if picture is None:
                 raise Garbled(f"{self.name}: {file} is no whole picture.", effects="none")
             return [picture]

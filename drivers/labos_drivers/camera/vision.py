@@ -53,7 +53,7 @@ def format_of(name: str) -> str:
     return FORMATS[suffix]
 
 
-def decoded(data: bytes) -> Picture | None:
+def decode(data: bytes) -> Picture | None:
     """The picture in a file's bytes; None if they are none, or only a part of one."""
     import numpy
 
@@ -67,7 +67,7 @@ def decoded(data: bytes) -> Picture | None:
         return None
 
 
-def encoded(picture: Picture, name: str) -> bytes:
+def encode(picture: Picture, name: str) -> bytes:
     """As a file of this name. Raises DeviceError."""
     done, data = cv().imencode(format_of(name), picture)
     if not done:
@@ -75,7 +75,7 @@ def encoded(picture: Picture, name: str) -> bytes:
     return bytes(data)
 
 
-def turned(picture: Picture, degrees: float) -> Picture:
+def rotate(picture: Picture, degrees: float) -> Picture:
     """Turned against the clock, as large as it has to be for nothing to be cut off."""
     quarters = {90: "ROTATE_90_COUNTERCLOCKWISE", 180: "ROTATE_180", 270: "ROTATE_90_CLOCKWISE"}
     if degrees % 360 == 0:

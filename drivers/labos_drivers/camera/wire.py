@@ -9,7 +9,7 @@ import time
 from labos.node import Setup
 from labos_drivers._onhttp import HttpEnd, OnHttp, Question, Reply
 from labos_drivers.camera.render import picture_of
-from labos_drivers.camera.vision import Picture, cv, encoded
+from labos_drivers.camera.vision import Picture, cv, encode
 
 PATH = "snapshot.jpg"
 EXPOSES_S = 1.5
@@ -45,7 +45,7 @@ class CameraOnWire(OnHttp):
             question.answers.put(Reply(405, b""))
 
     def _send(self, question: Question) -> None:
-        shot = Reply(200, encoded(self._expose(), PATH), {"Content-Type": "image/jpeg"})
+        shot = Reply(200, encode(self._expose(), PATH), {"Content-Type": "image/jpeg"})
         if not self.is_silent:
             self.after(EXPOSES_S, lambda: question.answers.put(shot))
 
