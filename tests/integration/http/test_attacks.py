@@ -89,7 +89,7 @@ def test_a_file_is_found_by_its_digest_alone(eve: httpx.Client, digest: str) -> 
 # -- what is somebody else's ------------------------------------------------------------------------
 
 
-def test_ids_of_othis_open_nothing(lab: LabThread, bob: httpx.Client, eve: httpx.Client) -> None:
+def test_ids_of_others_open_nothing(lab: LabThread, bob: httpx.Client, eve: httpx.Client) -> None:
     run = bob.post("/runs", json={"workflow": {"text": FLOW}}).json()["run"]
     experiment = bob.post("/experiments", json={"name": "e"}).json()["experiment"]
     rows = "labos: 1\ncampaign: c\nworkflow: f\nrows: {list: [{}]}\n"
