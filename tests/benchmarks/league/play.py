@@ -37,6 +37,9 @@ from labos.testing.loop import CountedIds, VirtualClock, VirtualLoop
 from tests.benchmarks.still_lab import MemoryWriter
 
 SECOND = 1_000_000_000
+
+LOOK_AGAIN = 10
+"""Where the planner has not looked at all runs, it looks again after so many have come to their ends."""
 STOCK_COUNT = 400
 
 
@@ -86,6 +89,8 @@ class Player:
         self._plan_with = plan_with
         self.planner = planner
         self._asked = False
+        self._seen: set[RunId] = set()
+        self._ended = 0
         self.outcome = Outcome(0.0, [], 0, {})
         self._begun: dict[tuple[RunId, int], float] = {}
         self._ends: dict[RunId, asyncio.Event] = {}
@@ -155,6 +160,11 @@ class Player:
                 self.outcome.breaches += 1
             elif isinstance(event, RunCompleted):
                 self._ends.setdefault(event.run, asyncio.Event()).set()
+                self._ended += 1
+                unseen = any(run not in self._seen for run in self.kernel.state.runs.queued)
+                if self.planner is not None and unseen and not self._asked and self._ended >= LOOK_AGAIN:
+                    self._asked = True
+                    self.loop.call_soon(self._ask_planner)
 
     def reopened(self) -> None:
         raise AssertionError("a log in memory is never read again")
@@ -165,7 +175,9 @@ class Player:
         state = self.kernel.state
         waiting = list(state.runs.queued.values())
         found = self.planner.suggest(state, self.cell.name, waiting, self.clock.now_ns())
+        self._ended = 0
         if found is not None:
+            self._seen.update(step.run for step in found.steps)
             self._tell(found)
         if WHOLE_LAB in state.lab.paused:
             self._tell(ResumeStarts(WHOLE_LAB, "league"))
