@@ -188,7 +188,7 @@ def test_workflows_that_were_written_for_bio_elsewhere_are_retargeted(
         file, written = tmp_path / f"specs/workflows/{flow}.yaml", tmp_path / f"{flow}.yaml"
         values = [word for value in payload for word in ("-p", value)]
         cell = str(tmp_path / "specs/bio_workcell.yaml")
-        told = retargeted(file, *values, old=cell, output=written, code=int(bool(places)))
+        told = run_retarget(file, *values, old=cell, output=written, code=int(bool(places)))
         mapping = {match["module"]: match["becomes"] for match in told["matches"]}
         assert {one: other for one, other in mapping.items() if one != other} in (
             {"plateCrane": "platecrane"},
