@@ -36,7 +36,7 @@ ROLES = {"olga": "operator", "otto": "operator", "bo": "submitter", "robot": "op
 
 @pytest.mark.slow
 def test_nothing_dangerous_moves_before_a_second_person_has_said_so(tmp_path: Path) -> None:
-    settings = Settings.of(tmp_path / "lab", speed=100.0, simulate=True)
+    settings = Settings.make(tmp_path / "lab", speed=100.0, simulate=True)
     with LabThread(settings, [parse_workcell(CELL, {})], nodes="processes") as lab:
         execute(lab, AddUser("ada"), "ada")
         for name, role in ROLES.items():
