@@ -25,6 +25,22 @@ def show_expected(times: Mapping[str, int] | None, now_ns: int) -> str:
     return f"about {_clock(expected, now_ns)} ({_clock(early, now_ns)}–{_clock(late, now_ns)})"
 
 
+def show_range(times: Mapping[str, int] | None, now_ns: int) -> str:
+    """``14:05–14:30``; empty if it is not in sight."""
+    if times is None:
+        return ""
+    return f"{_clock(times['earliest_at'], now_ns)}–{_clock(times['latest_at'], now_ns)}"
+
+
+def describe_learning(count: int) -> str:
+    """From what the ranges are."""
+    from labos.planning.hindsight import ENOUGH
+
+    if count < ENOUGH:
+        return f"Of earlier forecasts only {count} can be judged yet: how wide ranges are is partly assumed."
+    return f"Four of five come within their range, by how far off the last {count} forecasts were."
+
+
 def _clock(ns: int, now_ns: int) -> str:
     at, now = (datetime.fromtimestamp(each / 1e9).astimezone() for each in (ns, now_ns))
     short = abs(ns - now_ns) < 600e9
@@ -41,11 +57,14 @@ def show_runs(found: Mapping[str, Any]) -> None:
             run["user"],
             show_expected(run["starts"], now) or "not in sight",
             show_expected(run["ends"], now) or "not in sight",
+            show_range(run["ends_alone"], now),
             run["waits"],
         )
         for run in found["runs"]
     ]
-    show_table(("run", "workflow", "user", "starts", "ends", "waits for"), rows)
+    show_table(("run", "workflow", "user", "starts", "ends", "if nobody else submits", "waits for"), rows)
+    if rows:
+        click.echo(describe_learning(found["learned_from"]))
     if found["left_out"]:
         click.echo(f"The first {len(rows)} runs are forecast; {found['left_out']} more wait.")
     if found["cut"]:
@@ -92,6 +111,8 @@ def show_ways(found: Mapping[str, Any]) -> None:
         if run["run"] in found["new"]:
             click.echo(f"starts:      {show_expected(run['starts'], now) or 'not in sight'}")
             click.echo(f"ends:        {show_expected(run['ends'], now) or 'not in sight'}")
+            if run["ends_alone"]:
+                click.echo(f"             {show_range(run['ends_alone'], now)} if nobody else submits")
 
 
 def show_campaign(campaign: Mapping[str, Any], now: int) -> list[tuple[str, str]]:

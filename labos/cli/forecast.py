@@ -14,9 +14,11 @@ from labos.cli._out import show_json
 def command(home: str | None, as_json: bool) -> None:
     """When each run starts and ends, and when a person is needed next.
 
-    The lab as it is now is carried on several times in virtual time, with the durations that its log has
-    taught. "about 14:20 (14:05–14:50)" is the middle, and the range of four in five. Nothing fails in a
-    forecast, and nobody fills anything up: a run that needs a person first is not in sight.
+    The lab as it is now is carried on in virtual time, with the durations that its log has taught.
+    "about 14:20 (14:05–14:50)" is the middle, and the range in which four of five come: it is as wide as
+    earlier forecasts of this lab were off, so others who submit more are in it. "If nobody else submits"
+    stands beside it. Nothing fails in a forecast, and nobody fills anything up: a run that needs a person
+    first is not in sight.
     """
     from labos.cli._forecast import show_campaign, show_runs, show_touches
     from labos.cli._lab import need_lab

@@ -12,10 +12,13 @@ from labos.cli._complete import completes
 from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
+from labos.cli._query import Where, log_options, open_log
 from labos.core.effects import Carrying, Claims, Needs
 from labos.core.ids import StationName, local
+from labos.core.lengths import Lengths
 from labos.core.model import MAIN, ON_CANCEL
 from labos.core.watching import ends
+from labos.errors import LabosError
 from labos.planning.certificate import Certificate
 
 if TYPE_CHECKING:
@@ -25,10 +28,11 @@ if TYPE_CHECKING:
 
 
 class Step(msgspec.Struct):
-    """A step with its nominal times, in seconds from the start of the run. ``rescues`` is the step for
-    whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled run.
-    Neither has times. ``looks`` says who looks where afterwards, and when. ``choices`` are the modules of
-    which one does the step, if there are several: all else is told for ``module``."""
+    """A step with its times, in lab seconds from the start of the run. ``duration_s`` is how long it usually
+    takes in the lab that was asked, where that knows (``learned``), else ``nominal_s``. ``rescues`` is the
+    step for whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled
+    run. Neither has times. ``looks`` says who looks where afterwards, and when. ``choices`` are the modules
+    of which one does the step, if there are several: all else is told for ``module``."""
 
     key: str
     module: str
@@ -41,6 +45,8 @@ class Step(msgspec.Struct):
     end_s: float
     critical: bool
     late_s: float
+    nominal_s: float
+    learned: bool = False
     retries: int = 0
     reset: bool = False
     timeout_s: float | None = None
@@ -80,8 +86,9 @@ class Setpoint(msgspec.Struct):
 
 
 class Outline(msgspec.Struct):
-    """A workflow as it would run alone. ``certificate`` says which of its windows it can keep for all
-    durations of its steps."""
+    """A workflow as it would run alone. ``lab`` is the folder or address of the lab that was asked how long
+    steps take, empty if none was. ``certificate`` says which of its windows it can keep for all durations of
+    its steps, a tenth around the nominal ones."""
 
     workflow: str
     workcell: str
@@ -96,6 +103,7 @@ class Outline(msgspec.Struct):
     holds: list[ReservedModule] = []
     setpoints: list[Setpoint] = []
     certificate: Certificate | None = None
+    lab: str = ""
 
 
 @click.command("plan")
@@ -103,17 +111,21 @@ class Outline(msgspec.Struct):
 @click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
 @payload_option
 @json_option
-def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bool) -> None:
+@log_options
+def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bool) -> None:
     """Show what WORKFLOW (a file, or a packaged one) would do: its steps with the payload filled
     in, their modules, stations and arguments, when each starts, and what is used up.
 
-    The times are the drivers' nominal ones, for a run that has the bench to itself. Steps marked
-    with * are critical: together they take as long as the run. Of each window it is said whether it can
-    be kept if steps take up to a tenth longer or shorter.
+    The times are for a run that has the bench to itself. If there is a lab (--home, LABOS_HOME, ./lab,
+    LABOS_URL), a step takes as long as such steps have usually taken there, once there were three of them;
+    that is marked with ~. All others take as long as their drivers say. Steps marked with * are critical:
+    together they take as long as the run. Of each window it is said whether it can be kept if steps take up
+    to a tenth longer or shorter than their drivers say.
 
     \b
     labos plan pcr --workcell rpl
     labos plan my.yaml --workcell my_cell.yaml --payload seal.time=4 --json
+    labos plan pcr --workcell rpl --home lab
 
     Files that are needed only on the real bench may be missing. Warnings go to standard error, also those
     about assumed consumption. Exit code 1 if the workflow has errors.
@@ -139,21 +151,46 @@ def command(workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bo
     compiled = check_windows(compiled, loaded.workcell)
     for finding in compiled.findings:
         click.echo(f"labos: {finding}", err=True)
-    outline = outline_of(compiled, loaded.workcell)
+    lab, lengths, pace = _ask_lab(where)
+    outline = outline_of(compiled, loaded.workcell, lengths, pace, lab)
     if as_json:
         show_json(outline)
     else:
         _tell(outline)
 
 
-def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
-    """A compiled workflow with its times."""
+def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
+    """The lab that was asked, how long actions have taken there, and its pace; no name if there is no lab.
+    One that was not named in the command line need not answer. Raises LabosError."""
+    from labos.cli._remote import is_given
+    from labos.services.history import state_at
+
+    named = is_given("home") or is_given("database")
+    if not (named or where.lab or where.database or where.home.is_dir()):
+        return "", Lengths(), 1.0
+    try:
+        with open_log(where) as log:
+            state = state_at(log)
+    except LabosError as error:
+        if named:
+            raise
+        click.echo(f"labos: The lab was not asked how long steps take: {error}", err=True)
+        return "", Lengths(), 1.0
+    return where.lab or where.database or str(where.home), state.lengths, state.lab.pace
+
+
+def outline_of(
+    compiled: Compiled, workcell: Workcell, lengths: Lengths | None = None, pace: float = 1.0, lab: str = ""
+) -> Outline:
+    """A compiled workflow with its times, by what a lab has learned of them."""
     from labos.planning.certified import certify_all
-    from labos.planning.timetable import consumption, count_taken, timetable
+    from labos.planning.timetable import consumption, count_taken, timetable, with_learned
     from labos.spec.choices import list_choices
 
     choices = list_choices(compiled.plans)
-    plan = compiled.plan
+    lengths = lengths or Lengths()
+    plan = with_learned(compiled.plan, lengths, pace)
+    nominal = compiled.plan.steps
     times = timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
     steps = [
@@ -169,6 +206,8 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             end_s=slot.end_s,
             critical=index in times.critical,
             late_s=slot.late_s,
+            nominal_s=nominal[index].duration_s,
+            learned=not step.by_person and lengths.estimate(nominal[index], pace) is not None,
             retries=step.retry.times if step.retry else 0,
             reset=step.retry is not None and step.retry.reset is not None,
             timeout_s=step.timeout_s,
@@ -208,6 +247,7 @@ def outline_of(compiled: Compiled, workcell: Workcell) -> Outline:
             if isinstance(effect, Claims)
         ],
         certificate=certify_all(compiled, workcell),
+        lab=lab,
     )
 
 
@@ -265,7 +305,7 @@ def _tell(outline: Outline) -> None:
             " → ".join(step.stations),
             ", ".join(f"{name}={short(value, 40)}" for name, value in step.args.items()),
             show_span(step.start_s),
-            show_span(step.duration_s),
+            f"{'~' if step.learned else ''}{show_span(step.duration_s)}",
         )
         for number, step in enumerate(outline.steps)
         if not step.rescues and not step.on_cancel
@@ -275,6 +315,7 @@ def _tell(outline: Outline) -> None:
         f"\n{outline.workflow} on {outline.workcell}: {len(rows)} steps, "
         f"{show_span(outline.total_s)} alone on the bench; {len(outline.critical)} are critical (*)."
     )
+    click.echo(_tell_origin(outline))
     for line in describe_choices({step.key: step.choices for step in outline.steps if step.choices}):
         click.echo(line)
     for step in outline.steps:
@@ -304,6 +345,24 @@ def _tell(outline: Outline) -> None:
         click.echo(f"Taken: {count} from {stack}.")
     click.echo(f"Labware needed at the start: {', '.join(outline.inputs) or 'none'}.")
     click.echo(f"Labware stands at the end: {', '.join(outline.outputs) or 'nowhere'}.")
+
+
+def _tell_origin(outline: Outline) -> str:
+    """From where the times are."""
+    from labos.services.times import show_span
+
+    shown = [step for step in outline.steps if not step.rescues and not step.on_cancel]
+    learned = sum(step.learned for step in shown)
+    if not outline.lab:
+        return "Times are as the drivers say: no lab was asked (--home)."
+    if not learned:
+        return f"Times are as the drivers say: {outline.lab} has seldom carried out any of these steps."
+    nominal = sum(step.nominal_s for step in shown)
+    usual = sum(step.duration_s for step in shown)
+    return (
+        f"Times marked ~ are what {outline.lab} has learned ({learned} of {len(shown)} steps): all steps "
+        f"together take {show_span(usual)}, as their drivers say {show_span(nominal)}."
+    )
 
 
 def _where(step: Step) -> str:

@@ -10,7 +10,7 @@ import msgspec
 from labos.core.ids import RunId
 from labos.core.registry import Event, event
 
-MOST_STEPS = 400
+MOST_STEPS = 600
 """So many steps a suggestion has at most."""
 
 

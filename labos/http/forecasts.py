@@ -10,20 +10,26 @@ from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import CampaignId
 from labos.core.model import Plan
-from labos.core.state import picture
+from labos.core.state import fold_fingerprint, picture
 from labos.http.campaign_rows import CampaignRows
 from labos.planning.durations import LEARNED_FROM, Drift, Durations
+from labos.planning.hindsight import Hindsight, LookBack, Row
 from labos.planning.lab_forecast import ForecastRequest, LabForecast
-from labos.planning.newcomers import HEARD_OF, Newcomers, SubmissionHistory
 from labos.ports import LogQuery
-from labos.runtime.forecasting import ForecastProcess
+from labos.runtime.forecasting import ForecastProcess, Question
 from labos.services.log import Log, events
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
 
 LEARNED = 20_000
-"""The last events of actions from which durations are learned at first."""
+"""The last events of actions that are looked at for drifts at first."""
+
+LOOKED_BACK = 200_000
+"""Of a longer log, only what comes after its snapshot tells how good forecasts were."""
+
+ROWS_READ = 100_000
+"""So many records are read for one forecast; what is left is read with the next."""
 
 ROWS_PLANNED = 3
 """Rows of a campaign that is known whose plans stand for all of its rows."""
@@ -38,7 +44,8 @@ class Forecasts:
     def __init__(self, service: LabService) -> None:
         self._service = service
         self._process = ForecastProcess()
-        self._learned = Learned(service.parts.store)
+        self._drifts = Drifts(service.parts.store)
+        self._known: LookBack | None = None
         self._rows = CampaignRows(service)
         self._queue: LabForecast | None = None
         self._queue_at: tuple[int, float] = (-1, 0.0)
@@ -71,7 +78,7 @@ class Forecasts:
 
     async def drifts(self) -> list[Drift]:
         """The actions whose last times differ much from their earlier ones."""
-        return (await self._learned.durations()).drifts()
+        return await self._drifts.find()
 
     async def _ask(
         self,
@@ -80,25 +87,38 @@ class Forecasts:
         new_rows: list[tuple[Plan, ...]] | None = None,
         approved: str = "",
     ) -> LabForecast:
-        spreads = (await self._learned.durations()).spreads()
-        newcomers = await self._learned.newcomers()
         rows = await self._plan_rows()
         kernel = self._service.kernel
 
-        def request() -> ForecastRequest:
-            return ForecastRequest(
+        async def ask() -> Question:
+            known, records = await asyncio.to_thread(self._read, kernel.durable)
+            request = ForecastRequest(
                 picture=picture(kernel.state),
                 now=kernel.clock.now_ns(),
-                spreads=spreads,
-                newcomers=newcomers,
                 rows=rows,
                 new=new,
                 actor=actor,
                 new_rows=new_rows or [],
                 approved=approved,
             )
+            return Question(request, known, records)
 
-        return await self._process.forecast_lab(request)
+        def keep(known: LookBack) -> None:
+            self._known = known
+
+        return await self._process.answer(ask, keep)
+
+    def _read(self, upto: int) -> tuple[LookBack, list[Row]]:
+        """What is known of the forecasts of the past, and the records of which it is not."""
+        log = self._service.parts.store
+        known = self._known
+        if known is None:
+            known = LookBack()
+            found = log.load_snapshot(fold_fingerprint()) if upto > LOOKED_BACK else None
+            if found is not None:
+                known = LookBack(Hindsight(position=found[0]), found[2])
+        after = known.hindsight.position
+        return known, list(log.replay(after, min(upto, after + ROWS_READ)))
 
     async def _plan_rows(self) -> dict[CampaignId, list[tuple[Plan, ...]]]:
         """Plans of the next rows of the campaigns that go on."""
@@ -111,32 +131,24 @@ class Forecasts:
         return found
 
 
-class Learned:
-    """How long actions take and who comes, as far as the log goes."""
+class Drifts:
+    """Which actions take longer or shorter than they did, as far as the log goes."""
 
     def __init__(self, store: Log) -> None:
         self._store = store
         self._durations = Durations()
-        self._history = SubmissionHistory()
         self._position = 0
         self._turn = asyncio.Lock()
 
-    async def durations(self) -> Durations:
+    async def find(self) -> list[Drift]:
         """Learn from what was recorded since the last time."""
         async with self._turn:
             await asyncio.to_thread(self._read)
-            return self._durations
-
-    async def newcomers(self) -> Newcomers:
-        """Who may come, as far as the log tells."""
-        async with self._turn:
-            await asyncio.to_thread(self._read)
-            return self._history.newcomers()
+            return self._durations.drifts()
 
     def _read(self) -> None:
         first = None if self._position else LEARNED
-        query = LogQuery(after=self._position, types=(*LEARNED_FROM, *HEARD_OF), last=first)
+        query = LogQuery(after=self._position, types=LEARNED_FROM, last=first)
         for event, head in events(self._store.select(query)):
             self._durations.learn(event, head.recorded_at)
-            self._history.learn(event, head.recorded_at)
             self._position = head.position

@@ -58,8 +58,8 @@ class Propose:
 
     def propose_clone(self, campaign: str, name: str = "", priority: int | None = None, key: str = "") -> str:
         """Proposes a campaign once more, with the same rows and workflow; `campaign` is its id, as C3, also
-        of one that has ended. It waits until an operator has looked at it and approved it; you cannot start
-        it. The same `key` twice is one proposal."""
+        of one that has ended, and `name` that of the new one. It waits until an operator has looked at it
+        and approved it; you cannot start it. The same `key` twice is one proposal."""
         answer = self._lab.clone_campaign(
             campaign, self._user, request=key, name=name, priority=priority, propose=True
         )

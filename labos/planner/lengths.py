@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+
 from labos.core.lengths import Lengths
 from labos.core.model import PlanStep
 from labos.planning.durations import quantile
@@ -19,3 +21,8 @@ def at_level(lengths: Lengths, step: PlanStep, pace: float, level: float) -> int
         return int(planned * (1 + SPREAD * (2 * level - 1)))
     found = quantile(sorted(times.took), level)
     return int(found * planned / 1e6 if is_part else found)
+
+
+def draw(what: str) -> float:
+    """A number between 0 and 1: for the same words the same."""
+    return int.from_bytes(hashlib.blake2b(what.encode(), digest_size=8).digest()) / 2**64

@@ -42,7 +42,7 @@ class Planner:
         now is as good. An order without steps takes back what was suggested before. ``waiting`` are the runs
         that wait, in the order in which they would go."""
         problem = problem_of(state, cell, waiting, now, self.level)
-        if len({task.run for task in problem.tasks}) < 2:
+        if _is_one_line(problem):
             return None
         found = self._search(state, cell, problem, now)
         rehearsal = Rehearsal(state, cell, now, self.level)
@@ -77,3 +77,10 @@ class Planner:
         until = max(step.start for step in steps) + lab_ns(state, STAYS_GOOD_S)
         ordered = tuple(sorted(steps, key=lambda step: step.start))
         return SuggestOrder(cell, self.name, until, ordered, state.position)
+
+
+def _is_one_line(problem: Problem) -> bool:
+    """Whether there is nothing to put in order: one run, whose steps follow one another."""
+    if len({task.run for task in problem.tasks}) > 1:
+        return False
+    return all(number - 1 in task.after for number, task in enumerate(problem.tasks) if number)

@@ -15,9 +15,8 @@ from labos.core.lengths import Lengths
 from labos.core.model import PlanStep
 from labos.core.state import LabState, from_picture, picture
 from labos.core.suggestions import OrderSuggested
-from labos.planner.lengths import at_level
+from labos.planner.lengths import at_level, draw
 from labos.planner.problem import GOES_ON, MOST_WAITING
-from labos.planning.lab_forecast import draw
 from labos.planning.virtual import Lasts, Play, VirtualLab, keep_first
 
 DRAWN = 3

@@ -26,10 +26,11 @@ from labos.planning.advice import options
 from labos.planning.forecast import earliest, is_pending
 from labos.planning.layout import down
 from labos.planning.passage import find_late_step, first_trap
-from labos.planning.player import FAR, Player, Step, find_chained
+from labos.planning.player import FAR, Player, Step, find_chained, find_giving
 from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
+from labos.planning.suggested import find_suggested_times
 from labos.planning.touch import cell_key, window_key
 
 SEARCH_LIMIT = 24
@@ -51,6 +52,7 @@ class Plan:
     def __init__(self, state: LabState, cell: str, now: int, obliged: list[RunState], advice: Advice) -> None:
         self.cell, self.now = cell, now
         self.obliged, self.advice, self.outcome = obliged, advice, Outcome()
+        self.giving = [run for run in _inside(state, cell) if not run.paused and _will_give(state, run)]
         self._state = state
         self._scene: Scene | None = None
 
@@ -64,6 +66,7 @@ class Plan:
         """The same, if nobody but a run were there."""
         other = Plan(self._state, self.cell, self.now, [], NO_ADVICE)
         other._scene = self.scene.alone(run)
+        other.giving = []
         return other
 
 
@@ -297,6 +300,14 @@ class Windows:
         open_ = [(*best[0], 0, plan.advice, first)]
         seen = {_key(plan.advice)}
         tried = 1
+        suggested = _suggested_advice(state, plan.cell, plan.now) if best[0][0] and tried < limit else None
+        if suggested is not None:
+            tried += 1
+            found = rehearse(suggested)
+            seen.add(_key(suggested))
+            heapq.heappush(open_, (*rank(found), tried, suggested, found))
+            if rank(found) < best[0]:
+                best = (rank(found), suggested, found)
         while open_ and best[0][0] and tried < limit:
             *_, advice, outcome = heapq.heappop(open_)
             late = next(iter(trial.news(outcome)), None)
@@ -365,6 +376,11 @@ def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
             yield run
 
 
+def _will_give(state: LabState, run: RunState) -> bool:
+    """Whether a run has steps left that only give room to others."""
+    return any(is_pending(run, step) for step in find_giving(state, state.runs.plan_of(run)))
+
+
 def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bool:
     """Whether a run that waits to be let in could not come to its end, whoever moves."""
     if run.has_started:
@@ -392,6 +408,11 @@ def _cast(state: LabState, plan: Plan, advice: Advice, run: RunState | None, ste
         leaving = state.runs.active.get(RunId(name))
         if leaving is not None and not leaving.paused and leaving.status == RunStatus.ACTIVE:
             yield player(leaving, free=True)
+    for other in plan.giving:
+        if str(other.id) not in names | advice.leaving:
+            bystander = player(other, free=False)
+            bystander.left.clear()
+            yield bystander
 
 
 def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) -> None:
@@ -406,6 +427,19 @@ def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) ->
         name = outcome.trap[0][0]
         behind = [who for who in outcome.due if who[0] == name] or list(outcome.due)
         outcome.late.update(dict.fromkeys(behind[:1], FAR))
+
+
+def _suggested_advice(state: LabState, cell: str, now: int) -> Advice | None:
+    """To do as a planner has suggested: everybody inside goes on, each step at its time. Like any other
+    advice it counts only if a rehearsal shows that it keeps the windows."""
+    times = find_suggested_times(state, cell, now)
+    if not times:
+        return None
+    inside = {str(run.id) for run in _inside(state, cell) if not run.paused and not run.is_ending}
+    return Advice(
+        not_before={(str(run), step): at for (run, step), at in times.items()},
+        leaving=frozenset(str(run) for run, _ in times if str(run) in inside),
+    )
 
 
 def _key(advice: Advice) -> tuple[object, ...]:

@@ -1,20 +1,16 @@
 """What is to be expected of a lab: when its runs start and end, when a person is needed, and what something
 that is not submitted yet would change.
 
-A copy of the state is carried on several times (``virtual``), with durations drawn from what was learned.
-The same step takes the same time in the plays with and without what is new, so that they differ by nothing
-else.
+A copy of the state is carried on (``virtual``), with the usual durations. Ranges are as wide as forecasts of
+the past were off (``hindsight``).
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 
 import msgspec
 
-from labos.core.actions import Action
 from labos.core.booked import find_blocked
 from labos.core.campaigns import CampaignSubmitted
 from labos.core.decide import Command, Rejection
@@ -22,39 +18,22 @@ from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import CampaignId, ModuleName, RunId, local
-from labos.core.model import Plan, PlanStep
+from labos.core.model import Plan
 from labos.core.modules import ModuleStatus
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, from_picture, picture
-from labos.planning.durations import Spreads, quantile
-from labos.planning.newcomers import Newcomers
+from labos.planning.forecast import usual
+from labos.planning.hindsight import Hindsight, Times
 from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
-
-LOW, HIGH = 0.1, 0.9
-"""The quantiles between which a range lies."""
-
-STEPS = 3_000
-"""About so many steps are started in all plays of a forecast."""
-
-FEWEST, MOST = 9, 19
-"""Plays with durations that were drawn, beside the one with the usual ones. Of fewer than ten in all the
-least and the greatest are closer together than four of five."""
 
 LATER_S = 1.0
 """Seconds of wall time by which a run has to be later for that to be told."""
 
 
-class Times(msgspec.Struct, frozen=True):
-    """When something is expected, and between which times it lies in four of five plays (UTC ns)."""
-
-    earliest_at: int
-    expected_at: int
-    latest_at: int
-
-
 class ExpectedRun(msgspec.Struct, frozen=True):
-    """What is expected of a run. ``starts`` is when it started if it has; null: not in sight. ``waits`` is
-    why it does not come to its end without a person; ``modules`` those that it is expected to choose, by the
+    """What is expected of a run. ``starts`` is when it started if it has; null: not in sight.
+    ``starts_alone`` and ``ends_alone`` are what is expected if nobody submits anything more. ``waits`` is why
+    it does not come to its end without a person; ``modules`` those that it is expected to choose, by the
     steps' keys."""
 
     run: str
@@ -63,6 +42,8 @@ class ExpectedRun(msgspec.Struct, frozen=True):
     campaign: str
     starts: Times | None
     ends: Times | None
+    starts_alone: Times | None = None
+    ends_alone: Times | None = None
     waits: str = ""
     modules: dict[str, str] = {}
 
@@ -102,12 +83,13 @@ class Delay(msgspec.Struct, frozen=True):
 
 
 class LabForecast(msgspec.Struct, frozen=True):
-    """What is expected of a lab from ``now_at`` on, after ``plays`` plays. ``left_out`` runs that wait were
+    """What is expected of a lab from ``now_at`` on. Ranges are as wide as the forecasts of ``learned_from``
+    runs that have ended were off; of fewer than ten that is partly assumed. ``left_out`` runs that wait were
     not looked at. ``new`` are the runs of what is not submitted yet; ``delays`` and ``conflicts`` are what
     it would bring."""
 
     now_at: int
-    plays: int
+    learned_from: int
     runs: list[ExpectedRun] = []
     campaigns: list[ExpectedCampaign] = []
     touches: list[ExpectedTouch] = []
@@ -122,13 +104,12 @@ class LabForecast(msgspec.Struct, frozen=True):
 class ForecastRequest(msgspec.Struct):
     """What is asked: of a state as a picture, at a time. ``new`` is what somebody thinks of submitting, and
     ``new_rows`` the plans of its rows, between which they choose, if it is a campaign. ``rows`` are those of
-    campaigns that are known; ``newcomers`` tell who may come meanwhile. In place of what is new, a submission
-    that waits for an approval (``approved``) is let go on."""
+    campaigns that are known. ``hindsight`` tells how far off forecasts were. In place of what is new, a
+    submission that waits for an approval (``approved``) is let go on."""
 
     picture: bytes
     now: int
-    spreads: Spreads = Spreads()
-    newcomers: Newcomers = Newcomers()
+    hindsight: Hindsight = msgspec.field(default_factory=Hindsight)
     rows: dict[CampaignId, list[tuple[Plan, ...]]] = {}
     new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None
     actor: str = ""
@@ -136,37 +117,34 @@ class ForecastRequest(msgspec.Struct):
     approved: str = ""
     most_runs: int = MOST_RUNS
     most_steps: int = MOST_STEPS
-    steps: int = STEPS
 
 
-def forecast_lab(request: ForecastRequest, is_late: Callable[[], bool] = lambda: False) -> LabForecast:
-    """Carry the lab on, several times; once it ``is_late``, not once more."""
+def forecast_lab(request: ForecastRequest) -> LabForecast:
+    """Carry the lab on, with and without what is new."""
     base = from_picture(request.picture)
     left_out = keep_first(base, request.most_runs)
     base.recorded_at = max(base.recorded_at, request.now)
     forecaster = _Forecaster(request, picture(base))
-    usual = forecaster.play(0)
+    play = forecaster.play()
+    learned = len(request.hindsight.ended)
     if forecaster.refusal:
-        return LabForecast(request.now, 0, left_out=left_out, refusal=forecaster.refusal)
-    count = max(FEWEST, min(MOST, request.steps // max(1, usual.steps)))
+        return LabForecast(request.now, learned, left_out=left_out, refusal=forecaster.refusal)
     asks = request.new is not None or bool(request.approved)
-    before = forecaster.play(0, without=True) if asks else None
-    plays = [usual]
-    while len(plays) <= count and not is_late():
-        plays.append(forecaster.play(len(plays)))
-    conflicts = list(_conflicts(request, base, plays, forecaster.new)) if asks else []
+    before = forecaster.play(without=True) if asks else None
+    campaigns = _campaigns(forecaster, play)
+    conflicts = list(_conflicts(forecaster, base, play)) if asks else []
     return LabForecast(
         now_at=request.now,
-        plays=len(plays),
-        runs=[_run(forecaster, plays, name) for name in usual.users],
-        campaigns=_campaigns(forecaster, plays),
-        touches=_touches(plays),
+        learned_from=learned,
+        runs=[_run(forecaster, play, name) for name in play.users],
+        campaigns=campaigns,
+        touches=_touches(forecaster, play),
         left_out=left_out,
-        cut=usual.cut,
-        new=[str(name) for name in usual.users if _is_new(forecaster, usual, name)],
+        cut=play.cut,
+        new=[str(name) for name in play.users if _is_new(forecaster, play, name)],
         delays=[
             delay
-            for delay in (_delays(before, usual) if before is not None else ())
+            for delay in (_delays(before, play) if before is not None else ())
             if forecaster.new not in (delay.run, delay.campaign) or not request.approved
         ],
         conflicts=conflicts,
@@ -182,24 +160,21 @@ class _Forecaster:
         self.campaigns: dict[CampaignId, tuple[str, int]] = {}
         self.new, self.refusal = "", ""
 
-    def play(self, number: int, *, without: bool = False) -> Play:
-        """Number 0 takes the usual durations, and nobody comes; others draw both."""
+    def play(self, *, without: bool = False) -> Play:
+        """How it goes on with the usual durations, with what is new or without it."""
         asked = self.request
         state = from_picture(self.base)
         rows: dict[CampaignId, Sequence[tuple[Plan, ...]]] = dict(asked.rows)
         fresh = CampaignId(f"C{state.campaigns.named + 1}")
         if not without and isinstance(asked.new, SubmitCampaign):
             rows[fresh] = asked.new_rows
-        lasts = partial(_lasts, asked.spreads, state.lab.pace, number)
-        come = asked.newcomers.draw(asked.now, lambda word: draw(f"{number}/{word}")) if number else []
         lab = VirtualLab(
             state,
             asked.now,
-            lasts,
+            lambda _, step: usual(state, step),
             rows,
             most_rows=asked.most_runs,
             most_steps=asked.most_steps,
-            newcomers=come,
         )
         if asked.new is not None and not without:
             self._submit(lab, asked.new)
@@ -211,6 +186,14 @@ class _Forecaster:
         for run in [*state.runs.active.values(), *state.runs.queued.values()]:
             self.workflows[run.id] = run.workflow
         return lab.go_on()
+
+    def expect(self, what: str, foreseen: int | None) -> tuple[Times | None, Times | None]:
+        """When that comes which is foreseen for a time (UTC ns; None: not in sight): as things usually go,
+        and if nobody else submits."""
+        if foreseen is None:
+            return None, None
+        told = self.request.hindsight.expect(what, foreseen, self.request.now)
+        return told.usual, told.alone
 
     def _submit(self, lab: VirtualLab, command: Command) -> None:
         answer = lab.submit(command, self.request.actor)
@@ -225,81 +208,47 @@ class _Forecaster:
                     self.new = str(event.campaign)
 
 
-def _lasts(spreads: Spreads, pace: float, number: int, action: Action, step: PlanStep) -> int:
-    level = 0.5 if number == 0 else draw(f"{number}/{action.run}/{action.step}/{action.attempt}")
-    return spreads.lasts(action, step, pace, level)
-
-
-def draw(what: str) -> float:
-    """A number between 0 and 1: for the same words the same."""
-    return int.from_bytes(hashlib.blake2b(what.encode(), digest_size=8).digest()) / 2**64
-
-
-def times(values: Sequence[int], plays: int) -> Times | None:
-    """What these values of several plays tell; None if less than half of them have one."""
-    if not values or 2 * len(values) < plays:
-        return None
-    ordered = sorted(values)
-    return Times(*(int(_outer(ordered, level)) for level in (LOW, 0.5, HIGH)))
-
-
-def _outer(ordered: Sequence[int], level: float) -> float:
-    """The quantile of all that could be, of which these are a few: a little further out than theirs."""
-    count = len(ordered)
-    place = (level * (count + 1) - 1) / max(1, count - 1)
-    return quantile(ordered, min(1.0, max(0.0, place)))
-
-
 def _is_new(forecaster: _Forecaster, play: Play, name: RunId) -> bool:
     return bool(forecaster.new) and forecaster.new in (name, play.members.get(name))
 
 
-def _run(forecaster: _Forecaster, plays: list[Play], name: RunId) -> ExpectedRun:
-    def find_times(pick: Callable[[Play], dict[RunId, int]]) -> Times | None:
-        return times([pick(play)[name] for play in plays if name in pick(play)], len(plays))
-
-    ends = find_times(lambda play: play.ends)
-    usual = plays[0]
-    failed = usual.failed.get(name, "")
+def _run(forecaster: _Forecaster, play: Play, name: RunId) -> ExpectedRun:
+    starts, starts_alone = forecaster.expect("starts", play.starts.get(name))
+    ends, ends_alone = forecaster.expect("ends", play.ends.get(name))
     return ExpectedRun(
         run=str(name),
         workflow=forecaster.workflows.get(name, ""),
-        user=usual.users[name],
-        campaign=str(usual.members.get(name, "")),
-        starts=find_times(lambda play: play.starts),
+        user=play.users[name],
+        campaign=str(play.members.get(name, "")),
+        starts=starts,
         ends=ends,
-        waits=failed or ("" if ends is not None else usual.stays.get(name, "")),
-        modules=usual.modules.get(name, {}),
+        starts_alone=starts_alone,
+        ends_alone=ends_alone,
+        waits=play.failed.get(name, "") or ("" if ends is not None else play.stays.get(name, "")),
+        modules=play.modules.get(name, {}),
     )
 
 
-def _campaigns(forecaster: _Forecaster, plays: list[Play]) -> list[ExpectedCampaign]:
+def _campaigns(forecaster: _Forecaster, play: Play) -> list[ExpectedCampaign]:
     found: list[ExpectedCampaign] = []
     for name, (title, left) in forecaster.campaigns.items():
-        usual = [run for run, member in plays[0].members.items() if member == name]
-        members = [[run for run, member in play.members.items() if member == name] for play in plays]
-        begun = [
-            min(play.starts[run] for run in runs if run in play.starts)
-            for play, runs in zip(plays, members, strict=True)
-            if any(run in play.starts for run in runs)
-        ]
-        stays = next((plays[0].stays[run] for run in usual if run in plays[0].stays), "")
-        fresh = [run for run in usual if run not in forecaster.workflows]
-        rest = max(0, left - len(fresh))
-        over = [
-            _extrapolate([play.starts[run] for run in runs], [play.ends[run] for run in runs], rest)
-            for play, runs in zip(plays, members, strict=True)
-            if runs and all(run in play.ends for run in runs)
-        ]
+        runs = [run for run, member in play.members.items() if member == name]
+        fresh = [run for run in runs if run not in forecaster.workflows]
+        begun = [play.starts[run] for run in runs if run in play.starts]
+        over = [play.ends[run] for run in runs if run in play.ends]
+        is_seen = bool(runs) and len(over) == len(runs)
+        end = _extrapolate(begun, over, max(0, left - len(fresh))) if is_seen else None
+        starts, _ = forecaster.expect("starts", min(begun, default=None))
+        ends, _ = forecaster.expect("ends", end)
         found.append(
             ExpectedCampaign(
                 campaign=str(name),
                 name=title,
-                starts=times(begun, len(plays)),
-                ends=times(over, len(plays)),
+                starts=starts,
+                ends=ends,
                 rows_left=left,
                 rows_forecast=len(fresh),
-                waits=stays,
+                waits=next((play.stays[run] for run in runs if run in play.stays), ""),
             )
         )
     return found
@@ -314,20 +263,15 @@ def _extrapolate(starts: Sequence[int], ends: Sequence[int], rest: int) -> int:
     return ordered[-1] + rest * (ordered[-1] - min(starts))
 
 
-def _touches(plays: list[Play]) -> list[ExpectedTouch]:
-    """When a person is needed, in order; what comes up in less than half of the plays is left out."""
+def _touches(forecaster: _Forecaster, play: Play) -> list[ExpectedTouch]:
+    """When a person is needed, in order."""
     found: list[ExpectedTouch] = []
-    for touch in plays[0].touches:
-        at = times(
-            [
-                next(other.at for other in play.touches if (other.why, other.run) == (touch.why, touch.run))
-                for play in plays
-                if any((other.why, other.run) == (touch.why, touch.run) for other in play.touches)
-            ],
-            len(plays),
-        )
-        if at is not None:
-            found.append(ExpectedTouch(at, touch.why, touch.remedy, touch.run, touch.planned))
+    request = forecaster.request
+    for touch in play.touches:
+        at = Times(touch.at, touch.at, touch.at)
+        if touch.at > request.now:
+            at = request.hindsight.expect("ends", touch.at, request.now).usual
+        found.append(ExpectedTouch(at, touch.why, touch.remedy, touch.run, touch.planned))
     return sorted(found, key=lambda touch: touch.at.expected_at)
 
 
@@ -350,30 +294,26 @@ def _sure_to_use(plans: Sequence[Plan]) -> list[ModuleName]:
     return [module for module in first if all(module in other for other in others)]
 
 
-def _conflicts(request: ForecastRequest, state: LabState, plays: list[Play], new: str) -> Iterator[str]:
+def _conflicts(forecaster: _Forecaster, state: LabState, play: Play) -> Iterator[str]:
     """What stands in the way of something that is not submitted yet, as sentences."""
+    request = forecaster.request
     user, deadline, rows = _what_is_asked(request, state)
     modules = {module: True for plans in rows for module in _sure_to_use(plans)}
     for name in modules:
         module = state.modules.by_name.get(name)
         if module is None or module.out_of_service or module.status == ModuleStatus.GONE:
             yield f"{local(name)} is not there, or out of service."
-    ends = [
-        end
-        for play in plays
-        for name, end in play.ends.items()
-        if new and new in (name, play.members.get(name))
-    ]
-    until = max(ends, default=request.now)
-    yield from _list_booked(state, user, modules, request.now, until)
+    ends = [end for name, end in play.ends.items() if _is_new(forecaster, play, name)]
+    last, _ = forecaster.expect("ends", max(ends, default=None))
+    yield from _list_booked(state, user, modules, request.now, last.latest_at if last else request.now)
     if deadline:
-        late = [end for end in ends if end > deadline]
-        if late or not ends:
+        if last is None or last.expected_at > deadline:
             yield "The deadline would be missed."
-    stays = sum(new in (name, plays[0].members.get(name)) for name in plays[0].stays) if new else 0
+        elif last.latest_at > deadline:
+            yield "The deadline may be missed."
+    stays = [why for name, why in play.stays.items() if _is_new(forecaster, play, name)]
     if stays:
-        why = next(why for name, why in plays[0].stays.items() if new in (name, plays[0].members.get(name)))
-        yield f"{stays} of its runs would wait for a person: {why}."
+        yield f"{len(stays)} of its runs would wait for a person: {stays[0]}."
 
 
 def _what_is_asked(request: ForecastRequest, state: LabState) -> tuple[str, int, Sequence[Sequence[Plan]]]:

@@ -8,6 +8,9 @@ it. So that bad advice does little harm, a step waits for another only
 - until that other should have started, and ``GRACE_S`` after that;
 - for ``MOST_S`` in all, whatever is suggested meanwhile;
 - if its own run is not urgent, of a higher priority, or overtaken too often.
+
+A step that starts a clock waits until its own time as well: what has to follow it was given its time by the
+same plan. So that windows are kept, the rehearsal tries the suggested times too (``keeping``).
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from labos.core.actions import ActionStatus
 from labos.core.effects import list_carried
 from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
+from labos.core.recurrence import in_zone
 from labos.core.rules import lab_ns
 from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
@@ -91,6 +95,9 @@ class Adviser:
             return None
         mine = advice.starts.get((run.id, step), LAST)
         urgent = is_urgent(state, run, now)
+        if now < mine < LAST and not urgent and _starts_clock(state, run, step):
+            later = reasons.ClockLater(plan.steps[step].key, in_zone(mine, "UTC"))
+            return Wait(later, (cell_key(plan.workcell),), mine)
         for resource in _list_resources(state, plan.steps[step]):
             for one in advice.by_resource.get(resource, ()):
                 if one.start >= mine:
@@ -121,6 +128,29 @@ class Adviser:
             known = self._known[cell] = _put_in_order(state, order)
             self._since = {who: at for who, at in self._since.items() if state.runs.get(who[0]) is not None}
         return known
+
+
+def find_suggested_times(state: LabState, cell: str, now: int) -> dict[tuple[RunId, int], int]:
+    """When steps that have not started should start (UTC ns), if an order is suggested that still counts."""
+    order = state.suggestions.orders.get(cell)
+    if order is None or order.until <= now:
+        return {}
+    found: dict[tuple[RunId, int], int] = {}
+    for one in order.steps:
+        run = state.runs.get(one.run)
+        if run is not None and is_pending(run, one.step):
+            found[one.run, one.step] = one.start
+    return found
+
+
+def _starts_clock(state: LabState, run: RunState, step: int) -> bool:
+    """Whether another step of the run has to follow the end of this one in time."""
+    plan = state.runs.plans[run.plan]
+    return any(
+        window.anchor == step and window.within_s is not None
+        for index in plan.windowed
+        for window in plan.plan.steps[index].windows
+    )
 
 
 def _put_in_order(state: LabState, order: OrderSuggested) -> Advice:

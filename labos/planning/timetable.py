@@ -11,6 +11,7 @@ import msgspec
 
 from labos.core.effects import Consumes, list_carried
 from labos.core.ids import ModuleName, StationName
+from labos.core.lengths import Lengths
 from labos.core.model import MAIN, Plan, PlanStep, Workcell
 from labos.core.zones import zones_reached
 
@@ -55,6 +56,21 @@ def timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
     ordered = tuple(slots.get(index, Slot(0.0, 0.0)) for index in range(len(plan.steps)))
     total_s = max((slot.end_s for slot in ordered), default=0.0)
     return Timetable(ordered, _critical(ordered, total_s), total_s, busy)
+
+
+def with_learned(plan: Plan, lengths: Lengths, pace: float) -> Plan:
+    """A plan whose steps last as long as such steps have usually taken in a lab, where it knows; ``pace`` is
+    the lab's."""
+    return msgspec.structs.replace(
+        plan, steps=tuple(_with_learned(step, lengths, pace) for step in plan.steps)
+    )
+
+
+def _with_learned(step: PlanStep, lengths: Lengths, pace: float) -> PlanStep:
+    known = lengths.estimate(step, pace)
+    if known is None or step.by_person:
+        return step
+    return msgspec.structs.replace(step, duration_s=known.usual * pace / 1e9)
 
 
 def consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:

@@ -21,7 +21,6 @@ from labos.core.decide import Command, Rejection, carry_out
 from labos.core.decide.actions import AcceptAction, FinishAction, StartStep
 from labos.core.decide.campaigns import SubmitRow
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.runs import SubmitRun
 from labos.core.decide.work import work_on
 from labos.core.effects import Draws, Transfers
 from labos.core.fold import evolve
@@ -39,7 +38,6 @@ from labos.core.runs import (
     RunFailed,
     RunStarted,
     RunState,
-    RunSubmitted,
     let_wait_anew,
     modules_chosen,
 )
@@ -56,7 +54,7 @@ from labos.planning.touch import find_touched_keys
 MOST_RUNS = 200
 """Runs that wait and are carried on; of more, the first of each user."""
 
-MOST_STEPS = 3_000
+MOST_STEPS = 10_000
 """Steps after which a play is broken off."""
 
 Lasts = Callable[[Action, PlanStep], int]
@@ -102,17 +100,13 @@ class Play(msgspec.Struct):
     experiments: dict[RunId, ExperimentId] = {}
 
 
-NEWCOMERS = 10**6
-"""Newcomers are counted from here."""
-
 HORIZON_NS = 30 * 24 * 3600 * 10**9
 """Nothing that is further away than this from the last step is waited for."""
 
 
 class VirtualLab:
     """Carries on a state that it owns from ``now`` (UTC ns). ``rows`` are the plans of rows of campaigns,
-    which stand for all their rows, in turn; ``most_rows`` of a campaign become runs. ``newcomers`` are
-    submitted at their times (UTC ns), in order, as long as somebody else has not ended."""
+    which stand for all their rows, in turn; ``most_rows`` of a campaign become runs."""
 
     def __init__(
         self,
@@ -123,7 +117,6 @@ class VirtualLab:
         *,
         most_rows: int = MOST_RUNS,
         most_steps: int = MOST_STEPS,
-        newcomers: Sequence[tuple[int, SubmitRun]] = (),
     ) -> None:
         self.state, self.now, self.play = state, now, Play()
         self._lasts = lasts
@@ -132,8 +125,6 @@ class VirtualLab:
             for name, found in (rows or {}).items()
         }
         self._most_rows, self._most_steps = most_rows, most_steps
-        self._newcomers = list(reversed(newcomers))
-        self._came: set[RunId] = set()
         self._admitted: dict[CampaignId, int] = {}
         self._keys: set[str] = set()
         self._scheduler = Scheduler()
@@ -212,33 +203,14 @@ class VirtualLab:
 
     # -- going on ----------------------------------------------------------------------------
 
-    def _let_come(self) -> None:
-        """Submit the newcomers whose time has come. Their names are apart: who is known has the same name
-        whoever comes."""
-        while self._newcomers and self._newcomers[-1][0] <= self.now:
-            _, run = self._newcomers.pop()
-            runs, named = self.state.runs, self.state.runs.named
-            runs.named = NEWCOMERS + len(self._came)
-            answer = self.submit(run, LABOS)
-            runs.named = named
-            for event in [] if isinstance(answer, Rejection) else answer:
-                if isinstance(event, RunSubmitted):
-                    self._came.add(event.run)
-
-    def _is_over(self) -> bool:
-        """Whether nobody is left but newcomers."""
-        alive = self.state.runs.active.keys() | self.state.runs.queued.keys()
-        return bool(self._came) and alive <= self._came and not any(self._rows.values())
-
     def go_on(self) -> Play:
         """Carry on until nothing moves any more, or for so many steps."""
         self._start_and_feed()
-        while not self.play.cut and not self._is_over():
+        while not self.play.cut:
             at = self._next()
             if at is None:
                 break
             self.now = max(self.now, at)
-            self._let_come()
             self._end_due()
             self._start_and_feed()
         runs = [*self.state.runs.active.values(), *self.state.runs.queued.values()]
@@ -261,8 +233,6 @@ class VirtualLab:
         if alarm is not None and not (times and alarm <= self.now):
             self._alarms += 1
             times.append(alarm)
-        if self._newcomers and times:
-            times.append(self._newcomers[-1][0])
         at = min(times, default=None)
         too_far = at is not None and not self._flying and at > self._moved_at + HORIZON_NS
         return None if too_far else at

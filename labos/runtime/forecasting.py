@@ -1,6 +1,7 @@
 """Forecasts are worked out in a process of their own, so that the kernel loses no time with them.
 
-The state goes there as a picture (``labos.core.state.picture``), the answer comes back; nothing is shared.
+The state goes there as a picture (``labos.core.state.picture``), and with it the records from which it has
+not been learned yet how good forecasts were; the answer comes back, with what was learned. Nothing is shared.
 One is worked out at a time, with a low priority, and given up after a while.
 """
 
@@ -10,16 +11,17 @@ import asyncio
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 import msgspec
 
 from labos.clock import SystemClock
 from labos.errors import Refused
+from labos.planning.hindsight import LookBack, Row, look_back
 from labos.planning.lab_forecast import ForecastRequest, LabForecast, forecast_lab
 
-ENOUGH_S = 15.0
-"""After so many seconds what was worked out has to do."""
+LOOKS_BACK_S = 15.0
+"""So many seconds are spent on what is to be learned; what is left is learned with the next forecast."""
 
 GIVE_UP_S = 90.0
 """After so many seconds a forecast is given up."""
@@ -32,6 +34,21 @@ NICE = 10
 _encode = msgspec.msgpack.Encoder().encode
 
 
+class Question(msgspec.Struct):
+    """A forecast that is asked for, what is known of those of the past, and the records since then."""
+
+    request: ForecastRequest
+    known: LookBack
+    rows: list[Row] = []
+
+
+class Answer(msgspec.Struct):
+    """A forecast, and what is known now of those of the past."""
+
+    forecast: LabForecast
+    known: LookBack
+
+
 class ForecastProcess:
     """Works out forecasts, one at a time."""
 
@@ -39,8 +56,11 @@ class ForecastProcess:
         self._turn = asyncio.Semaphore(1)
         self._asked = 0
 
-    async def forecast_lab(self, ask: Callable[[], ForecastRequest]) -> LabForecast:
-        """What is to be expected; the request is asked when its turn comes. Raises Refused."""
+    async def answer(
+        self, ask: Callable[[], Awaitable[Question]], keep: Callable[[LookBack], None]
+    ) -> LabForecast:
+        """What is to be expected; the question is asked when its turn comes, and what was learned is given
+        to ``keep``. Raises Refused."""
         if self._asked >= MOST_ASKED:
             raise Refused(
                 f"{self._asked} forecasts are asked for already.",
@@ -49,12 +69,14 @@ class ForecastProcess:
         self._asked += 1
         try:
             async with self._turn:
-                return await self._work_out(ask())
+                found = await self._work_out(await ask())
+                keep(found.known)
+                return found.forecast
         finally:
             self._asked -= 1
 
-    async def _work_out(self, request: ForecastRequest) -> LabForecast:
-        data = await asyncio.to_thread(_encode, request)
+    async def _work_out(self, question: Question) -> Answer:
+        data = await asyncio.to_thread(_encode, question)
         process = await asyncio.create_subprocess_exec(
             sys.executable,
             "-m",
@@ -81,18 +103,19 @@ class ForecastProcess:
                 f"The forecast failed: {' '.join(last) or f'exit code {process.returncode}'}.",
                 remedy="The lab goes on without it; please report this.",
             )
-        return await asyncio.to_thread(msgspec.msgpack.decode, told, type=LabForecast)
+        return await asyncio.to_thread(msgspec.msgpack.decode, told, type=Answer)
 
 
 def main() -> None:
-    """Read a request, write the answer."""
+    """Read a question, write the answer."""
     if hasattr(os, "nice"):
         os.nice(NICE)
     clock = SystemClock()
     began = clock.monotonic()
-    request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=ForecastRequest)
-    found = forecast_lab(request, lambda: clock.monotonic() - began > ENOUGH_S)
-    sys.stdout.buffer.write(_encode(found))
+    asked = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Question)
+    known = look_back(asked.known, asked.rows, lambda: clock.monotonic() - began > LOOKS_BACK_S)
+    asked.request.hindsight = known.hindsight
+    sys.stdout.buffer.write(_encode(Answer(forecast_lab(asked.request), known)))
 
 
 if __name__ == "__main__":

@@ -290,6 +290,7 @@ class Standstill:
                 | reasons.AfterElder()
                 | reasons.WouldBlock()
                 | reasons.AfterSuggested()
+                | reasons.ClockLater()
                 | reasons.Unsafe()
                 # Its own steps, or nobody in particular.
                 | reasons.After()

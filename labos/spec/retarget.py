@@ -176,12 +176,14 @@ def rename(text: str, mapping: Mapping[str, str], workcells: tuple[str, str]) ->
     some = "|".join(sorted(map(re.escape, names), key=len, reverse=True))
     in_steps = re.compile(rf"(?<![\w./-])(?:{some})(?=\.\w)|(?<=module: )(?:{some})(?![\w.-])")
     in_lists = re.compile(rf"(?<![\w./-])(?:{some})(?![\w-])")
+    whole = rf"(?<![\w-]){re.escape(old)}(?![\w-])"
+    last_name = re.compile(rf"{whole}(?!.*{whole})")  # folders may be called like it
     lines, top = [], ""
     for line in text.split("\n"):
         if key := re.match(r"([\w-]+):", line):
             top = key[1]
         if top == "workcell":
-            line = re.sub(rf"(?<![\w-]){re.escape(old)}(?![\w-])", new, line)
+            line = last_name.sub(new, line)
         elif names and top not in NAMES_NOTHING and not line.lstrip().startswith("#"):
             pattern = in_lists if top in ("modules", "hold") else in_steps
             line = pattern.sub(lambda found: names[found[0]], line)

@@ -10,9 +10,11 @@ from labos.core.decide import Rejection
 from labos.core.decide.bookings import MakeBooking, NewTerms
 from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.runs import SubmitRun
+from labos.core.ids import RunId
 from labos.core.runs import RunCompleted, RunStarted
 from labos.core.state import from_picture, picture
-from labos.planning.durations import Durations, Spreads
+from labos.planning.durations import Durations
+from labos.planning.hindsight import ENOUGH, Hindsight, Past
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.virtual import MOST_RUNS, Play, VirtualLab, keep_first
 from tests.simulation.clocked import Instance, Life
@@ -105,7 +107,7 @@ PRINT = plan(
 
 
 def make_request(lab: Driver, **more: object) -> ForecastRequest:
-    return ForecastRequest(picture(lab.state), lab.now, Spreads(), **more)  # type: ignore[arg-type]
+    return ForecastRequest(picture(lab.state), lab.now, **more)  # type: ignore[arg-type]
 
 
 def test_what_is_used_up_calls_a_person_when_the_first_run_needs_it() -> None:
@@ -154,7 +156,7 @@ def test_nothing_runs_into_a_booking() -> None:
     told = forecast_lab(make_request(lab, new=SubmitRun(PRINT, "bo"), actor="labos"))
     ada, bo = (next(run for run in told.runs if run.user == user) for user in ("ada", "bo"))
     assert ada.starts is not None
-    assert ada.starts.earliest_at >= begins + HOUR
+    assert ada.starts.expected_at >= begins + HOUR
     assert bo.starts is not None
     assert bo.starts.expected_at <= begins
 
@@ -222,6 +224,28 @@ def test_what_is_refused_is_told() -> None:
     assert "no rows" in told.refusal
 
 
+def test_each_run_has_a_range_as_wide_as_earlier_forecasts_were_off() -> None:
+    lab = small()
+    for _ in range(3):
+        lab.submit(PRINT)
+    past = [
+        Past(
+            RunId(f"P{n}"), 0, (), 0, HOUR, told := Hindsight().expect("ends", HOUR, 0), told, 1, n * HOUR, 1
+        )
+        for n in (2, 3, 4) * ENOUGH
+    ]
+    told = forecast_lab(make_request(lab, hindsight=Hindsight(ended=past)))
+    assert told.learned_from == len(past)
+    for number, run in enumerate(told.runs, 1):
+        assert run.starts is not None
+        assert run.ends is not None
+        assert run.ends_alone is not None
+        takes = number * 120 * SECOND
+        assert run.ends.earliest_at == lab.now + 2 * takes
+        assert run.ends.latest_at == lab.now + 4 * takes
+        assert run.ends_alone.latest_at < lab.now + 2 * takes, "others were the reason, each time"
+
+
 def test_the_same_question_has_the_same_answer() -> None:
     lab = small()
     for _ in range(3):
@@ -243,24 +267,6 @@ def test_of_ten_thousand_runs_that_wait_a_bounded_part_is_looked_at() -> None:
 
 
 # -- durations -------------------------------------------------------------------------------------
-
-
-def test_durations_are_learned_by_arguments_and_forgotten_by_number() -> None:
-    lab = small()
-    durations = Durations()
-    for seconds in (40.0, 50.0, 60.0):
-        run = lab.submit(PRINT)
-        for index in range(3):
-            action = lab.start(run, index)
-            lab.wait(seconds)
-            lab.finish(action)
-    for entry in lab.log:
-        durations.learn(entry.event, entry.at)
-    spreads = durations.spreads()
-    known = {tuple(kind.split("\x1f")[:2]): times for kind, times in spreads.known.items()}
-    times = known[f"{CELL}/dev", "print"]
-    assert times[3] == 50 * SECOND
-    assert (times[0], times[-1]) == (30 * SECOND, 70 * SECOND), "three lie in the middle"
 
 
 def test_a_drift_is_told_when_the_last_times_are_others() -> None:

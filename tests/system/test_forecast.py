@@ -134,3 +134,29 @@ def test_the_queue_shows_when_runs_start_and_end(home: Home) -> None:
     shown = home("approvals", urgent).output
     for word in ("If it were approved now:", "starts:      about", "uses up:     1 foil", "delays:      "):
         assert word in shown, shown
+
+
+@pytest.mark.slow
+def test_how_good_forecasts_were_is_learned_from_the_log_alone(tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text(CELL)
+    (tmp_path / "seal.yaml").write_text(FLOW)
+    cell = load_workcell(tmp_path / "cell.yaml", descriptions())
+    settings = Settings.make(tmp_path / "home", speed=2000.0, simulate=True)
+
+    def carry_out(client: LabClient, count: int) -> None:
+        until(lambda: all(node["status"] == "IDLE" for node in client.state()["modules"]), "all nodes idle")
+        for _ in range(count):
+            client.submit(tmp_path / "seal.yaml", {"time": 2}, user="ada")
+        until(lambda: not client.state()["runs"], "all runs ended")
+
+    with LabThread(settings, [cell], nodes="processes") as running, LabClient(running.url) as client:
+        assert client.forecast()["forecast"]["learned_from"] == 0
+        carry_out(client, 2)
+        assert client.forecast()["forecast"]["learned_from"] == 2
+        client.submit(tmp_path / "seal.yaml", {"time": 600}, user="ada")
+        told = CliRunner().invoke(group, ["forecast", "--home", str(tmp_path / "home")]).output
+        assert "only 2 can be judged yet: how wide ranges are is partly assumed" in told
+        carry_out(client, 0)
+        assert client.forecast()["forecast"]["learned_from"] == 3, "only what came since is read"
+    with LabThread(settings, [cell], nodes="none") as again, LabClient(again.url) as client:
+        assert client.forecast()["forecast"]["learned_from"] == 3, "it is read again"

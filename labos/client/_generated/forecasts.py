@@ -13,8 +13,9 @@ class GeneratedForecasts(Calls):
 
     def forecast(self) -> dict[str, Any]:
         """When runs start and end, and when a person is needed. The lab is carried on in virtual time, with
-        durations drawn from what its log has taught: nothing fails, and nobody fills anything up. The first
-        200 runs that wait are looked at. Returns ``forecast``, ``drifts``. Raises Refused."""
+        the durations that its log has taught: nothing fails, and nobody fills anything up. Ranges are as wide
+        as earlier forecasts were off. The first 200 runs that wait are looked at. Returns ``forecast``,
+        ``drifts``. Raises Refused."""
         return self._get("/forecast")
 
     def _forecast_run(

@@ -51,6 +51,7 @@ from labos.core.reasons._planning import (
     AfterElder,
     AfterSuggested,
     BetterHere,
+    ClockLater,
     FollowsLate,
     NotInTime,
     NoWayOut,
@@ -133,6 +134,7 @@ AnyReason = (
     | FollowsLate
     | AfterElder
     | AfterSuggested
+    | ClockLater
     | WouldBlock
     | BetterHere
     | NoWayOut
@@ -151,6 +153,7 @@ __all__ = [
     "BookedSoon",
     "Buried",
     "Cancelling",
+    "ClockLater",
     "Expired",
     "FollowsLate",
     "Gone",

@@ -60,6 +60,13 @@ class AfterSuggested(Reason, frozen=True):
     place: str
 
 
+class ClockLater(Reason, frozen=True):
+    SENTENCE = "the planner suggests that the clock of {step!r} starts later (at about {at})"
+    WAKES = ("cell",)
+    step: str
+    at: str
+
+
 class BetterHere(Reason, frozen=True):
     SENTENCE = "{first} is down, and beyond {step!r} it would stand in others' way"
     WAKES = ("cell", "near", "module")

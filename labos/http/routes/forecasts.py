@@ -41,8 +41,9 @@ class CampaignForecast(msgspec.Struct, frozen=True):
 
 
 async def get_forecast(call: Call) -> Forecast:
-    """The lab is carried on in virtual time, with durations drawn from what its log has taught: nothing
-    fails, and nobody fills anything up. The first 200 runs that wait are looked at."""
+    """The lab is carried on in virtual time, with the durations that its log has taught: nothing fails, and
+    nobody fills anything up. Ranges are as wide as earlier forecasts were off. The first 200 runs that wait
+    are looked at."""
     forecasts = call.service.forecasts
     return Forecast(hide_others(await forecasts.queue(), call), await forecasts.drifts())
 

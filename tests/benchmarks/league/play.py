@@ -38,6 +38,9 @@ from labos.testing.loop import CountedIds, VirtualClock, VirtualLoop
 from tests.benchmarks.still_lab import MemoryWriter
 
 SECOND = 1_000_000_000
+
+LOOK_AGAIN = 10
+"""Where the planner has not looked at all runs, it looks again after so many have come to their ends."""
 STOCK_COUNT = 400
 
 
@@ -89,6 +92,8 @@ class Player:
         self.planner = planner
         self.watch = Watch() if jitter else None
         self._asked = False
+        self._seen: set[RunId] = set()
+        self._ended = 0
         self.outcome = Outcome(0.0, [], 0, {})
         self._begun: dict[tuple[RunId, int], float] = {}
         self._ends: dict[RunId, asyncio.Event] = {}
@@ -157,6 +162,10 @@ class Player:
                 self.outcome.breaches += 1
             elif isinstance(event, RunCompleted):
                 self._ends.setdefault(event.run, asyncio.Event()).set()
+                self._ended += 1
+                unseen = any(run not in self._seen for run in self.kernel.state.runs.queued)
+                if self.watch is None and unseen and self._ended >= LOOK_AGAIN:
+                    self._let_plan()
         if self.watch is not None:
             self._let_plan()
 
@@ -178,7 +187,9 @@ class Player:
         found = self.planner.suggest(state, self.cell.name, waiting, now)
         if self.watch is not None:
             self.watch.note(state, self.cell.name, waiting, found)
+        self._ended = 0
         if found is not None:
+            self._seen.update(step.run for step in found.steps)
             self._tell(found)
         if WHOLE_LAB in state.lab.paused:
             self._tell(ResumeStarts(WHOLE_LAB, "league"))

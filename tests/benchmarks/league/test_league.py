@@ -9,7 +9,8 @@ from tests.benchmarks.league.cases import Case, cases
 from tests.benchmarks.league.check import Times, faults, makespan, missed
 from tests.benchmarks.league.play import Player
 from tests.benchmarks.league.rules import Problem, problem_of
-from tests.benchmarks.league.score import known, played, score, times_of
+from tests.benchmarks.league.score import Score, known, played, score, times_of
+from tests.benchmarks.league.table import row, verdicts
 
 SMALL = (
     "one arm, 8 plates, within 120 s",
@@ -132,3 +133,13 @@ def test_one_arm_keeps_its_windows_where_durations_stray() -> None:
     case = small("one arm, 8 plates, within 120 s")
     for seed in range(4):
         assert Player(case.cell, case.stock, jitter=0.1, seed=seed).play(case.works).breaches == 0
+
+
+def test_the_table_says_side_by_side_what_is_known_and_what_is_reached() -> None:
+    found = score(small("Gu2016 × 1"))
+    late = Score(found.case, found.makespan_s, 1, found.best)
+    assert row(found, None).startswith("| S-LAB | Gu2016 × 1 | 5,220 | 5,220 | ")
+    assert "(1 missed)" in row(found, late)
+    said = list(verdicts([found], [late]))
+    assert said[0].startswith("S-LAB, online: 1.10 × reached (at worst 1.0")
+    assert said[1].startswith("S-LAB, with planner: 1.03 × not reached")

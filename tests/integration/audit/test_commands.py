@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ from labos.audit import database
 from labos.audit.tables import VIEWS
 from labos.cli.app import main
 from tests.support.audited import audit_lab, before_the_pool
+from tests.support.processes import running
 
 
 @pytest.fixture
@@ -123,3 +126,30 @@ def test_a_difference_has_an_earlier_and_a_later_moment(
     assert {change["about"] for change in facts["changes"]} >= {"labware", "run", "resource"}
     assert main(["diff", "--since", "120", "--until", "110"]) == 1
     assert "later" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="needs a terminal")
+def test_a_person_asks_at_a_prompt_and_changes_nothing(home: Path) -> None:
+    """At a real terminal: a question of two lines, one that would change something, Ctrl-D."""
+    leader, follower = os.openpty()
+    argv = [sys.executable, "-m", "labos", "sql", "--home", str(home)]
+    with running(argv, stdin=follower, stdout=follower, stderr=follower) as asking:
+        os.close(follower)
+        said = b""
+
+        def wait_for(text: bytes) -> None:
+            nonlocal said
+            while text not in said:
+                said += os.read(leader, 4096)
+            said = said.partition(text)[2]
+
+        wait_for(b"Ctrl-D ends.")
+        os.write(leader, b"SELECT count(*) AS how_many\nFROM runs;\n")
+        wait_for(b"how_many\r\n")
+        os.write(leader, b"DELETE FROM runs;\n")
+        wait_for(b"cannot modify runs")
+        wait_for(b"labos> ")
+        os.write(leader, b"\x04")
+        assert asking.wait(60) == 0
+    os.close(leader)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,12 +14,25 @@ from labos.audit.database import Mark, open_audit
 from labos.audit.projector import Projector
 from labos.audit.tables import VERSION
 from labos.errors import LogTooNew, StoreUnavailable
+from labos.store import open_store
 from tests.integration.audit.logs import GrowingLog, everything, golden, project
+from tests.integration.store.conftest import BACKENDS
+from tests.integration.store.test_backup import Writing, notes
+from tests.support.lab_process import until
+from tests.support.processes import running
 
 
 @pytest.fixture
 def url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path / 'labos.db'}"
+
+
+@pytest.fixture(params=BACKENDS)
+def store_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """An empty database of this test's own."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'labos.db'}"
+    return str(request.getfixturevalue("postgres_url"))
 
 
 def fresh(folder: Path, log: GrowingLog) -> str:
@@ -120,3 +134,33 @@ def test_both_databases_say_the_same(url: str, postgres_url: str, monkeypatch: p
         same = [tuple(float(v) if isinstance(v, bool | int) else v for v in row) for row in rows]
         told = [tuple(float(v) if isinstance(v, bool | int) else v for v in row) for row in server[view]]
         assert sorted(same, key=repr) == sorted(told, key=repr), view
+
+
+@pytest.mark.slow
+def test_a_projector_that_stands_still_holds_nobody_up(store_url: str, tmp_path: Path) -> None:
+    """Stopped wherever it is, in a batch or between two: the kernel writes on, and it catches up."""
+    kernel = Writing(open_store(store_url, home=tmp_path))
+    kernel.write(notes(2000))
+    words = [
+        "audit",
+        "project",
+        "--follow",
+        "--every",
+        "0.1",
+        "--home",
+        str(tmp_path),
+        "--database",
+        store_url,
+    ]
+    with running([sys.executable, "-m", "labos", *words], stdout=subprocess.DEVNULL) as other:
+        tables = open_audit(store_url)
+        until(lambda: tables.is_made, "it has begun")
+        for end in (2000, 3000):
+            other.send_signal(signal.SIGSTOP)
+            for number in range(100):
+                kernel.write(notes(10, end + 10 * number))
+            assert kernel.store.head().position == end + 1002
+            other.send_signal(signal.SIGCONT)
+        until(lambda: tables.mark().position == kernel.head.position, "it has caught up")
+        tables.close()
+    kernel.store.close()

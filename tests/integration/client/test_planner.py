@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +16,8 @@ from labos.cli.planner import command as planner
 from labos.client import LabClient
 from labos.settings import Settings
 from labos.spec import parse_workcell
+from tests.support.lab_process import until
+from tests.support.processes import running
 
 CELL = """
 labos: 1
@@ -66,3 +70,24 @@ def test_a_planner_suggests_the_shorter_order_and_the_lab_follows(lab: LabThread
         begun = [e["payload"]["run"] for e in client.events() if e["type"] == "action.requested"]
         assert begun[0] == second
         assert client.suggested_order("shop")["steps"] == [], "nothing of it is still to come"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_a_planner_that_is_killed_leaves_a_lab_that_goes_on(lab: LabThread, tmp_path: Path) -> None:
+    """Killed when runs wait by its advice; they and what comes later are done as without it."""
+    pytest.importorskip("ortools")
+    argv = [sys.executable, "-m", "labos", "planner", "--home", str(tmp_path / "lab"), "--seconds", "2"]
+    with LabClient(lab.url) as client, running([*argv, "--user", "ada"]) as process:
+        client.control("pause", "lab", "ada")
+        runs = [
+            client.submit(flow("cutting", "cut", "cut"), user="ada"),
+            client.submit(flow("both", "cut", "bore"), user="ada"),
+        ]
+        until(lambda: client.suggested_order("shop")["steps"], "an order is suggested", 240.0)
+        process.kill()  # as kill -9 does
+        assert process.wait() == -signal.SIGKILL
+        client.control("resume", "lab", "ada")
+        runs.append(client.submit(flow("late", "bore", "cut"), user="ada"))
+        for run in runs:
+            assert client.wait(run).succeeded

@@ -68,6 +68,7 @@ ACT = {
     "inventory": "labos inventory",
     "actions pf400": "labos actions",
     "twh": "labos twh",
+    "plan pcr --workcell rpl": "labos plan",
     "handover-report": "labos handover-report",
     "submit pcr": "labos submit",
     "pause R1": "labos pause",

@@ -151,7 +151,7 @@ def test_what_it_proposes_waits_whatever_its_token_allows(agent: Agent, lab: Lab
     campaign = agent.ask("propose_campaign", campaign=CAMPAIGN, workflow=SEAL, tables={"rows.csv": ROWS})[
         "data"
     ]["campaign"]
-    clone = agent.ask("propose_clone", campaign=campaign, name="again", key="two")["data"]["campaign"]
+    clone = agent.ask("propose_clone", campaign=campaign, key="two")["data"]["campaign"]
     assert state.campaigns.open[clone].cloned_from == campaign
     assert set(state.approvals.open) >= {run, campaign, clone}
     waits = agent.ask("why_run_waits", run=run)["data"]["waits"]

@@ -12,7 +12,7 @@ from labos.core.decide.nodes import ReportState
 from labos.core.decide.runs import PauseRun
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import ModuleName, RunId
-from labos.core.model import Plan
+from labos.core.model import Plan, Window
 from labos.core.suggestions import MOST_STEPS, Suggested
 from labos.planning.explain import sentence
 from labos.planning.suggested import GRACE_S, MOST_S
@@ -46,6 +46,19 @@ def visit(*modules: str, name: str = "visit", work_s: float = 100.0) -> Plan:
         at = f"{one}.nest"
     steps.append(step("arm", move(at, "trash"), key="away", duration_s=10.0))
     return plan(*steps, name=name)
+
+
+def dose_and_read() -> Plan:
+    """The reader has to follow the end of the dispenser within two minutes."""
+    read = step("other", key="read", duration_s=100.0, windows=(Window(1, 0.0, 120.0),))
+    return plan(
+        step("tower", take("stack", "dev.nest"), key="get", duration_s=10.0),
+        step("dev", key="dose", duration_s=100.0),
+        step("arm", move("dev.nest", "other.nest"), key="over", duration_s=10.0),
+        read,
+        step("arm", move("other.nest", "trash"), key="away", duration_s=10.0),
+        name="dose and read",
+    )
 
 
 TICK = plan(step("clock", key="tick", duration_s=5000.0), name="tick")
@@ -149,8 +162,9 @@ def test_bad_advice_stops_nobody(seed: int) -> None:
     lab.stock("stack", 80)
     ways = [("dev",), ("other",), ("dev", "other"), ("other", "dev")]
     for number in range(rng.randint(2, 9)):
+        clocked = rng.random() < 0.3
         lab.submit(
-            visit(*rng.choice(ways), name=f"w{number}"),
+            dose_and_read() if clocked else visit(*rng.choice(ways), name=f"w{number}"),
             user=rng.choice(["ada", "bo"]),
             priority=rng.choice([0, 0, 0, 3]),
         )
@@ -224,3 +238,25 @@ def test_no_planner_holds_a_lab_up(kind: str) -> None:
         assert (lab.now - begun) / SECOND < 3 * 4 * (MOST_S + 1000.0), lab.describe_stuck()
     assert lab.state.runs.get(broken) is not None
     lab.check_log()
+
+
+def test_a_step_that_starts_a_clock_waits_for_its_own_time() -> None:
+    lab, (run,) = make_lab(dose_and_read())
+    suggest(lab, (run, 0, 0.0), (run, 1, 50.0))
+    assert lab.pump() == [f"{run}#0"]
+    lab.wait(10.0)
+    lab.finish(next(a.id for a in lab.state.actions.open.values() if a.run == run))
+    assert lab.pump() == []
+    assert "the planner suggests that the clock of 'dose' starts later" in why(lab, run, 1)
+    lab.wait(40.0)
+    assert lab.pump() == [f"{run}#1"]
+
+
+def test_where_nothing_moves_no_clock_waits_for_its_time() -> None:
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    run = lab.submit(dose_and_read())
+    suggest(lab, (run, 1, 3000.0))
+    assert lab.pump() == [f"{run}#0"]
+    lab.finish(next(a.id for a in lab.state.actions.open.values() if a.run == run))
+    assert lab.pump() == [f"{run}#1"]

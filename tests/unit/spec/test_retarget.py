@@ -12,6 +12,7 @@ import pytest
 from labos.cli.app import main
 from labos.spec.retarget import differing, rename
 from tests.apps.growth import APP
+from tests.support.corpus import corpus
 from tests.unit.cli_files.calls import call
 
 SEAL = """\
@@ -165,3 +166,39 @@ def test_two_modules_may_exchange_their_names() -> None:
     text = "steps:\n  - {name: A, module: one, action: a, args: {at: two.x}}\n"
     swapped = rename(text, {"one": "two", "two": "one"}, ("a", "b"))
     assert swapped == "steps:\n  - {name: A, module: two, action: a, args: {at: one.x}}\n"
+
+
+# -- workflows of another laboratory --------------------------------------------------------------
+
+
+def test_workflows_that_were_written_for_bio_elsewhere_are_retargeted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The public BIO workcell and its workflows, as the importer writes them: only the crane's name differs,
+    and of places that were never described it is said which of ours is meant."""
+    public = corpus() / "corpus/rpl_workcell/_history/bio_workcell"
+    assert main(["import", str(public), "-o", str(tmp_path / "specs")]) == 1
+    assert "4 written, 0 skipped, 1 refused" in capsys.readouterr().out
+    described = {"HidexNest2", "SealerNest", "PeelerNest", "Liconic.Nest"}
+    for flow, payload, places in (
+        ("demo", ["stacker=1", "slot=1", "seal.time=3", "shaker_speed=1"], described),
+        ("platecrane_test", [], described),
+        ("liconic_test", ["stacker=1", "slot=1"], set()),
+    ):
+        file, written = tmp_path / f"specs/workflows/{flow}.yaml", tmp_path / f"{flow}.yaml"
+        values = [word for value in payload for word in ("-p", value)]
+        cell = str(tmp_path / "specs/bio_workcell.yaml")
+        told = run_retarget(file, *values, old=cell, output=written, code=int(bool(places)))
+        mapping = {match["module"]: match["becomes"] for match in told["matches"]}
+        assert {one: other for one, other in mapping.items() if one != other} in (
+            {"plateCrane": "platecrane"},
+            {},
+        )
+        strange = [each["message"] for each in told["findings"] if "There is no station" in each["message"]]
+        assert {message.split("There is no station '")[1].split("'")[0] for message in strange} == places
+        assert all(
+            "Did you mean" in each["remedy"] for each in told["findings"] if each["message"] in strange
+        )
+        lines = differing(file.read_text(), written.read_text())[2:]
+        assert "+workcell: /home/rpl/workspace/rpl_workcell/bio_workcell/bio.yaml" in lines
+        assert all("platecrane" in line for line in lines if line[0] == "+" and "workcell:" not in line)

@@ -1,0 +1,271 @@
+"""How far off forecasts were, learned from runs that have ended; and what that says of a new one.
+
+For each run that somebody submits, the lab as it was is carried on with the usual durations, as a forecast
+would have done. When the run has ended it is known by how much it was late or early, as part of the time
+that was foreseen: others came meanwhile, a person let the lab wait, steps took longer. A new forecast
+is as far off as those that were most like it, in how long was foreseen and in how others had come before.
+
+Its range is the narrowest one that holds the part of these that it should, and a little more or less of them
+than that: each run that ends outside of what was told widens the ranges to come, each one inside narrows
+them. So in the long run they hold what they should, whatever habits change (adaptive conformal inference,
+Gibbs and Candès, 2021).
+
+All of it follows from the log alone: the same log gives the same ranges.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import msgspec
+
+from labos.core.fold import evolve
+from labos.core.ids import RunId
+from labos.core.registry import Event, decode
+from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
+from labos.core.state import LabState, from_picture, picture
+from labos.planning.forecast import usual
+from labos.planning.virtual import Play, VirtualLab, keep_first
+
+TARGET = 0.8
+"""The part of all times that ranges are to hold."""
+
+RATE = 0.02
+"""By how much a miss lets the ranges to come hold more; a hit lets them hold less by a fraction of it."""
+
+MOST_LEVEL, MOST_BELOW = 0.98, 0.3
+"""The part that ranges hold is never more than the first, and never less than the target by the second."""
+
+KEPT = 200
+"""The last runs that have ended and are kept."""
+
+OPEN = 300
+"""The runs that have not, and are kept."""
+
+ALIKE = 25
+"""So many runs that are most like the one in question are looked at."""
+
+ENOUGH = 10
+"""With fewer of them, what is assumed of a lab of which nothing is known counts too."""
+
+ASSUMED = (-0.05, -0.03, -0.01, 0.0, 0.0, 0.0, 0.04, 0.08, 0.2, 0.5)
+ASSUMED_ALONE = (-0.06, -0.04, -0.02, -0.01, 0.0, 0.0, 0.01, 0.02, 0.04, 0.06)
+"""By which parts of the time that was foreseen a forecast is assumed to be off: as others come, and if nobody
+does."""
+
+PAUSES = 3
+"""So many pauses between submissions are compared: who comes in fours comes so again."""
+
+FLOOR_NS = 60 * 10**9
+"""What is foreseen for the next minute is as far off as what is foreseen for a minute."""
+
+WEIGHT_OF_PAUSES = 0.3
+"""How much the last pause counts beside the time that is foreseen (both as logarithms)."""
+
+LOOKED_AT, MOST_STEPS = 60, 1_500
+"""Runs that wait, and steps, up to which a lab of the past is carried on."""
+
+Row = tuple[int, str, int, int, bytes]
+"""(position, type, schema, recorded_at, payload) of a record of the log."""
+
+
+class Times(msgspec.Struct, frozen=True):
+    """When something is expected, and between which times it lies in four of five cases (UTC ns)."""
+
+    earliest_at: int
+    expected_at: int
+    latest_at: int
+
+
+class Expected(msgspec.Struct, frozen=True):
+    """A time as things usually go, and if nobody submits anything more."""
+
+    usual: Times
+    alone: Times
+
+
+class Past(msgspec.Struct):
+    """A run: what was foreseen for it when it was submitted, what was told, and what came (UTC ns; 0: not
+    yet). ``pauses`` are the last ones between submissions until then (ns), ``next_at`` when somebody
+    submitted the next run."""
+
+    run: RunId
+    at: int
+    pauses: tuple[int, ...]
+    start: int
+    end: int
+    told_start: Expected
+    told_end: Expected
+    started: int = 0
+    ended: int = 0
+    next_at: int = 0
+
+    def foreseen(self, what: str) -> int:
+        return self.start if what == "starts" else self.end
+
+    def came(self, what: str) -> int:
+        return self.started if what == "starts" else self.ended
+
+    def told(self, what: str, kind: str) -> Times:
+        """What was told as things usually go (`usual`), or if nobody came (`alone`)."""
+        expected = self.told_start if what == "starts" else self.told_end
+        return expected.usual if kind == "usual" else expected.alone
+
+    def is_alone(self, what: str) -> bool:
+        """Whether nobody submitted anything until it came."""
+        return not self.next_at or self.next_at > self.came(what)
+
+    def off_by(self, what: str) -> float:
+        """How much later it came than foreseen, as part of the time that was foreseen."""
+        return (self.came(what) - self.foreseen(what)) / _scale(self.foreseen(what) - self.at)
+
+
+class Hindsight(msgspec.Struct):
+    """What was foreseen of runs and what came, up to a ``position`` of the log. ``levels`` are the parts of
+    the most similar ones that ranges hold at present, so that they hold ``target`` of what comes."""
+
+    target: float = TARGET
+    position: int = 0
+    last_at: int = 0
+    pauses: list[int] = []
+    open: dict[RunId, Past] = {}
+    ended: list[Past] = []
+    levels: dict[str, float] = {}
+
+    # -- what is expected --------------------------------------------------------------------
+
+    def expect(self, what: str, foreseen: int, now: int) -> Expected:
+        """When that comes which is foreseen for a time (UTC ns); ``what`` is `starts` or `ends`."""
+        if foreseen < now:
+            return Expected(*[Times(foreseen, foreseen, foreseen)] * 2)
+        return Expected(
+            self._range(what, f"{what} usual", foreseen, now, self._possible(now), ASSUMED),
+            self._range(what, f"{what} alone", foreseen, now, self._alone(what), ASSUMED_ALONE),
+        )
+
+    def _possible(self, now: int) -> list[Past]:
+        """The runs after which nobody came for as long as nobody has come now; all, if these are few."""
+        waited = now - self.last_at if self.last_at else 0
+        quiet = [past for past in self.ended if not past.next_at or past.next_at - past.at >= waited]
+        return quiet if len(quiet) >= ENOUGH else self.ended
+
+    def _alone(self, what: str) -> list[Past]:
+        return [past for past in self.ended if past.is_alone(what)]
+
+    def _range(
+        self, what: str, kind: str, foreseen: int, now: int, known: list[Past], assumed: Sequence[float]
+    ) -> Times:
+        pauses = self.pauses if kind.endswith("usual") else []
+        nearest = sorted(known, key=lambda past: _differ(past, what, foreseen - now, pauses))[:ALIKE]
+        parts = [past.off_by(what) for past in nearest]
+        if len(parts) < ENOUGH:
+            parts += assumed
+        parts.sort()
+        low, high = _narrowest(parts, self.levels.get(kind, self.target))
+        middle, scale = _middle(parts), _scale(foreseen - now)
+        return Times(*(max(now, int(foreseen + part * scale)) for part in (low, middle, high)))
+
+    # -- learning ----------------------------------------------------------------------------
+
+    def learn(self, event: Event, at: int, foresee: Callable[[], Play | None]) -> None:
+        """Take in an event, in order; ``at`` is when it was recorded (UTC ns). ``foresee`` carries the lab
+        on as it was after this event; it is asked only if a run was submitted."""
+        match event:
+            case RunSubmitted() if not (event.campaign or event.closing):
+                self._come(event.run, at, foresee)
+            case RunStarted() if event.run in self.open:
+                past = self.open[event.run]
+                past.started = at
+                self._judge(past, "starts")
+            case RunCompleted() if event.run in self.open:
+                past = self.open.pop(event.run)
+                past.ended = at
+                self._judge(past, "ends")
+                self.ended.append(past)
+                del self.ended[:-KEPT]
+            case RunFailed() | RunCancelled():
+                self.open.pop(event.run, None)
+
+    def _come(self, run: RunId, at: int, foresee: Callable[[], Play | None]) -> None:
+        for past in (*self.open.values(), *self.ended):
+            past.next_at = past.next_at or at
+        if self.last_at:
+            self.pauses = [*self.pauses, at - self.last_at][-PAUSES:]
+        self.last_at = at
+        play = foresee() if len(self.open) < OPEN else None
+        if play is None or run not in play.starts or run not in play.ends or run in play.failed:
+            return
+        start, end = play.starts[run], play.ends[run]
+        told = self.expect("starts", start, at), self.expect("ends", end, at)
+        self.open[run] = Past(run, at, tuple(self.pauses), start, end, *told)
+
+    def _judge(self, past: Past, what: str) -> None:
+        """Widen or narrow the ranges to come."""
+        came = past.came(what)
+        for kind in ("usual", "alone"):
+            if kind == "alone" and not past.is_alone(what):
+                continue
+            told = past.told(what, kind)
+            missed = not told.earliest_at <= came <= told.latest_at
+            level = self.levels.get(f"{what} {kind}", self.target)
+            level += RATE * (missed - (1 - self.target))
+            self.levels[f"{what} {kind}"] = min(MOST_LEVEL, max(self.target - MOST_BELOW, level))
+
+
+def _differ(past: Past, what: str, foreseen_ns: int, pauses: Sequence[int]) -> float:
+    """How unlike the one in question a run of the past was."""
+    differs = abs(math.log(_scale(past.foreseen(what) - past.at) / _scale(foreseen_ns)))
+    both = zip(reversed(past.pauses), reversed(pauses), strict=False)
+    for number, (one, other) in enumerate(both, 1):
+        differs += WEIGHT_OF_PAUSES / number * abs(math.log1p(one / 1e9) - math.log1p(other / 1e9))
+    return differs
+
+
+def _scale(foreseen_ns: int) -> int:
+    return max(FLOOR_NS, foreseen_ns)
+
+
+def _narrowest(ordered: Sequence[float], level: float) -> tuple[float, float]:
+    """The narrowest range that holds such a part of all that could be, of which these are a few."""
+    count = min(len(ordered), max(1, math.ceil(level * (len(ordered) + 1))))
+    first = min(range(len(ordered) - count + 1), key=lambda i: ordered[i + count - 1] - ordered[i])
+    return ordered[first], ordered[first + count - 1]
+
+
+def _middle(ordered: Sequence[float]) -> float:
+    half = len(ordered) // 2
+    return ordered[half] if len(ordered) % 2 else (ordered[half - 1] + ordered[half]) / 2
+
+
+# -- from the log --------------------------------------------------------------------------------
+
+
+class LookBack(msgspec.Struct):
+    """What was learned up to a position of the log, and a picture of the state there (empty: the log's
+    beginning)."""
+
+    hindsight: Hindsight = msgspec.field(default_factory=Hindsight)
+    picture: bytes = b""
+
+
+def look_back(known: LookBack, rows: Iterable[Row], is_late: Callable[[], bool] = lambda: False) -> LookBack:
+    """Learn from the records that follow; once it ``is_late``, from no more of them."""
+    state = from_picture(known.picture) if known.picture else LabState()
+    hindsight = known.hindsight
+    for position, kind, schema, at, payload in rows:
+        event = decode(kind, schema, payload)
+        evolve(state, event, position, at)
+        hindsight.learn(event, at, lambda at=at: foresee(state, at))  # type: ignore[misc]
+        hindsight.position = position
+        if isinstance(event, RunSubmitted) and is_late():
+            break
+    return LookBack(hindsight, picture(state))
+
+
+def foresee(state: LabState, now: int) -> Play | None:
+    """How a lab would go on from now with the usual durations; None if it has too much to do to tell."""
+    copy = from_picture(picture(state))
+    keep_first(copy, LOOKED_AT)
+    play = VirtualLab(copy, now, lambda action, step: usual(copy, step), most_steps=MOST_STEPS).go_on()
+    return None if play.cut else play
