@@ -31,7 +31,7 @@ from tests.integration.store.test_words import erasing, pause_with_words
 from tests.support.postgres import PostgresServer
 from tests.unit.services.logbook import Logbook
 
-pytestmark = pytest.mark.postgres
+pytestmark = [pytest.mark.postgres, pytest.mark.slow]
 
 Open = Callable[..., SqlEventStore]
 NOBODY = "nobody may read 0xC0FFEE"
