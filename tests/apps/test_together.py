@@ -23,11 +23,11 @@ EVENTS = 600
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 def test_two_applications_of_two_users_go_on_when_the_kernel_and_one_of_them_are_killed(
     tmp_path: Path,
 ) -> None:
-    apps = [TWO_PICKERS, POLYMERS._replace(payload={"saturated": "thinner"})]
+    apps = [TWO_PICKERS, POLYMERS._replace(payload={"saturated": "thinner", "tolerance": 3.0})]
     kills = [Kill("application", 20, 0), Kill("kernel", 60)]
     found = run_together(tmp_path, apps, speed=3000.0, kills=kills)
     assert found.not_killed == []

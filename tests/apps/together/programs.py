@@ -100,7 +100,6 @@ TWO_PICKERS = COLOR_PICKER._replace(
         "samples": 12,
         "batch": 4,
         "handlers": ["ot2_cp_gamma", "ot2_growth_beta"],
-        "solver": "bayesian",
     },
 )
 """The color picker with two liquid handlers, each with a plate and an experiment of its own."""
