@@ -149,9 +149,22 @@ def test_digests_do_not_depend_on_the_process() -> None:
 
 
 def test_the_client_stays_light() -> None:
-    words = "import sys, labos.client; print({'multiprocessing', 'parsl', 'distributed'} & {*sys.modules})"
+    heavy = "{'multiprocessing', 'parsl', 'distributed', 'globus_sdk', 'globus_compute_sdk'}"
+    words = f"import sys, labos.client; print({heavy} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_without_the_kit_of_globus_it_is_said_what_to_install() -> None:
+    words = (
+        "import sys; sys.modules['globus_sdk'] = None\n"
+        "from labos.errors import BadInput\n"
+        "from labos.services.globus import GlobusEndpoint\n"
+        "try: GlobusEndpoint('1', authorizer=object()).open()\n"
+        "except BadInput as error: print(error.remedy)"
+    )
+    done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == 'pip install "labos-sdl[globus]"'
 
 
 @pytest.mark.slow
