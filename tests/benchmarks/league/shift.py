@@ -81,8 +81,8 @@ def works(seed: int) -> list[Work]:
         at = HOUR_S * (1.6 * burst + rng.uniform(0.0, 0.5))
         found += [Work((pcr,), after_s=at + 60.0 * number) for number in range(3)]
     start = StartExperiment("colour picker", "bo", PLANS["cp_trashplate"].plan)
-    for number in range(4):  # one experiment after the other, sometimes two at once
-        names = ["cp_newplate", *["cp_mixcolor"] * rng.randint(5, 8), "cp_trashplate"]
+    for number in range(4):  # a well holds seven mixes
+        names = ["cp_newplate", *["cp_mixcolor"] * rng.randint(4, 7), "cp_trashplate"]
         runs = tuple(replace(PLANS[name], user="bo") for name in names)
         found.append(Work(runs, start, HOUR_S * (1.5 * number + rng.uniform(0.0, 0.5))))
     plate = growth()
