@@ -107,6 +107,8 @@ def submit_all(facility: Facility) -> dict[str, list[str]]:
         with facility.who(user) as client:
             # Who asks is whoever shows the token, whatever the request says.
             wanted[user] = [client.submit(WORKFLOW, {"time": 1}, user="ada") for _ in range(count)]
+            if user == "greedy":
+                client.pause(wanted[user][-1])  # an intruder will try to end it: it is not over before
     with facility.who("cy") as cy:
         rows = "labos: 1\ncampaign: times\nworkflow: seal.yaml\nrows: {list: [{time: 1}, {time: 2}]}\n"
         cy.submit_campaign({"text": rows, "name": "times.yaml", "workflow": WORKFLOW}, user="cy")
@@ -166,6 +168,8 @@ def intrude(facility: Facility, wanted: dict[str, list[str]]) -> int:
             refused += 1
     with facility.who("bo") as bo, pytest.raises(Forbidden):
         bo.cancel(victim, by="bo")
+    with facility.who("greedy") as greedy:
+        greedy.resume(victim)
     return refused + 1
 
 
