@@ -38,7 +38,7 @@ MOST_LEVEL, MOST_BELOW = 0.98, 0.3
 """The part that ranges hold is never more than the first, and never less than the target by the second."""
 
 KEPT = 200
-"""The last runs that have ended and are kept."""
+"""The last runs that have ended and are kept: so many forecasts of new ones, and so many of others."""
 
 OPEN = 300
 """The runs that have not, and are kept."""
@@ -54,6 +54,13 @@ ASSUMED_ALONE = (-0.06, -0.04, -0.02, -0.01, 0.0, 0.0, 0.01, 0.02, 0.04, 0.06)
 """By which parts of the time that was foreseen a forecast is assumed to be off: as others come, and if nobody
 does."""
 
+NEW_NS = 60 * 10**9
+"""For so long after its submission a run counts as new."""
+
+AGAIN, AGAIN_OF_ONE = 10, 4
+"""When a run is submitted, it is also kept what is foreseen for so many others, those that end next; of each
+of them so many times."""
+
 PAUSES = 3
 """So many pauses between submissions are compared: who comes in fours comes so again."""
 
@@ -62,6 +69,9 @@ FLOOR_NS = 60 * 10**9
 
 WEIGHT_OF_PAUSES = 0.3
 """How much the last pause counts beside the time that is foreseen (both as logarithms)."""
+
+WEIGHT_OF_AGE = 0.3
+"""How much the age of a run counts beside the time that is foreseen (both as logarithms)."""
 
 LOOKED_AT, MOST_STEPS = 60, 1_500
 """Runs that wait, and steps, up to which a lab of the past is carried on."""
@@ -86,9 +96,9 @@ class Expected(msgspec.Struct, frozen=True):
 
 
 class Past(msgspec.Struct):
-    """A run: what was foreseen for it when it was submitted, what was told, and what came (UTC ns; 0: not
-    yet). ``pauses`` are the last ones between submissions until then (ns), ``next_at`` when somebody
-    submitted the next run."""
+    """A run: what was foreseen for it, ``age`` ns after its submission, what was told, and what came (UTC
+    ns; 0: not yet). ``pauses`` are the last ones between submissions until then (ns), ``next_at`` when
+    somebody submitted the next run."""
 
     run: RunId
     at: int
@@ -100,6 +110,7 @@ class Past(msgspec.Struct):
     started: int = 0
     ended: int = 0
     next_at: int = 0
+    age: int = 0
 
     def foreseen(self, what: str) -> int:
         return self.start if what == "starts" else self.end
@@ -122,8 +133,9 @@ class Past(msgspec.Struct):
 
 
 class Hindsight(msgspec.Struct):
-    """What was foreseen of runs and what came, up to a ``position`` of the log. ``levels`` are the parts of
-    the most similar ones that ranges hold at present, so that they hold ``target`` of what comes."""
+    """What was foreseen of runs and what came, up to a ``position`` of the log: of new ones, and of those
+    that were waited for when others were submitted (``again``). ``levels`` are the parts of the most similar
+    ones that ranges hold at present, so that they hold ``target`` of what comes."""
 
     target: float = TARGET
     position: int = 0
@@ -131,40 +143,39 @@ class Hindsight(msgspec.Struct):
     pauses: list[int] = []
     open: dict[RunId, Past] = {}
     ended: list[Past] = []
+    open_again: dict[RunId, list[Past]] = {}
+    ended_again: list[Past] = []
     levels: dict[str, float] = {}
 
     # -- what is expected --------------------------------------------------------------------
 
-    def expect(self, what: str, foreseen: int, now: int) -> Expected:
-        """When that comes which is foreseen for a time (UTC ns); ``what`` is `starts` or `ends`."""
+    def expect(self, what: str, foreseen: int, now: int, age: int = 0) -> Expected:
+        """When that comes which is foreseen for a time (UTC ns), of a run that was submitted ``age`` ns ago;
+        ``what`` is `starts` or `ends`."""
         if foreseen < now:
             return Expected(*[Times(foreseen, foreseen, foreseen)] * 2)
+        known = self.ended if age < NEW_NS else self.ended_again
+        asked = _Asked(what, foreseen, now, age)
         return Expected(
-            self._range(what, f"{what} usual", foreseen, now, self._possible(now), ASSUMED),
-            self._range(what, f"{what} alone", foreseen, now, self._alone(what), ASSUMED_ALONE),
+            self._range(asked, "usual", self._possible(known, now), ASSUMED),
+            self._range(asked, "alone", [past for past in known if past.is_alone(what)], ASSUMED_ALONE),
         )
 
-    def _possible(self, now: int) -> list[Past]:
+    def _possible(self, known: list[Past], now: int) -> list[Past]:
         """The runs after which nobody came for as long as nobody has come now; all, if these are few."""
         waited = now - self.last_at if self.last_at else 0
-        quiet = [past for past in self.ended if not past.next_at or past.next_at - past.at >= waited]
-        return quiet if len(quiet) >= ENOUGH else self.ended
+        quiet = [past for past in known if not past.next_at or past.next_at - past.at >= waited]
+        return quiet if len(quiet) >= ENOUGH else known
 
-    def _alone(self, what: str) -> list[Past]:
-        return [past for past in self.ended if past.is_alone(what)]
-
-    def _range(
-        self, what: str, kind: str, foreseen: int, now: int, known: list[Past], assumed: Sequence[float]
-    ) -> Times:
-        pauses = self.pauses if kind.endswith("usual") else []
-        nearest = sorted(known, key=lambda past: _differ(past, what, foreseen - now, pauses))[:ALIKE]
-        parts = [past.off_by(what) for past in nearest]
+    def _range(self, asked: _Asked, kind: str, known: list[Past], assumed: Sequence[float]) -> Times:
+        pauses = self.pauses if kind == "usual" else []
+        parts = [past.off_by(asked.what) for past in asked.find_nearest(known, pauses)]
         if len(parts) < ENOUGH:
             parts += assumed
         parts.sort()
-        low, high = _narrowest(parts, self.levels.get(kind, self.target))
-        middle, scale = _middle(parts), _scale(foreseen - now)
-        return Times(*(max(now, int(foreseen + part * scale)) for part in (low, middle, high)))
+        low, high = _narrowest(parts, self.levels.get(_level_of(asked.what, kind, asked.age), self.target))
+        middle, scale = _middle(parts), _scale(asked.foreseen - asked.now)
+        return Times(*(max(asked.now, int(asked.foreseen + part * scale)) for part in (low, middle, high)))
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -175,30 +186,49 @@ class Hindsight(msgspec.Struct):
             case RunSubmitted() if not (event.campaign or event.closing):
                 self._come(event.run, at, foresee)
             case RunStarted() if event.run in self.open:
-                past = self.open[event.run]
-                past.started = at
-                self._judge(past, "starts")
+                for past in self._told_of(event.run):
+                    past.started = at
+                    if past.start >= past.at:
+                        self._judge(past, "starts")
             case RunCompleted() if event.run in self.open:
-                past = self.open.pop(event.run)
-                past.ended = at
-                self._judge(past, "ends")
-                self.ended.append(past)
-                del self.ended[:-KEPT]
+                for past in self._told_of(event.run):
+                    past.ended = at
+                    self._judge(past, "ends")
+                self.ended = [*self.ended, self.open.pop(event.run)][-KEPT:]
+                self.ended_again = [*self.ended_again, *self.open_again.pop(event.run, [])][-KEPT:]
             case RunFailed() | RunCancelled():
                 self.open.pop(event.run, None)
+                self.open_again.pop(event.run, None)
+
+    def _told_of(self, run: RunId) -> list[Past]:
+        return [self.open[run], *self.open_again.get(run, [])]
 
     def _come(self, run: RunId, at: int, foresee: Callable[[], Play | None]) -> None:
-        for past in (*self.open.values(), *self.ended):
+        for past in (*self.open.values(), *self.ended, *self.ended_again):
             past.next_at = past.next_at or at
+        for again in self.open_again.values():
+            for past in again:
+                past.next_at = past.next_at or at
         if self.last_at:
             self.pauses = [*self.pauses, at - self.last_at][-PAUSES:]
         self.last_at = at
         play = foresee() if len(self.open) < OPEN else None
-        if play is None or run not in play.starts or run not in play.ends or run in play.failed:
+        if play is None:
             return
+        waited_for = sorted(self.open.keys() & play.ends.keys(), key=lambda name: (play.ends[name], name))
+        for name in waited_for[:AGAIN]:
+            known = self.open_again.setdefault(name, [])
+            if at - self.open[name].at >= NEW_NS and len(known) < AGAIN_OF_ONE and name not in play.failed:
+                known.append(self._foresee(name, at, play, self.open[name]))
+        if run in play.starts and run in play.ends and run not in play.failed:
+            self.open[run] = self._foresee(run, at, play)
+
+    def _foresee(self, run: RunId, at: int, play: Play, first: Past | None = None) -> Past:
+        """What is foreseen for a run now, and told; ``first`` is what was at its submission."""
+        age, started = (at - first.at, first.started) if first is not None else (0, 0)
         start, end = play.starts[run], play.ends[run]
-        told = self.expect("starts", start, at), self.expect("ends", end, at)
-        self.open[run] = Past(run, at, tuple(self.pauses), start, end, *told)
+        told = self.expect("starts", start, at, age), self.expect("ends", end, at, age)
+        return Past(run, at, tuple(self.pauses), start, end, *told, started=started, age=age)
 
     def _judge(self, past: Past, what: str) -> None:
         """Widen or narrow the ranges to come."""
@@ -206,20 +236,38 @@ class Hindsight(msgspec.Struct):
         for kind in ("usual", "alone"):
             if kind == "alone" and not past.is_alone(what):
                 continue
-            told = past.told(what, kind)
+            told, name = past.told(what, kind), _level_of(what, kind, past.age)
             missed = not told.earliest_at <= came <= told.latest_at
-            level = self.levels.get(f"{what} {kind}", self.target)
-            level += RATE * (missed - (1 - self.target))
-            self.levels[f"{what} {kind}"] = min(MOST_LEVEL, max(self.target - MOST_BELOW, level))
+            level = self.levels.get(name, self.target) + RATE * (missed - (1 - self.target))
+            self.levels[name] = min(MOST_LEVEL, max(self.target - MOST_BELOW, level))
 
 
-def _differ(past: Past, what: str, foreseen_ns: int, pauses: Sequence[int]) -> float:
-    """How unlike the one in question a run of the past was."""
-    differs = abs(math.log(_scale(past.foreseen(what) - past.at) / _scale(foreseen_ns)))
-    both = zip(reversed(past.pauses), reversed(pauses), strict=False)
-    for number, (one, other) in enumerate(both, 1):
-        differs += WEIGHT_OF_PAUSES / number * abs(math.log1p(one / 1e9) - math.log1p(other / 1e9))
-    return differs
+class _Asked(msgspec.Struct, frozen=True):
+    """What a range is asked for."""
+
+    what: str
+    foreseen: int
+    now: int
+    age: int
+
+    def find_nearest(self, known: Sequence[Past], pauses: Sequence[int]) -> list[Past]:
+        """The forecasts of the past that are most like this one. Starts are judged of runs that had not."""
+        waited = [past for past in known if self.what == "ends" or past.start >= past.at]
+        return sorted(waited, key=lambda past: self._differ(past, pauses))[:ALIKE]
+
+    def _differ(self, past: Past, pauses: Sequence[int]) -> float:
+        """How unlike this one a forecast of the past was."""
+        foreseen, long = past.foreseen(self.what) - past.at, self.foreseen - self.now
+        differs = abs(math.log(_scale(foreseen) / _scale(long)))
+        differs += WEIGHT_OF_AGE * abs(math.log(_scale(past.age) / _scale(self.age)))
+        both = zip(reversed(past.pauses), reversed(pauses), strict=False)
+        for number, (one, other) in enumerate(both, 1):
+            differs += WEIGHT_OF_PAUSES / number * abs(math.log1p(one / 1e9) - math.log1p(other / 1e9))
+        return differs
+
+
+def _level_of(what: str, kind: str, age: int) -> str:
+    return f"{what} {kind}{'' if age < NEW_NS else ' again'}"
 
 
 def _scale(foreseen_ns: int) -> int:

@@ -157,6 +157,7 @@ class _Forecaster:
     def __init__(self, request: ForecastRequest, base: bytes) -> None:
         self.request, self.base = request, base
         self.workflows: dict[RunId, str] = {}
+        self.ages: dict[RunId, int] = {}
         self.campaigns: dict[CampaignId, tuple[str, int]] = {}
         self.new, self.refusal = "", ""
 
@@ -185,14 +186,15 @@ class _Forecaster:
             self.campaigns[campaign.id] = (campaign.name, campaign.left)
         for run in [*state.runs.active.values(), *state.runs.queued.values()]:
             self.workflows[run.id] = run.workflow
+            self.ages[run.id] = max(0, asked.now - run.submitted_at)
         return lab.go_on()
 
-    def expect(self, what: str, foreseen: int | None) -> tuple[Times | None, Times | None]:
-        """When that comes which is foreseen for a time (UTC ns; None: not in sight): as things usually go,
-        and if nobody else submits."""
+    def expect(self, what: str, foreseen: int | None, age: int = 0) -> tuple[Times | None, Times | None]:
+        """When that comes which is foreseen for a time (UTC ns; None: not in sight), for a run that was
+        submitted ``age`` ns ago: as things usually go, and if nobody else submits."""
         if foreseen is None:
             return None, None
-        told = self.request.hindsight.expect(what, foreseen, self.request.now)
+        told = self.request.hindsight.expect(what, foreseen, self.request.now, age)
         return told.usual, told.alone
 
     def _submit(self, lab: VirtualLab, command: Command) -> None:
@@ -213,8 +215,9 @@ def _is_new(forecaster: _Forecaster, play: Play, name: RunId) -> bool:
 
 
 def _run(forecaster: _Forecaster, play: Play, name: RunId) -> ExpectedRun:
-    starts, starts_alone = forecaster.expect("starts", play.starts.get(name))
-    ends, ends_alone = forecaster.expect("ends", play.ends.get(name))
+    age = forecaster.ages.get(name, 0)
+    starts, starts_alone = forecaster.expect("starts", play.starts.get(name), age)
+    ends, ends_alone = forecaster.expect("ends", play.ends.get(name), age)
     return ExpectedRun(
         run=str(name),
         workflow=forecaster.workflows.get(name, ""),

@@ -108,20 +108,21 @@ def hear(records: Sequence[Record]) -> list[Heard]:
     return found
 
 
-def learn(labs: Sequence[Sequence[Heard]], target: float = TARGET) -> list[Past]:
-    """The runs of several labs with the same habits that have ended, in the order of their submission, with
-    what was told of each by what was learned until then."""
+def learn(labs: Sequence[Sequence[Heard]], target: float = TARGET, *, again: bool = False) -> list[Past]:
+    """What was told of the runs of several labs with the same habits when they were submitted, or ``again``
+    when others were; of those that have ended, by what was learned until then."""
     hindsight, found = Hindsight(target), list[Past]()
     for heard in labs:
-        asked: dict[str, Past] = {}
+        asked: dict[tuple[str, int], Past] = {}
         for event, at, play in heard:
             hindsight.learn(event, at, lambda play=play: play)  # type: ignore[misc]
-            asked.update(hindsight.open)
+            old = (past for some in hindsight.open_again.values() for past in some)
+            asked.update({(past.run, past.at): past for past in (*hindsight.open.values(), *old)})
         # The next lab is another: the time until then tells nothing, and nobody comes in this one any more.
         for past in asked.values():
             past.next_at = past.next_at or FAR
-        hindsight = replace(hindsight, open={}, pauses=[], last_at=0)
-        found += [past for past in asked.values() if past.ended]
+        hindsight = replace(hindsight, open={}, open_again={}, pauses=[], last_at=0)
+        found += [past for past in asked.values() if past.ended and (past.age > 0) == again]
     return found
 
 
@@ -292,7 +293,8 @@ def table(scenes: Mapping[str, tuple[Sequence[Past], str]]) -> str:
     ]
     for name, (some, kind) in scenes.items():
         for what in ("starts", "ends"):
-            told = figures(some, what, kind)
+            asked = [past for past in some if what == "ends" or past.start >= past.at]
+            told = figures(asked, what, kind)
             lines.append(
                 f"| {name} | {what} | {told.count} | {told.covered:.0%} | {told.width_s:.0f} s "
                 f"| {told.ideal_s:.0f} s | {told.error_s:.0f} s | {told.part:.1%} | {told.bias_s:+.0f} s |"
@@ -342,6 +344,7 @@ def show(single: Sequence[list[Heard]], together: Sequence[list[Heard]], picture
     scenes = {
         "one by one": (busy, "usual"),
         f"in batches of {BATCH}": (batches, "usual"),
+        "one by one, told again": (learn(single, again=True), "usual"),
         "one by one, all known": (known(busy), "alone"),
         "in batches, all known": (known(batches), "alone"),
     }

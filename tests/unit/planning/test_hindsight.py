@@ -37,13 +37,16 @@ class Log:
         self.hindsight = hindsight or Hindsight()
         self.count, self.now = 0, START
 
-    def submit(self, after: int, foreseen: int) -> Past:
-        """A run that should end so long after its submission."""
+    def submit(self, after: int, foreseen: int, *, beside: Past | None = None) -> Past:
+        """A run that should end so long after its submission; the one beside it as before."""
         self.now += after
         self.count += 1
         run = RunId(f"R{self.count}")
         event = RunSubmitted(run, "plan", "pcr", "ada", ExperimentId(""), 0, {}, {})
-        self.hindsight.learn(event, self.now, lambda: Play({run: self.now}, {run: self.now + foreseen}))
+        play = Play({run: self.now}, {run: self.now + foreseen})
+        if beside is not None:
+            play.starts[beside.run], play.ends[beside.run] = beside.start, beside.end
+        self.hindsight.learn(event, self.now, lambda: play)
         return self.hindsight.open[run]
 
     def end(self, past: Past, took: int) -> None:
@@ -115,6 +118,20 @@ def test_who_comes_in_fours_is_expected_in_fours() -> None:
     assert width(last) < 600
     alone = last_day[0].told_end.alone
     assert alone.expected_at - last_day[0].at == pytest.approx(HOUR, rel=0.1), "if nobody else submits"
+
+
+def test_a_run_under_way_is_expected_as_others_were_that_had_come_as_far() -> None:
+    log = Log()
+    for number in range(ENOUGH + 5):
+        long = log.submit(DAY, 10 * HOUR)
+        short = log.submit(5 * HOUR, HOUR, beside=long)
+        log.end(short, HOUR)
+        log.end(long, 15 * HOUR + number * SECOND)
+    new = log.hindsight.expect("ends", log.now + 10 * HOUR, log.now).usual
+    old = log.hindsight.expect("ends", log.now + 4 * HOUR, log.now, 6 * HOUR).usual
+    assert new.latest_at - log.now == pytest.approx(15 * HOUR, rel=0.01)
+    assert old.expected_at - log.now == pytest.approx(8 * HOUR, rel=0.01), "twice as long as was left"
+    assert not log.hindsight.open_again
 
 
 def test_nobody_is_expected_any_more_once_they_would_have_come() -> None:
