@@ -26,7 +26,7 @@ from labos.planning.advice import options
 from labos.planning.forecast import earliest, is_pending
 from labos.planning.layout import down
 from labos.planning.passage import find_late_step, first_trap
-from labos.planning.player import FAR, Player, Step, find_chained, find_giving
+from labos.planning.player import FAR, Player, Step, find_chained
 from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
@@ -52,7 +52,6 @@ class Plan:
     def __init__(self, state: LabState, cell: str, now: int, obliged: list[RunState], advice: Advice) -> None:
         self.cell, self.now = cell, now
         self.obliged, self.advice, self.outcome = obliged, advice, Outcome()
-        self.giving = [run for run in _inside(state, cell) if not run.paused and _will_give(state, run)]
         self._state = state
         self._scene: Scene | None = None
 
@@ -66,7 +65,6 @@ class Plan:
         """The same, if nobody but a run were there."""
         other = Plan(self._state, self.cell, self.now, [], NO_ADVICE)
         other._scene = self.scene.alone(run)
-        other.giving = []
         return other
 
 
@@ -376,11 +374,6 @@ def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
             yield run
 
 
-def _will_give(state: LabState, run: RunState) -> bool:
-    """Whether a run has steps left that only give room to others."""
-    return any(is_pending(run, step) for step in find_giving(state, state.runs.plan_of(run)))
-
-
 def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bool:
     """Whether a run that waits to be let in could not come to its end, whoever moves."""
     if run.has_started:
@@ -408,11 +401,6 @@ def _cast(state: LabState, plan: Plan, advice: Advice, run: RunState | None, ste
         leaving = state.runs.active.get(RunId(name))
         if leaving is not None and not leaving.paused and leaving.status == RunStatus.ACTIVE:
             yield player(leaving, free=True)
-    for other in plan.giving:
-        if str(other.id) not in names | advice.leaving:
-            bystander = player(other, free=False)
-            bystander.left.clear()
-            yield bystander
 
 
 def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from labos.core.effects import Carrying
-from labos.core.model import Plan, PlanStep, Window
+from labos.core.model import Plan, Window
 from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, find_anchor, statuses_of
 from labos.core.state import LabState
@@ -57,24 +56,9 @@ def _begins(run: RunState, window: Window, begun: set[int]) -> bool:
     return find_anchor(run, window) is not None if window.of else window.anchor in begun
 
 
-def find_giving(state: LabState, plan: Plan) -> frozenset[int]:
-    """The steps that only give room: they take nothing from anybody; what they carry away is gone then."""
-    stations = state.bench.stations
-
-    def gives(step: PlanStep) -> bool:
-        gone = (
-            isinstance(e, Carrying) and e.filled and stations[e.filled].spec.kind == "waste"
-            for e in step.effects
-        )
-        return not step.exclusive and bool(step.effects) and all(gone)
-
-    return frozenset(index for index, step in enumerate(plan.steps) if gives(step))
-
-
 class Player:
     """A run as it goes on. ``left`` are the steps that have to be started before the play is over,
-    ``giving`` those that are started anyway, as they only give room, ``ends`` when those in flight will have
-    ended (UTC ns), ``free`` whether it may start others beside."""
+    ``ends`` when those in flight will have ended (UTC ns), ``free`` whether it may start others beside."""
 
     def __init__(
         self, state: LabState, run: RunState, ends: dict[int, int], *, free: bool, first: Iterable[int] = ()
@@ -85,7 +69,6 @@ class Player:
         self.ends = ends
         self.left = find_chained(run, self.plan, first) | {i for i in first if is_pending(run, i)}
         self.free = free
-        self.giving = find_giving(state, self.plan)
         self.due: dict[int, int] = {}
         self.latest: dict[int, int] = {}
         self._state = state
@@ -96,7 +79,7 @@ class Player:
     def turns(self) -> Iterator[int]:
         """The steps whose turn it is."""
         for index, status in enumerate(self.steps):
-            may_start = status == PENDING and (self.free or index in self.left or index in self.giving)
+            may_start = status == PENDING and (self.free or index in self.left)
             if may_start and all(self.steps[before] in SETTLED for before in self.plan.steps[index].after):
                 yield index
 

@@ -34,11 +34,15 @@ MINUTE_S = 60.0
 
 class Protocol(msgspec.Struct, frozen=True):
     """One job: (type of instrument, minutes) of each operation; pairs of operations (numbered from 1) of
-    which the first ends before the second starts; and (first, second, minutes) of time constraints."""
+    which the first ends before the second starts; and (first, second, minutes) of time constraints. The steps
+    of a run are written down as they are numbered, or ``in_time``: deadlock avoidance asks whether a run
+    comes to its end in the order in which its steps are written, so of two branches that use one instrument
+    the later one may not go first."""
 
     operations: tuple[tuple[str, int], ...]
     before: tuple[tuple[int, int], ...]
     within: tuple[tuple[int, int, int], ...]
+    in_time: bool = False
 
 
 class Instance(msgspec.Struct, frozen=True):
@@ -88,6 +92,7 @@ QPCR = Protocol(
             *[(1, 3), (2, 4), (4, 5), (5, 6), (6, 7), (3, 8), (8, 9), (9, 10), (12, 13), (13, 14), (14, 15)]
         ]
     ),
+    in_time=True,
 )
 
 RNA_SEQ = Protocol(
@@ -139,20 +144,32 @@ def stock() -> dict[StationName, tuple[str, int]]:
 
 def _plan(protocol: Protocol) -> Plan:
     """Two steps for each operation: it, and what sets its instrument free."""
+    order = [(begin, number + 1) for number in range(len(protocol.operations)) for begin in (True, False)]
+    if protocol.in_time:
+        starts = _starts_alone(protocol)
+        lasts = {number: protocol.operations[number - 1][1] for number in starts}
+        order.sort(key=lambda item: (starts[item[1]] + (0 if item[0] else lasts[item[1]]), *item))
+    index = {item: position for position, item in enumerate(order)}
     steps: list[PlanStep] = []
-    for number, (kind, minutes) in enumerate(protocol.operations, start=1):
-        after = tuple(2 * first - 2 for first, second in protocol.before if second == number)
+    for begin, number in order:
+        kind, minutes = protocol.operations[number - 1]
+        if not begin:
+            effect = move(f"{kind}_bank", "trash")
+            after: tuple[int, ...] = (index[True, number],)
+            steps.append(
+                step(kind, effect, key=f"free {number}", duration_s=MINUTE_S, exclusive=False, after=after)
+            )
+            continue
+        after = tuple(sorted(index[True, first] for first, second in protocol.before if second == number))
         windows = tuple(
-            Window(2 * first - 2, 0.0, most * MINUTE_S)
+            Window(index[True, first], 0.0, most * MINUTE_S)
             for first, second, most in protocol.within
             if second == number
         )
-        takes = take("stack", f"{kind}_bank")
-        frees = move(f"{kind}_bank", "trash")
         steps.append(
             step(
                 kind,
-                takes,
+                take("stack", f"{kind}_bank"),
                 key=f"operation {number}",
                 duration_s=minutes * MINUTE_S,
                 exclusive=False,
@@ -160,14 +177,22 @@ def _plan(protocol: Protocol) -> Plan:
                 windows=windows,
             )
         )
-        steps.append(
-            step(
-                kind,
-                frees,
-                key=f"free {number}",
-                duration_s=MINUTE_S,
-                exclusive=False,
-                after=(2 * number - 2,),
-            )
-        )
     return plan(*steps, name=f"{len(protocol.operations)} operations", parallel=True)
+
+
+def _starts_alone(protocol: Protocol) -> dict[int, int]:
+    """When each operation starts (minutes) if its job is alone with one instrument of each type."""
+    free = {kind: 0 for kind, _ in protocol.operations}
+    starts: dict[int, int] = {}
+    ends: dict[int, int] = {}
+    while len(starts) < len(protocol.operations):
+        found: list[tuple[int, int]] = []
+        for number, (kind, _) in enumerate(protocol.operations, start=1):
+            before = [first for first, second in protocol.before if second == number]
+            if number not in starts and all(first in ends for first in before):
+                found.append((max([free[kind], *(ends[first] for first in before)]), number))
+        at, number = min(found)
+        kind, minutes = protocol.operations[number - 1]
+        starts[number], ends[number] = at, at + minutes
+        free[kind] = at + minutes + 1
+    return starts

@@ -58,15 +58,19 @@ def test_what_is_known_of_what_others_have_published_is_not_worse() -> None:
 def test_an_operation_takes_its_place_until_a_minute_after_its_end() -> None:
     """Two steps each: the place in the bank is free again only when the second has ended."""
     instance = slab.INSTANCES[-1]
-    problem = problem_of(slab.cell_of(instance), slab.works_of(instance))
-    jobs = [operation for job in instance.jobs for operation in job.operations]
-    assert len(problem.tasks) == 2 * len(jobs)
+    works = slab.works_of(instance)
+    problem = problem_of(slab.cell_of(instance), works)
+    keys = [step.key for work in works for step in work.runs[0].plan.steps]
     stays = {stay.first: stay for stay in problem.stays if stay.last is not None}
-    for number, (kind, minutes) in enumerate(jobs):
-        operation, free = problem.tasks[2 * number : 2 * number + 2]
-        assert (operation.duration_s, free.duration_s) == (minutes * 60.0, 60.0)
-        assert free.after == (2 * number,)
-        assert (stays[2 * number].place, stays[2 * number].last) == (f"cell/{kind}_bank", 2 * number + 1)
+    assert len(problem.tasks) == 2 * sum(len(job.operations) for job in instance.jobs)
+    for number, task in enumerate(problem.tasks):
+        if not keys[number].startswith("operation"):
+            continue
+        kind, minutes = instance.jobs[task.work].operations[int(keys[number].split()[1]) - 1]
+        last = stays[number].last
+        assert last is not None
+        assert (stays[number].place, task.duration_s) == (f"cell/{kind}_bank", minutes * 60.0)
+        assert (problem.tasks[last].after, problem.tasks[last].duration_s) == ((number,), 60.0)
     assert {place: problem.room[f"cell/{place}_bank"] for place in instance.instruments} == dict(
         instance.instruments
     )
