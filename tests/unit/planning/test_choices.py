@@ -14,8 +14,9 @@ from labos.core.decide.actions import StartStep
 from labos.core.decide.choices import MOST_PLANS, BindAnew
 from labos.core.decide.nodes import ReportState
 from labos.core.decide.runs import SubmitRun
+from labos.core.effects import carried
 from labos.core.ids import ActionId, RunId
-from labos.core.model import Plan, Workcell
+from labos.core.model import Plan, PlanStep, Workcell
 from labos.core.registry import Event
 from labos.core.runs import RunBound, RunSubmitted
 from labos.planning.scheduler import Scheduler
@@ -252,7 +253,7 @@ def some_others(case: Case, what: Plan) -> tuple[Plan, ...]:
         for name, other in swaps.items():
             text = text.replace(f'"<{name}>"', f'"{full(other)}"')
         found[text] = msgspec.json.decode(text, type=Plan)
-    if not case.hands and len(case.arms) > 1:
+    if len(case.arms) > 1:
         late = by_other_arms(case, what)
         found.setdefault(msgspec.json.encode(late).decode(), late)
     return tuple(other for other in found.values() if other != what)
@@ -261,10 +262,20 @@ def some_others(case: Case, what: Plan) -> tuple[Plan, ...]:
 def by_other_arms(case: Case, what: Plan) -> Plan:
     """The same, but from some step on each transfer is carried out by another arm: a run may change to it
     when its own arm fails on the way."""
-    arms = [full(name) for name in case.arms]
-    swaps = dict(zip(arms, reversed(arms), strict=True))
-    cut = case.rng.randrange(1, len(what.steps))
-    late = tuple(msgspec.structs.replace(s, module=swaps.get(s.module, s.module)) for s in what.steps[cut:])
+    names = [*case.arms, *(f"{arm}.gripper" for arm in case.arms)]
+    others = [*reversed(case.arms), *(f"{arm}.gripper" for arm in reversed(case.arms))]
+    cuts, held = [], 0
+    for number, each in enumerate(what.steps[:-1], 1):
+        for carrying in carried(each.effects):
+            held += str(carrying.filled).endswith("gripper") - str(carrying.emptied).endswith("gripper")
+        cuts += [number] if not held else []
+    cut = case.rng.choice(cuts)
+    text = msgspec.json.encode(what.steps[cut:]).decode()
+    for name in names:
+        text = text.replace(f'"{full(name)}"', f'"<{name}>"')
+    for name, other in zip(names, others, strict=True):
+        text = text.replace(f'"<{name}>"', f'"{full(other)}"')
+    late = msgspec.json.decode(text, type=tuple[PlanStep, ...])
     return msgspec.structs.replace(what, steps=(*what.steps[:cut], *late))
 
 
