@@ -14,7 +14,7 @@ from labos.core.decide.actions import StartStep
 from labos.core.decide.choices import MOST_PLANS, BindAnew
 from labos.core.decide.nodes import ReportState
 from labos.core.decide.runs import SubmitRun
-from labos.core.effects import carried
+from labos.core.effects import list_carried
 from labos.core.ids import ActionId, RunId
 from labos.core.model import Plan, PlanStep, Workcell
 from labos.core.registry import Event
@@ -266,7 +266,7 @@ def by_other_arms(case: Case, what: Plan) -> Plan:
     others = [*reversed(case.arms), *(f"{arm}.gripper" for arm in reversed(case.arms))]
     cuts, held = [], 0
     for number, each in enumerate(what.steps[:-1], 1):
-        for carrying in carried(each.effects):
+        for carrying in list_carried(each.effects):
             held += str(carrying.filled).endswith("gripper") - str(carrying.emptied).endswith("gripper")
         cuts += [number] if not held else []
     cut = case.rng.choice(cuts)
