@@ -331,6 +331,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "tags": "words to find it by",
         "until": "no further row is submitted once this holds for a run: steps.Read.result.od > 0.5",
         "on_failure": "go_on, stop at the first failure, or stop_after so many",
+        "visibility": "who sees it besides its user and operators: lab (everybody), group or private",
     },
     "RowsEntry": {
         "table": "a CSV, YAML or JSON file beside this one; the columns are keys of the payload",
