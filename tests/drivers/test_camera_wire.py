@@ -51,9 +51,10 @@ def picture(result: Attachment | str) -> Any:
 
 
 def color(shown: Any, well: str) -> tuple[float, float, float]:
-    """Red, green and blue in the middle of a well of a rendered plate."""
+    """Red, green and blue in the middle of a well of a rendered plate, wherever in its nest that lies."""
     x, y = project(centre_of(*well_index(well)), (WIDTH, HEIGHT))
-    blue, green, red = shown[round(y) - 4 : round(y) + 4, round(x) - 4 : round(x) + 4].mean(axis=(0, 1))
+    here = shown[round(y) - 4 : round(y) + 4, round(x) - 4 : round(x) + 4]
+    blue, green, red = numpy.median(here, axis=(0, 1))  # the lamp is seen in a part of it
     return red, green, blue
 
 

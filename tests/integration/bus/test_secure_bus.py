@@ -127,7 +127,7 @@ class Site:
         self.run(self.sealer._publish_state())
         self.run(settle(self.kernel))
         self.run(settle(self.sealer_bus))
-        return list(self.does("heard", who))
+        return list(self.does("list_heard", who))
 
     def in_order(self) -> None:
         """Until the kernel has heard what the stranger said before."""
@@ -173,7 +173,7 @@ def test_what_everybody_may_do_for_himself(site: Site) -> None:
     assert site.does("get", "peeler", own, "{}") == [own]
     assert site.does("get", "peeler", KEYS.files, "{}") == ["file"]
     site.does("listen", "peeler", "labos/*/@kernel")
-    assert site.does("heard", "peeler") == [KEYS.kernel]
+    assert site.does("list_heard", "peeler") == [KEYS.kernel]
     site.does("answer", "peeler", KEYS.operation(PEELER, "state"))
     assert site.run(site.kernel.query(KEYS.operation(PEELER, "state"), b"", 2.0)) == ANSWER
 
