@@ -121,7 +121,7 @@ def _suggest(
     if not watch.is_due(state, cell, waiting, now_ns()):
         return False
     order = planner.suggest(state, cell, waiting, now_ns())
-    watch.note(state, cell, waiting, order)
+    watch.note(state, cell, waiting, order, now_ns())
     if order is None:
         return True
     steps = [{"run": one.run, "step": one.step, "start": one.start} for one in order.steps]

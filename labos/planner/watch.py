@@ -27,27 +27,31 @@ hour: what stands still over night (a module that is down, a question) is not su
 class _Seen(msgspec.Struct):
     runs: tuple[tuple[RunId, bool], ...]
     order: SuggestOrder | None
+    looked_at: int
+    has_found: bool
     repeated: int = 0
 
 
 class Watch:
-    """What each workcell looked like when an order was suggested for it last."""
+    """What each workcell looked like when an order was looked for last."""
 
     def __init__(self) -> None:
         self._seen: dict[str, _Seen] = {}
 
     def is_due(self, state: LabState, cell: str, waiting: Iterable[RunState], now: int) -> bool:
-        """Whether runs have come or gone since, or are not where they should be."""
+        """Whether runs have come or gone since, are not where they should be, or nothing was found so far."""
         seen = self._seen.get(cell)
         if seen is None or seen.runs != _runs(state, cell, waiting):
             return True
         patience = lab_ns(state, DRIFT_S * 2**seen.repeated)
+        if not seen.has_found and seen.looked_at + patience < now:
+            return True  # on a busy computer, a search may end before it has found anything
         return seen.order is not None and any(
             one.start + patience < now and _is_open(state, one.run, one.step) for one in seen.order.steps
         )
 
     def note(
-        self, state: LabState, cell: str, waiting: Iterable[RunState], order: SuggestOrder | None
+        self, state: LabState, cell: str, waiting: Iterable[RunState], order: SuggestOrder | None, now: int
     ) -> None:
         """An order was looked for; None: what was suggested before still counts."""
         before, runs = self._seen.get(cell), _runs(state, cell, waiting)
@@ -55,7 +59,7 @@ class Watch:
         if before is not None and before.runs == runs:
             repeated = min(before.repeated + 1, MOST_DOUBLINGS)
         known = before.order if order is None and before is not None else order
-        self._seen[cell] = _Seen(runs, known, repeated)
+        self._seen[cell] = _Seen(runs, known, now, order is not None, repeated)
 
 
 def waiting_in(state: LabState, cell: str) -> list[RunState]:

@@ -186,7 +186,7 @@ class Player:
             return
         found = self.planner.suggest(state, self.cell.name, waiting, now)
         if self.watch is not None:
-            self.watch.note(state, self.cell.name, waiting, found)
+            self.watch.note(state, self.cell.name, waiting, found, now)
         self._ended = 0
         if found is not None:
             self._seen.update(step.run for step in found.steps)

@@ -10,13 +10,15 @@ from tests.support.bench import Driver
 from tests.unit.planning.test_suggested import make_lab, visit
 
 
-def look(watch: Watch, lab: Driver) -> bool:
-    """Whether it looks now; what it then suggests is that everybody starts at once."""
+def look(watch: Watch, lab: Driver, *, finds: bool = True) -> bool:
+    """Whether it looks now; what it then suggests, if it ``finds`` anything, is that everybody starts at
+    once."""
     waiting = waiting_in(lab.state, "cell")
     if not watch.is_due(lab.state, "cell", waiting, lab.now):
         return False
     steps = tuple(Suggested(run.id, 0, lab.now) for run in waiting)
-    watch.note(lab.state, "cell", waiting, SuggestOrder("cell", "planner", lab.now + 10**15, steps))
+    order = SuggestOrder("cell", "planner", lab.now + 10**15, steps) if finds else None
+    watch.note(lab.state, "cell", waiting, order, lab.now)
     return True
 
 
@@ -39,6 +41,20 @@ def test_what_stands_still_over_night_is_looked_at_ever_more_seldom() -> None:
     most = 2 + MOST_DOUBLINGS + 12 * 3600 / (DRIFT_S * 2**MOST_DOUBLINGS)
     assert 2 + MOST_DOUBLINGS <= looks <= most
     lab.submit(visit("dev"))
+    assert look(watch, lab)
+
+
+def test_a_search_that_found_nothing_is_repeated() -> None:
+    """As on a busy computer."""
+    lab, _ = make_lab(visit("dev"), visit("other"))
+    watch = Watch()
+    assert look(watch, lab, finds=False)
+    assert not look(watch, lab)
+    lab.wait(DRIFT_S + 1)
+    assert look(watch, lab, finds=False)
+    lab.wait(DRIFT_S + 1)
+    assert not look(watch, lab), "it waits twice as long now"
+    lab.wait(DRIFT_S)
     assert look(watch, lab)
 
 
