@@ -51,6 +51,10 @@ class Forecasts:
         self._queue_at: tuple[int, float] = (-1, 0.0)
         self._turn = asyncio.Lock()
 
+    def close(self) -> None:
+        """Forecasts that are being worked out are given up."""
+        self._process.close()
+
     async def queue(self) -> LabForecast:
         """What is to be expected of everything that is submitted. Raises Refused."""
         async with self._turn:

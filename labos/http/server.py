@@ -197,6 +197,7 @@ class HttpServer:
     async def close(self) -> None:
         self._service.feed.close()
         self._service.tail.close()
+        self._service.give_up_forecasts()
         if self._service.viewers is not None:
             self._service.viewers.close()
         if self._service.finder is not None:

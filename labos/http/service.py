@@ -134,6 +134,11 @@ class LabService:
 
         return Forecasts(self)
 
+    def give_up_forecasts(self) -> None:
+        """What is being worked out ends, if anybody has ever asked for a forecast."""
+        if "forecasts" in self.__dict__:
+            self.forecasts.close()
+
     # -- workcells ---------------------------------------------------------------------------
 
     async def apply(self, cell: CompiledWorkcell, actor: str, *, declare: bool) -> None:

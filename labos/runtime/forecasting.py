@@ -50,11 +50,19 @@ class Answer(msgspec.Struct):
 
 
 class ForecastProcess:
-    """Works out forecasts, one at a time."""
+    """Works out forecasts, one at a time; ``working`` is the process of the last one."""
 
     def __init__(self) -> None:
         self._turn = asyncio.Semaphore(1)
         self._asked = 0
+        self.working: asyncio.subprocess.Process | None = None
+        self._is_closed = False
+
+    def close(self) -> None:
+        """What is being worked out is given up, and nothing more is."""
+        self._is_closed = True
+        if self.working is not None and self.working.returncode is None:
+            self.working.kill()
 
     async def answer(
         self, ask: Callable[[], Awaitable[Question]], keep: Callable[[LookBack], None]
@@ -77,7 +85,8 @@ class ForecastProcess:
 
     async def _work_out(self, question: Question) -> Answer:
         data = await asyncio.to_thread(_encode, question)
-        process = await asyncio.create_subprocess_exec(
+        self._expect_open()
+        process = self.working = await asyncio.create_subprocess_exec(
             sys.executable,
             "-m",
             __spec__.name,
@@ -97,6 +106,7 @@ class ForecastProcess:
             if process.returncode is None:
                 process.kill()
                 await process.wait()
+        self._expect_open()
         if process.returncode:
             last = said.decode(errors="replace").strip().splitlines()[-1:]
             raise Refused(
@@ -104,6 +114,10 @@ class ForecastProcess:
                 remedy="The lab goes on without it; please report this.",
             )
         return await asyncio.to_thread(msgspec.msgpack.decode, told, type=Answer)
+
+    def _expect_open(self) -> None:
+        if self._is_closed:
+            raise Refused("The lab is being closed.", remedy="Ask again when it has been started.")
 
 
 def main() -> None:
