@@ -60,6 +60,8 @@ def test_there_is_a_node_for_each_module_and_its_command_exists(files: tuple[str
 
 def test_services_are_started_again_alone_and_tell_how_they_are() -> None:
     services = services_of("compose.yaml")
+    job = services.pop("retention")
+    assert (job["restart"], job["profiles"]) == ("no", ["jobs"])
     ours = {name: service for name, service in services.items() if service["image"] == "labos"}
     assert {service["restart"] for service in services.values()} == {"unless-stopped"}
     assert [name for name in ours if "healthcheck" not in ours[name]] == ["projector"]
