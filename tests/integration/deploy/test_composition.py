@@ -75,7 +75,13 @@ def test_services_are_started_again_alone_and_tell_how_they_are() -> None:
 def composition(request: pytest.FixtureRequest, tmp_path: Path, postgres_url: str) -> Iterator[Composition]:
     cell = rpl_with(HERE, tmp_path / "rpl.yaml")
     files = getattr(request, "param", ("compose.yaml",))
-    made = Composition(tmp_path, postgres_url, {"LABOS_UP": f"{cell} --simulate --speed 100"}, *files)
+    told = {
+        "LABOS_UP": f"{cell} --simulate --speed 100",
+        "LABOS_BACKUP": str(tmp_path / "backup"),
+        "LABOS_ARCHIVE": str(tmp_path / "archive"),
+        "LABOS_KEEP_DAYS": "0",
+    }
+    made = Composition(tmp_path, postgres_url, told, *files)
     yield made
     made.clean_up()
 
@@ -110,6 +116,12 @@ def test_a_lab_of_services_and_a_node_that_is_killed(composition: Composition, t
         composition.start("bus")
         run = client.submit(workflow, user="admin")
         assert client.wait(run, timeout_s=PATIENCE_S).status == "completed"
+        for _ in range(2):
+            composition.start("retention")
+            assert composition.wait("retention") == 0, composition.read_log("retention")
+            run = client.submit(workflow, user="admin")
+            assert client.wait(run, timeout_s=PATIENCE_S).status == "completed"
+        assert "1 segments were moved" in composition.read_log("retention")
         assert client.health()["epoch"] == 1
 
 
