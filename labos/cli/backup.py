@@ -9,6 +9,7 @@ import msgspec
 
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, open_database
+from labos.services.retention import note_retention
 from labos.settings import Settings
 from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
 
@@ -20,6 +21,14 @@ key_option = click.option(
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
     help="The key of the seal, for instance made with openssl rand -hex 32.",
+)
+
+
+archive_option = click.option(
+    "--archive",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Where segments were moved to (labos backup --move-old): those not in FOLDER are read from there.",
 )
 
 
@@ -77,6 +86,8 @@ def command(
         accounts.close()
     before = now_ns() - int(keep_days * _DAY_NS)
     moved = move_old_segments(folder, archive, before) if archive is not None else []
+    if archive is not None:
+        note_retention(where.home, "moved_at", now_ns())
     if as_json:
         show_json(
             {

@@ -27,6 +27,7 @@ from labos.services.doctor import (
     check_sync,
 )
 from labos.services.history import state_at
+from labos.services.retention import check_retention
 from labos.services.times import show_time
 from labos.services.trust.places import newest_in
 from labos.services.trust.publish import FOLDER
@@ -94,6 +95,8 @@ def _examine(where: Where) -> Iterator[Finding]:
         yield from _kernel(where.home, kernel)
     yield _checkpoint(where.home)
     yield check_rehearsal(where.home, now_ns())
+    if (retention := check_retention(where.home, now_ns())) is not None:
+        yield retention
     yield from _durations(where)
 
 

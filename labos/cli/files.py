@@ -25,6 +25,7 @@ from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader
 from labos.services.files import ResultFile, files_of
 from labos.services.history import position_at
+from labos.services.retention import note_retention
 from labos.services.times import Moment, show_time
 from labos.services.verification import find_unused_blobs
 from labos.settings import Settings
@@ -137,6 +138,7 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
     if isinstance(blobs, FolderBlobs) and keep_days is not None:
         before = now_ns() / 1e9 - keep_days * 86_400
         removed = [name for name in found if blobs.remove_unused(name, before)]
+        note_retention(where.home, "removed_at", now_ns())
     if as_json:
         show_json({"unused": found, "removed": removed})
         return

@@ -11,7 +11,7 @@ import msgspec
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, kernel_file, log_options, now_ns, open_database
 from labos.cli._rehearse import rehearse
-from labos.cli.backup import key_option
+from labos.cli.backup import archive_option, key_option
 from labos.core.ids import LabId
 from labos.core.state import state_hash
 from labos.core.words import Kept
@@ -79,6 +79,7 @@ class Restored(msgspec.Struct, frozen=True):
     metavar="FILE",
     help="A list of erasures (labos.erased) besides the one in the lab's folder.",
 )
+@archive_option
 @key_option
 @json_option
 @log_options
@@ -88,6 +89,7 @@ def command(
     is_rehearsal: bool,
     scratch: Path | None,
     lists: tuple[Path, ...],
+    archive: Path | None,
     key_file: Path | None,
     as_json: bool,
 ) -> None:
@@ -107,16 +109,22 @@ def command(
     \b
     labos restore /safe/lab
     labos restore /safe/lab --rehearse
+    labos restore /safe/lab --archive /archive/lab    with the segments that were moved there
     """
     key = key_of(key_file) if key_file else b""
     if scratch is not None and not is_rehearsal:
         raise click.UsageError("--scratch goes with --rehearse.")
     if is_rehearsal:
         known = _with_own(lists, where)
-        rehearse(where, folder, lambda place: _put_into(place, folder, key, known), scratch, as_json=as_json)
+
+        def try_it(place: Where) -> Restored:
+            own = FolderBlobs(place.home / "blobs")  # wherever the lab keeps its own
+            return put_back(place, folder, key, own, known, archive)
+
+        rehearse(where, folder, try_it, scratch, as_json=as_json)
         return
     # What is noted in the home must hold from every working directory.
-    done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists)
+    done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists, archive=archive)
     if as_json:
         show_json({name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"})
         return
@@ -132,19 +140,20 @@ def command(
     )
 
 
-def _put_into(where: Where, folder: Path, key: bytes, lists: Sequence[Path]) -> Restored:
-    """As ``put_back``, with the blobs in the same folder, wherever the lab keeps its own."""
-    return put_back(where, folder, key, FolderBlobs(where.home / "blobs"), lists)
-
-
 def put_back(
-    where: Where, folder: Path, key: bytes, blobs: Blobs | None = None, lists: Sequence[Path] = ()
+    where: Where,
+    folder: Path,
+    key: bytes,
+    blobs: Blobs | None = None,
+    lists: Sequence[Path] = (),
+    archive: Path | None = None,
 ) -> Restored:
     """Put a backup into a database without a log, its blobs where the lab keeps them (or into ``blobs``), and
     check what was written. Words that were erased by ``lists``, and by that in the lab's folder, are left
-    out. Raises Refused, LogDamaged, BadInput, StoreUnavailable."""
+    out. Segments that are not in the folder are read from the ``archive``. Raises Refused, LogDamaged,
+    BadInput, StoreUnavailable."""
     refuse_to_overwrite(where.url)
-    found, state = verify_backup(folder, key=key)
+    found, state = verify_backup(folder, key=key, archive=archive)
     people = read_accounts_copy(folder, found.lab, key)
     target, source = (
         blobs or open_blobs(Settings.make(where.home, where.url).blobs),
@@ -155,7 +164,7 @@ def put_back(
     epoch = leap_epoch(found.epoch, now_ns())
     gone = _read_erased(found.lab, _with_own(lists, where))
     words = _without_erased(read_words_copy(folder), gone)
-    head = restore_log(where.url, records_of(folder, found), found.lab, epoch, words)
+    head = restore_log(where.url, records_of(folder, found, archive), found.lab, epoch, words)
     forget_end(where.home)  # it was put back on purpose
     wanted = state_hash(state)
     with open_database(where) as store:

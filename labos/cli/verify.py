@@ -14,7 +14,7 @@ import msgspec
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
-from labos.cli.backup import key_option
+from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
 from labos.core.state import state_hash
 from labos.errors import BadInput, LabosError, LogDamaged, Refused
@@ -104,6 +104,7 @@ CAVEAT = (
     metavar="FILE",
     help="With --bundle: check the time stamp against the certificates in this PEM file.",
 )
+@archive_option
 @key_option
 @json_option
 @log_options
@@ -118,6 +119,7 @@ def command(
     public_keys: tuple[str, ...],
     witness_keys: tuple[str, ...],
     tsa: Path | None,
+    archive: Path | None,
     key_file: Path | None,
     as_json: bool,
 ) -> None:
@@ -133,6 +135,7 @@ def command(
     labos verify --checkpoint F --key K        seal it, or check its seal
     labos verify --journals                    also the nodes' journals, and what they know beyond the log
     labos verify --backup /safe/lab            a backup, without any database
+    labos verify --backup /safe/lab --archive /archive/lab   with the segments that were moved there
     labos verify --backup /safe/lab --detached   its later segments, without those before
     labos verify --checkpoint /safe/checkpoints   signed ones, of labos checkpoint
     labos verify --bundle R7.zip --public-key lab.pub   a run, offline
@@ -144,6 +147,8 @@ def command(
         raise click.UsageError("--export needs --checkpoint FILE.")
     if detached and folder is None:
         raise click.UsageError("--detached needs --backup FOLDER.")
+    if archive is not None and (folder is None or detached):
+        raise click.UsageError("--archive goes with --backup FOLDER, and without --detached.")
     if bundle is not None:
         verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa), as_json)
         return
@@ -152,7 +157,10 @@ def command(
     if signed is not None and export:
         raise click.UsageError(f"{signed} is signed: labos checkpoint makes the next one, not --export.")
     if folder is not None:
-        (_verify_detached if detached else _verify_backup)(folder, key, as_json)
+        if detached:
+            _verify_detached(folder, key, as_json)
+        else:
+            _verify_backup(folder, archive, key, as_json)
         return
     # First the journals: a request is in the log before its node hears of it.
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
@@ -271,9 +279,9 @@ def _tell(
         click.echo(CAVEAT)
 
 
-def _verify_backup(folder: Path, key: bytes, as_json: bool) -> None:
+def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool) -> None:
     try:
-        found, state = verify_backup(folder, key=key)
+        found, state = verify_backup(folder, key=key, archive=archive)
         people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
         _tell_damage(error, as_json)

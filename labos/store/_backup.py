@@ -157,13 +157,19 @@ def read_backup(folder: Path) -> Backup:
     return found
 
 
-def records_of(folder: Path, found: Backup) -> Iterator[Record]:
-    """The records of a backup, each checked against the chain and the manifests. Raises LogDamaged."""
-    yield from stretch(folder, found.lab, found.segments, GENESIS, 0)
+def records_of(folder: Path, found: Backup, archive: Path | None = None) -> Iterator[Record]:
+    """The records of a backup, each checked against the chain and the manifests; segments that are not in its
+    folder are read from the ``archive`` they were moved to. Raises LogDamaged."""
+    yield from stretch(folder, found.lab, found.segments, GENESIS, 0, archive)
 
 
 def stretch(
-    folder: Path, lab: str, segments: Sequence[Segment], before: bytes, after: int
+    folder: Path,
+    lab: str,
+    segments: Sequence[Segment],
+    before: bytes,
+    after: int,
+    archive: Path | None = None,
 ) -> Iterator[Record]:
     """The records of segments that follow each other, the first one behind the position ``after`` with the
     hash ``before``; each checked against the chain and the manifests. Raises LogDamaged."""
@@ -173,29 +179,37 @@ def stretch(
         if (segment.first, segment.before) != (after + 1, before.hex()):
             raise report_damage(segment, "does not follow from the segment before")
         record = None
-        for record in check_chain(_read_segment_of_lab(folder, segment), before, after):
+        path = find_segment(folder, segment, archive)
+        for record in check_chain(_read_segment_of_lab(path, segment), before, after):
             yield record
         if record is None or (record.head.position, record.hash.hex()) != (segment.last, segment.hash):
             raise report_damage(segment, "does not end as its manifest says")
         before, after = record.hash, segment.last
 
 
-def _read_segment_of_lab(folder: Path, segment: Segment) -> Iterator[Record]:
+def find_segment(folder: Path, segment: Segment, archive: Path | None) -> Path:
+    """Where the file of a segment is: in the backup's folder, else where it was moved to."""
+    here = folder / segment.file
+    return here if archive is None or here.is_file() else archive / segment.file
+
+
+def _read_segment_of_lab(path: Path, segment: Segment) -> Iterator[Record]:
     """The records of a segment's file. Whose they are is said before the chain."""
-    for record in read_segment(folder / segment.file, segment.first - 1):
+    for record in read_segment(path, segment.first - 1):
         if record.head.lab != segment.lab:
             raise report_damage(segment, f"holds a record of the lab {record.head.lab}")
         yield record
 
 
-def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
+def verify_backup(folder: Path, *, key: bytes = b"", archive: Path | None = None) -> tuple[Backup, LabState]:
     """Check a backup by itself: seals, files, chain, fold and blobs; returns it and the state that it
-    amounts to. Raises LogDamaged, LogTooNew, BadInput."""
+    amounts to. Segments that are not in its folder are looked for in the ``archive``. Raises LogDamaged,
+    LogTooNew, BadInput."""
     found = read_backup(folder)
-    check_manifests(folder, found.segments, key)
+    check_manifests(folder, found.segments, key, archive)
     state, words = LabState(), WordsExpected(folder)
     ends = {segment.last: segment for segment in found.segments}
-    for record in records_of(folder, found):
+    for record in records_of(folder, found, archive):
         at = record.head
         words.take(record)
         try:
@@ -211,7 +225,7 @@ def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
         if end is not None and end.fold == fold_fingerprint() and end.state != state_hash(state):
             raise report_damage(end, "folds to another state than when it was sealed")
     words.end()
-    check_files(folder, found.segments)
+    check_files(folder, found.segments, archive)
     blobs = FolderBlobs(folder / "blobs")
     for name in found.blobs:
         try:
@@ -221,19 +235,21 @@ def verify_backup(folder: Path, *, key: bytes = b"") -> tuple[Backup, LabState]:
     return found, state
 
 
-def check_manifests(folder: Path, segments: Sequence[Segment], key: bytes) -> None:
+def check_manifests(
+    folder: Path, segments: Sequence[Segment], key: bytes, archive: Path | None = None
+) -> None:
     """Whether segments are there, and their seals good if a key is given. Raises LogDamaged."""
     for segment in segments:
         if fault := check_seal(segment, key):
             raise report_damage(segment, f"cannot be trusted: {fault}")
-        if not (folder / segment.file).is_file():
+        if not find_segment(folder, segment, archive).is_file():
             raise report_damage(segment, "is missing")
 
 
-def check_files(folder: Path, segments: Sequence[Segment]) -> None:
+def check_files(folder: Path, segments: Sequence[Segment], archive: Path | None = None) -> None:
     """Whether segments are the files that were sealed, to the byte. Raises LogDamaged."""
     for segment in segments:
-        if file_digest(folder / segment.file) != segment.sha256:
+        if file_digest(find_segment(folder, segment, archive)) != segment.sha256:
             raise report_damage(segment, "is not the file that was sealed")
 
 

@@ -1,0 +1,56 @@
+"""When old segments of the backup were last moved, and files that nothing names removed: a note in the lab's
+folder, which ``labos doctor`` reads."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from labos.private import replace_file
+from labos.services.doctor import Finding
+from labos.services.times import show_time
+
+NOTE = "retention.json"
+LONG_AGO_NS = 45 * 86_400 * 10**9
+"""It is done every month."""
+
+Step = Literal["moved_at", "removed_at"]
+
+
+class Retention(msgspec.Struct, frozen=True):
+    """Times in UTC nanoseconds; 0: not yet."""
+
+    moved_at: int = 0
+    removed_at: int = 0
+
+
+def note_retention(home: Path, step: Step, now_ns: int) -> None:
+    """Note that a step was done. Where nothing can be written, the doctor says in time that it was not."""
+    found = _read(home) or Retention()
+    noted = msgspec.structs.replace(found, **{step: now_ns})
+    with contextlib.suppress(OSError):
+        replace_file(home / NOTE, msgspec.json.encode(noted) + b"\n")
+
+
+def check_retention(home: Path, now_ns: int) -> Finding | None:
+    """Whether both steps were done lately. None in a lab that never did one: it may keep everything."""
+    found = _read(home)
+    if found is None:
+        return None
+    steps = (("Old segments were moved", found.moved_at), ("unused files removed", found.removed_at))
+    told = ", ".join(f"{what} {f'on {show_time(at)}' if at else 'never'}" for what, at in steps) + "."
+    if now_ns - min(at for _, at in steps) > LONG_AGO_NS:
+        remedy = "Why did it stop? systemctl status labos-retention (docs/backup.md)"
+        return Finding("retention", "warning", told, remedy)
+    return Finding("retention", "ok", told)
+
+
+def _read(home: Path) -> Retention | None:
+    """What was noted; None for no note, or one that cannot be read."""
+    try:
+        return msgspec.json.decode((home / NOTE).read_bytes(), type=Retention)
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
+        return None
