@@ -179,4 +179,29 @@ LOT_USES = Table(
     indexes=(("lot", "position"), ("labware",), ("action",)),
 )
 
-BENCH_TABLES = (LABWARE_TABLE, MOVES, TOUCHES, TRANSFERS, SAMPLES, RESOURCES, RESOURCE_CHANGES, LOT_USES)
+CALIBRATIONS = Table(
+    "calibration",
+    "Every calibration of a module that somebody recorded; the last one of the module and of `what` counts.",
+    ("calibration",),
+    (
+        text("calibration", "Its name: the module, and where in the log it stands, as `rpl/hidex@41`."),
+        POSITION,
+        MODULE,
+        text("what", "What of the module was calibrated; empty for all of it."),
+        text("certificate", "The certificate's number; empty if nobody said."),
+        text("recorded_by", "Who recorded it."),
+        AT,
+        text("until", "The last day on which it is valid, as `2027-01-01` (UTC); empty if nobody said."),
+        number("ends_at_s", "When that day is over, in seconds since 1970 (UTC); null if nobody said."),
+        text("file", "SHA-256 of the report, which is kept with the lab's files; empty if there is none."),
+        by_people("why", "What they said about it."),
+    ),
+    view="calibrations",
+    grows=True,
+    indexes=(("module", "what", "position"),),
+)
+
+BENCH_TABLES = (
+    *(LABWARE_TABLE, MOVES, TOUCHES, TRANSFERS, SAMPLES, RESOURCES, RESOURCE_CHANGES, LOT_USES),
+    CALIBRATIONS,
+)

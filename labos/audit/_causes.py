@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 import msgspec
 
+from labos.audit._calibrations import IN_FORCE
 from labos.audit.graph import Entity, EntityKind, Link, well_of
 from labos.audit.liquids import source_well
 from labos.audit.query import Asker
@@ -23,6 +24,14 @@ _APPROVED = (
 )
 
 
+_RELIED_ON = {
+    column: "SELECT c.calibration, min(a.requested_position), c.position FROM actions a JOIN calibrations c "
+    f"ON {IN_FORCE} WHERE a.{column} = ? AND a.requested_position <= ? "
+    "GROUP BY c.calibration, c.position ORDER BY c.position"
+    for column in ("action", "run")
+}
+
+
 def find_run_causes(asker: Asker, entity: Entity, upto: int) -> Found:
     for user, experiment, campaign, plan, position in asker.fetch(
         "SELECT user_id, experiment, campaign, plan, submitted_position FROM runs WHERE run = ?", entity.name
@@ -33,6 +42,21 @@ def find_run_causes(asker: Asker, entity: Entity, upto: int) -> Found:
             yield Link(entity, "part of", Entity("experiment", experiment), position), position
         for who, at in asker.fetch(_APPROVED, entity.name, campaign, experiment, upto):
             yield Link(entity, "approved by", Entity("user", who), at), at
+    yield from _find_calibrations(asker, "run", entity, upto)
+
+
+def _find_calibrations(asker: Asker, column: str, entity: Entity, upto: int) -> Found:
+    for name, position, recorded in asker.fetch(_RELIED_ON[column], entity.name, upto):
+        yield Link(entity, "relied on", Entity("calibration", name), position), recorded
+
+
+def find_calibration_causes(asker: Asker, entity: Entity, upto: int) -> Found:
+    for user, file, position in asker.fetch(
+        "SELECT recorded_by, file, position FROM calibrations WHERE calibration = ?", entity.name
+    ):
+        yield Link(entity, "recorded by", Entity("user", user), position), position
+        if file:
+            yield Link(entity, "is told by", Entity("file", file), position), position
 
 
 def find_experiment_causes(asker: Asker, entity: Entity, upto: int) -> Found:
@@ -56,6 +80,7 @@ def find_action_causes(asker: Asker, entity: Entity, upto: int) -> Found:
         if driver:
             name = f"{module} {driver} {version}"
             yield Link(entity, "carried out by", Entity("driver", name), position), position
+        yield from _find_calibrations(asker, "action", entity, position)
         for name in msgspec.json.decode(labware or "[]", type=list[str]):
             if asker.fetch(
                 "SELECT 1 FROM labware WHERE labware = ? AND placed_position <= ?", name, position
@@ -162,5 +187,6 @@ CAUSES: dict[EntityKind, Rule] = {
     "well": find_well_causes,
     "sample": find_sample_causes,
     "file": find_file_causes,
+    "calibration": find_calibration_causes,
     "lot": find_lot_causes,
 }

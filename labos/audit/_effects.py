@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 
 import msgspec
 
+from labos.audit._calibrations import IN_FORCE
 from labos.audit.graph import Entity, EntityKind, Link, well_of
 from labos.audit.query import Asker
 
@@ -121,6 +122,15 @@ def find_driver_effects(asker: Asker, entity: Entity, since: int, upto: int) -> 
         yield Link(Entity("action", action), "carried out by", entity, position), position
 
 
+def find_calibration_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
+    for action, position in asker.fetch(
+        f"SELECT a.action, a.requested_position FROM calibrations c JOIN actions a ON {IN_FORCE} "
+        "WHERE c.calibration = ? AND a.requested_position <= ? ORDER BY a.requested_position",
+        *(entity.name, upto),
+    ):
+        yield Link(Entity("action", action), "relied on", entity, position), position
+
+
 def find_sample_effects(asker: Asker, entity: Entity, since: int, upto: int) -> Found:
     for labware, well, position in asker.fetch(
         "SELECT labware, well, position FROM samples WHERE sample = ? AND position <= ? "
@@ -148,6 +158,7 @@ EFFECTS: dict[EntityKind, Rule] = {
     "user": _find_rows("run", "asked for by", "runs", "submitted_position", "user_id"),
     "workflow": _find_rows("run", "follows", "runs", "submitted_position", "plan"),
     "driver": find_driver_effects,
+    "calibration": find_calibration_effects,
     "sample": find_sample_effects,
     "file": find_file_effects,
 }

@@ -6,6 +6,7 @@ from typing import Any
 
 import msgspec
 
+from labos.audit._calibrations import IN_FORCE
 from labos.audit.graph import Entity, well_of
 from labos.audit.query import Asker
 
@@ -41,18 +42,29 @@ _FILE = (
     f"SELECT {', '.join(_FILE_NAMES)} FROM files WHERE digest = ? AND position <= ? ORDER BY position LIMIT 1"
 )
 
+_CALIBRATION_NAMES = ("module", "what", "certificate", "recorded_by", "at", "until", "file")
+_CALIBRATION = f"SELECT {', '.join(_CALIBRATION_NAMES)} FROM calibrations WHERE calibration = ?"
+_RELIED_ON = {
+    column: "SELECT DISTINCT c.calibration, c.position FROM actions a JOIN calibrations c "
+    f"ON {IN_FORCE} WHERE a.{column} = ? AND a.requested_position <= ? ORDER BY c.position"
+    for column in ("action", "run")
+}
+
 _JSON = ("args", "result", "pins", "payload")
 _OF_THE_END = ("ended_at", "ended_position", "effects", "error", "result")
 """What is not known before the end."""
 
 
 def facts_of(asker: Asker, entity: Entity, upto: int) -> dict[str, Any]:
-    """What was known of a entity at a position; what is empty is left out."""
+    """What was known of a entity at a position; what is empty is left out, but for the ``calibrations`` that
+    a run or an action relied on."""
     match entity.kind:
         case "action" | "result":
             facts = _facts_from(_ACTION_NAMES, asker.fetch(_ACTION, entity.name))
+            facts["calibrations"] = _list_calibrations(asker, "action", entity, upto)
         case "run":
             facts = _facts_from(_RUN_NAMES, asker.fetch(_RUN, entity.name))
+            facts["calibrations"] = _list_calibrations(asker, "run", entity, upto)
         case "labware":
             facts = _facts_from(_LABWARE_NAMES, asker.fetch(_LABWARE, entity.name))
         case "experiment":
@@ -61,6 +73,8 @@ def facts_of(asker: Asker, entity: Entity, upto: int) -> dict[str, Any]:
             facts = _facts_from(_FILE_NAMES, asker.fetch(_FILE, entity.name, upto))
         case "driver":
             facts = dict(zip(("module", "driver", "driver_version"), entity.name.split(" ", 2), strict=True))
+        case "calibration":
+            facts = _facts_from(_CALIBRATION_NAMES, asker.fetch(_CALIBRATION, entity.name))
         case "well":
             plate, well = well_of(entity.name)
             facts = {"labware": plate, "well": well}
@@ -90,7 +104,16 @@ def label(entity: Entity, facts: dict[str, Any]) -> str:
         case "driver":
             module, driver, version = entity.name.split(" ", 2)
             return f"driver {driver} {version} ({module.rpartition('/')[2]})"
+        case "calibration" if facts.get("module"):
+            of = f"{facts.get('what', '')} of {str(facts['module']).rpartition('/')[2]}".removeprefix(" of ")
+            certificate = f", certificate {facts['certificate']}" if facts.get("certificate") else ""
+            until = f", valid until {facts['until']}" if facts.get("until") else ""
+            return f"calibration {entity.name.rpartition('@')[2]} ({of}{certificate}{until})"
     return str(entity)
+
+
+def _list_calibrations(asker: Asker, column: str, entity: Entity, upto: int) -> list[str]:
+    return [str(name) for name, _ in asker.fetch(_RELIED_ON[column], entity.name, upto)]
 
 
 def _facts_from(names: tuple[str, ...], rows: list[Any]) -> dict[str, Any]:

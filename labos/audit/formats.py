@@ -47,7 +47,7 @@ def as_prov(graph: Graph, lab: str) -> str:
 
 
 def _declare(document: Any, entity: Entity, facts: dict[str, Any]) -> None:
-    told = {f"labos:{name}": _value(value) for name, value in facts.items()}
+    told = {f"labos:{name}": _value(value) for name, value in facts.items() if value != []}
     told = {"prov:label": label(entity, facts), "prov:type": f"labos:{entity.kind}", **told}
     if entity.kind in ACTIVITIES:
         began = facts.get("requested_at") or facts.get("submitted_at") or facts.get("started_at")

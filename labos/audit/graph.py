@@ -8,6 +8,7 @@ import msgspec
 
 EntityKind = Literal[
     "action",
+    "calibration",
     "driver",
     "experiment",
     "file",

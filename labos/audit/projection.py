@@ -5,7 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from labos.audit import _approvals, _bench, _campaigns, _entries, _liquids, _people, _signatures, _work
+from labos.audit import (
+    _approvals,
+    _bench,
+    _calibrations,
+    _campaigns,
+    _entries,
+    _liquids,
+    _people,
+    _signatures,
+    _work,
+)
 from labos.audit._bench_tables import TOUCHES
 from labos.audit._rows import Rows, seconds
 from labos.audit._touches import list_touched
@@ -28,12 +38,10 @@ _KNOWN: dict[type[Event], list[tuple[int, str]]] = {
 }
 """Which of these columns of ``events`` each type of event names."""
 
+_SLICES = (*(_work, _bench, _calibrations, _liquids, _people, _campaigns, _approvals, _signatures, _entries),)
+
 _HANDLERS: dict[type[Event], tuple[Handler, ...]] = {
-    kind: tuple(
-        slice_.HANDLERS[kind]
-        for slice_ in (_work, _bench, _liquids, _people, _campaigns, _approvals, _signatures, _entries)
-        if kind in slice_.HANDLERS
-    )
+    kind: tuple(slice_.HANDLERS[kind] for slice_ in _SLICES if kind in slice_.HANDLERS)
     for kind in TYPES.values()
 }
 

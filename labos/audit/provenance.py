@@ -32,12 +32,13 @@ _PREFIXES = {
     "lot": "SELECT 1 FROM lot_uses WHERE lot = ? AND position <= ?",
     "file": "SELECT 1 FROM files WHERE digest = ? AND position <= ?",
     "workflow": "SELECT 1 FROM runs WHERE plan = ? AND submitted_position <= ?",
+    "calibration": "SELECT 1 FROM calibrations WHERE calibration = ? AND position <= ?",
     "user": "SELECT 1 FROM events WHERE actor = ? AND position <= ?",
 }
 """Kinds of entities in the order in which a bare name is looked up, and how."""
 
 _BARE: tuple[EntityKind, ...] = (
-    *("run", "labware", "experiment", "sample", "lot", "file", "workflow", "action", "user"),
+    *("run", "labware", "experiment", "sample", "lot", "file", "workflow", "action", "calibration", "user"),
 )
 
 

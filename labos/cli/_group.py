@@ -49,7 +49,7 @@ class Suggesting(click.Group):
 
     def _remedy(self, ctx: click.Context, name: str) -> str:
         known = self.list_commands(ctx)
-        meant = MEANT.get(name.lower())
+        meant = MEANT.get(name.lower(), name.lower())
         if meant in known:
             return f" Did you mean {meant!r}?"
         near = difflib.get_close_matches(name.lower()[:40], known, n=2, cutoff=0.6)

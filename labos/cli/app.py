@@ -69,6 +69,7 @@ SECTIONS = {
         "in-service": "Put a module back in service.",
         "teach": "Say where an arm finds a station.",
         "locations": "Where an arm finds its stations, and since which version.",
+        "calibrate": "Record a calibration of a module.",
         "book": "Book a module or a workcell for a while.",
         "bookings": "Which bookings there are.",
         "calendar": "When what is booked.",

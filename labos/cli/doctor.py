@@ -18,6 +18,7 @@ from labos.errors import LabosError
 from labos.pki import Authority
 from labos.services.doctor import (
     Finding,
+    check_calibrations,
     check_certificates,
     check_durations,
     check_nodes,
@@ -46,9 +47,9 @@ LONG_AGO_S = 7 * 86_400.0
 @json_option
 @log_options
 def command(where: Where, as_json: bool) -> None:
-    """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints and backups, and
-    report for each what to do if it is not as it should be. Moves nothing and changes nothing; works with and
-    without a running kernel. Exit code 1 if anything is a fault.
+    """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints, backups and
+    calibrations, and report for each what to do if it is not as it should be. Moves nothing and changes
+    nothing; works with and without a running kernel. Exit code 1 if anything is a fault.
 
     \b
     labos doctor
@@ -97,7 +98,7 @@ def _examine(where: Where) -> Iterator[Finding]:
     yield check_rehearsal(where.home, now_ns())
     if (retention := check_retention(where.home, now_ns())) is not None:
         yield retention
-    yield from _durations(where)
+    yield from _state(where)
 
 
 def _examine_safely(name: str, look: Callable[[], Finding]) -> Iterator[Finding]:
@@ -126,8 +127,9 @@ def _database(where: Where) -> Finding:
     return Finding("database", "fault", told, "Install the newer LabOS that wrote it.")
 
 
-def _durations(where: Where) -> Iterator[Finding]:
-    """Whether actions take as long as planned, where there is a log that can be read."""
+def _state(where: Where) -> Iterator[Finding]:
+    """Whether actions take as long as planned and calibrations are valid, where there is a log that can be
+    read."""
     try:
         if database_status(where.url).state != "current":
             return
@@ -136,6 +138,7 @@ def _durations(where: Where) -> Iterator[Finding]:
     except LabosError:
         return  # what is wrong with the log is told elsewhere
     yield check_durations(drifts(state.lengths, state.lab.pace))
+    yield from check_calibrations(state, now_ns())
 
 
 def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[Finding]:

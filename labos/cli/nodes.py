@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import click
+import msgspec
 
 from labos.cli._complete import completes
 from labos.cli._exit import FAILED
@@ -63,7 +64,11 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
     if as_json:
         show_json(known)
         return
-    show_table(("module", "driver", "status", "doing", "pid", "problem"), [_row(module) for module in known])
+    columns, rows = ["module", "driver", "status", "doing", "pid", "problem"], list(map(_row, known))
+    if any(map(_valid_until, known)):  # most labs record none
+        columns.append("calibrated until")
+        rows = [(*row, _valid_until(module)) for row, module in zip(rows, known, strict=True)]
+    show_table(columns, rows)
 
 
 def _check(where: Where, names: Sequence[str], *, as_json: bool) -> None:
@@ -113,6 +118,7 @@ def _flat(seen: dict[str, Any]) -> list[tuple[str, Any]]:
 def _last_known(where: Where) -> list[dict[str, Any]]:
     """The modules as the log knows them. Raises NotFound if there is none."""
     from labos.cli._liveness import say_if_dead
+    from labos.http.views import calibrations_of
     from labos.services.history import state_at
 
     with open_log(where) as store:
@@ -133,9 +139,15 @@ def _last_known(where: Where) -> list[dict[str, Any]]:
             "out_of_service": module.out_of_service,
             "problem": module.out_of_service or module.error,
             "process": None,
+            "calibrations": msgspec.to_builtins(calibrations_of(module)),
         }
         for name, module in state.modules.by_name.items()
     ]
+
+
+def _valid_until(module: dict[str, Any]) -> str:
+    """The last day of the calibration that expires first; empty if none does."""
+    return min((one["until"] for one in module.get("calibrations", ()) if one["until"]), default="")
 
 
 def _doing(action: dict[str, Any]) -> str:

@@ -79,7 +79,8 @@ def command(
 def _tell(graph: Graph) -> None:
     click.echo(f"{_label(graph, str(graph.subject))}, at event {graph.position}")
     for name, value in graph.facts.items():
-        click.echo(f"  {name}: {value if isinstance(value, str) else short(value)}")
+        if value != []:
+            click.echo(f"  {name}: {value if isinstance(value, str) else short(value)}")
     if graph.contents:
         click.echo()
         rows = [_part(part) for part in graph.contents]

@@ -8,9 +8,9 @@ used: somebody has to take it out.
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
 
 from labos.core import reasons
+from labos.core.days import day_of
 from labos.core.effects import Consumes
 from labos.core.ids import ModuleName
 from labos.core.model import PlanStep
@@ -58,8 +58,3 @@ def first_old(level: Level, amount: float, today: str) -> Lot | None:
             return lot
         amount -= lot.left
     return None
-
-
-def day_of(now: int) -> str:
-    """The day (UTC) of a moment in UTC ns, as packs bear it."""
-    return datetime.fromtimestamp(now // 10**9, UTC).date().isoformat()

@@ -18,6 +18,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.algebra import away_from_rest
+from labos.core.calibrations import Calibration
 from labos.core.effects import AnyEffect, places, types_at
 from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
@@ -142,6 +143,21 @@ class LocationTaught(ModuleEvent, frozen=True):
     labware_type: str = ""
 
 
+@event("module.calibrated")
+class ModuleCalibrated(ModuleEvent, frozen=True):
+    """Somebody recorded that the module, or ``what`` of it, was calibrated: the certificate, the digest of
+    the report (``file``), and the last day on which it is valid (``until``, as ``2027-01-01``, by UTC). It
+    takes the place of the one before it of the same ``what``, which it may correct. What nobody said is
+    empty."""
+
+    by: str
+    what: str = ""
+    certificate: str = ""
+    file: str = ""
+    until: str = ""
+    why: Words = ""
+
+
 class Taught(msgspec.Struct):
     """The pose that a manipulator was last taught for a station, or for a type of labware there;
     ``proven`` by a move that succeeded since."""
@@ -216,7 +232,8 @@ class Module(msgspec.Struct):
     kernel started, ``person`` whether it is somebody who does planned work, ``gone_at`` since when its node
     is GONE (UTC ns), ``cut_off`` whether that was in the midst of an action: nobody knows where its device
     has stopped. ``error_at`` is since when it says ERROR (UTC ns), ``asked`` whether a person was told that
-    an action stands still for that."""
+    an action stands still for that. ``calibrations`` are the
+    last ones, by what was calibrated."""
 
     spec: ModuleSpec
     status: ModuleStatus = ModuleStatus.GONE
@@ -234,6 +251,7 @@ class Module(msgspec.Struct):
     setpoints: dict[str, Setpoint] = {}
     reached: tuple[StationName, ...] = ()
     taught: dict[StationName, TaughtStation] = {}
+    calibrations: dict[str, Calibration] = {}
     doubted: bool = False
     watched: ActionId = ActionId("")
     failures: list[Failure] = []
@@ -458,6 +476,11 @@ def fold_location_taught(modules: Modules, event: LocationTaught, at: int) -> No
         flight.proving = ()  # what is under way tries the pose before
 
 
+def fold_module_calibrated(modules: Modules, event: ModuleCalibrated, at: int) -> None:
+    told = Calibration(at, event.by, event.certificate, event.file, event.until)
+    modules.by_name[event.module].calibrations[event.what] = told
+
+
 def find_unproven(
     module: Module, effects: tuple[AnyEffect, ...], args: Mapping[str, Any]
 ) -> tuple[tuple[StationName, str], ...]:
@@ -487,6 +510,7 @@ HANDLERS = {
     ModulePutBack: fold_module_put_back,
     EmergencyStopped: fold_emergency_stopped,
     LocationTaught: fold_location_taught,
+    ModuleCalibrated: fold_module_calibrated,
     ActionRequested: fold_action_requested,
     ActionReported: fold_action_reported,
     ActionUnknown: fold_action_unknown,

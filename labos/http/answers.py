@@ -194,6 +194,16 @@ class PoseVersion(msgspec.Struct, frozen=True):
     version: int
 
 
+class CalibrationRecord(msgspec.Struct, frozen=True):
+    """A calibration as it was recorded. ``file`` is the SHA-256 of its report; empty if none was sent."""
+
+    module: str
+    what: str
+    certificate: str
+    file: str
+    until: str
+
+
 class LabwareReference(msgspec.Struct, frozen=True):
     """The id of labware; empty on a stack, whose items get theirs when they are taken."""
 

@@ -244,6 +244,15 @@ class NewPose(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = ""
 
 
+class NewCalibration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    by: Asker = ""
+    what: Annotated[Name, says("what of the module was calibrated, as `volume`; empty for all of it")] = ""
+    certificate: Annotated[Name, says("the certificate's number")] = ""
+    report: Annotated[FileContent, says("the report, in base64; kept with the lab's files")] = b""
+    until: Annotated[Name, says("the last day on which it is valid, as `2027-01-01` (UTC)")] = ""
+    why: Annotated[Line, says("a word for the log")] = ""
+
+
 class AccessRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     by: Asker = ""
     why: Annotated[Line, says("what for")] = ""

@@ -13,6 +13,7 @@ from typing import Literal
 from labos.core.decide import Command
 from labos.core.decide.access import EndAccess, RequestAccess
 from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking
+from labos.core.decide.calibrations import CalibrateModule
 from labos.core.decide.campaigns import (
     AmendCampaign,
     ArchiveCampaign,
@@ -89,6 +90,7 @@ GIVES: Mapping[str, tuple[type[Command], ...]] = {
     "put_in_service": (PutBack,),
     "replenish_resource": (Replenish,),
     "teach_location": (TeachLocation,),
+    "calibrate_module": (CalibrateModule,),
     "change_workcell": (ApplyWorkcell, DeclareStation),
     "suggest_order": (SuggestOrder,),
     "request_workcell_access": (RequestAccess, SubmitRun),
@@ -172,6 +174,7 @@ ASKED_BY: Mapping[str, tuple[str, ...]] = {
     "put_in_service": ("labos in-service",),
     "replenish_resource": ("labos replenish",),
     "teach_location": ("labos teach",),
+    "calibrate_module": ("labos calibrate",),
     "change_workcell": ("labos workcell apply",),
     "suggest_order": ("labos planner",),
     "request_workcell_access": ("labos access",),

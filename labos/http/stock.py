@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
+from labos.core.days import day_of
 from labos.core.decide import Command, Rejection, decide
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
-from labos.core.expiry import day_of
 from labos.core.ids import LabwareId
 from labos.core.labware import LabwarePlaced, LabwareRemoved, StationUnloaded
 from labos.core.registry import Event

@@ -91,6 +91,17 @@ class ProcessView(msgspec.Struct, frozen=True):
     starts: int
 
 
+class CalibrationView(msgspec.Struct, frozen=True):
+    """The last calibration of a module, or of ``what`` of it; ``at`` in UTC nanoseconds."""
+
+    what: str
+    certificate: str
+    until: str
+    file: str
+    by: str
+    at: int
+
+
 class ModuleView(msgspec.Struct, frozen=True):
     """A module. ``back_at``: when it is back in service by itself (UTC nanoseconds; 0: when somebody puts it
     back)."""
@@ -107,6 +118,7 @@ class ModuleView(msgspec.Struct, frozen=True):
     variables: dict[str, Any]
     doing: list[ModuleAction]
     process: ProcessView | None
+    calibrations: list[CalibrationView]
 
 
 class StationView(msgspec.Struct, frozen=True):
@@ -337,7 +349,16 @@ def module_view(
         variables=module.values,
         doing=[ModuleAction(a.name, a.run, a.requested_at, a.status) for a in doing],
         process=None if process is None else ProcessView(process.state, process.pid, process.starts),
+        calibrations=calibrations_of(module),
     )
+
+
+def calibrations_of(module: Module) -> list[CalibrationView]:
+    """The last calibrations of a module, by what was calibrated."""
+    return [
+        CalibrationView(what, one.certificate, one.until, one.file, one.by, one.at)
+        for what, one in sorted(module.calibrations.items())
+    ]
 
 
 def question_view(state: LabState, question: Intervention) -> QuestionView:

@@ -300,6 +300,11 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"taught {local(e.station)}{_when(e.labware_type, f' for {e.labware_type}')} (version {e.version})"
         + f" by {e.by}{_when(e.why, f': {e.why}')}"
     ),
+    m.ModuleCalibrated: lambda e, _: (
+        f"calibrated{_when(e.what, f' ({e.what})')} by {e.by}"
+        + _when(e.certificate, f", certificate {e.certificate}")
+        + f"{_when(e.until, f', valid until {e.until}')}{_when(e.why, f': {e.why}')}"
+    ),
     m.EmergencyStopped: lambda e, _: f"stopped in an emergency by {e.by or 'somebody'}",
     m.StopReported: lambda e, _: (
         f"{e.by or 'somebody'} stopped {'everything' if e.target == '*' else e.target} in an emergency: "

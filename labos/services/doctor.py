@@ -13,8 +13,10 @@ from typing import Any, Literal
 
 import msgspec
 
+from labos.core.calibrations import WARN_DAYS
 from labos.core.ids import local
 from labos.core.lengths import Drift
+from labos.core.state import LabState
 from labos.pki import Authority, Entry
 from labos.private import create_file
 from labos.services.times import show_time
@@ -49,6 +51,9 @@ class Finding(msgspec.Struct, frozen=True):
     told: str
     remedy: str = ""
 
+
+MOST_NAMED = 5
+"""So many calibrations are named that expire."""
 
 MOST_DRIFTS = 5
 """So many actions are named that take longer or shorter than planned."""
@@ -92,6 +97,32 @@ def check_durations(found: Sequence[Drift]) -> Finding:
     more = f"; and {len(found) - MOST_DRIFTS} more" if len(found) > MOST_DRIFTS else ""
     told = f"{'; '.join(named)}{more}. The scheduler goes by what it takes."
     return Finding("durations", "warning", told, "Is the device well? Else correct its `duration`.")
+
+
+def check_calibrations(state: LabState, now_ns: int) -> list[Finding]:
+    """Whether calibrations of modules have expired, or do so soon; nothing if none bears a last day."""
+    dated = [
+        (f"{local(name)}{f' ({what})' if what else ''}", one)
+        for name, module in state.modules.by_name.items()
+        for what, one in module.calibrations.items()
+        if one.until
+    ]
+    if not dated:
+        return []
+    soon = sorted((one.until, of, one) for of, one in dated if one.expires_soon(now_ns))
+    if not soon:
+        return [
+            Finding(
+                "calibrations", "ok", f"Of {len(dated)} calibrations none expires within {WARN_DAYS} days."
+            )
+        ]
+    named = [
+        f"{of} {'has expired: it was' if one.has_expired(now_ns) else 'is'} valid until {until}"
+        for until, of, one in soon[:MOST_NAMED]
+    ]
+    more = f"; and {len(soon) - MOST_NAMED} more" if len(soon) > MOST_NAMED else ""
+    told = f"Calibrations: {'; '.join(named)}{more}. No run waits for that."
+    return [Finding("calibrations", "warning", told, "Calibrate; then: labos calibrate MODULE --until DATE")]
 
 
 def check_sync(folder: Path) -> Finding:

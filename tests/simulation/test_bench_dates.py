@@ -8,8 +8,8 @@ import asyncio
 import pytest
 
 from labos.core import expiry, rules
+from labos.core.days import day_of
 from labos.core.decide.stock import Replenish
-from labos.core.expiry import day_of
 from labos.core.ids import ModuleName
 from labos.core.resources import Level, Lot
 from labos.core.state import LabState

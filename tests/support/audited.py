@@ -11,6 +11,7 @@ from labos.core.ids import CampaignId, InterventionId, LabwareId, ModuleName
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.labware import LiquidDrawn, LiquidTransferred, Sample, SamplesRegistered
 from labos.core.model import MAIN
+from labos.core.modules import ModuleCalibrated
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.topics import Choice
 from tests.simulation import mixes
@@ -46,6 +47,7 @@ def audit_lab() -> Logbook:
     for colour, lot in (("color_A", "A-17"), ("color_B", "B-03"), ("color_C", "C-99")):
         book.write([LevelSet(OT2, colour, 0.0, 20_000.0)], "ada")
         book.write([ResourceReplenished(OT2, colour, 10_000.0, lot)], "ada")
+    book.write([ModuleCalibrated(OT2, "ada", "volume", "K-2041", "", "2026-06-30", "yearly")], "ada")
     first = book.submit("cp_newplate", "ada")
     finish_with(book, first, {})
     sheet = (Sample("B7", "water", 70.0),)

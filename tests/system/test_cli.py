@@ -221,6 +221,7 @@ WANT_A_LAB = (
         "confirm I1",
     ),
     *("nodes", "locations pf400", "teach pf400 sealer.default --pose 1", "do sealer seal", "reset sealer"),
+    *("calibrate hidex",),
     *("home sciclops", "out-of-service sealer --why x", "in-service sealer", "place wc.output plate96"),
     *(
         "barcode P1 X",

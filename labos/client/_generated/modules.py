@@ -88,6 +88,36 @@ class GeneratedModules(Calls):
         )["version"]
         return found
 
+    def calibrate(
+        self,
+        module: str,
+        by: str,
+        *,
+        what: str = "",
+        certificate: str = "",
+        report: bytes = b"",
+        until: str = "",
+        why: str = "",
+    ) -> dict[str, Any]:
+        """Record a calibration of a module. A later one of the same ``what`` takes its place, and corrects
+        it. No run waits for a calibration, and none stops because one has expired. The report is had again at
+        ``/files/{sha256}``. ``what``: what of the module was calibrated, as ``volume``; empty for all of it.
+        ``certificate``: the certificate's number. ``report``: the report, in base64; kept with the lab's
+        files. ``until``: the last day on which it is valid, as ``2027-01-01`` (UTC). ``why``: a word for the
+        log. Returns ``module``, ``what``, ``certificate``, ``file``, ``until``. Raises Refused."""
+        return self._post(
+            f"/modules/{in_path(module, 2)}/calibrations",
+            {
+                "by": by,
+                "what": what,
+                "certificate": certificate,
+                "report": report,
+                "until": until,
+                "why": why,
+            },
+            request=self._ids.new(),
+        )
+
     def _change_workcell(
         self,
         text: str,

@@ -144,6 +144,29 @@ class AsyncCalls:
         """The calendar for calendar programs."""
         return await self.threads.call(self.sync.calendar_file, target)
 
+    async def calibrate(
+        self,
+        module: str,
+        by: str,
+        *,
+        what: str = "",
+        certificate: str = "",
+        report: bytes = b"",
+        until: str = "",
+        why: str = "",
+    ) -> dict[str, Any]:
+        """Record a calibration of a module."""
+        return await self.threads.call(
+            self.sync.calibrate,
+            module,
+            by,
+            what=what,
+            certificate=certificate,
+            report=report,
+            until=until,
+            why=why,
+        )
+
     async def campaign(self, campaign: str) -> dict[str, Any]:
         """A campaign that has not been completed: how far it is, and its terms."""
         return await self.threads.call(self.sync.campaign, campaign)

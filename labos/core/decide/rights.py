@@ -16,6 +16,7 @@ from labos.core.decide import (
     access,
     actions,
     bookings,
+    calibrations,
     campaigns,
     cancelling,
     choices,
@@ -270,6 +271,7 @@ RIGHTS: dict[type[Command], Right] = {
     nodes.TakeOut: Right("operator", _OPERATOR, targets.find_module_target),
     nodes.PutBack: Right("operator", _OPERATOR, targets.find_module_target),
     teach.TeachLocation: Right("operator", _OPERATOR, targets.find_module_target, "by"),
+    calibrations.CalibrateModule: Right("operator", _OPERATOR, targets.find_module_target, "by"),
     access.RequestAccess: Right("operator", _OPERATOR, targets.find_workcell_target, "by"),
     access.EndAccess: Right("operator", _OPERATOR, targets.find_workcell_target, "by"),
     lab.ApplyWorkcell: Right(

@@ -7,6 +7,7 @@ from labos.errors import BadInput
 from labos.http.access import end_access, request_access
 from labos.http.answers import (
     AccessResult,
+    CalibrationRecord,
     Locations,
     ModuleReference,
     PoseVersion,
@@ -15,7 +16,17 @@ from labos.http.answers import (
     WorkcellReference,
 )
 from labos.http.asking import switch_trace
-from labos.http.bodies import AccessEnd, AccessRequest, By, NewPose, OutOfService, WireTrace, WorkcellFile
+from labos.http.bodies import (
+    AccessEnd,
+    AccessRequest,
+    By,
+    NewCalibration,
+    NewPose,
+    OutOfService,
+    WireTrace,
+    WorkcellFile,
+)
+from labos.http.calibrating import calibrate
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
@@ -62,6 +73,12 @@ async def list_locations(call: Call, path: OfModule) -> Locations:
 async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersion:
     """Its node is started again with the new pose."""
     return PoseVersion(await teach(call.service, path.module, body, body.by))
+
+
+async def calibrate_module(call: Call, path: OfModule, body: NewCalibration) -> CalibrationRecord:
+    """A later one of the same `what` takes its place, and corrects it. No run waits for a calibration, and
+    none stops because one has expired. The report is had again at `/files/{sha256}`."""
+    return await calibrate(call.service, path.module, body, body.by)
 
 
 async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
@@ -161,6 +178,26 @@ OPERATIONS = (
         problems=("refused",),
         example={"station": "sealer.default", "pose": [190.1], "by": "ada", "why": "moved"},
         example_answer={"version": 3},
+    ),
+    Operation(
+        method="POST",
+        path="/modules/{module}/calibrations",
+        handler=calibrate_module,
+        client=Method("calibrate", "module, by", key="new"),
+        summary="Record a calibration of a module",
+        tag="modules",
+        needs="operator",
+        status=201,
+        problems=("refused",),
+        example={"by": "ada", "what": "volume", "certificate": "K-2041", "until": "2027-01-01"},
+        example_answer={
+            "module": "rpl/ot2_cp_gamma",
+            "what": "volume",
+            "certificate": "K-2041",
+            "file": "",
+            "until": "2027-01-01",
+        },
+        largest_body=LARGEST_BODY,
     ),
     Operation(
         method="POST",

@@ -269,7 +269,7 @@ def test_postgres_gives_the_same_answers(lab: Asker, end: int, postgres_url: str
     database.close()
 
     def describe_graphs(asker: Asker) -> str:
-        subjects = ("P1", "P1/B7", "R2", "R2#3", "R2#0", "water", "A-17", "user:ada")
+        subjects = ("P1", "P1/B7", "R2", "R2#3", "R2#0", "R2#1", "water", "A-17", "user:ada")
         graphs = [
             plain(trace(asker, subject_of(asker, subject, at), at, direction))
             for subject in subjects

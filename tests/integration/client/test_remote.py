@@ -85,6 +85,7 @@ ACT = {
     "unload sciclops.tower1 --count 2": "labos unload",
     "load sciclops.tower1 --type plate96": "labos load",
     "observe hidex.default empty": "labos observe",
+    "calibrate hidex --what volume --until 2031-01-01": "labos calibrate",
     "replenish sealer foil --lot L1 --amount 1 --instead": "labos replenish",
     "samples load sheet.csv": "labos samples load",
     "bench declare --empty": "labos bench declare",

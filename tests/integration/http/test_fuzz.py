@@ -224,6 +224,14 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "why": "x",
         "labware_type": "plate96",
     },
+    "/modules/{module}/calibrations": {
+        "by": "ada",
+        "what": "volume",
+        "certificate": "K-1",
+        "report": "YQ==",
+        "until": "2031-01-01",
+        "why": "x",
+    },
     "/workcells": {
         "text": CELL.format(name="fuzz"),
         "by": "ada",

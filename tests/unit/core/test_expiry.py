@@ -5,11 +5,11 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from labos.core.days import day_of
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.stock import Replenish
 from labos.core.effects import Replaces
-from labos.core.expiry import day_of
 from labos.core.ids import InterventionId, ModuleName, RunId
 from labos.core.model import PlanStep
 from labos.core.resources import LevelSet, ResourceReplenished

@@ -103,6 +103,7 @@ from labos.core.model import MAIN, ON_CANCEL, LabwareSpec, PlanStep, TransferWay
 from labos.core.modules import (
     EmergencyStopped,
     LocationTaught,
+    ModuleCalibrated,
     ModulePutBack,
     ModuleTakenOut,
     NodeJoined,
@@ -280,6 +281,7 @@ EXAMPLES: list[Event] = [
         LostLabware(run="R1", module="c/m", action="A1", motions=EFFECTS[:2]),
     ),  # type: ignore[arg-type]
     LocationTaught("cell/arm", "cell/a", (1.5, 2.0), 2, "ada", "moved", "deep"),  # type: ignore[arg-type]
+    ModuleCalibrated("cell/arm", "ada", "volume", "K-1", "d" * 64, "2027-01-01", "yearly"),  # type: ignore[arg-type]
     AccessRequested("cell", "ada", "oil", ("plan",)),
     AccessGranted("cell"),
     AccessEnded("cell", "ada", "oiled"),

@@ -9,6 +9,7 @@ import pytest
 from labos.core.campaigns import CampaignStopped, Terms
 from labos.core.decide import Command, Denied, Rejection
 from labos.core.decide.access import EndAccess, RequestAccess
+from labos.core.decide.calibrations import CalibrateModule
 from labos.core.decide.campaigns import (
     AmendCampaign,
     ArchiveCampaign,
@@ -104,6 +105,7 @@ OPERATORS: dict[str, Callable[[str], Command]] = {
     "a module is taken out": lambda by: TakeOut(ARM, "oil", 0, 1),
     "a module is put back": lambda by: PutBack(ARM),
     "an arm is taught": lambda by: TeachLocation(ARM, A, (1.0,), by),
+    "a module is calibrated": lambda by: CalibrateModule(ARM, by, "volume", until="2027-01-01"),
     "a resource is filled": lambda by: Replenish(ARM, "tips", 1.0, "", "", False, "2026-11-24"),
     "a module starts nothing": lambda by: PauseStarts(str(ARM), by),
     "a workcell starts nothing": lambda by: PauseStarts("cell", by),

@@ -1,0 +1,42 @@
+"""Calibrations as rows, and those that an action relied on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.audit._bench_tables import CALIBRATIONS
+from labos.audit._rows import Rows
+from labos.core.days import end_of
+from labos.core.envelope import Envelope
+from labos.core.modules import ModuleCalibrated
+
+IN_FORCE = (
+    "c.module = a.module AND c.position < a.requested_position "
+    "AND (c.ends_at_s IS NULL OR a.requested_at_s < c.ends_at_s) "
+    "AND NOT EXISTS (SELECT 1 FROM calibrations later WHERE later.module = c.module AND later.what = c.what "
+    "AND later.position > c.position AND later.position < a.requested_position)"
+)
+"""In SQL: whether a calibration ``c`` was recorded before an action ``a`` was asked for, was the last one of
+its kind then, and had not expired."""
+
+
+def on_calibrated(rows: Rows, event: ModuleCalibrated, head: Envelope, at: float) -> None:
+    rows.put(
+        CALIBRATIONS,
+        {
+            "calibration": f"{event.module}@{head.position}",
+            "position": head.position,
+            "module": event.module,
+            "what": event.what,
+            "certificate": event.certificate,
+            "recorded_by": event.by,
+            "at_s": at,
+            "until": event.until,
+            "ends_at_s": float(end_of(event.until)) if event.until else None,
+            "file": event.file,
+            "why": event.why,
+        },
+    )
+
+
+HANDLERS: dict[Any, Any] = {ModuleCalibrated: on_calibrated}

@@ -1,0 +1,42 @@
+"""Somebody records that a module was calibrated."""
+
+from __future__ import annotations
+
+from labos.core.calibrations import MOST_CALIBRATIONS
+from labos.core.days import is_day
+from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.ids import ModuleName, local
+from labos.core.modules import ModuleCalibrated
+from labos.core.state import LabState
+from labos.core.words import Words
+
+
+class CalibrateModule(Command, frozen=True):
+    """Record a calibration of a module, or of ``what`` of it; ``file`` is the digest of its report, ``until``
+    its last day."""
+
+    module: ModuleName
+    by: str
+    what: str = ""
+    certificate: str = ""
+    file: str = ""
+    until: str = ""
+    why: Words = ""
+
+
+@decides(CalibrateModule)
+def calibrate_module(state: LabState, command: CalibrateModule) -> Decision:
+    module = state.modules.by_name.get(command.module)
+    if module is None:
+        return Rejection("no_module", f"There is no module {local(command.module)}.")
+    if command.until and not is_day(command.until):
+        return Rejection("bad_date", f"{command.until!r} is no date.", "Write 2027-05-31, say.")
+    known = module.calibrations
+    if command.what not in known and len(known) >= MOST_CALIBRATIONS:
+        return Rejection(
+            "too_many",
+            f"{local(command.module)} has calibrations of {len(known)} things, and can have no more.",
+            f"Name one of them again: {', '.join(sorted(name for name in known if name)[:5])} …",
+        )
+    told = (command.what, command.certificate, command.file, command.until, command.why)
+    return [ModuleCalibrated(command.module, command.by, *told)]
