@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
 from labos.core.days import count_days, day_of
@@ -30,3 +32,8 @@ class Calibration(msgspec.Struct, frozen=True):
     def expires_soon(self, now: int) -> bool:
         """Whether its last day is over, or at most ``WARN_DAYS`` away."""
         return bool(self.until) and count_days(day_of(now), self.until) <= WARN_DAYS
+
+
+def first_to_expire(calibrations: Mapping[str, Calibration]) -> str:
+    """The last day of the one that expires first; empty if none does."""
+    return min((one.until for one in calibrations.values() if one.until), default="")

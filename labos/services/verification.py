@@ -17,6 +17,7 @@ import msgspec
 
 from labos.core.fold import evolve
 from labos.core.labware import SamplesRegistered
+from labos.core.modules import ModuleCalibrated
 from labos.core.plans import PlanRecorded
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
@@ -235,7 +236,7 @@ def find_needed_blobs(kind: str, payload: bytes) -> list[str]:
 
 
 def _list_needed(kind: str, payload: Any) -> list[str]:
-    """The same: workflows and files of runs, sample sheets, files of results."""
+    """The same: workflows and files of runs, sample sheets, files of results, reports of calibrations."""
     found: list[Any] = []
     match kind:
         case RunSubmitted.TYPE:
@@ -244,6 +245,8 @@ def _list_needed(kind: str, payload: Any) -> list[str]:
             found.extend(payload.get("files", {}).values())
         case SamplesRegistered.TYPE:
             found.extend((payload.get("sheet"), payload.get("blob")))
+        case ModuleCalibrated.TYPE:
+            found.append(payload.get("file"))
     waiting = [payload]
     while waiting:
         item = waiting.pop()

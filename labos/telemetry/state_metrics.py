@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from functools import lru_cache
 
+from labos.core.calibrations import first_to_expire
+from labos.core.days import end_of
 from labos.core.ids import ModuleName, StationName, local, workcell_of
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.state import LabState
@@ -91,6 +94,12 @@ class StateMetrics(MetricGroup):
         )
         self.capacity = GaugeMetric(
             "labos_resource_capacity", "How much of a resource there can be.", (*module, "resource")
+        )
+        self.calibration_ends_s = GaugeMetric(
+            "labos_calibration_ends_timestamp_seconds",
+            "When the last day is over of the calibration that expires first; none if none does.",
+            cell,
+            most=CELLS,
         )
         self.questions = GaugeMetric(
             "labos_interventions_open",
@@ -187,16 +196,21 @@ class StateMetrics(MetricGroup):
         states: dict[Labels, float] = {}
         levels: dict[Labels, float] = {}
         capacities: dict[Labels, float] = {}
+        ends: dict[Labels, float] = {}
         for name, module in state.modules.by_name.items():
             now = "out_of_service" if module.out_of_service else module.status.lower()
             for each, key in _state_keys(name):
                 states[key] = 1.0 if each == now else 0.0
+            if last := first_to_expire(module.calibrations):
+                key = (workcell_of(name),)
+                ends[key] = min(ends.get(key, math.inf), end_of(last))
         for what, level in state.resources.levels.items():
             key = _resource_key(what)
             levels[key], capacities[key] = level.level, level.capacity
         self.module_state.replace(states)
         self.level.replace(levels)
         self.capacity.replace(capacities)
+        self.calibration_ends_s.replace(ends)
 
     def _stations(self, state: LabState) -> None:
         room: dict[Labels, float] = {}

@@ -50,7 +50,8 @@ def test_there_is_a_node_for_each_module_and_its_command_exists(files: tuple[str
     services = services_of(*files)
     nodes = modules_of(services)
     assert sorted(nodes.values()) == sorted(module["name"] for module in cell["modules"])
-    assert set(nodes) == {f"node-{module}" for module in nodes.values()}
+    # They are hosts' names too: no underscore.
+    assert set(nodes) == {f"node-{module.lower().replace('_', '-')}" for module in nodes.values()}
     for name in ("bus", "lab", "projector", *nodes):
         line = command_of(name, *files)
         assert what_is_wrong(line, strict=True) == ""

@@ -31,14 +31,14 @@ Say = Callable[..., str]
 
 @pytest.fixture
 def say(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Say:
-    def say_(*words: str, home: Path | None = None, fails: bool = False) -> str:
+    def say_(*words: str, home: Path | None = None, fails: bool = False, out: bool = False) -> str:
         if home is not None:
             monkeypatch.setenv("LABOS_HOME", str(home))
         capsys.readouterr()
         code = main(list(words))
         told = capsys.readouterr()
         assert (code != 0) == fails, told
-        return told.err if fails else told.out
+        return told.err if fails and not out else told.out
 
     return say_
 
@@ -74,6 +74,19 @@ def test_a_calibration_is_recorded_with_its_report(lab: LabThread, say: Say, tmp
             ("volume", digest, "ada"),
         ]
         assert client.file(digest) == REPORT
+
+
+def test_a_report_that_is_lost_is_found_to_be(lab: LabThread, say: Say, tmp_path: Path) -> None:
+    report = tmp_path / "report.pdf"
+    report.write_bytes(REPORT)
+    say("calibrate", "reader", "--file", str(report), home=lab.settings.home)
+    say("verify")
+    digest = sha256(REPORT).hexdigest()
+    (kept,) = (
+        path for path in (lab.settings.home / "blobs").rglob("*") if path.is_file() and digest in str(path)
+    )
+    kept.unlink()
+    assert f"names the blob {digest}, which is not there" in say("verify", fails=True, out=True)
 
 
 def test_a_report_that_is_not_kept(lab: LabThread, say: Say, tmp_path: Path) -> None:

@@ -91,6 +91,23 @@ def test_interventions_by_people_are_counted_from_the_logs_beginning(lab: LabThr
         client.cancel(run, "ada")
 
 
+def test_the_calibration_that_expires_first_is_measured(lab: LabThread) -> None:
+    def ends() -> float | None:
+        return value(lab, "labos_calibration_ends_timestamp_seconds", workcell="rpl")
+
+    assert ends() is None
+    with LabClient(lab.url) as client:
+        client.calibrate("hidex", "ada")
+        assert ends() is None
+        client.calibrate("hidex", "ada", what="volume", until="2030-12-31")
+        client.calibrate("sealer", "ada", until="2099-12-31")
+        assert ends() == 1_924_992_000  # 2031-01-01T00:00:00Z
+        client.calibrate("hidex", "ada", what="volume")
+        assert ends() == 4_102_444_800  # 2100-01-01T00:00:00Z
+        client.calibrate("sealer", "ada")
+        assert ends() is None
+
+
 def test_a_restarted_kernel_measures_the_past(lab: LabThread, tmp_path_factory: Any) -> None:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
     settings = Settings.make(tmp_path_factory.mktemp("again"), speed=5000.0, simulate=True)
