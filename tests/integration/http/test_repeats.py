@@ -329,22 +329,26 @@ def test_an_emergency_stop_has_its_first_answer_after_a_restart_too(tmp_path: Pa
         with httpx.Client(base_url=url + API, timeout=60) as raw:
             return raw.post("/estop", json={"target": target, "by": "ada"}, headers=make_key_header(key))
 
+    def reports(client: LabClient) -> list[dict[str, Any]]:
+        return list(client.events(type="lab.stop_reported"))
+
     with LabThread(settings, [cell], nodes="none") as lab:
         first = stop(lab.url)
         assert (first.status_code, first.json()["stopped"]) == (200, {})
         assert first.json()["silent"] == {"rpl/sealer": "no node answers for it"}
         assert stop(lab.url).content == first.content
         with LabClient(lab.url) as client:
-            (told,) = client.events(type="lab.stop_reported")
+            until(lambda: reports(client), "the log is told afterwards")
+            (told,) = reports(client)
             assert (told["actor"], told["payload"]["target"]) == ("ada", "sealer")
     with LabThread(settings, nodes="none") as lab, LabClient(lab.url) as client:
         again = stop(lab.url)
         assert (again.status_code, again.content) == (200, first.content)
-        assert len(list(client.events(type="lab.stop_reported"))) == 1
+        assert len(reports(client)) == 1
         other = stop(lab.url, target="peeler")
         assert (other.status_code, other.json()["code"]) == (409, "key_reused")
         assert stop(lab.url, "another").status_code == 200
-        assert len(list(client.events(type="lab.stop_reported"))) == 2
+        until(lambda: len(reports(client)) == 2, "the log is told afterwards")
 
 
 def test_another_request_with_a_key_is_refused_after_a_restart_too(tmp_path: Path) -> None:
