@@ -19,6 +19,7 @@ from labos.errors import CommitInDoubt, KeyReused, Refused
 from labos.http.idempotency import IdempotentAnswers
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
+from tests.support.lab_process import until
 
 FLOW = "labos: 1\nname: f\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 TIMED = FLOW.replace("action: seal}", "action: seal, args: {time: payload.time}}")
