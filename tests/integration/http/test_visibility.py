@@ -12,12 +12,14 @@ import httpx
 import pytest
 from click.testing import CliRunner, Result
 
-from labos.bootstrap import LabThread
+from labos.bootstrap import ApiSettings, LabThread
 from labos.cli.app import group
 from labos.client import LabClient
 from labos.core.decide.users import AddUser, GrantRole
 from labos.errors import NotFound
+from labos.settings import Settings
 from tests.integration.http.signed import client_of, execute, lab_with_users, token_of
+from tests.support.api_process import ApiThread
 from tests.support.lab_process import until
 
 SEAL = (
@@ -150,6 +152,27 @@ def test_nothing_of_a_private_one_is_told_to_others(people: People) -> None:
         # Of another name that there is none of, the same is said.
         unknown, known = eve.get("/campaigns/C999"), eve.get(f"/campaigns/{name}")
         assert unknown.text.replace("C999", name) == known.text
+    people["bob"].cancel_campaign(name, "")
+
+
+@pytest.mark.slow
+def test_an_api_process_keeps_the_same_back(people: People, folder: Path) -> None:
+    name = people.screen("private", "secret behind")
+    runs = people.runs_of(name)
+    with ApiThread(ApiSettings(Settings.make(folder / "lab"), "one")) as api:
+        for user in ("bob", "eve", "cleo", "olga"):
+            sees = user in SEES["private"]
+            with LabClient(api.url, token=people.tokens[user]) as client:
+                until(
+                    lambda c=client: c.health()["position"] >= people.lab.runtime.kernel.durable, "it follows"
+                )
+                assert (name in [c["id"] for c in client.campaigns()]) is sees, user
+                assert (runs[0] in [run["id"] for run in client.runs()["runs"]]) is sees, user
+                assert (runs[0] in [run["id"] for run in client.state()["runs"]]) is sees, user
+                assert any(e["payload"].get("campaign") == name for e in client.events()) is sees, user
+                if not sees:
+                    with pytest.raises(NotFound):
+                        client.campaign(name)
     people["bob"].cancel_campaign(name, "")
 
 
