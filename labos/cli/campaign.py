@@ -24,7 +24,7 @@ from labos.cli._options import (
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._query import Where, log_options, open_log
 from labos.cli._terms import terms_options
-from labos.core.sight import Visibility
+from labos.core.viewer import Visibility
 from labos.services.campaigns import (
     CampaignHistory,
     RowHistory,

@@ -25,8 +25,8 @@ from labos.core.model import Condition
 from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import REQUESTS_KEPT, RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
-from labos.core.sight import Restricted, Visibility
 from labos.core.steps import StepUnexpected
+from labos.core.viewer import RestrictedCampaign, Visibility
 from labos.core.words import Words
 
 ROWS_QUEUED = 4
@@ -252,7 +252,7 @@ class Campaigns(msgspec.Struct):
     clocks: dict[ActionId, int] = {}
     due: dict[CampaignId, bool] = {}
     ended: dict[CampaignId, EndedCampaign] = {}
-    restricted: dict[CampaignId, Restricted] = {}
+    restricted: dict[CampaignId, RestrictedCampaign] = {}
 
     def visibility_of(self, campaign: CampaignId) -> Visibility:
         known = self.restricted.get(campaign)
@@ -302,7 +302,9 @@ def fold_campaign_submitted(campaigns: Campaigns, event: CampaignSubmitted, at: 
         cloned_from=event.cloned_from,
     )
     if event.visibility != "lab":
-        campaigns.restricted[event.campaign] = Restricted(event.user, event.workcell, event.visibility)
+        campaigns.restricted[event.campaign] = RestrictedCampaign(
+            event.user, event.workcell, event.visibility
+        )
 
 
 def fold_campaign_paused(campaigns: Campaigns, event: CampaignPaused, at: int) -> None:

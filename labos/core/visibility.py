@@ -9,12 +9,12 @@ from __future__ import annotations
 from labos.core.ids import CampaignId
 from labos.core.lab import WHOLE_LAB
 from labos.core.roles import role_in
-from labos.core.sight import Sight
 from labos.core.state import LabState
 from labos.core.users import LABOS, person_of, rank
+from labos.core.viewer import Viewer
 
 
-def sight_of(state: LabState, actor: str) -> Sight | None:
+def viewer_of(state: LabState, actor: str) -> Viewer | None:
     """What a user (or a service account for one) sees; None for whoever sees everything."""
     if state.users.is_open or actor == LABOS:
         return None
@@ -24,12 +24,12 @@ def sight_of(state: LabState, actor: str) -> Sight | None:
     group = state.shares.group_of.get(person, "")
     peers = (name for name, of in state.shares.group_of.items() if group and of == group)
     cells = (cell for cell in state.lab.workcells if role_in(state, person, cell) >= needed)
-    return Sight(person, tuple(sorted(peers)), tuple(sorted(cells)))
+    return Viewer(person, tuple(sorted(peers)), tuple(sorted(cells)))
 
 
-def find_hidden(state: LabState, sight: Sight | None) -> frozenset[CampaignId]:
+def find_hidden(state: LabState, viewer: Viewer | None) -> frozenset[CampaignId]:
     """The campaigns that somebody does not see."""
-    if sight is None:
+    if viewer is None:
         return frozenset()
     restricted = state.campaigns.restricted.items()
-    return frozenset(name for name, campaign in restricted if not sight.sees(campaign))
+    return frozenset(name for name, campaign in restricted if not viewer.sees(campaign))

@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import msgspec
 
-from labos.core.sight import Visibility
 from labos.core.signatures import Meaning
 from labos.core.suggestions import MOST_STEPS
+from labos.core.viewer import Visibility
 from labos.http.access import StationChange
 from labos.http.limits import (
     MOST_ENTRIES,

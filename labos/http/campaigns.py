@@ -15,9 +15,9 @@ from labos.core.decide.policy import demand_of
 from labos.core.decide.runs import NOBODYS
 from labos.core.ids import CampaignId, local
 from labos.core.model import MAIN, Plan
-from labos.core.sight import Visibility
 from labos.core.state import LabState
 from labos.core.users import person_of
+from labos.core.viewer import Visibility
 from labos.errors import BadInput, KeyReused, SpecError
 from labos.http.bodies import Amendment, NewCampaign
 from labos.http.service import LabService, WorkflowText

@@ -20,8 +20,8 @@ from starlette.responses import Response
 
 from labos.core.ids import CampaignId
 from labos.core.registry import Event
-from labos.core.sight import Sight
-from labos.core.visibility import find_hidden, sight_of
+from labos.core.viewer import Viewer
+from labos.core.visibility import find_hidden, viewer_of
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http import wire
 from labos.http.body_reader import BodyReader, drain
@@ -44,7 +44,7 @@ ADMITTED = "labos.admitted"
 """Where the scope of a request has who asks, if an API process has let them in."""
 
 
-MOST_SIGHTS = 100
+MOST_VIEWERS = 100
 """So many answers about the state of the lab are kept apart, for those who do not see the same."""
 
 
@@ -59,16 +59,16 @@ class Api:
         gate.accounts.on_end.append(self.ends.cut)
         self.arriving = BodyReader()
         self.idempotent = IdempotentAnswers()
-        self._states: dict[tuple[bool, Sight | None], Shared] = {}
+        self._states: dict[tuple[bool, Viewer | None], Shared] = {}
 
-    def state_for(self, sight: Sight | None, *, waits: bool) -> Shared:
+    def state_for(self, viewer: Viewer | None, *, waits: bool) -> Shared:
         """The state of the lab for all who see the same of its campaigns."""
-        if sight is not None and not self.kernel.state.campaigns.restricted:
-            sight = None
-        if (waits, sight) not in self._states and len(self._states) >= MOST_SIGHTS:
+        if viewer is not None and not self.kernel.state.campaigns.restricted:
+            viewer = None
+        if (waits, viewer) not in self._states and len(self._states) >= MOST_VIEWERS:
             del self._states[next(iter(self._states))]
-        work = partial(self._view, waits=waits, sight=sight)
-        return self._states.setdefault((waits, sight), Shared(work, self._flush))
+        work = partial(self._view, waits=waits, viewer=viewer)
+        return self._states.setdefault((waits, viewer), Shared(work, self._flush))
 
     async def _flush(self) -> None:
         await self.kernel.flush()
@@ -79,14 +79,14 @@ class Api:
         link = self.service.link
         return link.notes if link is not None else notes_of(self.service)
 
-    def _view(self, *, waits: bool, sight: Sight | None) -> bytes:
+    def _view(self, *, waits: bool, viewer: Viewer | None) -> bytes:
         view = lab_view(
             self.kernel,
             simulated=self.service.parts.simulated,
             rejected=self._notes.rejected,
             supervised=self._notes.supervised,
             waits=waits,
-            hidden=find_hidden(self.kernel.state, sight),
+            hidden=find_hidden(self.kernel.state, viewer),
         )
         return msgspec.json.encode(view)
 
@@ -106,14 +106,14 @@ class Call:
         return self.who.actor if self.who.is_known else wire.asker(self.request)
 
     @cached_property
-    def sight(self) -> Sight | None:
+    def viewer(self) -> Viewer | None:
         """What whoever asks sees of campaigns; None: everything."""
-        return sight_of(self.kernel.state, self.who.actor) if self.who.is_known else None
+        return viewer_of(self.kernel.state, self.who.actor) if self.who.is_known else None
 
     @cached_property
     def hidden(self) -> frozenset[CampaignId]:
         """The campaigns that whoever asks does not see."""
-        return find_hidden(self.kernel.state, self.sight)
+        return find_hidden(self.kernel.state, self.viewer)
 
     def expect_seen(self, campaign: str) -> None:
         """Raises NotFound for a campaign that whoever asks does not see, as for one that is not there."""

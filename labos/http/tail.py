@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.core.envelope import Record
-from labos.core.sight import Sight
+from labos.core.viewer import Viewer
 from labos.core.words import references_in
 from labos.http.lines import line_of
-from labos.http.veil import Veil
+from labos.http.restricted import RestrictedCampaigns
 from labos.ports import LogQuery
 from labos.services.filters import is_of_type
 from labos.services.shown import show_json
@@ -66,18 +66,18 @@ class Line(msgspec.Struct, frozen=True):
 
 
 class Filter(msgspec.Struct, frozen=True):
-    """Which events somebody wants, as ``LogQuery`` says it, and what they see of campaigns (``sight``)."""
+    """Which events somebody wants, as ``LogQuery`` says it, and what they see of campaigns (``viewer``)."""
 
     types: tuple[str, ...] = ()
     streams: tuple[str, ...] = ()
     correlation: str = ""
     actor: str = ""
     mentions: str = ""
-    sight: Sight | None = None
+    viewer: Viewer | None = None
 
     @classmethod
-    def make(cls, query: LogQuery, sight: Sight | None = None) -> Filter:
-        return cls(query.types, query.streams, query.correlation, query.actor, query.mentions, sight)
+    def make(cls, query: LogQuery, viewer: Viewer | None = None) -> Filter:
+        return cls(query.types, query.streams, query.correlation, query.actor, query.mentions, viewer)
 
     def takes(self, line: Line) -> bool:
         return (
@@ -97,9 +97,9 @@ class _Follower:
     """``after``: everything up to there was handed on or is of no interest. A follower that is ``live`` gets
     what is new."""
 
-    def __init__(self, query: LogQuery, sight: Sight | None) -> None:
+    def __init__(self, query: LogQuery, viewer: Viewer | None) -> None:
         self.query, self.after = query, query.after
-        self.filter = Filter.make(query, sight)
+        self.filter = Filter.make(query, viewer)
         self.live = self.dropped = False
         self._pieces: list[bytes] = []
         self._size = 0
@@ -141,7 +141,7 @@ class Tail:
 
     def __init__(self, log: Log, durable: Callable[[], int]) -> None:
         self._log, self._durable = log, durable
-        self._veil = Veil(log)
+        self._restricted = RestrictedCampaigns(log)
         self._lines: deque[Line] = deque()
         self._size = 0
         self._begin = self._end = self._flushed = 0
@@ -162,7 +162,7 @@ class Tail:
         """What was written last, in order."""
         if not records:
             return
-        self._veil.learn(records)
+        self._restricted.learn(records)
         first, last = records[0].head.position, records[-1].head.position
         if not self._is_wanted():
             self._begin_at(last)
@@ -186,7 +186,7 @@ class Tail:
 
     def on_reopened(self) -> None:
         """The log was read again: something may be in it of which nobody was told."""
-        self._veil.forget()
+        self._restricted.forget()
         self._begin_at(self._durable())
 
     def close(self) -> None:
@@ -197,14 +197,14 @@ class Tail:
 
     # -- for those who ask ---------------------------------------------------------------------
 
-    async def page(self, query: LogQuery, *, stored: bool = False, sight: Sight | None = None) -> bytes:
+    async def page(self, query: LogQuery, *, stored: bool = False, viewer: Viewer | None = None) -> bytes:
         """One page of events as JSON, and the position from which to go on: with the words that stand beside
-        the log, or as it is ``stored``; without those that a ``sight`` does not reach. Raises
+        the log, or as it is ``stored``; without those that a ``viewer`` does not reach. Raises
         StoreUnavailable."""
         self._want()
-        if sight is not None:
-            await self._veil.read()
-        mine = Filter.make(query, sight)
+        if viewer is not None:
+            await self._restricted.read()
+        mine = Filter.make(query, viewer)
         upto = self._durable()
         if _is_open(query) and self._covers(query.after) and self._end == upto:
             found, full = _cut(line for line in self._since(query.after) if self._takes(mine, line))
@@ -221,14 +221,14 @@ class Tail:
         end: End | None = None,
         *,
         stored: bool = False,
-        sight: Sight | None = None,
+        viewer: Viewer | None = None,
     ) -> AsyncIterator[bytes]:
         """Server-sent events, for ever; or until their ``end`` comes, or the follower has fallen too far
         behind."""
         self._want()
-        if sight is not None:
-            await self._veil.read()
-        me = _Follower(query, sight)
+        if viewer is not None:
+            await self._restricted.read()
+        me = _Follower(query, viewer)
         self._followers.add(me)
         if end is not None:
             end.when = me.wake
@@ -256,7 +256,7 @@ class Tail:
         return wanted.takes(line) and self._shows(wanted, line)
 
     def _shows(self, wanted: Filter, line: Line) -> bool:
-        return self._veil.shows(wanted.sight, line.type, line.stream, line.correlation)
+        return self._restricted.shows(wanted.viewer, line.type, line.stream, line.correlation)
 
     async def _show(self, data: bytes, *, stored: bool) -> bytes:
         """Put in the words that stand beside the log now. They are not kept here: they may be erased."""

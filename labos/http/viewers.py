@@ -20,7 +20,7 @@ import msgspec
 import structlog
 
 from labos.core.envelope import Record
-from labos.core.sight import Sight
+from labos.core.viewer import Viewer
 from labos.errors import LabosError
 from labos.http.ends import End
 from labos.http.tail import PAGE, RETRY, STREAM_HEADERS, STREAM_TYPE, Tail
@@ -58,14 +58,14 @@ class Grown(msgspec.Struct, frozen=True, tag="grown"):
 
 class Follow(msgspec.Struct, frozen=True, tag="follow"):
     """A follower; its connection comes with the packet. ``key`` names what it has shown (empty: nothing),
-    ``lasts_s`` is how long that is good. ``stored``: events as the log has them. ``sight``: what it sees of
+    ``lasts_s`` is how long that is good. ``stored``: events as the log has them. ``viewer``: what it sees of
     campaigns."""
 
     query: LogQuery
     key: str = ""
     lasts_s: float = 0.0
     stored: bool = False
-    sight: Sight | None = None
+    viewer: Viewer | None = None
 
 
 class Cut(msgspec.Struct, frozen=True, tag="cut"):
@@ -249,7 +249,9 @@ class _Server:
         gone = asyncio.ensure_future(_await_end(reader))
         gone.add_done_callback(lambda _: me.cancel())
         try:
-            async for piece in self.tail.follow(follow.query, end, stored=follow.stored, sight=follow.sight):
+            async for piece in self.tail.follow(
+                follow.query, end, stored=follow.stored, viewer=follow.viewer
+            ):
                 writer.write(piece)
                 await asyncio.wait_for(writer.drain(), STALL_S)
             await asyncio.wait_for(writer.drain(), STALL_S)

@@ -80,7 +80,7 @@ Row = tuple[int, str, int, int, bytes]
 """(position, type, schema, recorded_at, payload) of a record of the log."""
 
 
-class Times(msgspec.Struct, frozen=True):
+class TimeRange(msgspec.Struct, frozen=True):
     """When something is expected, and between which times it lies in four of five cases (UTC ns)."""
 
     earliest_at: int
@@ -88,14 +88,14 @@ class Times(msgspec.Struct, frozen=True):
     latest_at: int
 
 
-class Expected(msgspec.Struct, frozen=True):
+class ExpectedTimes(msgspec.Struct, frozen=True):
     """A time as things usually go, and if nobody submits anything more."""
 
-    usual: Times
-    alone: Times
+    usual: TimeRange
+    alone: TimeRange
 
 
-class Past(msgspec.Struct):
+class PastForecast(msgspec.Struct):
     """A run: what was foreseen for it, ``age`` ns after its submission, what was told, and what came (UTC
     ns; 0: not yet). ``pauses`` are the last ones between submissions until then (ns), ``next_at`` when
     somebody submitted the next run."""
@@ -105,8 +105,8 @@ class Past(msgspec.Struct):
     pauses: tuple[int, ...]
     start: int
     end: int
-    told_start: Expected
-    told_end: Expected
+    told_start: ExpectedTimes
+    told_end: ExpectedTimes
     started: int = 0
     ended: int = 0
     next_at: int = 0
@@ -118,7 +118,7 @@ class Past(msgspec.Struct):
     def came(self, what: str) -> int:
         return self.started if what == "starts" else self.ended
 
-    def told(self, what: str, kind: str) -> Times:
+    def told(self, what: str, kind: str) -> TimeRange:
         """What was told as things usually go (`usual`), or if nobody came (`alone`)."""
         expected = self.told_start if what == "starts" else self.told_end
         return expected.usual if kind == "usual" else expected.alone
@@ -141,33 +141,35 @@ class Hindsight(msgspec.Struct):
     position: int = 0
     last_at: int = 0
     pauses: list[int] = []
-    open: dict[RunId, Past] = {}
-    ended: list[Past] = []
-    open_again: dict[RunId, list[Past]] = {}
-    ended_again: list[Past] = []
+    open: dict[RunId, PastForecast] = {}
+    ended: list[PastForecast] = []
+    open_again: dict[RunId, list[PastForecast]] = {}
+    ended_again: list[PastForecast] = []
     levels: dict[str, float] = {}
 
     # -- what is expected --------------------------------------------------------------------
 
-    def expect(self, what: str, foreseen: int, now: int, age: int = 0) -> Expected:
+    def expect(self, what: str, foreseen: int, now: int, age: int = 0) -> ExpectedTimes:
         """When that comes which is foreseen for a time (UTC ns), of a run that was submitted ``age`` ns ago;
         ``what`` is `starts` or `ends`."""
         if foreseen < now:
-            return Expected(*[Times(foreseen, foreseen, foreseen)] * 2)
+            return ExpectedTimes(*[TimeRange(foreseen, foreseen, foreseen)] * 2)
         known = self.ended if age < NEW_NS else self.ended_again
         asked = _Asked(what, foreseen, now, age)
-        return Expected(
+        return ExpectedTimes(
             self._range(asked, "usual", self._possible(known, now), ASSUMED),
             self._range(asked, "alone", [past for past in known if past.is_alone(what)], ASSUMED_ALONE),
         )
 
-    def _possible(self, known: list[Past], now: int) -> list[Past]:
+    def _possible(self, known: list[PastForecast], now: int) -> list[PastForecast]:
         """The runs after which nobody came for as long as nobody has come now; all, if these are few."""
         waited = now - self.last_at if self.last_at else 0
         quiet = [past for past in known if not past.next_at or past.next_at - past.at >= waited]
         return quiet if len(quiet) >= ENOUGH else known
 
-    def _range(self, asked: _Asked, kind: str, known: list[Past], assumed: Sequence[float]) -> Times:
+    def _range(
+        self, asked: _Asked, kind: str, known: list[PastForecast], assumed: Sequence[float]
+    ) -> TimeRange:
         pauses = self.pauses if kind == "usual" else []
         parts = [past.off_by(asked.what) for past in asked.find_nearest(known, pauses)]
         if len(parts) < ENOUGH:
@@ -175,7 +177,9 @@ class Hindsight(msgspec.Struct):
         parts.sort()
         low, high = _narrowest(parts, self.levels.get(_level_of(asked.what, kind, asked.age), self.target))
         middle, scale = _middle(parts), _scale(asked.foreseen - asked.now)
-        return Times(*(max(asked.now, int(asked.foreseen + part * scale)) for part in (low, middle, high)))
+        return TimeRange(
+            *(max(asked.now, int(asked.foreseen + part * scale)) for part in (low, middle, high))
+        )
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -200,7 +204,7 @@ class Hindsight(msgspec.Struct):
                 self.open.pop(event.run, None)
                 self.open_again.pop(event.run, None)
 
-    def _told_of(self, run: RunId) -> list[Past]:
+    def _told_of(self, run: RunId) -> list[PastForecast]:
         return [self.open[run], *self.open_again.get(run, [])]
 
     def _come(self, run: RunId, at: int, foresee: Callable[[], Play | None]) -> None:
@@ -223,14 +227,14 @@ class Hindsight(msgspec.Struct):
         if run in play.starts and run in play.ends and run not in play.failed:
             self.open[run] = self._foresee(run, at, play)
 
-    def _foresee(self, run: RunId, at: int, play: Play, first: Past | None = None) -> Past:
+    def _foresee(self, run: RunId, at: int, play: Play, first: PastForecast | None = None) -> PastForecast:
         """What is foreseen for a run now, and told; ``first`` is what was at its submission."""
         age, started = (at - first.at, first.started) if first is not None else (0, 0)
         start, end = play.starts[run], play.ends[run]
         told = self.expect("starts", start, at, age), self.expect("ends", end, at, age)
-        return Past(run, at, tuple(self.pauses), start, end, *told, started=started, age=age)
+        return PastForecast(run, at, tuple(self.pauses), start, end, *told, started=started, age=age)
 
-    def _judge(self, past: Past, what: str) -> None:
+    def _judge(self, past: PastForecast, what: str) -> None:
         """Widen or narrow the ranges to come."""
         came = past.came(what)
         for kind in ("usual", "alone"):
@@ -250,12 +254,12 @@ class _Asked(msgspec.Struct, frozen=True):
     now: int
     age: int
 
-    def find_nearest(self, known: Sequence[Past], pauses: Sequence[int]) -> list[Past]:
+    def find_nearest(self, known: Sequence[PastForecast], pauses: Sequence[int]) -> list[PastForecast]:
         """The forecasts of the past that are most like this one. Starts are judged of runs that had not."""
         waited = [past for past in known if self.what == "ends" or past.start >= past.at]
         return sorted(waited, key=lambda past: self._differ(past, pauses))[:ALIKE]
 
-    def _differ(self, past: Past, pauses: Sequence[int]) -> float:
+    def _differ(self, past: PastForecast, pauses: Sequence[int]) -> float:
         """How unlike this one a forecast of the past was."""
         foreseen, long = past.foreseen(self.what) - past.at, self.foreseen - self.now
         differs = abs(math.log(_scale(foreseen) / _scale(long)))

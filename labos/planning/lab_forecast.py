@@ -23,7 +23,7 @@ from labos.core.modules import ModuleStatus
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, from_picture, picture
 from labos.planning.forecast import usual
-from labos.planning.hindsight import Hindsight, Times
+from labos.planning.hindsight import Hindsight, TimeRange
 from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
 
 LATER_S = 1.0
@@ -40,10 +40,10 @@ class ExpectedRun(msgspec.Struct, frozen=True):
     workflow: str
     user: str
     campaign: str
-    starts: Times | None
-    ends: Times | None
-    starts_alone: Times | None = None
-    ends_alone: Times | None = None
+    starts: TimeRange | None
+    ends: TimeRange | None
+    starts_alone: TimeRange | None = None
+    ends_alone: TimeRange | None = None
     waits: str = ""
     modules: dict[str, str] = {}
 
@@ -54,8 +54,8 @@ class ExpectedCampaign(msgspec.Struct, frozen=True):
 
     campaign: str
     name: str
-    starts: Times | None
-    ends: Times | None
+    starts: TimeRange | None
+    ends: TimeRange | None
     rows_left: int
     rows_forecast: int
     waits: str = ""
@@ -65,7 +65,7 @@ class ExpectedTouch(msgspec.Struct, frozen=True):
     """When a person is needed next, for what, and what is to be done about it. ``planned``: a workflow asks
     for it."""
 
-    at: Times
+    at: TimeRange
     why: str
     remedy: str
     run: str
@@ -189,7 +189,9 @@ class _Forecaster:
             self.ages[run.id] = max(0, asked.now - run.submitted_at)
         return lab.go_on()
 
-    def expect(self, what: str, foreseen: int | None, age: int = 0) -> tuple[Times | None, Times | None]:
+    def expect(
+        self, what: str, foreseen: int | None, age: int = 0
+    ) -> tuple[TimeRange | None, TimeRange | None]:
         """When that comes which is foreseen for a time (UTC ns; None: not in sight), for a run that was
         submitted ``age`` ns ago: as things usually go, and if nobody else submits."""
         if foreseen is None:
@@ -271,7 +273,7 @@ def _touches(forecaster: _Forecaster, play: Play) -> list[ExpectedTouch]:
     found: list[ExpectedTouch] = []
     request = forecaster.request
     for touch in play.touches:
-        at = Times(touch.at, touch.at, touch.at)
+        at = TimeRange(touch.at, touch.at, touch.at)
         if touch.at > request.now:
             at = request.hindsight.expect("ends", touch.at, request.now).usual
         found.append(ExpectedTouch(at, touch.why, touch.remedy, touch.run, touch.planned))

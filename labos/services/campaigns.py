@@ -18,7 +18,7 @@ from labos.core.campaigns import (
     CampaignUnarchived,
 )
 from labos.core.runs import RunSubmitted
-from labos.core.sight import Visibility
+from labos.core.viewer import Visibility
 from labos.errors import NotFound
 from labos.ports import LogQuery
 from labos.services.catalogue import Catalogue, catalogue_of

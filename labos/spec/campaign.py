@@ -13,7 +13,7 @@ from labos.core.campaigns import Budget, Terms
 from labos.core.conditions import condition, fill_in
 from labos.core.expressions import ExpressionError, names_in, parse_expression
 from labos.core.model import Condition
-from labos.core.sight import Visibility
+from labos.core.viewer import Visibility
 from labos.errors import SpecError
 from labos.spec.findings import Report, SpecErrors
 from labos.spec.parts import Label, Part, Seconds

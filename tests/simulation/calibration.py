@@ -23,7 +23,7 @@ from labos.core.fold import evolve
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
 from labos.core.state import LabState, from_picture, picture
 from labos.planning.durations import quantile
-from labos.planning.hindsight import TARGET, Hindsight, Past, Times, foresee
+from labos.planning.hindsight import TARGET, Hindsight, PastForecast, TimeRange, foresee
 from labos.planning.virtual import Play, VirtualLab
 from labos.services.log import events
 from labos.testing.faults import QUIET
@@ -108,12 +108,14 @@ def hear(records: Sequence[Record]) -> list[Heard]:
     return found
 
 
-def learn(labs: Sequence[Sequence[Heard]], target: float = TARGET, *, again: bool = False) -> list[Past]:
+def learn(
+    labs: Sequence[Sequence[Heard]], target: float = TARGET, *, again: bool = False
+) -> list[PastForecast]:
     """What was told of the runs of several labs with the same habits when they were submitted, or ``again``
     when others were; of those that have ended, by what was learned until then."""
-    hindsight, found = Hindsight(target), list[Past]()
+    hindsight, found = Hindsight(target), list[PastForecast]()
     for heard in labs:
-        asked: dict[tuple[str, int], Past] = {}
+        asked: dict[tuple[str, int], PastForecast] = {}
         for event, at, play in heard:
             hindsight.learn(event, at, lambda play=play: play)  # type: ignore[misc]
             old = (past for some in hindsight.open_again.values() for past in some)
@@ -173,7 +175,7 @@ class Figures(msgspec.Struct):
     bias_s: float
 
 
-def figures(found: Sequence[Past], what: str, kind: str = "usual") -> Figures:
+def figures(found: Sequence[PastForecast], what: str, kind: str = "usual") -> Figures:
     """``what`` is `starts` or `ends`; ``kind`` is `usual` or `alone`."""
     errors: list[float] = []
     widths: list[float] = []
@@ -192,7 +194,7 @@ def figures(found: Sequence[Past], what: str, kind: str = "usual") -> Figures:
     return Figures(len(errors), held / len(errors), width, _narrowest(parts) * scale, error, part, bias)
 
 
-def is_held(times: Times, came: int) -> bool:
+def is_held(times: TimeRange, came: int) -> bool:
     """Whether a time lies within a range, or within a second of it."""
     return times.earliest_at - SECOND <= came <= times.latest_at + SECOND
 
@@ -216,7 +218,7 @@ BLUE, RED = "#1f77b4", "#d62728"
 COLOURS = (BLUE, "#ff7f0e", "#2ca02c")
 
 
-def drawing(found: Sequence[Past], kind: str) -> str:
+def drawing(found: Sequence[PastForecast], kind: str) -> str:
     """Hours from submission to end, expected and come, as an SVG with the range of each forecast."""
     points: list[list[float]] = []
     for past in found:
@@ -284,7 +286,7 @@ class Sheet:
         return lines
 
 
-def table(scenes: Mapping[str, tuple[Sequence[Past], str]]) -> str:
+def table(scenes: Mapping[str, tuple[Sequence[PastForecast], str]]) -> str:
     """The figures for people; of each scene which kind of what was told."""
     lines = [
         "| runs | what | forecasts | within the range | middle width | in hindsight | middle error "
@@ -307,7 +309,7 @@ def days(count: int, seed: int, *, batches: bool) -> list[list[Heard]]:
     return [hear(log_of(RUNS, seed + number, batches=batches)) for number in range(count // RUNS)]
 
 
-def known(found: Sequence[Past]) -> list[Past]:
+def known(found: Sequence[PastForecast]) -> list[PastForecast]:
     """Those after which nobody submitted anything before they had ended: all was known at their forecast."""
     return [past for past in found if past.is_alone("ends")]
 

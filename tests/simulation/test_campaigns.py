@@ -14,9 +14,9 @@ from labos.core.envelope import Record
 from labos.core.fold import evolve
 from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
-from labos.core.sight import Sight
 from labos.core.state import LabState
-from labos.http.veil import Veil
+from labos.core.viewer import Viewer
+from labos.http.restricted import RestrictedCampaigns
 from labos.runtime.feeder import Feeder
 from labos.runtime.kernel import Kernel
 from labos.testing.faults import QUIET, STORMY, FaultRates
@@ -59,12 +59,12 @@ class Facility(SimulatedLab):
 def fold_what_others_see(records: Sequence[Record]) -> tuple[LabState, int]:
     """The state as somebody has it to whom the events of private campaigns are not told, and how many
     these are."""
-    veil = Veil(None)  # type: ignore[arg-type]  # it is told of all records
-    veil.learn(records)
-    sight, state, hidden = Sight("eve"), LabState(), 0
+    restricted = RestrictedCampaigns(None)  # type: ignore[arg-type]  # it is told of all records
+    restricted.learn(records)
+    viewer, state, hidden = Viewer("eve"), LabState(), 0
     for record in records:
         head = record.head
-        if not veil.shows(sight, head.type, head.stream, head.correlation):
+        if not restricted.shows(viewer, head.type, head.stream, head.correlation):
             hidden += 1
             continue
         evolve(state, decode(head.type, head.schema, record.payload), head.position, head.recorded_at)

@@ -14,7 +14,7 @@ from labos.core.ids import RunId
 from labos.core.runs import RunCompleted, RunStarted
 from labos.core.state import from_picture, picture
 from labos.planning.durations import Durations
-from labos.planning.hindsight import ENOUGH, Hindsight, Past
+from labos.planning.hindsight import ENOUGH, Hindsight, PastForecast
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.virtual import MOST_RUNS, Play, VirtualLab, keep_first
 from tests.simulation.clocked import Instance, Life
@@ -229,7 +229,7 @@ def test_each_run_has_a_range_as_wide_as_earlier_forecasts_were_off() -> None:
     for _ in range(3):
         lab.submit(PRINT)
     past = [
-        Past(
+        PastForecast(
             RunId(f"P{n}"), 0, (), 0, HOUR, told := Hindsight().expect("ends", HOUR, 0), told, 1, n * HOUR, 1
         )
         for n in (2, 3, 4) * ENOUGH

@@ -38,10 +38,10 @@ from labos.core.repeated import record_repeat
 from labos.core.resources import uses_up
 from labos.core.roles import lacks_role_for
 from labos.core.runs import RunPaused, RunResumed, RunSubmitted
-from labos.core.sight import Visibility
 from labos.core.state import LabState
 from labos.core.texts import LONGEST_REASON, cut
 from labos.core.users import UserDisabled
+from labos.core.viewer import Visibility
 from labos.core.words import Words
 
 NO_ROOM = "no_room"

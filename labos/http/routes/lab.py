@@ -41,7 +41,7 @@ async def get_health(call: Call) -> Health:
 
 async def get_state(call: Call, query: StateQuery) -> Response:
     """Those who ask at the same time get one answer, which is newer than their questions."""
-    return wire.answer_encoded(await call.api.state_for(call.sight, waits=query.waits).get())
+    return wire.answer_encoded(await call.api.state_for(call.viewer, waits=query.waits).get())
 
 
 async def get_inventory(call: Call) -> Inventory:

@@ -40,7 +40,7 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
     )
     if query.stored:
         call.request.scope[STORED] = True
-    return wire.answer_encoded(await call.service.tail.page(wanted, stored=query.stored, sight=call.sight))
+    return wire.answer_encoded(await call.service.tail.page(wanted, stored=query.stored, viewer=call.viewer))
 
 
 async def follow_events(call: Call, query: EventFilter) -> Response:
@@ -65,7 +65,7 @@ async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator
     shown = call.who.credential
     end = call.api.ends.begin(shown) if shown is not None else None
     try:
-        async for piece in call.service.tail.follow(query, end, stored=stored, sight=call.sight):
+        async for piece in call.service.tail.follow(query, end, stored=stored, viewer=call.viewer):
             yield piece
     finally:
         if shown is not None and end is not None:
@@ -86,7 +86,7 @@ async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
         return False
     shown, durable = call.who.credential, call.kernel.durable
     key, lasts_s = (shown.key, call.api.ends.lasts_s(shown)) if shown is not None else ("", 0.0)
-    follow = Follow(query, key, lasts_s, stored, call.sight)
+    follow = Follow(query, key, lasts_s, stored, call.viewer)
     return bool(await connection.give_away(lambda s: viewers.take_over(s, follow, durable)))
 
 

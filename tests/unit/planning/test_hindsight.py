@@ -17,9 +17,9 @@ from labos.planning.hindsight import (
     TARGET,
     Hindsight,
     LookBack,
-    Past,
+    PastForecast,
     Row,
-    Times,
+    TimeRange,
     look_back,
 )
 from labos.planning.virtual import Play
@@ -37,7 +37,7 @@ class Log:
         self.hindsight = hindsight or Hindsight()
         self.count, self.now = 0, START
 
-    def submit(self, after: int, foreseen: int, *, beside: Past | None = None) -> Past:
+    def submit(self, after: int, foreseen: int, *, beside: PastForecast | None = None) -> PastForecast:
         """A run that should end so long after its submission; the one beside it as before."""
         self.now += after
         self.count += 1
@@ -49,12 +49,12 @@ class Log:
         self.hindsight.learn(event, self.now, lambda: play)
         return self.hindsight.open[run]
 
-    def end(self, past: Past, took: int) -> None:
+    def end(self, past: PastForecast, took: int) -> None:
         """It ends so long after its submission."""
         self.hindsight.learn(RunStarted(past.run), past.at, no_play)
         self.hindsight.learn(RunCompleted(past.run, 1), past.at + took, no_play)
 
-    def one(self, took: float, foreseen: int = HOUR) -> Past:
+    def one(self, took: float, foreseen: int = HOUR) -> PastForecast:
         """A run of a day on which nobody else comes."""
         past = self.submit(DAY, foreseen)
         self.end(past, int(took * foreseen))
@@ -65,11 +65,11 @@ def no_play() -> Play:
     raise AssertionError("only submissions are foreseen")
 
 
-def width(times: Times) -> float:
+def width(times: TimeRange) -> float:
     return (times.latest_at - times.earliest_at) / SECOND
 
 
-def is_held(past: Past) -> bool:
+def is_held(past: PastForecast) -> bool:
     return past.told_end.usual.earliest_at <= past.ended <= past.told_end.usual.latest_at
 
 
@@ -77,7 +77,7 @@ def test_of_a_lab_of_which_nothing_is_known_something_is_assumed() -> None:
     told = Hindsight().expect("ends", START + 10 * HOUR, START)
     assert START < told.usual.earliest_at < told.usual.expected_at < told.usual.latest_at
     assert width(told.alone) < width(told.usual) <= (max(ASSUMED) - min(ASSUMED)) * 36_000
-    assert Hindsight().expect("starts", START - 1, START).usual == Times(*[START - 1] * 3), "it has come"
+    assert Hindsight().expect("starts", START - 1, START).usual == TimeRange(*[START - 1] * 3), "it has come"
 
 
 def test_who_is_always_late_by_a_tenth_is_expected_so() -> None:
@@ -100,7 +100,7 @@ def test_in_the_long_run_four_of_five_come_within_their_range_though_habits_chan
     assert len(log.hindsight.ended) == KEPT
 
 
-def come_in_fours(log: Log, days: int) -> Iterator[list[Past]]:
+def come_in_fours(log: Log, days: int) -> Iterator[list[PastForecast]]:
     """Each day four runs come at once, and each waits for those behind it."""
     for _ in range(days):
         four = [log.submit(DAY if place == 0 else SECOND, HOUR) for place in range(4)]

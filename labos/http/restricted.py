@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from labos.core.envelope import Record
-from labos.core.sight import Restricted, Sight
+from labos.core.viewer import RestrictedCampaign, Viewer
 from labos.ports import LogQuery
 
 if TYPE_CHECKING:
@@ -38,12 +38,12 @@ class _Submitted(msgspec.Struct, frozen=True):
 _decode = msgspec.json.Decoder(_Submitted).decode
 
 
-class Veil:
+class RestrictedCampaigns:
     """The restricted campaigns of a log."""
 
     def __init__(self, log: Log) -> None:
         self._log = log
-        self._restricted: dict[str, Restricted] = {}
+        self._restricted: dict[str, RestrictedCampaign] = {}
         self._is_read = False
         self._turn = asyncio.Lock()
 
@@ -53,7 +53,7 @@ class Veil:
             if record.head.type == SUBMITTED:
                 found = _decode(record.payload)
                 if found.visibility != "lab":
-                    self._restricted[found.campaign] = Restricted(
+                    self._restricted[found.campaign] = RestrictedCampaign(
                         found.user, found.workcell, found.visibility
                     )
 
@@ -71,9 +71,9 @@ class Veil:
     def _read_submitted(self) -> list[Record]:
         return list(self._log.select(LogQuery(types=(SUBMITTED,))))
 
-    def shows(self, sight: Sight | None, type_: str, stream: str, correlation: str) -> bool:
+    def shows(self, viewer: Viewer | None, type_: str, stream: str, correlation: str) -> bool:
         """Whether an event is shown to somebody (None: to whoever sees everything)."""
-        if sight is None or not self._restricted:
+        if viewer is None or not self._restricted:
             return True
         of = self._restricted.get(correlation) or self._restricted.get(stream)
-        return of is None or sight.sees(of) or type_.startswith(SHOWN)
+        return of is None or viewer.sees(of) or type_.startswith(SHOWN)

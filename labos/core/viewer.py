@@ -1,4 +1,4 @@
-"""What somebody sees of campaigns that are not shown to everybody."""
+"""Who looks at campaigns that not everybody sees, and which of them they see."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Visibility = Literal["lab", "group", "private"]
 nobody."""
 
 
-class Restricted(msgspec.Struct, frozen=True):
+class RestrictedCampaign(msgspec.Struct, frozen=True):
     """Whose a campaign is that not everybody sees, and who does."""
 
     user: str
@@ -19,15 +19,15 @@ class Restricted(msgspec.Struct, frozen=True):
     visibility: Visibility
 
 
-class Sight(msgspec.Struct, frozen=True):
-    """What somebody sees of campaigns: those of their own (``person``), those that groups see of ``peers``,
-    and all in the workcells ``cells``."""
+class Viewer(msgspec.Struct, frozen=True):
+    """Somebody who looks at campaigns, and sees those of their own (``person``), those that groups see of
+    ``peers``, and all in the workcells ``cells``."""
 
     person: str
     peers: tuple[str, ...] = ()
     cells: tuple[str, ...] = ()
 
-    def sees(self, campaign: Restricted) -> bool:
+    def sees(self, campaign: RestrictedCampaign) -> bool:
         return (
             campaign.user == self.person
             or campaign.workcell in self.cells
