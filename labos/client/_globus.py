@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlsplit
 
 from labos.client._flows import FlowResult
-from labos.client._record import Record, SentToService
+from labos.client._record import Record, ServiceRecord
 from labos.client._replay import Key, ReplayMismatch, as_json
 from labos.client._transfers import Place, TransferFailed, Transferred
 from labos.errors import BadInput
@@ -118,7 +118,7 @@ def ingest(record: Record, key: Key, index: GlobusIndex, content: Mapping[str, A
     record.keep(f"{key} indexed", "flow", "Globus Search", facts)
 
 
-def attempts_of(record: Record, key: Key, service: str, once: Callable[[SentToService], T]) -> T:
+def attempts_of(record: Record, key: Key, service: str, once: Callable[[ServiceRecord], T]) -> T:
     """What comes of the first attempt that has not failed; if it fails, that is written down, and the next
     call is another attempt. Raises GlobusError."""
     from labos.services.globus import GlobusFailed

@@ -148,9 +148,9 @@ class Record:
                 known = self.keep(key, "decision", name, self.json_as_facts(as_json(function())))
             return self.json_of(known["facts"])
 
-    def sent(self, key: str, service: str) -> SentToService:
+    def sent(self, key: str, service: str) -> ServiceRecord:
         """What the log has of something that is sent to a service elsewhere."""
-        return SentToService(self, key, service)
+        return ServiceRecord(self, key, service)
 
     def give_back(self, key: str) -> None:
         """The call has left no result: who makes it again means the same one."""
@@ -189,7 +189,7 @@ class Record:
         return self.past.read()
 
 
-class SentToService:
+class ServiceRecord:
     """What the log has of something that was sent to a service elsewhere, under the key of its call: a note
     of kind ``flow`` before it is sent, another one when it has arrived."""
 

@@ -1,4 +1,4 @@
-"""The page about Globus: its program runs with Globus' kit against the stand-in, and prints what is said."""
+"""The page about Globus: its program runs with Globus' SDK against the stand-in, and prints what is said."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from labos.services.compute._calls import Attempts, Computed, ComputeFailed, Computing
 from labos.services.compute._places import PLACES, open_place
-from labos.services.compute._sent import ComputesOnce, Forgotten, PlaceUnavailable, Sent
+from labos.services.compute._sent import ComputesOnce, MemoryRecord, PlaceUnavailable, SendingRecord
 from labos.services.compute._work import (
     Measured,
     Returned,
@@ -19,11 +19,11 @@ __all__ = [
     "Computed",
     "ComputesOnce",
     "Computing",
-    "Forgotten",
     "Measured",
+    "MemoryRecord",
     "PlaceUnavailable",
     "Returned",
-    "Sent",
+    "SendingRecord",
     "code_digest",
     "do_nothing",
     "open_place",

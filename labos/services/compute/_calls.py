@@ -12,7 +12,7 @@ import msgspec
 
 from labos.errors import BadInput, LabosError
 from labos.services.compute._places import open_place
-from labos.services.compute._sent import ComputesOnce, Forgotten, PlaceUnavailable, Sent
+from labos.services.compute._sent import ComputesOnce, MemoryRecord, PlaceUnavailable, SendingRecord
 from labos.services.compute._work import Measured, code_digest, encode, measure, name_of, value_digest
 
 MOST_WAITING = 64
@@ -81,7 +81,7 @@ class Computing:
         then: Callable[[Computed], Any] = lambda computed: computed.measured.value,
         failed: Callable[[ComputeFailed], None] = lambda error: None,
         unavailable: Callable[[], None] = lambda: None,
-        sent: Callable[[int], Sent] = lambda attempt: Forgotten(),
+        sent: Callable[[int], SendingRecord] = lambda attempt: MemoryRecord(),
     ) -> Future[Any]:
         """Begin a computation; its future gives what ``then`` makes of it, and raises ComputeFailed after
         ``failed`` was told of it, PlaceUnavailable after ``unavailable`` was. ``sent`` gives what the log has
@@ -118,7 +118,7 @@ class Computing:
         named: dict[str, Any],
         where: str,
         arguments: str,
-        sent: Callable[[int], Sent],
+        sent: Callable[[int], SendingRecord],
     ) -> Computed:
         name, deaths, errors = name_of(function), 0, 0
         while True:

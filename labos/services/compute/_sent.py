@@ -14,7 +14,7 @@ class PlaceUnavailable(LabosError):
     again."""
 
 
-class Sent(Protocol):
+class SendingRecord(Protocol):
     """What the log has of one computation, by names such as ``sending`` and ``sent``. ``mark`` is its own,
     and the same when the program is started again; ``of`` is whose it is, such as the experiment."""
 
@@ -38,7 +38,7 @@ class Sent(Protocol):
         """What is written down as a fact of any computation of the experiment."""
 
 
-class Forgotten:
+class MemoryRecord:
     """Remembers nothing beyond the process."""
 
     def __init__(self) -> None:
@@ -62,6 +62,6 @@ class ComputesOnce(ABC):
 
     @abstractmethod
     def compute_once(
-        self, sent: Sent, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
+        self, sent: SendingRecord, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
     ) -> Any:
         """What a function returns. Raises its error, PlaceUnavailable."""

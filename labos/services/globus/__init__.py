@@ -1,7 +1,7 @@
 """What Globus does for an experiment: computes, carries flows out, transfers files, and keeps a search index.
 
-What is sent to Globus is sent once, also when an answer is lost or the program is killed: see `Sent`. The kit
-of Globus (extra ``globus``) is imported when it is first needed.
+What is sent to Globus is sent once, also when an answer is lost or the program is killed: see
+`SendingRecord`. The SDK of Globus (extra ``globus``) is imported when it is first needed.
 """
 
 from labos.services.globus._asking import (

@@ -45,11 +45,11 @@ class GlobusAccess:
         self._base_url = base_url
 
     def open(self, kind: str, *args: Any) -> Any:
-        """A client of a class of `globus_sdk`. Raises BadInput if the kit is not installed."""
+        """A client of a class of `globus_sdk`. Raises BadInput if the SDK is not installed."""
         try:
             import globus_sdk
         except ImportError:
-            raise missing() from None
+            raise report_missing_sdk() from None
         made = getattr(globus_sdk, kind)(*args, **self._access)
         if self._base_url is not None:  # one of the classes takes no `base_url`
             made.base_url = self._base_url
@@ -74,8 +74,8 @@ class GlobusFailed(GlobusError):
     """What Globus has begun came to a bad end."""
 
 
-def missing() -> BadInput:
-    return BadInput("The kit of Globus is not installed.", remedy='pip install "labos-sdl[globus]"')
+def report_missing_sdk() -> BadInput:
+    return BadInput("Globus' SDK is not installed.", remedy='pip install "labos-sdl[globus]"')
 
 
 def ask(what: str, call: Callable[[], T]) -> T:
@@ -124,7 +124,7 @@ def wait_for(what: str, patience: Patience, look: Callable[[], T | None]) -> T:
 def send_once(
     what: str, client: Any, patience: Patience, send: Callable[[], T], find: Callable[[], T | None]
 ) -> T:
-    """Send something that Globus would do twice if it came twice. The kit's own repetitions are off. When no
+    """Send something that Globus would do twice if it came twice. The SDK's own repetitions are off. When no
     answer comes, ``find`` says what has arrived; only if nothing has, it is sent again. Raises GlobusRefused,
     GlobusUnreachable."""
     from globus_sdk import GlobusAPIError
@@ -150,7 +150,7 @@ def send_once(
 
 @contextmanager
 def _without_repetitions(client: Any) -> Iterator[None]:
-    # The kit's own `tune` does not take the setting back after an error.
+    # The SDK's own `tune` does not take the setting back after an error.
     config = client.retry_config
     before, config.max_retries = config.max_retries, 0
     try:

@@ -14,8 +14,22 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 
 from labos.errors import BadInput
-from labos.services.compute import ComputesOnce, Forgotten, Returned, Sent, do_nothing, return_marked
-from labos.services.globus._asking import GlobusAccess, GlobusFailed, Patience, missing, send_once, wait_for
+from labos.services.compute import (
+    ComputesOnce,
+    MemoryRecord,
+    Returned,
+    SendingRecord,
+    do_nothing,
+    return_marked,
+)
+from labos.services.globus._asking import (
+    GlobusAccess,
+    GlobusFailed,
+    Patience,
+    report_missing_sdk,
+    send_once,
+    wait_for,
+)
 
 SERVICE = "Globus Compute"
 MOST_WAITING = 64
@@ -44,12 +58,12 @@ class GlobusEndpoint:
         self.endpoint, self.patience = endpoint, patience or Patience()
 
     def open(self) -> GlobusExecutor:
-        """Raises BadInput if the kit is not installed."""
+        """Raises BadInput if the SDK is not installed."""
         asked, sent = self._access.open("ComputeClientV2"), self._access.open("ComputeClientV3")
         try:
             from globus_compute_sdk.serialize import ComputeSerializer
         except ImportError:
-            raise missing() from None
+            raise report_missing_sdk() from None
         return GlobusExecutor(self.endpoint, asked, sent, ComputeSerializer(), self.patience)
 
 
@@ -66,13 +80,13 @@ class GlobusExecutor(ComputesOnce, Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """As of every executor: what was sent is forgotten with the process."""
-        return self._threads.submit(self.compute_once, Forgotten(), fn, args, kwargs)
+        return self._threads.submit(self.compute_once, MemoryRecord(), fn, args, kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
 
     def compute_once(
-        self, sent: Sent, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
+        self, sent: SendingRecord, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
     ) -> Any:
         """What a function returns. Raises its error, WorkerLost, GlobusError."""
         known = sent.known("sent")
@@ -89,7 +103,7 @@ class GlobusExecutor(ComputesOnce, Executor):
             )
         return returned.value()
 
-    def _task_in_doubt(self, sent: Sent) -> str:
+    def _task_in_doubt(self, sent: SendingRecord) -> str:
         """The task that a program which was killed has sent under this mark, without hearing of it; empty if
         there is none. A task says its mark when it ends."""
         with self._lock:
@@ -103,13 +117,13 @@ class GlobusExecutor(ComputesOnce, Executor):
                 return task
         return ""
 
-    def _adopt(self, sent: Sent, task: str) -> dict[str, Any]:
+    def _adopt(self, sent: SendingRecord, task: str) -> dict[str, Any]:
         group = self._group(sent)
         group.own.add(task)
         return sent.keep("sent", {"task": task, "task_group": group.id})
 
     def _send(
-        self, sent: Sent, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
+        self, sent: SendingRecord, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
     ) -> dict[str, Any]:
         """One after the other, so that at most one task is in doubt."""
         group = self._group(sent)
@@ -126,7 +140,7 @@ class GlobusExecutor(ComputesOnce, Executor):
         task = send_once(SERVICE, self._sending, self._patience, send, find)
         return self._adopt(sent, task)
 
-    def _group(self, sent: Sent) -> _Group:
+    def _group(self, sent: SendingRecord) -> _Group:
         """The group of an experiment's tasks, which begins with one that does nothing."""
         if (group := self._groups.get(sent.of)) is not None:
             return group

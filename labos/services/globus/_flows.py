@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from labos.services.compute import Sent
+from labos.services.compute import SendingRecord
 from labos.services.globus._asking import GlobusAccess, GlobusRefused, Patience, ask, send_once, wait_for
 
 SERVICE = "Globus Flows"
@@ -63,7 +63,7 @@ class GlobusRun(msgspec.Struct, frozen=True):
     why: str = ""
 
 
-def run_once(flow: GlobusFlow, sent: Sent, given: Mapping[str, Any]) -> GlobusRun:
+def run_once(flow: GlobusFlow, sent: SendingRecord, given: Mapping[str, Any]) -> GlobusRun:
     """Start a flow, or find the run that was started before; wait for its end. The run bears a tag of ours,
     by which it is found if the answer was lost. Raises GlobusRefused, GlobusUnreachable."""
     tag = f"labos-{hashlib.sha256(sent.mark.encode()).hexdigest()[:32]}"

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from labos.errors import BadInput
-from labos.services.compute import Sent
+from labos.services.compute import SendingRecord
 from labos.services.globus._asking import GlobusAccess, GlobusFailed, Patience, wait_for
 
 SERVICE = "Globus Search"
@@ -41,7 +41,7 @@ class GlobusIndex:
         return self._access.open("SearchClient")
 
 
-def ingest_once(index: GlobusIndex, sent: Sent, subject: str, content: Mapping[str, Any]) -> str:
+def ingest_once(index: GlobusIndex, sent: SendingRecord, subject: str, content: Mapping[str, Any]) -> str:
     """Put an entry into the index and wait until it can be found; returns the task. Its subject is the same
     whenever it is sent, so an entry that comes twice takes its own place. Raises GlobusFailed,
     GlobusRefused, GlobusUnreachable."""

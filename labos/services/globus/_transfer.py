@@ -9,14 +9,14 @@ from urllib.parse import unquote, urlsplit
 import msgspec
 
 from labos.errors import BadInput
-from labos.services.compute import Sent
+from labos.services.compute import SendingRecord
 from labos.services.globus._asking import (
     GlobusAccess,
     GlobusFailed,
     GlobusRefused,
     Patience,
     ask,
-    missing,
+    report_missing_sdk,
     wait_for,
 )
 
@@ -71,7 +71,7 @@ class Moved(msgspec.Struct, frozen=True):
 
 def transfer_once(
     carrier: GlobusCarrier,
-    sent: Sent,
+    sent: SendingRecord,
     source: GlobusPlace,
     target: GlobusPlace,
     *,
@@ -84,7 +84,7 @@ def transfer_once(
     try:
         from globus_sdk import MISSING, TransferData
     except ImportError:
-        raise missing() from None
+        raise report_missing_sdk() from None
     client, patience = carrier.client, carrier.patience
     known = sent.known("sent")
     if known is None:

@@ -1,4 +1,4 @@
-"""What Globus does for an experiment, with Globus' own kit against a stand-in of its services.
+"""What Globus does for an experiment, with Globus' own SDK against a stand-in of its services.
 
 No test has seen Globus itself.
 """
@@ -37,7 +37,7 @@ from tests.support.globus import TOKEN, Globus, serving
 
 sdk = pytest.importorskip("globus_sdk")
 pytest.importorskip("globus_compute_sdk")
-pytestmark = pytest.mark.slow  # the gate installs the kit for these
+pytestmark = pytest.mark.slow  # the gate installs the SDK for these
 
 ENDPOINT, FLOW, INDEX, HERE, THERE = (
     f"{digit}0000000-0000-4000-8000-000000000000" for digit in ("1", "2", "3", "4", "5")
