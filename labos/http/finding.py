@@ -32,6 +32,8 @@ class Finder:
     def __init__(self, database: str, blobs: Path | str, home: Path) -> None:
         self._begin = LogPlace(database, str(blobs), str(home))
         self._process: asyncio.subprocess.Process | None = None
+        self._killed: list[asyncio.subprocess.Process] = []
+        self._is_closed = False
         self._turn = asyncio.Lock()
         self._asked = 0
 
@@ -55,32 +57,53 @@ class Finder:
         raise kind(reply.refusal.message, remedy=reply.refusal.remedy)
 
     def close(self) -> None:
-        """The process ends with its input."""
-        if self._process is not None and self._process.returncode is None:
-            self._process.kill()
-        self._process = None
+        """Nothing more is found. ``wait_closed`` waits until the process has gone."""
+        self._is_closed = True
+        self._kill()
+
+    def _kill(self) -> None:
+        process, self._process = self._process, None
+        if process is not None and process.returncode is None:
+            process.kill()
+            self._killed.append(process)
+
+    def _expect_open(self) -> None:
+        if self._is_closed:
+            self._kill()
+            raise Refused("The lab is being closed.", remedy="Ask again when it has been started.")
+
+    async def wait_closed(self) -> None:
+        """Until nothing is left of the processes that were killed, nor of their pipes."""
+        async with self._turn:
+            killed, self._killed = self._killed, []
+            for process in killed:
+                assert process.stdout is not None
+                await process.wait()
+                await process.stdout.read()
 
     async def _ask(self, question: Question) -> Reply:
         try:
             async with asyncio.timeout(GIVE_UP_S):
+                self._expect_open()
                 process = await self._start()
+                self._expect_open()
                 assert process.stdin is not None
                 assert process.stdout is not None
                 process.stdin.write(_encode(question) + b"\n")
                 await process.stdin.drain()
                 line = await process.stdout.readline()
         except TimeoutError:
-            self.close()
+            self._kill()
             raise Refused(
                 f"The search took longer than {GIVE_UP_S:g} s and was given up.", remedy="Ask for less."
             ) from None
         except OSError:
             line = b""
         except BaseException:
-            self.close()  # or its answer would be taken for that of the next question
+            self._kill()  # or its answer would be taken for that of the next question
             raise
         if not line:
-            self.close()
+            self._kill()
             raise Refused(
                 "The process of the search index has ended.",
                 remedy="Ask again. `labos audit rebuild` makes the index anew.",

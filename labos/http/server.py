@@ -205,6 +205,8 @@ class HttpServer:
         self._server.should_exit = True
         if self._task is not None:
             await asyncio.wait({self._task}, timeout=5.0)
+        if self._service.finder is not None:
+            await self._service.finder.wait_closed()
         self._socket.close()
 
 
