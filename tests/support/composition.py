@@ -16,7 +16,7 @@ import yaml
 
 from labos.settings import free_port
 from tests.docs.markdown import ROOT
-from tests.support.lab_process import PATIENCE_S
+from tests.support.lab_process import PATIENCE_S, until
 
 FOLDER = ROOT / "deploy" / "compose"
 
@@ -84,6 +84,7 @@ class Composition:
 
     def start(self, *names: str) -> None:
         for name in names:
+            self._metrics[name] = free_port()  # one of before may be somebody else's by now
             log = (self._folder / f"{name}.log").open("ab")
             with log:
                 self._processes[name] = subprocess.Popen(
@@ -101,6 +102,14 @@ class Composition:
         assert kind == "CMD"
         done = subprocess.run(command, env=self._environment(name), capture_output=True, check=False)
         return done.returncode == 0
+
+    def await_healthy(self, name: str) -> None:
+        """Raises AssertionError with what all services have written."""
+        try:
+            until(lambda: self.is_healthy(name), f"{name} is healthy")
+        except AssertionError as error:
+            said = [self.read_log(each) for each in self._processes]
+            raise AssertionError("\n".join([str(error), *said])) from None
 
     def pids(self) -> dict[str, int]:
         return {name: process.pid for name, process in self._processes.items() if process.poll() is None}
@@ -124,7 +133,7 @@ class Composition:
                 process.wait()
 
     def _localise(self, name: str, words: list[str]) -> list[str]:
-        port = str(self._metrics.setdefault(name, free_port()))
+        port = str(self._metrics[name])
         made = []
         for word in words:
             for there, here in {**self._places, "9101": port}.items():

@@ -93,11 +93,11 @@ def test_a_lab_of_services_and_a_node_that_is_killed(composition: Composition, t
     workflow = tmp_path / "workflow.yaml"
     workflow.write_text(WORKFLOW)
     composition.start(*NODES, "bus")  # nodes wait
-    until(lambda: composition.is_healthy("bus"), "the bus is healthy")
+    composition.await_healthy("bus")
     assert not composition.is_healthy(NODES[0])
     composition.start("lab")
     for name in ("lab", *NODES):
-        until(lambda name=name: composition.is_healthy(name), f"{name} is healthy")  # type: ignore[misc]
+        composition.await_healthy(name)
     before = composition.pids()
     assert set(before) == {"bus", "lab", *NODES}
     with LabClient(composition.url, token=make_token(composition)) as client:
@@ -109,7 +109,7 @@ def test_a_lab_of_services_and_a_node_that_is_killed(composition: Composition, t
         run = client.submit(workflow, user="admin")
         composition.start("node-sealer")
         assert client.wait(run, timeout_s=PATIENCE_S).status == "completed"
-        until(lambda: composition.is_healthy("node-sealer"), "it is healthy again")
+        composition.await_healthy("node-sealer")
         after = composition.pids()
         assert [name for name in before if after[name] != before[name]] == ["node-sealer"]
         # The bus too: all find it again.
@@ -131,16 +131,16 @@ def test_a_lab_of_services_and_a_node_that_is_killed(composition: Composition, t
 @pytest.mark.parametrize("composition", [SECURE], indirect=True)
 def test_a_node_joins_a_secure_bus_when_its_certificate_was_issued(composition: Composition) -> None:
     composition.start("bus")
-    until(lambda: composition.is_healthy("bus"), "the bus is healthy")
+    composition.await_healthy("bus")
     composition.start("lab")
-    until(lambda: composition.is_healthy("lab"), "the lab is healthy")
+    composition.await_healthy("lab")
     composition.start("node-sealer")
     assert composition.wait("node-sealer") == 1
     assert "labos pki issue" in composition.read_log("node-sealer")
     made = labos("pki", "issue", "node", "rpl/sealer", "--home", str(composition.home))
     assert made.returncode == 0, made.stderr
     composition.start("node-sealer")
-    until(lambda: composition.is_healthy("node-sealer"), "the node is healthy")
+    composition.await_healthy("node-sealer")
     with LabClient(composition.url, token=make_token(composition)) as client:
         until(lambda: states(client)["sealer"] == "IDLE", "the lab sees its node")
 
