@@ -22,7 +22,7 @@ from labos.core.envelope import Record
 from labos.core.fold import evolve
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
 from labos.core.state import LabState, from_picture, picture
-from labos.planning.durations import quantile
+from labos.planner.lengths import quantile
 from labos.planning.hindsight import TARGET, Hindsight, PastForecast, TimeRange, foresee
 from labos.planning.virtual import Play, VirtualLab
 from labos.services.log import events
