@@ -13,7 +13,7 @@ import click
 from labos.cli._exit import FAILED
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
-from labos.core.lengths import drifts
+from labos.core.lengths import find_drifts
 from labos.errors import LabosError
 from labos.pki import Authority
 from labos.services.doctor import (
@@ -137,7 +137,7 @@ def _state(where: Where) -> Iterator[Finding]:
             state = state_at(store)
     except LabosError:
         return  # what is wrong with the log is told elsewhere
-    yield check_durations(drifts(state.lengths, state.lab.pace))
+    yield check_durations(find_drifts(state.lengths, state.lab.pace))
     yield from check_calibrations(state, now_ns())
 
 

@@ -36,6 +36,6 @@ def command(home: str | None, as_json: bool) -> None:
     show_touches(found)
     for drift in told["drifts"]:
         click.echo(
-            f"drift:       {drift['module']}.{drift['action']} takes {drift['is_s']:.3g} s, "
-            f"it took {drift['was_s']:.3g} s"
+            f"drift:       {drift['module']}.{drift['action']} takes {drift['takes_s']:.3g} s, "
+            f"planned {drift['planned_s']:.3g} s"
         )

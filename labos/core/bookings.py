@@ -30,7 +30,7 @@ class BookingEvent(Event, frozen=True):
         return f"booking:{self.booking}"
 
 
-class Terms(BookingEvent, frozen=True):
+class BookingTerms(BookingEvent, frozen=True):
     """What is booked: a module or a workcell (``target``), from ``begins`` to ``ends`` (UTC ns). It is for a
     ``user``, for a ``group``, or for nobody (``maintenance``). With a ``rule`` it is repeated by the clock of
     the time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end)."""
@@ -49,14 +49,14 @@ class Terms(BookingEvent, frozen=True):
 
 
 @event("booking.made")
-class BookingMade(Terms, frozen=True):
+class BookingMade(BookingTerms, frozen=True):
     """Somebody booked a module or a workcell. ``over`` are bookings that it was made over, by force."""
 
     over: tuple[str, ...] = ()
 
 
 @event("booking.changed")
-class BookingChanged(Terms, frozen=True):
+class BookingChanged(BookingTerms, frozen=True):
     """A booking is for another time or for somebody else. All of it is said again."""
 
     over: tuple[str, ...] = ()

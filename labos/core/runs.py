@@ -252,7 +252,7 @@ class RunState(msgspec.Struct):
         return bool(self.steps) and self.steps[step].breached
 
 
-class Past(msgspec.Struct):
+class EndTimes(msgspec.Struct):
     """A completed run of an experiment that goes on: when its steps ended (UTC ns), by key."""
 
     workflow: str
@@ -274,7 +274,7 @@ class Runs(msgspec.Struct):
     active: dict[RunId, RunState] = {}
     queue: dict[str, dict[RunId, bool]] = {}
     windowed: dict[RunId, bool] = {}
-    past: dict[ExperimentId, dict[RunId, Past]] = {}
+    past: dict[ExperimentId, dict[RunId, EndTimes]] = {}
     holders: dict[ModuleName, dict[RunId, bool]] = {}
     named: int = 0
     requests: dict[str, RunId] = {}
@@ -292,7 +292,7 @@ class Runs(msgspec.Struct):
         name = RunId(run)
         return self.active.get(name) or self.queued.get(name)
 
-    def holding(self, module: ModuleName) -> list[RunId]:
+    def list_holders(self, module: ModuleName) -> list[RunId]:
         """The runs that hold a module by their plans' word now."""
         found = []
         for name in self.holders.get(module, ()):
@@ -559,7 +559,7 @@ def _lets_go(runs: Runs, module: ModuleName, run: RunId) -> None:
 def _remember(runs: Runs, run: RunState) -> None:
     steps = runs.plan_of(run).steps
     past = runs.past.setdefault(run.experiment, {})
-    past[run.id] = Past(run.workflow, _list_ends(steps, run.steps))
+    past[run.id] = EndTimes(run.workflow, _list_ends(steps, run.steps))
     if len(past) > PAST_KEPT:
         last = {known.workflow: name for name, known in past.items()}
         name = next((name for name, known in past.items() if last[known.workflow] != name), None)

@@ -28,7 +28,7 @@ from labos.core.decide.experiments import (
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import PutBack, RecordStops, TakeOut
-from labos.core.decide.rights import check_rights, lacking
+from labos.core.decide.rights import check_rights, check_role
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import (
@@ -53,7 +53,7 @@ from labos.http.placing import Placing, loads_of, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
-from labos.planning.booked import without_gap
+from labos.planning.booked import list_without_gap
 from labos.planning.certified import check_windows
 from labos.runtime.kernel import error_of
 from labos.runtime.marks import Marks
@@ -329,7 +329,7 @@ class LabService:
         """The bookings of others that leave a run no room, as warnings: it would wait for a person."""
         state = self.kernel.state
         known = state.runs.queued.get(run) if state.bookings.open else None
-        waits = without_gap(state, known, self.kernel.clock.now_ns()) if known is not None else []
+        waits = list_without_gap(state, known, self.kernel.clock.now_ns()) if known is not None else []
         told = {wait.reason.sentence: wait.reason.remedy for wait in waits}
         return [
             Finding("warning", f"{said[0].upper()}{said[1:]}.", remedy=todo) for said, todo in told.items()
@@ -424,7 +424,7 @@ class LabService:
 
     def expect_role(self, actor: str, needs: Role, cell: str = "") -> None:
         """Raises Forbidden for somebody who lacks a role in a workcell (empty: in all of them)."""
-        lacks = lacking(self.kernel.state, actor, needs, cell)
+        lacks = check_role(self.kernel.state, actor, needs, cell)
         if lacks is not None:
             raise error_of(lacks)
 

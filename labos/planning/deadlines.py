@@ -24,7 +24,7 @@ from labos.planning.touch import EVERYTHING
 
 
 class Deadlines:
-    """The times of one state that only moves forward; ``heed`` tells of each event's keys."""
+    """The times of one state that only moves forward; ``note_changes`` tells of each event's keys."""
 
     def __init__(self) -> None:
         self._windows: Alarms[RunId] = Alarms()
@@ -34,7 +34,7 @@ class Deadlines:
         self._bookings = BookingTimes()
         self._filled = False
 
-    def heed(self, state: LabState, keys: Iterable[str]) -> None:
+    def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
         """Work out anew what these keys have touched."""
         keys = list(keys)
         if not self._filled or EVERYTHING in keys:

@@ -12,14 +12,14 @@ import msgspec
 
 from labos.planning.floor import Actor, Floor
 from labos.planning.forks import FORK, Ends, finish, unfinish
-from labos.planning.moves import Taken, may_move, move, take_back
+from labos.planning.moves import Undo, may_move, move, take_back
 from labos.planning.paths import FORKED, Motion, MotionStep
 
 Witness = tuple[tuple[str, MotionStep], ...]
 """(actor, step) for each motion to come, in an order in which all of them are possible; the motions of a
 step follow one another."""
 
-Trail = list[tuple[Actor, Motion, Taken | Ends | None]]
+Trail = list[tuple[Actor, Motion, Undo | Ends | None]]
 """Motions carried out on a floor, in order; for taking them back."""
 
 

@@ -279,7 +279,7 @@ class Kernel(KernelLog):
             before = len(turn.entries)
             keys, self._keys = self._keys, set()
             turn.part = parts[0]
-            self.scheduler.heed(state, keys)
+            self.scheduler.note_changes(state, keys)
             if self._deadlines in parts:
                 turn.part = self._deadlines
                 self._carry_out_due(turn.entries, looked_at)

@@ -19,7 +19,7 @@ import structlog
 from labos.core.actions import ActionStatus
 from labos.core.decide import Rejection
 from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, RecordStops, ReportState
-from labos.core.decide.shorter import Found
+from labos.core.decide.shorter import FoundAction
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.lab import WorkcellApplied
 from labos.core.modules import ModuleStatus
@@ -245,7 +245,7 @@ class Registry:
         about: AboutReport,
         report: StateReport,
         beyond: int,
-        strange: Sequence[Found],
+        strange: Sequence[FoundAction],
     ) -> None:
         description = about.description
         known = self._kernel.state.modules.by_name.get(module)
@@ -287,7 +287,7 @@ class Registry:
         self._find_out_about(module)
         now = self._kernel.state.modules.by_name.get(module)
         if now is not None and now.instance == report.instance:
-            self._heed(module, report)
+            self._compare_report(module, report)
 
     def _find_out_about(self, module: ModuleName) -> None:
         for action in list(self._kernel.state.actions.open.values()):
@@ -366,13 +366,13 @@ class Registry:
             if known is None or known.status == ModuleStatus.GONE:
                 self._greet_soon(module)
             elif (known.instance, known.journal) == (report.instance, report.journal):
-                self._heed(module, report)
+                self._compare_report(module, report)
         except NoAnswer as error:
             self._dispatcher.doubts.note("state_unreadable", module, error.message)
         except LabosError as error:
             _log.debug("state_dropped", module=module, why=str(error))  # it comes again
 
-    def _heed(self, module: ModuleName, report: StateReport) -> None:
+    def _compare_report(self, module: ModuleName, report: StateReport) -> None:
         """A node's own view: its status, and actions of ours that it has ended or never got."""
         state = self._kernel.state
         known = state.modules.by_name.get(module)
@@ -400,7 +400,7 @@ class Registry:
                 ended, lost = action.id in report.finished and not action.looks, False
             if action.status != ActionStatus.REPORTED and (ended or lost):
                 self._dispatcher.find_out(action.id)
-        self._discovery.heed(module, report)
+        self._discovery.compare(module, report)
 
     async def _listen(self) -> None:
         """Miss the nodes whose heartbeat has stopped, and those that only the log remembers. A token alone

@@ -131,7 +131,7 @@ class _PaperBench:
         found = Wait(reasons.Gone())
         for option in options_in_order(self.state, run, self.now):
             for step in self.state.runs.plans[option.plan].starts:
-                wait = self.scheduler.judge(self.state, option, step, self.now)
+                wait = self.scheduler.check_start(self.state, option, step, self.now)
                 if wait is None:
                     self._carry_out(option, step)
                     return None
@@ -145,7 +145,7 @@ class _PaperBench:
             if _over(run) + 1 == len(run.steps):
                 continue
             for step in ready(self.state, run):
-                if self.scheduler.judge(self.state, run, step, self.now) is None:
+                if self.scheduler.check_start(self.state, run, step, self.now) is None:
                     self._carry_out(run, step)
                     return True
         return False

@@ -150,7 +150,7 @@ MOST_NAMED = 5
 _DONE = {"all": "it was done", "none": "it was not done"}
 
 
-def _describe_booking(event: k.Terms) -> str:
+def _describe_booking(event: k.BookingTerms) -> str:
     whom = (
         "maintenance" if event.maintenance else _when(event.group, f"the group {event.group}") or event.user
     )

@@ -91,7 +91,7 @@ def check_durations(found: Sequence[Drift]) -> Finding:
     if not found:
         return Finding("durations", "ok", "Actions take about as long as their drivers or workflows say.")
     named = [
-        f"{local(drift.module)}.{drift.action} takes {drift.takes_s:.3g} s, planned {drift.planned_s:.3g} s"
+        f"{drift.module}.{drift.action} takes {drift.takes_s:.3g} s, planned {drift.planned_s:.3g} s"
         for drift in found[:MOST_DRIFTS]
     ]
     more = f"; and {len(found) - MOST_DRIFTS} more" if len(found) > MOST_DRIFTS else ""

@@ -33,7 +33,7 @@ from labos.core.topics import PlannedWork
 from labos.core.waits import Wait
 from labos.planning.obstacle import obstacle
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import find_touched_keys, wakes_many
+from labos.planning.touch import find_touched_keys, is_key_of_all
 
 Kind = Literal["error", "person", "resource", "planned", "other"]
 ErrorClass = Literal["", "software", "operational", "experiment"]
@@ -109,7 +109,7 @@ class Standstill:
         if furnished:
             self._scheduler = Scheduler()
         asked = isinstance(event, InterventionRequested | InterventionResolved)
-        if asked or furnished or any(map(wakes_many, keys)):
+        if asked or furnished or any(map(is_key_of_all, keys)):
             self._looked.clear()
             self._by_key.clear()
             return

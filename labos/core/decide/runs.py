@@ -138,7 +138,7 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: Campaign
     return events
 
 
-def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
+def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
     """Why a plan could never be carried out in this lab."""
     if not plan.steps:
         return Rejection("empty", f"The workflow {plan.workflow!r} has no steps.", "Add a step.")
@@ -219,7 +219,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         return Rejection("unfit", f"This cannot be recorded: {str(error).rstrip('.')}.")
     name = next(iter(plans))
     for digest_, plan in plans.items():
-        flaw = None if digest_ in state.runs.plans else flaw_in(state, plan)
+        flaw = None if digest_ in state.runs.plans else find_plan_flaw(state, plan)
         flaw = flaw or (_parks_elsewhere(state, plan, experiment) if experiment is not None else None)
         if flaw:
             return flaw

@@ -199,19 +199,19 @@ async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
     return SuggestedOrder(path.workcell, order.by, order.until, steps)
 
 
-class Taken(msgspec.Struct, frozen=True):
+class StepsLeft(msgspec.Struct, frozen=True):
     """How many of the suggested steps are still to start."""
 
     steps: int
 
 
-async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> Taken:
+async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> StepsLeft:
     """It replaces what was suggested before. Steps of runs that have ended are left out. What is suggested
     never makes a step start that could not start without it."""
     steps = tuple(Suggested(RunId(one.run), one.step, one.start) for one in body.steps)
     asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
     events = await call.kernel.execute(asked, body.by)
-    return Taken(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))
+    return StepsLeft(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))
 
 
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"

@@ -121,7 +121,7 @@ def test_who_needs_what_is_lent_waits_for_the_end_of_that_run_and_for_nobody() -
     lab = lab_with()
     first, second = lab.submit(look_at()), lab.submit(look_at(), user="bob")
     lab.step(first)
-    found = lab.judge(second)
+    found = lab.check_start(second)
     assert isinstance(found, Wait)
     assert found.reason == reasons.InUse("P1", "cell/a", f"run:{first}")
     assert not found.blocked
