@@ -5,7 +5,7 @@ Kept in order of time, and worked out anew only for what an event has touched.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from labos.core.decide import Command
 from labos.core.decide.experiments import AskAboutClosing
@@ -20,11 +20,11 @@ from labos.core.state import LabState
 from labos.planning.alarms import Alarms
 from labos.planning.booked import BookingTimes
 from labos.planning.forecast import is_pending
-from labos.planning.touch import EVERYTHING
+from labos.planning.touch import BEGUN, DUE, EVERYTHING, OVER, RUN, WINDOW, Touched
 
 
 class Deadlines:
-    """The times of one state that only moves forward; ``note_changes`` tells of each event's keys."""
+    """The times of one state that only moves forward; ``note_changes`` takes what each event has touched."""
 
     def __init__(self) -> None:
         self._windows: Alarms[RunId] = Alarms()
@@ -34,22 +34,21 @@ class Deadlines:
         self._bookings = BookingTimes()
         self._filled = False
 
-    def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
-        """Work out anew what these keys have touched."""
-        keys = list(keys)
-        if not self._filled or EVERYTHING in keys:
+    def note_changes(self, state: LabState, touched: Touched) -> None:
+        """Work out anew what has been touched."""
+        if not self._filled or touched.whole:
             self._fill(state)
             return
-        for key in keys:
-            kind, _, name = key.partition(":")
-            if key.startswith(EVERYTHING):
-                self._note_cell(state, key[len(EVERYTHING) :])
-            elif kind in ("run", "window", "over"):
-                self._note_windows(state, RunId(name))
-                self._note_closing(state, RunId(name))
-            if kind in ("due", "begun", "over"):
-                self._note_action(state, ActionId(name))
-                self._note_question(state, InterventionId(name))
+        for kind, names in touched.named.items():
+            for name in names:
+                if kind == EVERYTHING:
+                    self._note_cell(state, name)
+                if kind in (RUN, WINDOW, OVER):
+                    self._note_windows(state, RunId(name))
+                    self._note_closing(state, RunId(name))
+                if kind in (DUE, BEGUN, OVER):
+                    self._note_action(state, ActionId(name))
+                    self._note_question(state, InterventionId(name))
 
     def due(self, state: LabState, now: int) -> Iterator[Command]:
         """What the time that has come asks for."""

@@ -38,16 +38,20 @@ from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import find_block, find_questions
 from labos.planning.suggested import LAST, Adviser
 from labos.planning.touch import (
+    BEGUN,
     BENCH,
     BOOKING,
     EVERYTHING,
     OVER,
+    RUN,
     STANDING,
+    Touched,
     cell_key,
     cell_of_closing,
     cell_of_run,
     list_cell_keys,
     near_key,
+    sort_keys,
 )
 from labos.planning.urgency import is_urgent
 from labos.planning.waiting import Kind, Turn, WaitingRoom, modules_of
@@ -91,13 +95,13 @@ class Scheduler:
         self._futile: dict[tuple[RunId, str], bool] = {}
         self._futile_at: int | None = None
         self._fresh = True
-        self._noted: tuple[Iterable[str], list[str]] = ((), [])
+        self._touched = sort_keys([EVERYTHING])
 
-    def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[Start]:
-        """Starts that are legal and safe, one by one. The caller carries each one out before it
-        asks for the next."""
+    def proposals(self, state: LabState, now: int) -> Iterator[Start]:
+        """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
+        one out before it asks for the next."""
         self._standings.clear()
-        for spot in self._order(state, self._wake(state, keys, now), now):
+        for spot in self._order(state, self._wake(state, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
             else:
@@ -162,8 +166,8 @@ class Scheduler:
 
     def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
         """Take note of what the keys of events have touched, before anything else is asked."""
-        self._noted = keys, self._add_cell_keys(state, keys)
-        self.deadlines.note_changes(state, self._noted[1])
+        self._touched = self._find_touched(state, keys)
+        self.deadlines.note_changes(state, self._touched)
 
     def due(self, state: LabState, now: int) -> Iterator[Command]:
         """What the time that has come asks for, and what becomes of cancelled runs."""
@@ -209,15 +213,13 @@ class Scheduler:
 
     # -- waking ------------------------------------------------------------------------------
 
-    def _wake(self, state: LabState, keys: Iterable[str], now: int) -> list[Spot]:
-        noted, full = self._noted
-        if noted is not keys or self._fresh:
-            full = self._add_cell_keys(state, keys)
+    def _wake(self, state: LabState, now: int) -> list[Spot]:
+        touched, self._touched = self._touched, Touched()
+        named = touched.named
         if self._fresh:
             self._fresh = False
             self.room.fill(state)
             self._cells = _cells(state)
-        named = _by_kind(full)
         for cell in named.get(BENCH, ()):
             self.safety.forget(state, cell)
             self.room.refill(state, cell)
@@ -229,47 +231,42 @@ class Scheduler:
         for name in over:
             self.room.forget(RunId(name), self._cells.pop(name, ""))
             self.patience.forget(RunId(name))
-        cells = list(state.lab.workcells) if EVERYTHING in full else named.get(STANDING, ())
+        cells = list(state.lab.workcells) if touched.whole else named.get(STANDING, ())
         names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
         names.update(dict.fromkeys(self.sleepers.due(now), True))
-        for key in full:
-            names.update(dict.fromkeys(self._list_woken(state, key), True))
-        if EVERYTHING in full:
-            inside = state.runs.active.values()
+        for cell in named.get(EVERYTHING, ()):
+            inside = state.runs.inside(cell)
             names.update({(run.id, step): True for run in inside for step in ready(state, run)})
+            names.update({(bundle, 0): True for bundle in self.room.within(cell)})
+        for key in touched.keys:
+            if key.startswith("run:"):
+                names.update(dict.fromkeys(self._list_run_steps(state, RunId(key[4:])), True))
+            else:
+                names |= self.sleepers.find_waiting(key)
+        if touched.whole:
+            active = state.runs.active.values()
+            names.update({(run.id, step): True for run in active for step in ready(state, run)})
             names.update({(bundle, 0): True for bundle in self.room})
         seen: dict[Kind, list[Wait]] = {}
         return [
             spot for spot in (self._look_again(state, name, now, seen) for name in names) if spot is not None
         ]
 
-    def _list_woken(self, state: LabState, key: str) -> list[Name]:
-        if key.startswith(EVERYTHING):
-            cell = key[len(EVERYTHING) :]
-            inside = [(run.id, step) for run in state.runs.inside(cell) for step in ready(state, run)]
-            return [*inside, *((bundle, 0) for bundle in self.room.within(cell))]
-        if key.startswith("run:"):
-            return self._list_run_steps(state, RunId(key[4:]))
-        return self.sleepers.list_waiting(key)
-
-    def _add_cell_keys(self, state: LabState, keys: Iterable[str]) -> list[str]:
-        """The keys, in order; with those of the workcells of all that is over: the state does not know any
-        more in which it was. Notes where what has begun is."""
-        full = set(keys)
+    def _find_touched(self, state: LabState, keys: Iterable[str]) -> Touched:
+        """What the keys stand for, with the workcells of all that is over: the state does not know any more
+        in which it was. Notes where what has begun is."""
         if self._fresh:
-            return sorted(full | {EVERYTHING})
-        for key in keys:
-            kind, _, name = key.partition(":")
-            cell = _cell_of(state, name) if kind in ("run", "begun") else None
-            if cell is not None:
-                self._cells[name] = cell
-        for name in [key[len(OVER) + 1 :] for key in full if key.startswith(OVER)]:
-            cell = self._cells.get(name)
-            if cell is None:
-                full.add(EVERYTHING)
-            elif cell:
-                full.update(list_cell_keys(cell))
-        return sorted(full)
+            return sort_keys([*keys, EVERYTHING])
+        touched = sort_keys(keys)
+        for kind in (RUN, BEGUN):
+            for name in touched.named.get(kind, ()):
+                cell = _cell_of(state, name)
+                if cell is not None:
+                    self._cells[name] = cell
+        left = [self._cells.get(name) for name in touched.named.get(OVER, ())]
+        if not left:
+            return touched
+        return sort_keys([*keys, *(key for cell in left for key in _list_keys_of(cell))])
 
     def _look_again(
         self, state: LabState, name: tuple[str, int], now: int, seen: dict[Kind, list[Wait]]
@@ -453,13 +450,12 @@ def ready(state: LabState, run: RunState) -> list[int]:
     return found
 
 
-def _by_kind(keys: Iterable[str]) -> dict[str, list[str]]:
-    """The names in the keys, by the kind of the key."""
-    found: dict[str, list[str]] = {}
-    for key in keys:
-        kind, _, name = key.partition(":")
-        found.setdefault(kind, []).append(name)
-    return found
+def _list_keys_of(cell: str | None) -> tuple[str, ...]:
+    """What is touched when something is over that was in a workcell; in none if it is empty, None if nobody
+    knows."""
+    if cell is None:
+        return (EVERYTHING,)
+    return list_cell_keys(cell) if cell else ()
 
 
 def _cells(state: LabState) -> dict[str, str]:

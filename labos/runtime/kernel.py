@@ -286,7 +286,7 @@ class Kernel(KernelLog):
             looked_at = len(turn.entries)
             if self._starts in parts:
                 turn.part = self._starts
-                self._start_steps(turn.entries, keys)
+                self._start_steps(turn.entries)
                 if len(turn.entries) == before:
                     self._grant_access(turn.entries)
             if len(turn.entries) == before:
@@ -300,9 +300,9 @@ class Kernel(KernelLog):
         turn.part = self._starts if len(turn.entries) > turn.decided else None
         turn.planned = parts
 
-    def _start_steps(self, entries: list[Entry], keys: set[str]) -> None:
+    def _start_steps(self, entries: list[Entry]) -> None:
         now = self.clock.now_ns()
-        for start in self.scheduler.proposals(self.state, keys, now):
+        for start in self.scheduler.proposals(self.state, now):
             action = ActionId(self.ids.new())
             self._decide_too(StartStep(start.run, start.step, action, now, start.plan), entries)
 

@@ -458,8 +458,8 @@ def test_a_judge_that_only_asks_changes_nothing() -> None:
     for _ in range(2):
         for run in lab.state.runs.active.values():
             asked.waits(lab.state, run, lab.now)
-    first = next(iter(asked.proposals(lab.state, (), lab.now)))
-    assert first == next(iter(Scheduler().proposals(lab.state, (), lab.now)))
+    first = next(iter(asked.proposals(lab.state, lab.now)))
+    assert first == next(iter(Scheduler().proposals(lab.state, lab.now)))
 
 
 def test_nobody_inside_waits_for_an_application_to_end() -> None:
