@@ -271,7 +271,7 @@ def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytes
 
 def test_without_asking_for_seals_tips_go_into_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding.StartCheck, "value", lambda self, requires: None)
-    monkeypatch.setattr("labos.planning.stuck._unlike", lambda state, run: None)
+    monkeypatch.setattr("labos.planning.stuck._check_labware_ahead", lambda state, run: None)
     for seed in SEEDS:
         crashes, _ = CORNER.run_anyhow(WAITING["seal"], seed, plan_with=bare_rule)
         assert any("drives its tips into a seal" in crash for crash in crashes), f"seed {seed}"
