@@ -52,7 +52,8 @@ class Deadlines:
 
     def due(self, state: LabState, now: int) -> Iterator[Command]:
         """What the time that has come asks for."""
-        self._make_sure(state)
+        if not self._filled:
+            self._fill(state)
         for run in self._windows.due(now):
             for step, window, deadline in list(_windows(state, run)):
                 if now > deadline:
@@ -74,7 +75,8 @@ class Deadlines:
 
     def first(self, state: LabState) -> int | None:
         """The earliest time that is still to come, or has come and nothing followed (UTC ns)."""
-        self._make_sure(state)
+        if not self._filled:
+            self._fill(state)
         while (at := self._actions.first()) is not None:
             # What an action is allowed may have become more since: its device has answered.
             action = self._actions.due(at)[0]
@@ -87,10 +89,6 @@ class Deadlines:
         return min((time for time in times if time is not None), default=None)
 
     # -- working out -------------------------------------------------------------------------
-
-    def _make_sure(self, state: LabState) -> None:
-        if not self._filled:
-            self._fill(state)
 
     def _fill(self, state: LabState) -> None:
         self._filled = True
