@@ -43,13 +43,13 @@ PRIVATE = ("labos.db", "labos.key", "labos.head", "keys", "blobs", "journals", "
 LONG_AGO_S = 7 * 86_400.0
 
 
-@click.command("doctor", short_help="Is everything that a lab stands on as it should be?")
+@click.command("doctor", short_help="Check the lab's database, disk, network, nodes and backups.")
 @json_option
 @log_options
 def command(where: Where, as_json: bool) -> None:
     """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints, backups and
-    calibrations, and report for each what to do if it is not as it should be. Moves nothing and changes
-    nothing; works with and without a running kernel. Exit code 1 if anything is a fault.
+    calibrations, and report a remedy for each problem. The command moves and changes nothing. It works with
+    and without a running kernel. Exit code 1 if there is a fault.
 
     \b
     labos doctor

@@ -21,13 +21,13 @@ from labos.services.times import show_span, show_time
 from labos.services.waits import reasons
 
 
-@click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
+@click.command("explain", short_help="Explain why a run is waiting.")
 @click.argument("run", shell_complete=completes("run", "experiment"), metavar="RUN|EXPERIMENT")
 @json_option
 @log_options
 def command(where: Where, run: str, as_json: bool) -> None:
-    """Why RUN waits now, and what it has done so far; for an EXPERIMENT, each of its runs that has not
-    ended.
+    """Explain why RUN waits now, and show what it has done so far. For an EXPERIMENT, do so for each of its
+    open runs.
 
     \b
     labos explain R3

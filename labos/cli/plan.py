@@ -108,27 +108,32 @@ class Outline(msgspec.Struct):
 
 @click.command("plan")
 @click.argument("workflow", shell_complete=completes("workflow"))
-@click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
+@click.option(
+    "--workcell",
+    required=True,
+    metavar="W",
+    help="A workcell file, or the name of a packaged workcell, such as rpl.",
+)
 @payload_option
 @json_option
 @log_options
 def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bool) -> None:
-    """Show what WORKFLOW (a file, or a packaged one) would do: its steps with the payload filled
-    in, their modules, stations and arguments, when each starts, and what is used up.
+    """Show what WORKFLOW (a file, or a packaged workflow) would do: its steps with the values of the payload,
+    their modules, stations and arguments, start times, and the consumption of resources.
 
-    The times are for a run that has the bench to itself. If there is a lab (--home, LABOS_HOME, ./lab,
-    LABOS_URL), a step takes as long as such steps have usually taken there, once there were three of them;
-    that is marked with ~. All others take as long as their drivers say. Steps marked with * are critical:
-    together they take as long as the run. Of each window it is said whether it can be kept if steps take up
-    to a tenth longer or shorter than their drivers say.
+    The times are for a run that is alone on the bench. If there is a lab (--home, LABOS_HOME, ./lab,
+    LABOS_URL), the times are learned there: a step has the usual duration of such steps if there were at
+    least three. Such times are marked with ~. All other steps have the duration of their driver. Steps
+    marked with * are critical: together they take as long as the run. For each window, the command shows
+    whether a run can keep it if steps take up to a tenth longer or shorter than their drivers state.
 
     \b
     labos plan pcr --workcell rpl
     labos plan my.yaml --workcell my_cell.yaml --payload seal.time=4 --json
     labos plan pcr --workcell rpl --home lab
 
-    Files that are needed only on the real bench may be missing. Warnings go to standard error, also those
-    about assumed consumption. Exit code 1 if the workflow has errors.
+    Files that only the real bench needs may be missing. All warnings go to standard error. Exit code 1 if
+    the workflow has errors.
     """
     from labos.bootstrap import descriptions
     from labos.cli._specs import spec_path

@@ -27,7 +27,7 @@ WAITS_TOLD = 50
 """Of so many runs it is worked out why they wait; to know it of every one takes too long."""
 
 
-@click.command("runs", short_help="Runs, or one run's steps, times, results and errors.")
+@click.command("runs", short_help="List runs and their progress, or the steps of one run.")
 @click.argument(
     "run", shell_complete=completes("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
 )
@@ -35,15 +35,15 @@ WAITS_TOLD = 50
 @json_option
 @log_options
 def command(where: Where, run: str | None, everything: bool, as_json: bool) -> None:
-    """List open runs and the last ones that ended; with RUN, its steps; with EXPERIMENT, all its
+    """List open runs and the last ones that ended. With RUN, list its steps. With EXPERIMENT, list all its
     runs.
 
     \b
-    labos runs            what is under way, and what ended last
+    labos runs            open runs, and the last ones that ended
     labos runs --all      all runs ever
     labos runs R3         each step: when, how long, result or error
     labos runs E1         the runs of an experiment
-    labos explain R3      why it waits
+    labos explain R3      why the run waits
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())

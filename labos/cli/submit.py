@@ -13,18 +13,25 @@ from labos.cli._payload import payload_option
 @click.argument("workflow", shell_complete=completes("workflow"))
 @payload_option
 @user_option
-@click.option("--workcell", default="", metavar="NAME", help="If the lab has several.")
-@click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
+@click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
+@click.option(
+    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
+)
 @click.option(
     "--experiment",
     shell_complete=completes("experiment"),
     default="",
     metavar="ID",
-    help="The experiment it belongs to.",
+    help="The experiment to which the run belongs.",
 )
-@click.option("--request", default="", metavar="KEY", help="The same key twice is one run.")
+@click.option(
+    "--request",
+    default="",
+    metavar="KEY",
+    help="A key of the request: two requests with the same key create one run.",
+)
 @propose_option
-@wait_option("Wait for its end; exit code 1 if it does not complete.", default=False)
+@wait_option("Wait for the end of the run; exit code 1 if it does not complete.", default=False)
 @home_option
 @json_option
 def command(
