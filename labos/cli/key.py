@@ -9,7 +9,7 @@ from labos.cli._out import show_json, tell
 from labos.cli._query import Where, json_option, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.services.times import iso_time
-from labos.services.trust.keys import Keys
+from labos.services.trust.keys import SigningKeys
 from labos.services.trust.tree import read_tree
 
 witness_option = click.option(
@@ -42,7 +42,7 @@ def command() -> None:
 @log_options
 def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None:
     """Make the key pair, once. Its name stands in each checkpoint: others know the lab by it."""
-    public = Keys(where.home).create(name or _own_name(where, witness), witness=witness)
+    public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
     tell(public.text, {"public_key": public.text, "name": public.name}, as_json=as_json)
 
 
@@ -52,9 +52,9 @@ def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None
 @log_options
 def show(where: Where, witness: bool, as_json: bool) -> None:
     """The public key, for others. --json also shows the keys that it replaced."""
-    keys = Keys(where.home)
+    keys = SigningKeys(where.home)
     if witness:
-        text = keys.signing(witness=True).public.text
+        text = keys.read_signing_key(witness=True).public.text
         tell(text, {"public_key": text}, as_json=as_json)
         return
     known = keys.public()
@@ -73,7 +73,7 @@ def rotate(where: Where, as_json: bool) -> None:
     """Put a new key pair in the place of the present one. The old private key signs, as its last act, who its
     successor is, and is destroyed. Who has the old public key can go on with it: bundles carry that note."""
     size = read_tree(where.home).size
-    keys = Keys(where.home)
+    keys = SigningKeys(where.home)
     keys.rotate(size, iso_time(now_ns()))
     public = keys.public()[-1]
     if as_json:

@@ -186,7 +186,7 @@ class Kernel(KernelLog):
         self._is_folded = False
         try:
             if command is not None:
-                decided = self._obey(command, entries, actor, causation)
+                decided = self._take_command(command, entries, actor, causation)
                 if isinstance(decided, Rejection):
                     return decided
                 events = decided
@@ -225,7 +225,7 @@ class Kernel(KernelLog):
             self._faulty.record(command, now_s, why)
         return Rejection(FAULT, why, FAULT_REMEDY)
 
-    def _obey(
+    def _take_command(
         self, command: Command, entries: list[Entry], actor: str, causation: str
     ) -> list[Event] | Rejection:
         """Carry out what somebody asks for. The words of a person stand beside the log, and go there with the
@@ -304,19 +304,19 @@ class Kernel(KernelLog):
         now = self.clock.now_ns()
         for start in self.scheduler.proposals(self.state, keys, now):
             action = ActionId(self.ids.new())
-            self._decide_too(StartStep(start.run, start.step, action, now, start.plan), entries)
+            self._decide_follow_up(StartStep(start.run, start.step, action, now, start.plan), entries)
 
     def _carry_out_due(self, entries: list[Entry], looked_at: int) -> None:
         """What the time that has come asks for, and the quarantine of modules that fail too often, in the
         entries from ``looked_at`` on."""
         now = self.clock.now_ns()
         for command in self.scheduler.due(self.state, now):
-            self._decide_too(command, entries)
-        for suspect in self._suspects(entries[looked_at:]):
+            self._decide_follow_up(command, entries)
+        for suspect in self._list_suspects(entries[looked_at:]):
             limits = (self.settings.quarantine_after, self.settings.quarantine_within_s)
-            self._decide_too(Quarantine(suspect, *limits, now), entries)
+            self._decide_follow_up(Quarantine(suspect, *limits, now), entries)
 
-    def _suspects(self, entries: Sequence[Entry]) -> list[ModuleName]:
+    def _list_suspects(self, entries: Sequence[Entry]) -> list[ModuleName]:
         """Modules that may have failed once too often."""
         if not self.settings.quarantine_after:
             return []
@@ -327,9 +327,9 @@ class Kernel(KernelLog):
         """Nothing is left to start: who waits to reach in may, where nothing moves."""
         for cell, access in list(self.state.lab.access.items()):
             if not access.granted:
-                self._decide_too(GrantAccess(cell), entries)
+                self._decide_follow_up(GrantAccess(cell), entries)
 
-    def _decide_too(self, command: Command, entries: list[Entry]) -> None:
+    def _decide_follow_up(self, command: Command, entries: list[Entry]) -> None:
         cause = entries[-1].record.head.id if entries else ""
         decided = self._carry_out(command, entries, LABOS, cause)
         if isinstance(decided, Rejection):
@@ -365,9 +365,9 @@ class Kernel(KernelLog):
         if deadline is not None and not self._closing:
             delay = max(deadline - self.clock.now_ns(), 0) / 1e9
             self._alarm_at = deadline
-            self._alarm = asyncio.get_running_loop().call_later(delay, self._ring)
+            self._alarm = asyncio.get_running_loop().call_later(delay, self._wake_up)
 
-    def _ring(self) -> None:
+    def _wake_up(self) -> None:
         self._alarm = None
         if self._ledger is not None:
             self.wake()
