@@ -10,8 +10,8 @@ from labos.cli._complete import completes
 from labos.cli._out import tell
 from labos.cli._query import Where, json_option, log_options, open_database
 from labos.errors import NotFound, SystemFailed
-from labos.services.trust.bundle import About, Attachments, make_bundle, note_beside
-from labos.services.trust.keys import Keys
+from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
+from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import parse_note
 from labos.services.trust.places import newest_in
 from labos.services.trust.publish import FOLDER
@@ -69,7 +69,7 @@ def command(
 
 def make_bundle_of(
     where: Where, subject: str, checkpoint: Path | None = None, *, words: bool = True
-) -> tuple[bytes, About]:
+) -> tuple[bytes, AboutBundle]:
     """The bundle of a run, an experiment or a campaign, on a checkpoint or the newest one of the lab, with
     what people wrote or without. Raises NotFound, Refused, LogDamaged."""
     path = checkpoint or newest_in(where.home / FOLDER)
@@ -82,6 +82,6 @@ def make_bundle_of(
             f"The checkpoint {path} cannot be read: {error.strerror or error}.",
             remedy="Name one that labos checkpoint has made: a file that ends in .note.",
         ) from None
-    beside = Attachments(parse_note(note), stamp, Keys(where.home).rotations(), words)
+    beside = Attachments(parse_note(note), stamp, SigningKeys(where.home).rotations(), words)
     with open_database(where) as store:
         return make_bundle(store, open_blobs(Settings.make(where.home, where.url).blobs), subject, beside)

@@ -50,7 +50,7 @@ def status(where: Where, as_json: bool) -> None:
     if as_json:
         show_json(facts)
     else:
-        click.echo(f"{found.name}: {_meaning(found)}")
+        click.echo(f"{found.name}: {_describe_status(found)}")
         if "bytes" in facts:
             click.echo(f"Size: {facts['bytes'] / 1e6:.1f} MB")
         if "position" in facts:
@@ -98,7 +98,7 @@ def record_restored(where: Where, as_json: bool) -> None:
     refused while a kernel runs."""
     found = database_status(where.url)
     if found.state != "current":
-        raise Refused(f"{found.name}: {_meaning(found)}.", remedy="There is nothing to outrank.")
+        raise Refused(f"{found.name}: {_describe_status(found)}.", remedy="There is nothing to outrank.")
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
     told = f"The {found.name} goes on with an epoch above {after}; it was {before}."
@@ -172,7 +172,7 @@ def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
     return facts
 
 
-def _meaning(found: DatabaseStatus) -> str:
+def _describe_status(found: DatabaseStatus) -> str:
     match found.state:
         case "current":
             return f"revision {found.revision}, as this LabOS needs it"

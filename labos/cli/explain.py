@@ -76,7 +76,7 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         why = f"It {ended}: {story.why}" if story.why else ""
         return [*(text for text in (why, when) if text), *questions(state, story.id)]
     found = [
-        f"#{step.index} {step.key!r} is {_doing(step.state)} on {local(step.module)} since "
+        f"#{step.index} {step.key!r} is {_describe_action(step.state)} on {local(step.module)} since "
         f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
         + (f": {step.error}" if step.error else "")
         + _usual(state, story, step.index)
@@ -133,7 +133,7 @@ def _how(question: Intervention) -> str:
     return "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
 
 
-def _doing(state: str) -> str:
+def _describe_action(state: str) -> str:
     return "under way" if state == "in flight" else "in an unknown state"
 
 

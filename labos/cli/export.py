@@ -14,7 +14,7 @@ import click
 from labos.audit._crate_experiment import Program
 from labos.audit.cloudevents import cloudevent
 from labos.audit.crate import make_crate, runs_of
-from labos.audit.kafka import SCHEME, KafkaSink, Topic, read_settings
+from labos.audit.kafka import SCHEME, KafkaSink, KafkaTopic, read_settings
 from labos.audit.sinks import JsonLines, Sink
 from labos.cli._audit import open_log_and_views
 from labos.cli._complete import completes
@@ -282,7 +282,7 @@ def _open_sink(
         if "://" in to:
             raise BadInput(f"{to} is no target for events.", remedy="Name a file, or kafka://BROKER/TOPIC.")
         return JsonLines(Path(to))
-    topic = Topic.parse(to)
+    topic = KafkaTopic.parse(to)
     if position_file is None and where.lab:
         raise BadInput(
             "The position of the topic has no place here: the lab is on another computer.",

@@ -7,7 +7,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.audit.find import FACETS, MOST_FOUND, Found, Question, find
+from labos.audit.find import FACETS, MOST_FOUND, SearchQuery, SearchResult, find
 from labos.cli._audit import open_log_and_views
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, as_time, json_option, log_options
@@ -66,10 +66,10 @@ def command(where: Where, words: tuple[str, ...], as_json: bool, facets: bool, *
     labos find P7 --kind image --json
     """
     since, until = options.pop("since") or 0, options.pop("until") or 0
-    question = Question(words=" ".join(words), since=since, until=until, facets=facets, **options)
+    question = SearchQuery(words=" ".join(words), since=since, until=until, facets=facets, **options)
     if where.lab:
         with LabClient(where.lab) as client:
-            found = msgspec.convert(_ask(client, question), Found)
+            found = msgspec.convert(_ask(client, question), SearchResult)
     else:
         with open_log_and_views(where) as (store, asker):
             found = find(asker, question, store.head().position)
@@ -79,7 +79,7 @@ def command(where: Where, words: tuple[str, ...], as_json: bool, facets: bool, *
     _show(found, question)
 
 
-def _ask(client: LabClient, question: Question) -> dict[str, Any]:
+def _ask(client: LabClient, question: SearchQuery) -> dict[str, Any]:
     return client.find(
         question.words,
         kind=question.kinds,
@@ -97,7 +97,7 @@ def _ask(client: LabClient, question: Question) -> dict[str, Any]:
     )
 
 
-def _show(found: Found, question: Question) -> None:
+def _show(found: SearchResult, question: SearchQuery) -> None:
     if found.entries:
         rows = [
             (

@@ -14,7 +14,7 @@ from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
-from labos.spec.findings import ASSUMED, finding_of
+from labos.spec.findings import ASSUMED, make_finding
 from labos.spec.library import SUFFIXES
 from labos.spec.references import texts_in
 
@@ -120,11 +120,11 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
         try:
             source = read(file, last_wins=True)
             if find_kind(source) is None and path.is_dir():
-                outcome.skipped.append(LeftFile(str(file), [finding_of(no_spec(source))]))
+                outcome.skipped.append(LeftFile(str(file), [make_finding(no_spec(source))]))
                 continue
             sources.append((file, under, source))
         except SpecError as error:
-            outcome.refused.append(LeftFile(str(file), [finding_of(error)]))
+            outcome.refused.append(LeftFile(str(file), [make_finding(error)]))
     users = workflows_by_workcell([source for _, _, source in sources])
     moved: dict[str, list[Moved]] = {}
     files: dict[str, Imported] = {}
@@ -136,7 +136,7 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
             outcome.refused.append(LeftFile(str(file), [f for f in errors.findings if f.severity == "error"]))
             continue
         except SpecError as error:
-            outcome.refused.append(LeftFile(str(file), [finding_of(error)]))
+            outcome.refused.append(LeftFile(str(file), [make_finding(error)]))
             continue
         files[source.file] = found
         if found.moved is not None:

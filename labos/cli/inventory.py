@@ -9,7 +9,7 @@ from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.core.ids import local
 from labos.services.history import state_at
-from labos.services.inventory import Inventory, ResourceLeft, StackLeft, WasteLeft, earliest, inventory
+from labos.services.inventory import Inventory, ResourceLeft, StackLeft, WasteLeft, inventory, list_shortfalls
 from labos.services.times import iso_time, show_time
 
 
@@ -48,7 +48,7 @@ def command(where: Where, as_json: bool) -> None:
     if found.wastes:
         click.echo()
         show_table(("waste", "room", "of", "still to come", "full"), [_waste(left) for left in found.wastes])
-    first = earliest(found)
+    first = list_shortfalls(found)
     if first:
         name, out = first[0]
         click.echo(f"\nFirst: {_short(name)} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")

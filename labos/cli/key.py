@@ -9,7 +9,7 @@ from labos.cli._out import show_json, tell
 from labos.cli._query import Where, json_option, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.services.times import iso_time
-from labos.services.trust.keys import Keys
+from labos.services.trust.keys import SigningKeys
 from labos.services.trust.tree import read_tree
 
 witness_option = click.option(
@@ -44,7 +44,7 @@ def command() -> None:
 @log_options
 def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None:
     """Create the key pair. This is done once. Its name is in each checkpoint and identifies the lab."""
-    public = Keys(where.home).create(name or _own_name(where, witness), witness=witness)
+    public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
     tell(public.text, {"public_key": public.text, "name": public.name}, as_json=as_json)
 
 
@@ -54,9 +54,9 @@ def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None
 @log_options
 def show(where: Where, witness: bool, as_json: bool) -> None:
     """Print the public key. --json also shows the keys that it replaced."""
-    keys = Keys(where.home)
+    keys = SigningKeys(where.home)
     if witness:
-        text = keys.signing(witness=True).public.text
+        text = keys.read_signing_key(witness=True).public.text
         tell(text, {"public_key": text}, as_json=as_json)
         return
     known = keys.public()
@@ -75,7 +75,7 @@ def rotate(where: Where, as_json: bool) -> None:
     """Replace the key pair. The old private key signs the new public key and is then destroyed. Bundles
     contain this signature, so a person with the old public key can still check them."""
     size = read_tree(where.home).size
-    keys = Keys(where.home)
+    keys = SigningKeys(where.home)
     keys.rotate(size, iso_time(now_ns()))
     public = keys.public()[-1]
     if as_json:

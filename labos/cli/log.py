@@ -14,9 +14,9 @@ from labos.cli._query import Where, as_time, log_options, open_log
 from labos.core.envelope import Record
 from labos.core.registry import Event
 from labos.services.describe import describe
-from labos.services.filters import Filter, Sieve
+from labos.services.filters import FilteredLog, LogFilter
 from labos.services.times import show_time
-from labos.store import line_of
+from labos.store import encode_record
 
 POLL_S = 0.25
 
@@ -80,14 +80,14 @@ def command(
     An event is shown if it matches all filters. The first column is the position in the log. `labos
     stations --at POSITION` shows the lab at that moment.
     """
-    wanted = Filter(types, run, module, labware, user, experiment, since, until, last)
+    wanted = LogFilter(types, run, module, labware, user, experiment, since, until, last)
     with open_log(where, stored=as_json) as store, suppress(KeyboardInterrupt):
         head = store.head()
         seen = head.position
         say_if_dead(where.url, head, last_known=False)
-        sieve = Sieve(store, wanted)
+        sieve = FilteredLog(store, wanted)
         shown = 0
-        for event, record in sieve.matching_events(seen):
+        for event, record in sieve.read_matching(seen):
             _show(sieve, event, record, as_json)
             shown += 1
         if user and not shown and not sieve.knows_user():
@@ -95,15 +95,15 @@ def command(
         while follow:
             end = store.head().position
             if end > seen:
-                for event, record in sieve.later(seen, end):
+                for event, record in sieve.read_later(seen, end):
                     _show(sieve, event, record, as_json)
                 seen = end
             time.sleep(POLL_S)
 
 
-def _show(sieve: Sieve, event: Event, record: Record, as_json: bool) -> None:
+def _show(sieve: FilteredLog, event: Event, record: Record, as_json: bool) -> None:
     if as_json:
-        click.echo(line_of(record))
+        click.echo(encode_record(record))
         return
     head = record.head
     kind = click.style(f"{head.type:<22}", fg="cyan")

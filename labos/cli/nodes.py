@@ -150,14 +150,14 @@ def _valid_until(module: dict[str, Any]) -> str:
     return min((one["until"] for one in module.get("calibrations", ()) if one["until"]), default="")
 
 
-def _doing(action: dict[str, Any]) -> str:
+def _describe_action(action: dict[str, Any]) -> str:
     ended = " (nobody knows how it ended)" if action["status"] == "unknown" else ""
     return f"{action['action']} for {action['run']}{ended}"
 
 
 def _row(module: dict[str, Any]) -> tuple[str, ...]:
     process = module["process"] or {}
-    doing = ", ".join(map(_doing, module["doing"]))
+    doing = ", ".join(map(_describe_action, module["doing"]))
     is_well = module["status"] in ("IDLE", "BUSY") and not module["out_of_service"]
     problem = "" if is_well else module["problem"]
     driver = f"{module['driver']}{' (simulated)' if module['simulated'] else ''}"

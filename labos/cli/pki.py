@@ -12,7 +12,7 @@ from labos.cli._options import json_option, pki_option, why_option
 from labos.cli._out import show_json, tell
 from labos.cli._query import Where, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
-from labos.pki import KINDS, PROCESS_NAME, Authority, Entry, Identity
+from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, Identity
 from labos.services.times import show_time
 from labos.settings import Settings
 
@@ -231,7 +231,7 @@ def _lab_in(where: Where) -> str:
     return str(found)
 
 
-def _state(entry: Entry) -> str:
+def _state(entry: CertificateEntry) -> str:
     if entry.revoked_at:
         return f"revoked {show_time(entry.revoked_at)}"
     if entry.not_after < now_ns():
@@ -240,7 +240,7 @@ def _state(entry: Entry) -> str:
     return f"until {show_time(entry.not_after)}{due}"
 
 
-def _facts(authority: Authority, entry: Entry) -> dict[str, Any]:
+def _facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]:
     return {
         "kind": entry.identity.kind,
         "name": entry.identity.name,
@@ -254,6 +254,6 @@ def _facts(authority: Authority, entry: Entry) -> dict[str, Any]:
     }
 
 
-def _tell_folder(authority: Authority, entry: Entry, as_json: bool) -> None:
+def _tell_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:
     facts = _facts(authority, entry)
     tell(str(facts["folder"]), facts, as_json=as_json)

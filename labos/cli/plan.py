@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from labos.spec import Compiled
 
 
-class Step(msgspec.Struct):
+class OutlineStep(msgspec.Struct):
     """A step with its times, in lab seconds from the start of the run. ``duration_s`` is how long it usually
     takes in the lab that was asked, where that knows (``learned``), else ``nominal_s``. ``rescues`` is the
     step for whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled
@@ -76,7 +76,7 @@ class ReservedModule(msgspec.Struct):
     last: str
 
 
-class Setpoint(msgspec.Struct):
+class SetpointUse(msgspec.Struct):
     """A value that a step sets a module to; who wants another waits until the run has ended."""
 
     module: str
@@ -94,14 +94,14 @@ class Outline(msgspec.Struct):
     workcell: str
     total_s: float
     critical: list[str]
-    steps: list[Step]
+    steps: list[OutlineStep]
     busy_s: dict[str, float]
     resources: list[Resource]
     labware_taken: dict[str, int]
     inputs: list[str]
     outputs: list[str]
     holds: list[ReservedModule] = []
-    setpoints: list[Setpoint] = []
+    setpoints: list[SetpointUse] = []
     certificate: Certificate | None = None
     lab: str = ""
 
@@ -199,7 +199,7 @@ def outline_of(
     times = timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
     steps = [
-        Step(
+        OutlineStep(
             key=step.key,
             module=local(step.module),
             action=step.action,
@@ -246,7 +246,7 @@ def outline_of(
             for hold in plan.holds
         ],
         setpoints=[
-            Setpoint(local(step.module), effect.setpoint, effect.value, step.key)
+            SetpointUse(local(step.module), effect.setpoint, effect.value, step.key)
             for step in plan.steps
             for effect in step.effects
             if isinstance(effect, Claims)
@@ -370,11 +370,11 @@ def _tell_origin(outline: Outline) -> str:
     )
 
 
-def _where(step: Step) -> str:
+def _where(step: OutlineStep) -> str:
     return " → ".join(step.stations) or f"{step.module}.{step.action}"
 
 
-def _terms(outline: Outline, step: Step) -> Iterator[str]:
+def _terms(outline: Outline, step: OutlineStep) -> Iterator[str]:
     """What holds for a step beside its times, in sentences."""
     from labos.services.times import show_span
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from labos.client import LabClient
     from labos.core.state import LabState
     from labos.planner.planner import Planner
-    from labos.planner.watch import Watch
+    from labos.planner.watch import CellWatch
     from labos.ports import EventStore
 
 LOOK_S = 0.5
@@ -82,11 +82,11 @@ def command(
     from labos.cli._lab import need_lab_of, orderly
     from labos.planner.planner import Planner
     from labos.planner.solve import expect_solver
-    from labos.planner.watch import Watch
+    from labos.planner.watch import CellWatch
     from labos.runtime.follower import Follower
 
     expect_solver()
-    asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), Watch()
+    asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), CellWatch()
     next_look: dict[str, float] = {}
     with orderly(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # which it only reads
@@ -112,12 +112,12 @@ def command(
 
 
 def _suggest(
-    state: LabState, cell: str, planner: Planner, watch: Watch, client: LabClient, asker: str
+    state: LabState, cell: str, planner: Planner, watch: CellWatch, client: LabClient, asker: str
 ) -> bool:
     """Look for an order for a workcell if that is worth it; whether it was."""
-    from labos.planner.watch import waiting_in
+    from labos.planner.watch import list_waiting
 
-    waiting = waiting_in(state, cell)
+    waiting = list_waiting(state, cell)
     if not watch.is_due(state, cell, waiting, now_ns()):
         return False
     order = planner.suggest(state, cell, waiting, now_ns())

@@ -6,7 +6,7 @@ import click
 
 from labos.audit._facts import label
 from labos.audit.formats import as_dot, as_prov
-from labos.audit.graph import Entity, Graph, Part
+from labos.audit.graph import Entity, Graph, ProvenancePart
 from labos.audit.provenance import MOST_LINKS, plain, subject_of, trace
 from labos.cli._audit import open_log_and_views
 from labos.cli._out import show_json, show_table
@@ -116,7 +116,7 @@ def _label(graph: Graph, name: str) -> str:
     return label(Entity(kind, rest), facts)  # type: ignore[arg-type]
 
 
-def _part(part: Part) -> tuple[str, ...]:
+def _part(part: ProvenancePart) -> tuple[str, ...]:
     volume = "" if part.volume_ul is None else f"{part.volume_ul:.6g} µL"
     share = "" if part.share is None else f"{part.share:.2%}"
     return (str(part.origin), part.what, volume, share, "yes" if part.certain else "no")

@@ -23,7 +23,7 @@ from labos.services.catalogue import Catalogue
 from labos.services.describe import describe
 from labos.services.log import event_of
 from labos.services.shown import WordsBeside, show_text
-from labos.services.steps import Change, Step, plain, steps
+from labos.services.steps import LogStep, StateChange, plain, steps
 from labos.services.times import iso_time, show_time
 from labos.store import StoredWords, open_store, read_backup, read_segment, read_words_copy, records_of
 
@@ -89,7 +89,7 @@ def _show_end(state: LabState, only_hash: bool, as_json: bool) -> None:
         click.echo(msgspec.json.format(msgspec.json.encode(plain(state)), indent=2))
 
 
-def _show(step: Step, names: Catalogue, beside: WordsBeside, as_json: bool) -> None:
+def _show(step: LogStep, names: Catalogue, beside: WordsBeside, as_json: bool) -> None:
     head = step.record.head
     if as_json:
         show_line(
@@ -109,7 +109,7 @@ def _show(step: Step, names: Catalogue, beside: WordsBeside, as_json: bool) -> N
     click.echo(show_text(beside, "\n".join(lines)))
 
 
-def _line(change: Change) -> str:
+def _line(change: StateChange) -> str:
     if change.before == "absent":
         return f"+ {change.path} = {_short(change.after)}"
     if change.after == "absent":
@@ -122,7 +122,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= WIDEST else f"{text[:WIDEST]}… ({len(text)} characters)"
 
 
-def _walk(found: Iterator[Step], state: LabState, beside: WordsBeside) -> None:
+def _walk(found: Iterator[LogStep], state: LabState, beside: WordsBeside) -> None:
     """Step by step, as somebody at a terminal asks."""
     click.echo(HELP)
     names, upto = Catalogue(), 0

@@ -15,7 +15,7 @@ from labos.cli._specs import spec_path
 from labos.cli.validate import examine
 from labos.errors import BadInput, SpecError
 from labos.spec import compile_workcell
-from labos.spec.retarget import differing, propose, rename
+from labos.spec.retarget import compare_lines, propose, rename
 from labos.spec.source import read
 from labos.spec.uses import workflow_in
 
@@ -87,7 +87,7 @@ def command(
                 "fits": fits,
                 "file": str(target),
                 **msgspec.to_builtins(proposal),
-                "difference": list(differing(text, renamed)),
+                "difference": list(compare_lines(text, renamed)),
                 "findings": msgspec.to_builtins(verdict.findings),
             }
         )
@@ -97,7 +97,7 @@ def command(
         )
         for misfit in proposal.misfits:
             click.echo(f"does not fit: {misfit}")
-        for line in differing(text, renamed):
+        for line in compare_lines(text, renamed):
             click.echo(line)
         for finding in verdict.findings:
             click.echo(f"{finding.severity}: {finding.as_error()}")

@@ -12,7 +12,7 @@ from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.core.shares import Quota
 from labos.errors import BadInput
 from labos.services.log import fold_to
-from labos.services.shares import Account, ledger
+from labos.services.shares import ShareAccount, ledger
 
 
 @click.command("shares", short_help="Show or set each user's share of the lab time.")
@@ -44,7 +44,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
     show_table(titles, [_row(account) for account in accounts])
 
 
-def _row(account: Account) -> tuple[str, ...]:
+def _row(account: ShareAccount) -> tuple[str, ...]:
     return (
         account.user,
         account.group,

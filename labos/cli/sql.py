@@ -13,7 +13,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.audit.query import TIME_LIMIT_S, Answer, Asker
+from labos.audit.query import TIME_LIMIT_S, QueryResult, ReadConnection
 from labos.audit.tables import VIEWS, view_columns
 from labos.cli._audit import open_views, open_views_as_is
 from labos.cli._out import show_table
@@ -95,7 +95,7 @@ def command(
             _show(answer)
 
 
-def write_parquet(answer: Answer, path: Path) -> int:
+def write_parquet(answer: QueryResult, path: Path) -> int:
     """An answer as a Parquet file; returns how many rows it has. Raises BadInput without pyarrow."""
     try:
         import pyarrow
@@ -112,7 +112,7 @@ def write_parquet(answer: Answer, path: Path) -> int:
     return len(rows)
 
 
-def _show(answer: Answer) -> None:
+def _show(answer: QueryResult) -> None:
     rows = [[_cell(value) for value in row] for row in itertools.islice(answer.rows, MOST_SHOWN)]
     show_table(answer.columns, rows)
     if next(answer.rows, None) is not None:
@@ -123,7 +123,7 @@ def _cell(value: Any) -> str:
     return "" if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
-def _converse(asker: Asker) -> None:
+def _converse(asker: ReadConnection) -> None:
     """Questions from a person, each ended by a semicolon, until Ctrl-D."""
     with suppress(ImportError):  # Windows edits lines by itself
         import readline

@@ -15,13 +15,13 @@ from labos.core.bench import Station
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
 from labos.services.describe import owner_name
-from labos.services.history import position_at, possibly_at, stations_of
+from labos.services.history import list_possibly_at, position_at, stations_of
 from labos.services.labware import LabwareHistory, labware_histories
 from labos.services.log import Log, fold_to
 from labos.services.times import Moment, iso_time, show_time
 
 
-class Place(msgspec.Struct, frozen=True):
+class StationPlace(msgspec.Struct, frozen=True):
     """A station as it is shown. ``state``: unknown, empty or occupied; ``stock`` are nameless
     items, bottom to top; ``maybe`` is labware of which it is not known whether it stands here; ``hotel`` is
     that of which it is a shelf, ``shelves`` how many it has itself."""
@@ -76,7 +76,7 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     show_table(("station", "kind", "holds", "of", "since"), rows, title=title)
 
 
-def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place]:
+def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[StationPlace]:
     """The stations of a state; of modules or stations with these names only, if there are any.
     Raises click.UsageError for a name that no station bears."""
     stories = labware_histories(log, state.position) if state.bench.labware else {}
@@ -87,7 +87,7 @@ def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place
     return [_place(state, name, station, stories) for name, station in found]
 
 
-def _is_bare(place: Place, names: tuple[str, ...]) -> bool:
+def _is_bare(place: StationPlace, names: tuple[str, ...]) -> bool:
     """Whether it is a shelf of which nothing is to be told, and nobody asked for it or its hotel."""
     bare = bool(place.hotel) and place.state == "empty" and not place.maybe and not place.expected
     own = (place.station, place.hotel)
@@ -100,10 +100,12 @@ def _is_named(station: StationName, names: tuple[str, ...]) -> bool:
     return any(name in known for name in names)
 
 
-def _place(state: LabState, name: StationName, station: Station, stories: dict[str, LabwareHistory]) -> Place:
+def _place(
+    state: LabState, name: StationName, station: Station, stories: dict[str, LabwareHistory]
+) -> StationPlace:
     here = [state.bench.labware[item] for item in station.labware]
     held = station.level if station.spec.kind == "waste" else len(here) + len(station.stock)
-    return Place(
+    return StationPlace(
         station=name,
         kind=station.spec.kind,
         state="occupied" if held else "empty" if station.known else "unknown",
@@ -120,7 +122,7 @@ def _place(state: LabState, name: StationName, station: Station, stories: dict[s
             for item in here
         ),
         stock=tuple(station.stock),
-        maybe=tuple(item.id for item in possibly_at(state, name)),
+        maybe=tuple(item.id for item in list_possibly_at(state, name)),
         expected=station.expected,
         level=station.level,
         hotel=station.spec.hotel,
@@ -128,7 +130,7 @@ def _place(state: LabState, name: StationName, station: Station, stories: dict[s
     )
 
 
-def _rows(place: Place) -> list[tuple[str, ...]]:
+def _rows(place: StationPlace) -> list[tuple[str, ...]]:
     """One line for the station, with what is nameless there; one for each further labware."""
     if place.shelves:
         told = f"{len(place.labware)} on {place.shelves} shelves"

@@ -79,7 +79,7 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
                 remedy="Say it as the user that it runs as: sudo -u labos.",
             ) from None
         pause_s = _wait(store, epoch, wait_s)
-        owner, epoch = store.holder().owner, store.head().epoch
+        owner, epoch = store.find_holder().owner, store.head().epoch
     finally:
         store.close()
     facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
@@ -111,7 +111,7 @@ def _wait(store: SqlEventStore, epoch: int, patience_s: float) -> float:
     while time.monotonic() < give_up:
         if store.head().epoch > epoch:
             return time.monotonic() - left_at if left_at else 0.0
-        if not left_at and store.holder().lease_left_s <= 0:
+        if not left_at and store.find_holder().lease_left_s <= 0:
             left_at = time.monotonic()
         time.sleep(POLL_S)
     if left_at:

@@ -12,7 +12,7 @@ from labos.cli._why import as_plain, show_why, why_as_json
 from labos.errors import NotFound
 from labos.services.losses import account
 from labos.services.times import show_span, show_time
-from labos.services.twh import Report, Stretch, Twh, measure
+from labos.services.twh import Stretch, Twh, TwhReport, measure
 
 RUNS_SHOWN = 20
 
@@ -64,7 +64,7 @@ def command(where: Where, run: str, experiment: str, workcell: str, losses: bool
         _show(report, shown)
 
 
-def _show(report: Report, shown: list[Twh]) -> None:
+def _show(report: TwhReport, shown: list[Twh]) -> None:
     columns = ["scope", "current", "commands", "longest", "commands", "from", "to"]
     columns += ["interventions", "planned"]
     if report.pace != 1:
@@ -72,7 +72,7 @@ def _show(report: Report, shown: list[Twh]) -> None:
     show_table(columns, [_row(twh, report.pace) for twh in shown])
 
 
-def choose_scopes(report: Report, run: str, experiment: str, workcell: str) -> list[Twh]:
+def choose_scopes(report: TwhReport, run: str, experiment: str, workcell: str) -> list[Twh]:
     """The scopes asked for; without a choice the lab, all workcells and experiments, and the
     last runs. Raises NotFound."""
     found: list[Twh] = []

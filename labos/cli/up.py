@@ -280,7 +280,7 @@ def _runs_elsewhere(settings: Settings) -> bool:
             return False
         raise
     try:
-        return store.holder().living
+        return store.find_holder().living
     finally:
         store.close()
 

@@ -28,7 +28,7 @@ from labos.spec import (
     list_specs,
 )
 from labos.spec.choices import describe_choices, list_choices
-from labos.spec.findings import finding_of
+from labos.spec.findings import make_finding
 
 ONLINE_PATIENCE_S = 2.0
 """How long to ask a lab that does not answer."""
@@ -132,7 +132,7 @@ def _alone(name: str, *, as_json: bool) -> None:
     except SpecErrors as errors:
         findings = list(errors.findings)
     except SpecError as error:
-        findings = [finding_of(error)]
+        findings = [make_finding(error)]
     sound = all(finding.severity != "error" for finding in findings)
     if as_json:
         show_json({"sound": sound, "findings": findings})
@@ -177,7 +177,7 @@ def examine(
         verdict.findings = [*findings, *errors.findings]
         return verdict, None
     except SpecError as error:
-        verdict.findings = [*findings, finding_of(error)]
+        verdict.findings = [*findings, make_finding(error)]
         return verdict, None
     verdict.findings = [*findings, *compiled.findings]
     verdict.inputs, verdict.outputs = compiled.inputs, compiled.outputs

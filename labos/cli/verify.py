@@ -24,7 +24,7 @@ from labos.services.signatures import check_signatures
 from labos.services.times import iso_time
 from labos.services.trust.compare import CheckpointComparison, is_signed
 from labos.services.verification import (
-    Part,
+    VerifiedPart,
     check_benches,
     check_blobs,
     check_database,
@@ -202,7 +202,9 @@ def command(
                 "head": end,
                 "compared_with": seen or compared,
                 "parts": [
-                    Part("log", damage.position if damage else end.position, _describe_log(fault, end)),
+                    VerifiedPart(
+                        "log", damage.position if damage else end.position, _describe_log(fault, end)
+                    ),
                     *parts,
                 ],
                 "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
@@ -230,7 +232,7 @@ def command(
 
 
 def _first_position(
-    damage: Damage | None, compared: CheckpointComparison | None, parts: list[Part]
+    damage: Damage | None, compared: CheckpointComparison | None, parts: list[VerifiedPart]
 ) -> int | None:
     """The first position of the log that something is wrong with."""
     if damage is not None:
@@ -240,10 +242,10 @@ def _first_position(
     return next((at for part in parts for at in part.positions), None)
 
 
-def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
+def _other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
     """What there is beside the chain; what cannot be looked at is a fault too."""
     settings = Settings.make(where.home, where.url)
-    looks: tuple[tuple[str, Callable[[], Part]], ...] = (
+    looks: tuple[tuple[str, Callable[[], VerifiedPart]], ...] = (
         ("database", lambda: check_database(store)),
         ("end", lambda: check_end(store)),
         ("snapshot", lambda: check_snapshot(store)),
@@ -257,7 +259,7 @@ def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
         try:
             found.append(look())
         except LabosError as error:
-            found.append(Part(name, 0, error.message, (str(error),)))
+            found.append(VerifiedPart(name, 0, error.message, (str(error),)))
     return found
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from labos.cli._remote import folder_if_needed
-from labos.services.trust.keys import Keys, read_given_keys
+from labos.services.trust.keys import SigningKeys, read_given_keys
 from labos.services.trust.witness import Witness
 
 
@@ -46,7 +46,9 @@ def command(labs: tuple[str, ...], host: str, port: int, home: Path) -> None:
     from labos.cli._lab import orderly
     from labos.http.witness import serve_witness
 
-    witness = Witness(home / "witness", Keys(home).signing(witness=True), read_given_keys(labs))
+    witness = Witness(
+        home / "witness", SigningKeys(home).read_signing_key(witness=True), read_given_keys(labs)
+    )
     with orderly():
         try:
             asyncio.run(

@@ -10,7 +10,7 @@ from labos.http.campaigns import CampaignView, Estimate
 from labos.http.teaching import LocationPose
 from labos.ports import EventLine
 from labos.services.runs import RunHistory, StepHistory
-from labos.services.shares import Account
+from labos.services.shares import ShareAccount
 from labos.services.signatures import Signature
 from labos.spec.findings import Finding
 
@@ -149,7 +149,7 @@ class Shares(msgspec.Struct, frozen=True):
     ``wanted`` and was ``had``, ``lab_hours`` and ``consumables`` of the last seven days, and the ``quota``.
     """
 
-    accounts: list[Account]
+    accounts: list[ShareAccount]
 
 
 class SharesReference(msgspec.Struct, frozen=True):

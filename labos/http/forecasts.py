@@ -14,7 +14,7 @@ from labos.core.state import fold_fingerprint, picture
 from labos.http.campaign_rows import CampaignRows
 from labos.planning.hindsight import Hindsight, LookBack, Row
 from labos.planning.lab_forecast import ForecastRequest, LabForecast
-from labos.runtime.forecasting import ForecastProcess, Question
+from labos.runtime.forecasting import ForecastJob, ForecastProcess
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
@@ -83,7 +83,7 @@ class Forecasts:
         rows = await self._plan_rows()
         kernel = self._service.kernel
 
-        async def ask() -> Question:
+        async def ask() -> ForecastJob:
             known, records = await asyncio.to_thread(self._read, kernel.durable)
             request = ForecastRequest(
                 picture=picture(kernel.state),
@@ -94,7 +94,7 @@ class Forecasts:
                 new_rows=new_rows or [],
                 approved=approved,
             )
-            return Question(request, known, records)
+            return ForecastJob(request, known, records)
 
         def keep(known: LookBack) -> None:
             self._known = known

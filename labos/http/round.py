@@ -182,12 +182,12 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
             except LabosError as error:
                 refused.append(RoundRefusal(local(name), error.message, error.remedy))
     left = list(map(local, list_to_say(service.kernel.state)))
-    why_not = _why_open(service, by) if words.finish and not (answered or left) else ""
+    why_not = _explain_open(service, by) if words.finish and not (answered or left) else ""
     said_now = [local(name) for name in (*said, *confirmed) if name in taken]
     return RoundResult(said_now, refused, left, answered, why_not)
 
 
-def _why_open(service: LabService, by: str) -> str:
+def _explain_open(service: LabService, by: str) -> str:
     """Why the question about the round cannot be answered though everything is said."""
     for question in service.kernel.state.interventions.open_about(ShorterLog):
         try:

@@ -61,7 +61,7 @@ from labos.runtime.stop import EVERYTHING, StopReport, resolve_target, stop_modu
 from labos.services.interventions import describe_answer
 from labos.services.runs import RunHistory, run_history
 from labos.spec import (
-    Bench,
+    BenchFile,
     Compiled,
     CompiledWorkcell,
     Stock,
@@ -177,7 +177,7 @@ class LabService:
             )
         return self._cells[found]
 
-    def bench(self, workcell: str) -> Bench:
+    def bench(self, workcell: str) -> BenchFile:
         """Which labware types stand in the stacks now, and which modules are not at rest though no run keeps
         them."""
         state = self.kernel.state
@@ -186,7 +186,7 @@ class LabService:
             for name, module in state.modules.by_name.items()
             if workcell_of(name) == workcell and not state.runs.holders.get(name)
         }
-        return Bench(
+        return BenchFile(
             away_from_rest={name: variables for name, variables in away.items() if variables},
             stock=tuple(
                 Stock(name, station.stock[-1], len(station.stock))

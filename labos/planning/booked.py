@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 import msgspec
 
 from labos.core.booked import HORIZON_NS, contacts, find_blocked, is_exempt, no_gap, waits_for
-from labos.core.bookings import Bookings, Span
+from labos.core.bookings import Bookings, BookingSpan
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
 from labos.core.effects import Carrying, Sets, list_carried
@@ -28,7 +28,7 @@ from labos.planning.forecast import earliest, usual
 from labos.planning.player import find_chained
 
 
-class Stay(msgspec.Struct, frozen=True):
+class ModuleUse(msgspec.Struct, frozen=True):
     """When a run has a module, or something of it stands there (ns from now on), from a ``step`` on. Who only
     ``clears`` is stopped by maintenance alone."""
 
@@ -82,7 +82,7 @@ def list_without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
     return list(_list_without_gap(state, run, _list_stays(state, plan, times, times), now))
 
 
-def _list_without_gap(state: LabState, run: RunState, stays: Iterable[Stay], now: int) -> Iterator[Wait]:
+def _list_without_gap(state: LabState, run: RunState, stays: Iterable[ModuleUse], now: int) -> Iterator[Wait]:
     """The waits for modules on which the longest of these stays has no room."""
     longest: dict[tuple[ModuleName, bool], int] = {}
     for stay in stays:
@@ -94,7 +94,7 @@ def _list_without_gap(state: LabState, run: RunState, stays: Iterable[Stay], now
             yield wait
 
 
-def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[Stay], now: int) -> Wait | None:
+def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[ModuleUse], now: int) -> Wait | None:
     """The wait for a time at which there is room for all these stays; None if it is now."""
     met = _first_met(state, run.user, stays, now)
     if met is None:
@@ -107,7 +107,9 @@ def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[Stay], now
     )
 
 
-def _first_met(state: LabState, user: str, stays: Iterable[Stay], now: int) -> tuple[Stay, Span] | None:
+def _first_met(
+    state: LabState, user: str, stays: Iterable[ModuleUse], now: int
+) -> tuple[ModuleUse, BookingSpan] | None:
     for stay in stays:
         ends = max(stay.ends, stay.begins + 1)
         for span in find_blocked(state, user, stay.module, now + stay.begins, now + ends, clears=stay.clears):
@@ -115,7 +117,7 @@ def _first_met(state: LabState, user: str, stays: Iterable[Stay], now: int) -> t
     return None
 
 
-def _first_fit(state: LabState, user: str, stays: list[Stay], now: int) -> int | None:
+def _first_fit(state: LabState, user: str, stays: list[ModuleUse], now: int) -> int | None:
     """When all stays have room, if they begin together as late as that (UTC ns); None if that is not within
     the days that are looked at."""
     time = now
@@ -158,7 +160,7 @@ def _times(state: LabState, run: RunState, plan: Plan, first: int, now: int) -> 
 
 def _list_stays(
     state: LabState, plan: Plan, times: dict[int, tuple[int, int]], steps: Iterable[int]
-) -> Iterator[Stay]:
+) -> Iterator[ModuleUse]:
     """The stays that these steps begin, each as long as it lasts."""
     in_time = sorted(times, key=lambda index: times[index])
     for index in sorted(steps):
@@ -170,10 +172,10 @@ def _list_stays(
             last = (
                 ends if clears else max([ends, *_list_end_times(state, plan, times, in_time, index, module)])
             )
-            yield Stay(module, begins, last, index, clears)
+            yield ModuleUse(module, begins, last, index, clears)
         for hold in plan.holds:
             if hold.first == index and hold.last in times:
-                yield Stay(hold.module, begins, max(ends, times[hold.last][1]), index)
+                yield ModuleUse(hold.module, begins, max(ends, times[hold.last][1]), index)
 
 
 def _list_end_times(

@@ -31,7 +31,7 @@ FORK = Motion(FORKED)
 Change = tuple[dict[Any, int], Any, int]
 
 
-class Ends(msgspec.Struct):
+class ActorEnds(msgspec.Struct):
     """How an actor came to all its ends: the motions of one branch, carried out, what had to be added to
     counts for the others, and how variables stood that they leave otherwise."""
 
@@ -168,7 +168,7 @@ def motions_of(path: Path, step: int) -> list[Motion]:
 # -- all branches at once ------------------------------------------------------------------------
 
 
-def finish(floor: Floor, actor: Actor) -> Ends | None:
+def finish(floor: Floor, actor: Actor) -> ActorEnds | None:
     """Let an actor that stands before its fork go to its end on every branch; None, and nothing
     changed, if one of them is blocked. What the floor holds then is the worst of all ends."""
     ends: list[dict[int, dict[Any, int]]] = []
@@ -206,10 +206,10 @@ def finish(floor: Floor, actor: Actor) -> Ends | None:
         if any(other.get(key) != value for other in values)
     ]
     floor.values.update((key, UNSETTLED) for key, _ in unsettled)
-    return Ends(last, changes, unsettled)
+    return ActorEnds(last, changes, unsettled)
 
 
-def unfinish(floor: Floor, actor: Actor, ends: Ends) -> None:
+def unfinish(floor: Floor, actor: Actor, ends: ActorEnds) -> None:
     """Take back what ``finish`` did."""
     floor.values.update(ends.values)
     _claim(floor, actor, ends.changes, -1)
@@ -235,4 +235,4 @@ def _take_back_all(floor: Floor, actor: Actor, trail: list[tuple[Motion, Undo | 
         take_back(floor, actor, motion, taken)
 
 
-__all__ = ["FORK", "Ends", "find_branches", "finish", "motions_of", "unfinish"]
+__all__ = ["FORK", "ActorEnds", "find_branches", "finish", "motions_of", "unfinish"]

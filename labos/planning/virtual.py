@@ -68,7 +68,7 @@ OVERDUE = 0.05
 """What takes longer than it should has this part of its time still to go."""
 
 
-class Touch(msgspec.Struct, frozen=True):
+class ForeseenTouch(msgspec.Struct, frozen=True):
     """When a person is needed (UTC ns), for what, and what is to be done about it. ``planned``: a workflow
     asks for it."""
 
@@ -88,7 +88,7 @@ class Play(msgspec.Struct):
     starts: dict[RunId, int] = {}
     ends: dict[RunId, int] = {}
     failed: dict[RunId, str] = {}
-    touches: list[Touch] = []
+    touches: list[ForeseenTouch] = []
     stays: dict[RunId, str] = {}
     members: dict[RunId, CampaignId] = {}
     users: dict[RunId, str] = {}
@@ -138,7 +138,7 @@ class VirtualLab:
             self._note(run)
         for question in state.interventions.open.values():
             if not isinstance(question.topic, PlannedWork):
-                self._touch(Touch(now, question.text, f"labos resolve {question.id}", question.run))
+                self._touch(ForeseenTouch(now, question.text, f"labos resolve {question.id}", question.run))
 
     # -- commands ----------------------------------------------------------------------------
 
@@ -199,7 +199,7 @@ class VirtualLab:
             case InterventionRequested():
                 planned = isinstance(event.topic, PlannedWork)
                 remedy = f"labos resolve {event.intervention}"
-                self._touch(Touch(self.now, event.text, remedy, event.run, planned))
+                self._touch(ForeseenTouch(self.now, event.text, remedy, event.run, planned))
 
     # -- going on ----------------------------------------------------------------------------
 
@@ -218,7 +218,7 @@ class VirtualLab:
             self.play.stays = {run.id: self._describe_wait(run) for run in runs}
             if self.play.stays and not self.play.touches:
                 run, why = next(iter(self.play.stays.items()))
-                self._touch(Touch(self.now, f"nothing goes on, as {run} waits: {why}", run=run))
+                self._touch(ForeseenTouch(self.now, f"nothing goes on, as {run} waits: {why}", run=run))
         self.play.levels = {name: level.level for name, level in self.state.resources.levels.items()}
         return self.play
 
@@ -344,7 +344,7 @@ class VirtualLab:
             if chosen:
                 self.play.modules[run.id] = {key: local(name) for key, name in chosen.items()}
 
-    def _touch(self, touch: Touch) -> None:
+    def _touch(self, touch: ForeseenTouch) -> None:
         key = (touch.why, touch.run if touch.planned else "")
         if key not in self._asked:
             self._asked[key] = True
@@ -353,7 +353,7 @@ class VirtualLab:
     def _note_wait(self, name: Name, wait: Wait) -> None:
         if wait.blocked:
             run = name[0] if RunId(name[0]) in self.state.runs.active else ""
-            self._touch(Touch(self.now, wait.reason.sentence, wait.reason.remedy, run))
+            self._touch(ForeseenTouch(self.now, wait.reason.sentence, wait.reason.remedy, run))
 
     def _describe_wait(self, run: RunState) -> str:
         waits = [wait for _, wait in self._scheduler.waits(self.state, run, self.now)]

@@ -37,7 +37,7 @@ class Discovery:
     def close(self) -> None:
         self._tasks.cancel()
 
-    async def strange(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[FoundAction]:
+    async def find_unlogged(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[FoundAction]:
         """The actions in a node's journal of which the log knows nothing. One that ended long ago is not in
         memory any more, but its request stands in the log. Raises StoreError."""
         found: dict[ActionId, FoundAction] = {}
@@ -80,7 +80,7 @@ class Discovery:
             known = self._kernel.state.modules.by_name.get(module)
             if known is None or (known.instance, known.journal) != (about.instance, about.journal):
                 return
-            found = await self.strange(module, about.open)
+            found = await self.find_unlogged(module, about.open)
             if found:
                 self._kernel.submit(HearJournal(module, tuple(found)), str(module))
         except BusError as error:

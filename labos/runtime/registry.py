@@ -206,8 +206,8 @@ class Registry:
                         return
                     await self._check_outranked(module, about.epoch)
                     continue
-                strange = await self._discovery.strange(module, about.open)
-                self._join(module, about, state, await self._beyond(about), strange)
+                strange = await self._discovery.find_unlogged(module, about.open)
+                self._join(module, about, state, await self._find_position_beyond(about), strange)
                 return
             except BusError as error:
                 if isinstance(error, Unreadable):
@@ -227,7 +227,7 @@ class Registry:
         self.rejected[module] = f"No workcell of this lab has a module {local(module)}."
         self._dispatcher.doubts.note("node_not_admitted", module, self.rejected[module])
 
-    async def _beyond(self, about: AboutReport) -> int:
+    async def _find_position_beyond(self, about: AboutReport) -> int:
         """The position up to which a node was told of things, if the log does not hold all of that."""
         kernel = self._kernel
         if not about.acknowledged:
@@ -322,13 +322,13 @@ class Registry:
         refused. Raises StoreError; the kernel stops if it is Fenced."""
         await self._kernel.check_lease()
         why = f"it obeys the kernel of epoch {epoch}; this one's is {self._kernel.epoch}"
-        self._bar(module, f"{why}: see labos db restored")
+        self._keep_out(module, f"{why}: see labos db restored")
         self._dispatcher.doubts.outrank(module, epoch)
 
     def _refuse(self, module: ModuleName, why: str) -> None:
         """A node does not obey this kernel, which is the lab's: nothing more is asked of it, until it says of
         itself whom it obeys."""
-        self._bar(module, why)
+        self._keep_out(module, why)
         self._tasks.spawn(self._refuse_after_asking(module, why))
 
     async def _refuse_after_asking(self, module: ModuleName, why: str) -> None:
@@ -341,7 +341,7 @@ class Registry:
             _log.info("not_said_whom_it_obeys", module=module, why=str(error))
         self._dispatcher.doubts.ask(module, f"it refuses this kernel: {why.rstrip('.')}")
 
-    def _bar(self, module: ModuleName, why: str) -> None:
+    def _keep_out(self, module: ModuleName, why: str) -> None:
         self.rejected[module] = why
         self._barred[module] = self._kernel.clock.monotonic() + self._barred_s
         try:
@@ -426,9 +426,9 @@ class Registry:
             self._greet_soon(name)
             self._drop_stranger(name)
         for name in list(modules):
-            self._notice_double(name, now)
+            self._report_double(name, now)
 
-    def _notice_double(self, module: ModuleName, now: float) -> None:
+    def _report_double(self, module: ModuleName, now: float) -> None:
         """Two nodes that both go on living under one name are more than one that takes the other's place."""
         known = self._kernel.state.modules.by_name[module]
         living = self._living.list_instances(module)

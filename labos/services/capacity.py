@@ -140,9 +140,9 @@ class _PaperBench:
 
     def go_on(self) -> bool:
         """One step of the copy that has come furthest and may go on; False if none may."""
-        runs = sorted(self.state.runs.active.values(), key=lambda run: -_over(run))
+        runs = sorted(self.state.runs.active.values(), key=lambda run: -_count_over(run))
         for run in runs:
-            if _over(run) + 1 == len(run.steps):
+            if _count_over(run) + 1 == len(run.steps):
                 continue
             for step in ready(self.state, run):
                 if self.scheduler.check_start(self.state, run, step, self.now) is None:
@@ -157,11 +157,11 @@ class _PaperBench:
         plan = self.state.runs.plan_of(run)
         self.do(StartStep(RunId(run.id), step, action, self.now, run.plan))
         run = self.state.runs.active[run.id]
-        if _over(run) + 1 < len(run.steps):
+        if _count_over(run) + 1 < len(run.steps):
             self.do(FinishAction(action, 1, True, "all", _imagine_result(plan, step)))
 
 
-def _over(run: RunState) -> int:
+def _count_over(run: RunState) -> int:
     """How many of its steps keep nobody waiting any more."""
     return sum(step.status in SETTLED for step in run.steps)
 

@@ -15,7 +15,7 @@ from labos.core.ids import StationName
 from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
-from labos.spec.bench import Bench, Stock
+from labos.spec.bench import BenchFile, Stock
 from labos.testing.faults import QUIET, FaultRates
 from labos.testing.lab import Job, SimulatedLab, Stand, bare_rule
 from labos.testing.loop import Stalled
@@ -72,7 +72,9 @@ def job(name: str, text: str, after_s: float = 0.0) -> Job:
     from labos.core.decide.runs import SubmitRun
 
     source = parse_workflow(text, "lids.yaml")
-    compiled = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=Bench(STOCK))
+    compiled = compile_workflow(
+        source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=BenchFile(STOCK)
+    )
     return Job(name, "ada", (SubmitRun(compiled.plan, "ada"),), after_s=after_s)
 
 

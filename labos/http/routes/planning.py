@@ -54,7 +54,7 @@ class ActionView(msgspec.Struct, frozen=True):
     arguments: list[ArgumentView]
 
 
-class Actions(msgspec.Struct, frozen=True):
+class ActionList(msgspec.Struct, frozen=True):
     """What a module can do."""
 
     module: str
@@ -90,7 +90,7 @@ class CheckedRun(msgspec.Struct, frozen=True):
     warnings: tuple[Finding, ...]
 
 
-async def list_actions(call: Call, path: OfModule) -> Actions:
+async def list_actions(call: Call, path: OfModule) -> ActionList:
     """Its actions, with the arguments that a step of a workflow gives them."""
     name = call.service.module(path.module)
     spec = call.kernel.state.modules.by_name[name].spec
@@ -111,7 +111,7 @@ async def list_actions(call: Call, path: OfModule) -> Actions:
         )
         for action in sorted(found.actions, key=lambda action: not action.exclusive)
     ]
-    return Actions(name, spec.driver, found.description, actions)
+    return ActionList(name, spec.driver, found.description, actions)
 
 
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
