@@ -22,6 +22,13 @@ from labos.cli._payload import payload_option
     metavar="ID",
     help="The experiment it belongs to.",
 )
+@click.option(
+    "--due",
+    default="",
+    metavar="TIME",
+    help="When it should be over: 2026-05-04T10:30 in the lab's time, or 12h from now. Of your own runs, the "
+    "one with the least time left goes first; labos explain says whether it is kept.",
+)
 @click.option("--request", default="", metavar="KEY", help="The same key twice is one run.")
 @propose_option
 @wait_option("Wait for its end; exit code 1 if it does not complete.", default=False)
@@ -34,6 +41,7 @@ def command(
     workcell: str,
     priority: int,
     experiment: str,
+    due: str,
     request: str,
     propose: bool,
     wait: bool,
@@ -45,6 +53,7 @@ def command(
     \b
     labos submit pcr --user ada
     labos submit my_workflow.yaml --payload values.yaml --payload seal.time=4 --wait
+    labos submit pcr --due 12h
     """
     from labos.cli._lab import need_lab
     from labos.cli._payload import read_payload
@@ -59,6 +68,7 @@ def command(
             workcell=workcell,
             priority=priority,
             experiment=experiment,
+            due=due,
             request=request,
             propose=propose,
         )
