@@ -14,6 +14,7 @@ from labos.core.interventions import Intervention
 from labos.core.runs import modules_open
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
+from labos.services.due import tell_due
 from labos.services.experiments import experiment_histories
 from labos.services.history import state_at
 from labos.services.runs import RunHistory, run_history
@@ -102,7 +103,10 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         before = sum(other.position < run.position for other in state.runs.queued.values())
         if before:
             found.append(f"{before} runs that were submitted before it wait too")
-    return found or ["It may go on, and is about to."]
+    found = found or ["It may go on, and is about to."]
+    if run.due_at:
+        found.append(f"it is due at {tell_due(state, [story], now)[story.id]}")
+    return found
 
 
 def _usual(state: LabState, story: RunHistory, index: int) -> str:

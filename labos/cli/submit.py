@@ -30,6 +30,13 @@ from labos.cli._payload import payload_option
     metavar="KEY",
     help="A key of the request: two requests with the same key create one run.",
 )
+@click.option(
+    "--due",
+    default="",
+    metavar="TIME",
+    help="The time by which the run should end: 2026-05-04T10:30 in the lab's time, or 12h from now. Among "
+    "your own runs, the run with the least time to spare goes first. labos explain shows whether it will be kept.",
+)
 @propose_option
 @wait_option("Wait for the end of the run; exit code 1 if it does not complete.", default=False)
 @home_option
@@ -41,6 +48,7 @@ def command(
     workcell: str,
     priority: int,
     experiment: str,
+    due: str,
     request: str,
     propose: bool,
     wait: bool,
@@ -52,6 +60,7 @@ def command(
     \b
     labos submit pcr --user ada
     labos submit my_workflow.yaml --payload values.yaml --payload seal.time=4 --wait
+    labos submit pcr --due 12h
     """
     from labos.cli._lab import need_lab
     from labos.cli._payload import read_payload
@@ -66,6 +75,7 @@ def command(
             workcell=workcell,
             priority=priority,
             experiment=experiment,
+            due=due,
             request=request,
             propose=propose,
         )

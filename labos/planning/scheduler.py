@@ -30,6 +30,7 @@ from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_may_stay
 from labos.planning.choosing import changes, options_in_order
 from labos.planning.deadlines import Deadlines
+from labos.planning.due import UNDATED, DueDates
 from labos.planning.obstacle import obstacle
 from labos.planning.patience import OvertakeCounts
 from labos.planning.reservations import Reservations
@@ -90,6 +91,7 @@ class Scheduler:
         self.room = WaitingRoom()
         self.patience = OvertakeCounts()
         self.adviser = Adviser()
+        self.due_dates = DueDates()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
@@ -101,6 +103,7 @@ class Scheduler:
         """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
         one out before it asks for the next."""
         self._standings.clear()
+        self.due_dates.forget()
         for spot in self._order(state, self._wake(state, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
@@ -315,15 +318,16 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], int]:
+        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), run.position)
+                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, run.position)
             calm, share = not is_urgent(state, run, now), self._find_share_used(state, now, run.user)
             orders = state.suggestions.orders
             advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
-            return (deadline, 1, calm, -run.priority, advised, waits, share, run.position)
+            due = self.due_dates.rank(state, run)
+            return (deadline, 1, calm, -run.priority, advised, waits, share, due, run.position)
 
         return sorted(spots, key=rank)
 
@@ -342,7 +346,13 @@ class Scheduler:
         return standing
 
     def _make_turn_key(self, state: LabState, now: int, run: RunState) -> Turn:
-        return (not is_urgent(state, run, now), *self._find_share_used(state, now, run.user), run.position)
+        due = self.due_dates.rank(state, run)
+        return (
+            not is_urgent(state, run, now),
+            *self._find_share_used(state, now, run.user),
+            due,
+            run.position,
+        )
 
     # -- letting new runs in -----------------------------------------------------------------
 

@@ -242,6 +242,7 @@ class AsyncLabClient(AsyncCalls):
         place: Sequence[Put] = (),
         request: str = "",
         propose: bool = False,
+        due: str = "",
     ) -> str:
         """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
         ``step_text`` gave; returns its id."""
@@ -256,6 +257,7 @@ class AsyncLabClient(AsyncCalls):
             place=place,
             request=request,
             propose=propose,
+            due=due,
         )
 
     async def submit_all(

@@ -16,6 +16,7 @@ from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
 from labos.planning.lab_forecast import LabForecast
+from labos.services.times import parse_due
 from labos.spec.findings import Finding
 
 
@@ -63,6 +64,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
         ExperimentId(body.experiment),
         body.priority,
         others=compiled.others,
+        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
     forecast = await service.forecasts.forecast_run(command, body.user)

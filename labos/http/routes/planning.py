@@ -23,6 +23,7 @@ from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
+from labos.services.times import parse_due
 from labos.spec.about import find_description
 from labos.spec.choices import list_choices
 from labos.spec.findings import Finding
@@ -131,6 +132,7 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         service.pins_of(body.workflow, *compiled.plans),
         propose=body.propose,
         others=compiled.others,
+        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
     )
     answer = decide(state, command, body.user)
     refusal = f"{answer.message} {answer.remedy}".strip() if isinstance(answer, Rejection) else ""
