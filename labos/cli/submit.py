@@ -34,8 +34,9 @@ from labos.cli._payload import payload_option
     "--due",
     default="",
     metavar="TIME",
-    help="The time by which the run should end: 2026-05-04T10:30 in the lab's time, or 12h from now. Among "
-    "your own runs, the run with the least time to spare goes first. labos explain shows whether it will be kept.",
+    help="The time by which the run should end: 2026-05-04T10:30 in the lab's time, or 12h from now. "
+    "Among your own runs, the run with the least time to spare goes first. labos explain shows whether it "
+    "will be kept.",
 )
 @propose_option
 @wait_option("Wait for the end of the run; exit code 1 if it does not complete.", default=False)
