@@ -16,7 +16,7 @@ from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 from labos.spec.signals import Condition
 
-__all__ = ["Channels", "NoResponse", "Reading", "fits", "leaves_open", "missing_package"]
+__all__ = ["Channels", "NoResponse", "Reading", "fits", "leaves_open", "report_missing_package"]
 
 SETTLED = 3
 """How often in a row a device must say that it does nothing before its silence on an action is believed."""
@@ -101,7 +101,7 @@ def number_of(name: str, value: str, labels: list[str]) -> int:
     return labels.index(value)
 
 
-def missing_package(error: ImportError, extra: str = "epics") -> DeviceError:
+def report_missing_package(error: ImportError, extra: str = "epics") -> DeviceError:
     """A client library is not installed."""
     return DeviceError(
         f"The Python package {error.name!r} is missing.",

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import NoResponse, Reading, missing_package, number_of, text_of
+from labos.adapter._channels import NoResponse, Reading, number_of, report_missing_package, text_of
 from labos.errors import DeviceError
 
 PUT_FAILED, NO_ACCESS = 160, 376
@@ -32,7 +32,7 @@ class CaChannels:
             import aioca
             from epicscorelibs.ca import cadef
         except ImportError as error:
-            raise missing_package(error) from error
+            raise report_missing_package(error) from error
         self._ca = aioca
         # What a name that was just lost raises at once is no CANothing.
         self._gone = (cadef.Disconnected, cadef.CAException)
@@ -40,7 +40,7 @@ class CaChannels:
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
         def pass_on(value: Any) -> None:
-            changed(self._reading(name, value) if getattr(value, "ok", False) else None)
+            changed(self._read_value(name, value) if getattr(value, "ok", False) else None)
 
         options: dict[str, Any] = {"notify_disconnect": True, "connect_timeout": 1.0}
         watched = self._ca.camonitor(name, pass_on, format=self._ca.FORMAT_CTRL, **options)
@@ -51,7 +51,7 @@ class CaChannels:
             value = await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=timeout_s)
         except (self._ca.CANothing, *self._gone) as error:
             raise DeviceError(f"{name} does not answer ({error}).", effects="none") from error
-        return self._reading(name, value)
+        return self._read_value(name, value)
 
     async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         if isinstance(value, bool):
@@ -90,11 +90,11 @@ class CaChannels:
             )
         return (text + "\0", self._ca.DBR_CHAR_STR) if is_array else (text, None)
 
-    def _reading(self, name: str, value: Any) -> Reading:
+    def _read_value(self, name: str, value: Any) -> Reading:
         is_text = getattr(value, "datatype", None) == self._ca.DBR_CHAR and name not in self._numbers
         if is_text and hasattr(value, "tobytes") and (text := text_of(value.tobytes())) is not None:
             return Reading(text, severity=int(getattr(value, "severity", 0)))
-        return _reading(value)
+        return _read_value(value)
 
     def why_silent(self) -> str:
         return ""
@@ -106,7 +106,7 @@ class CaChannels:
         self._ca.purge_channel_caches()  # else the library calls into a loop that has ended
 
 
-def _reading(value: Any) -> Reading:
+def _read_value(value: Any) -> Reading:
     plain = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(plain, int | float | str):
         plain = next(kind(plain) for kind in (int, float, str) if isinstance(plain, kind))

@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import NoResponse, Reading, missing_package, number_of, text_of
+from labos.adapter._channels import NoResponse, Reading, number_of, report_missing_package, text_of
 from labos.errors import DeviceError
 
 READ_S = 5.0
@@ -26,7 +26,7 @@ class PvaChannels:
         try:
             from p4p.client.asyncio import Context, Disconnected, RemoteError
         except ImportError as error:
-            raise missing_package(error) from error
+            raise report_missing_package(error) from error
         told = {"EPICS_PVA_ADDR_LIST": address, "EPICS_PVA_AUTO_ADDR_LIST": "NO"} if address else None
         # Without `nt` values come as they are on the wire, with their alarms.
         self._context = Context("pva", conf=told, useenv=not address, nt=False)
@@ -35,13 +35,13 @@ class PvaChannels:
 
     def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
         async def pass_on(value: Any) -> None:
-            changed(None if isinstance(value, Exception) else self._reading(name, value))
+            changed(None if isinstance(value, Exception) else self._read_value(name, value))
 
         self._watched.append(self._context.monitor(name, pass_on, notify_disconnect=True))
 
     async def get(self, name: str, timeout_s: float) -> Reading:
         try:
-            return self._reading(name, await asyncio.wait_for(self._context.get(name), timeout_s))
+            return self._read_value(name, await asyncio.wait_for(self._context.get(name), timeout_s))
         except (TimeoutError, self._Disconnected, self._RemoteError) as error:
             raise DeviceError(
                 f"{name} does not answer ({error or 'no value in time'}).", effects="none"
@@ -79,12 +79,12 @@ class PvaChannels:
             return np.frombuffer(value.encode() + b"\0", dtype=told.dtype)
         return value
 
-    def _reading(self, name: str, told: Any) -> Reading:
+    def _read_value(self, name: str, told: Any) -> Reading:
         if _is_bytes(told.value) and name not in self._numbers:
             text = text_of(told.value.tobytes())
             if text is not None:
                 return Reading(text, severity=_severity(told))
-        return _reading(told)
+        return _read_value(told)
 
     def why_silent(self) -> str:
         return ""
@@ -121,7 +121,7 @@ def _fields(value: Any) -> list[str]:
     return list(value.keys()) if hasattr(value, "keys") else []
 
 
-def _reading(told: Any) -> Reading:
+def _read_value(told: Any) -> Reading:
     value, label = told.value, ""
     if "index" in _fields(value):
         labels = list(value.choices)

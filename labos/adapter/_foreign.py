@@ -219,7 +219,7 @@ class ForeignNode(Node):
     def is_file(self, spec: ActionSpec, foreign_arg: str) -> bool:
         return self._type_of(spec, foreign_arg) == "file"
 
-    def missing(self, offered: Callable[[str], bool]) -> str:
+    def describe_missing(self, offered: Callable[[str], bool]) -> str:
         """Which of the described actions the foreign node does not offer, as a sentence; empty if it
         can be worked with. A driver may know more actions than the foreign node has: those are refused
         one by one; what was written for this very node must be there."""

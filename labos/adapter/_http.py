@@ -51,7 +51,7 @@ class NoResponse(Exception):
     """No answer came; the request may have been carried out."""
 
 
-class Http:
+class HttpClient:
     """One foreign node's address. ``authorization`` is the value of that header; a computer that is gone
     while its answer is awaited is noticed after ``patience_s``."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labos.adapter._foreign import ForeignNode
-from labos.adapter._http import Http
+from labos.adapter._http import HttpClient
 from labos.errors import DeviceError
 from labos.node.node import Setup
 
@@ -13,10 +13,10 @@ class HttpNode(ForeignNode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._http: Http | None = None
+        self._http: HttpClient | None = None
 
     @property
-    def http(self) -> Http:
+    def http(self) -> HttpClient:
         if self._http is None:
             raise DeviceError("The adapter is not connected.", effects="none")
         return self._http

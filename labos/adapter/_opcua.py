@@ -11,8 +11,8 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import NoResponse, Reading, missing_package
-from labos.adapter._opcua_security import Access
+from labos.adapter._channels import NoResponse, Reading, report_missing_package
+from labos.adapter._opcua_security import OpcuaAccess
 from labos.adapter._opcua_types import Kind, Types, plain
 from labos.errors import DeviceError
 
@@ -42,12 +42,12 @@ class UaChannels:
     """``url`` is that of the server, ``namespace`` the URI of the names that say none: ``Shaker.State`` is
     the string identifier there, while ``ns=2;s=…`` and ``i=…`` are node ids as they are written."""
 
-    def __init__(self, url: str, namespace: str, access: Access) -> None:
+    def __init__(self, url: str, namespace: str, access: OpcuaAccess) -> None:
         try:
             import asyncua
             from asyncua import ua
         except ImportError as error:
-            raise missing_package(error, "opcua") from error
+            raise report_missing_package(error, "opcua") from error
         # The package says nothing of its types that mypy could follow.
         self._asyncua: Any = asyncua
         self._ua: Any = ua
@@ -117,7 +117,7 @@ class UaChannels:
                     changed(Reading("a method"))
                     continue
                 self._kinds[name] = await types.find(node)
-                changed(self._reading(name, await node.read_data_value(raise_on_bad_status=False)))
+                changed(self._read_value(name, await node.read_data_value(raise_on_bad_status=False)))
                 self._names[node.nodeid] = name
                 await subscription.subscribe_data_change(node)
             except self._ua.UaStatusCodeError:
@@ -127,7 +127,7 @@ class UaChannels:
         """What asyncua calls when a watched value has changed."""
         name = self._names.get(node.nodeid, "")
         if changed := self._watched.get(name):
-            changed(self._reading(name, data.monitored_item.Value))
+            changed(self._read_value(name, data.monitored_item.Value))
 
     async def _node(self, client: Any, name: str) -> Any:
         if "=" in name:
@@ -147,7 +147,7 @@ class UaChannels:
         except (OSError, ValueError, TimeoutError, RecursionError, self._ua.UaError) as error:
             why = _error_text(error, timeout_s)
             raise DeviceError(f"{self._url}: {name} does not answer ({why}).", effects="none") from error
-        return self._reading(name, told)
+        return self._read_value(name, told)
 
     async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         client = self._asyncua.Client(self._url, timeout=LONGEST_S)
@@ -208,7 +208,7 @@ class UaChannels:
             raise ValueError(f"several objects share the method: {names}; write one of them as `object:`")
         return objects[0] if objects else await method.get_parent()
 
-    def _reading(self, name: str, told: Any) -> Reading:
+    def _read_value(self, name: str, told: Any) -> Reading:
         value = plain(told.Value.Value) if told.Value is not None else None
         kind = self._kinds.get(name)
         label = kind.labels.get(value, "") if kind is not None and isinstance(value, int) else ""

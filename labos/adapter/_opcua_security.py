@@ -20,7 +20,7 @@ MODES = {"sign_and_encrypt": "SignAndEncrypt", "sign": "Sign"}
 FILES = ("opcua_certificate", "opcua_key", "opcua_server_certificate")
 
 
-class Access(msgspec.Struct, frozen=True):
+class OpcuaAccess(msgspec.Struct, frozen=True):
     """``uri`` is the application's, as its certificate says it; ``policy`` empty is without encryption."""
 
     policy: str = ""
@@ -51,7 +51,7 @@ class Access(msgspec.Struct, frozen=True):
             client.set_password(self.password)
 
 
-def access_of(config: dict[str, Any]) -> Access:
+def access_of(config: dict[str, Any]) -> OpcuaAccess:
     """What `config:` of a module says. Raises DeviceError (``none``) naming the key."""
     url = str(config.get("opcua_url") or "")
     if "@" in urlsplit(url).netloc:
@@ -69,14 +69,14 @@ def access_of(config: dict[str, Any]) -> Access:
     if not policy:
         if given := [key for key in (*FILES, "opcua_mode") if config.get(key)]:
             raise _wrong(f"`{given[0]}` is nothing without `opcua_policy`.", f"It is {_one_of(POLICIES)}.")
-        return Access(user=user, password=password)
+        return OpcuaAccess(user=user, password=password)
     if policy not in POLICIES:
         raise _wrong(f"`opcua_policy` is {policy!r}.", f"It is {_one_of(POLICIES)}.")
     mode = str(config.get("opcua_mode") or "sign_and_encrypt")
     if mode not in MODES:
         raise _wrong(f"`opcua_mode` is {mode!r}.", f"It is {_one_of(tuple(MODES))}.")
     own, key, server = (_file(config, name) for name in FILES)
-    return Access(policy, MODES[mode], own, key, server, _uri_in(own), user, password)
+    return OpcuaAccess(policy, MODES[mode], own, key, server, _uri_in(own), user, password)
 
 
 def _file(config: dict[str, Any], key: str) -> str:

@@ -29,7 +29,7 @@ REMEDY = (
 )
 
 
-class Bridge:
+class BridgeProcess:
     """One bridge process. ``python`` is the interpreter that has rclpy, ``domain`` the ROS domain, else that
     of the environment."""
 

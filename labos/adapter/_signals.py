@@ -23,7 +23,7 @@ from labos.adapter._channels import (
     Reading,
     fits,
     leaves_open,
-    missing_package,
+    report_missing_package,
 )
 from labos.adapter._foreign import ForeignNode
 from labos.adapter._placeholders import fill
@@ -374,7 +374,7 @@ def array_file(name: str, told: Reading) -> Attachment:
     try:
         import numpy
     except ImportError as error:
-        raise missing_package(error) from error
+        raise report_missing_package(error) from error
     values = numpy.asarray(told.value)
     if values.dtype.kind not in "buif":
         raise DeviceError(f"{name} is no array of numbers.", effects="all")

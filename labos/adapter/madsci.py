@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from labos.adapter._foreign import Silence, read_file
-from labos.adapter._http import Http, NoResponse, address, authorization, read_json, refuse
+from labos.adapter._http import HttpClient, NoResponse, address, authorization, read_json, refuse
 from labos.adapter._http_node import HttpNode
 from labos.adapter._types import type_of
 from labos.core.model import ActionSpec, Arg, Description
@@ -51,7 +51,7 @@ class MadsciRestNode(HttpNode):
     async def connect(self) -> None:
         config = self.setup.config
         where = address(config, "node_url", "rest_node_address")
-        self._http = Http(where, authorization(config, "node_auth"), patience_s=self.patience_s)
+        self._http = HttpClient(where, authorization(config, "node_auth"), patience_s=self.patience_s)
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -66,7 +66,7 @@ class MadsciRestNode(HttpNode):
                 info = await self._info()
                 self.note_version(info.get("module_version"))
                 actions = info.get("actions") or {}
-                if absent := self.missing(actions.__contains__):
+                if absent := self.describe_missing(actions.__contains__):
                     return absent
                 self._checked = True
         except DeviceError as missing:

@@ -16,7 +16,15 @@ import httpx
 import structlog
 
 from labos.adapter._foreign import SENT, Silence
-from labos.adapter._http import Http, NoResponse, address, authorization, read_json, refuse, refuse_at_end
+from labos.adapter._http import (
+    HttpClient,
+    NoResponse,
+    address,
+    authorization,
+    read_json,
+    refuse,
+    refuse_at_end,
+)
 from labos.adapter._http_node import HttpNode
 from labos.adapter.wei import levels_in
 from labos.core.model import ActionSpec
@@ -45,7 +53,7 @@ class RestNode(HttpNode):
                 raise DeviceError(f"`rest:` does not say how {spec.name!r} is started.", effects="none")
         where = address(config, "rest_node_address", "node_url")
         auth = authorization(config, "rest_node_auth")
-        self._http = Http(where, auth, patience_s=self.patience_s)
+        self._http = HttpClient(where, auth, patience_s=self.patience_s)
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -212,7 +220,7 @@ class RestNode(HttpNode):
             await asyncio.sleep(self.poll_s)
 
 
-class End(NamedTuple):
+class JobEnd(NamedTuple):
     """What an answer says of the end of an action: it is done, or not yet, or what it ``said`` is in no list
     of the mapping."""
 
@@ -221,18 +229,18 @@ class End(NamedTuple):
     said: Any = None
 
 
-def read_end(reading: Reading, told: Any) -> End:
+def read_end(reading: Reading, told: Any) -> JobEnd:
     """Whether an action has ended, and its result. Raises DeviceError if it failed."""
     result = field(told, reading.result) if reading.result else told
     if not reading.status:
-        return End("done", result)
+        return JobEnd("done", result)
     status = field(told, reading.status)
     if status in reading.done:
-        return End("done", result)
+        return JobEnd("done", result)
     if status in reading.running:
-        return End("running")
+        return JobEnd("running")
     if status not in reading.failed and status not in reading.not_started:
-        return End("not known", said=status)
+        return JobEnd("not known", said=status)
     error = field(told, reading.error) if reading.error else None
     effects = "none" if status in reading.not_started else "unknown"
     raise DeviceError(f"The device says {status!r}{f': {error}' if error else ''}.", effects=effects)

@@ -23,7 +23,7 @@ from labos.adapter._foreign import LATE_S, SENT, ForeignNode
 from labos.adapter._http import NoResponse
 from labos.adapter._placeholders import fill
 from labos.adapter._png import png
-from labos.adapter._ros import Bridge
+from labos.adapter._ros import BridgeProcess
 from labos.adapter.rest import field
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -56,7 +56,7 @@ class RosNode(ForeignNode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._bridge: Bridge | None = None
+        self._bridge: BridgeProcess | None = None
         self._starting = asyncio.Lock()
         self._state, self._state_at = "", 0.0
 
@@ -65,7 +65,7 @@ class RosNode(ForeignNode):
         return dict(self.setup.config.get("ros") or {})
 
     @property
-    def bridge(self) -> Bridge:
+    def bridge(self) -> BridgeProcess:
         if self._bridge is None:
             raise DeviceError("The adapter is not connected.", effects="none")
         return self._bridge
@@ -90,7 +90,7 @@ class RosNode(ForeignNode):
             return
         await self.close()
         config = self.setup.config
-        bridge = Bridge(str(config.get("ros_python") or ""), config.get("ros_domain"))
+        bridge = BridgeProcess(str(config.get("ros_python") or ""), config.get("ros_domain"))
         await bridge.start()
         self._bridge, self._state = bridge, ""
         if state := self.mapping.state:

@@ -21,7 +21,7 @@ from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import SENT, Silence, read_file
 from labos.adapter._http import (
     LARGEST_ANSWER,
-    Http,
+    HttpClient,
     NoResponse,
     address,
     authorization,
@@ -57,7 +57,7 @@ class WeiRestNode(HttpNode):
         config = self.setup.config
         where = address(config, "rest_node_address", "node_url")
         auth = authorization(config, "rest_node_auth")
-        self._http = Http(where, auth, patience_s=self.patience_s)
+        self._http = HttpClient(where, auth, patience_s=self.patience_s)
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -72,7 +72,7 @@ class WeiRestNode(HttpNode):
                 about = await self._about()
                 self.note_version(about.get("version"))
                 offered = {str(action.get("name")) for action in about.get("actions", [])}
-                if absent := self.missing(lambda name: name in offered):
+                if absent := self.describe_missing(lambda name: name in offered):
                     return absent
                 self._checked = True
         except DeviceError as missing:

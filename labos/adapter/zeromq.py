@@ -12,7 +12,7 @@ import contextlib
 from collections.abc import AsyncGenerator
 from typing import Any
 
-from labos.adapter._channels import missing_package
+from labos.adapter._channels import report_missing_package
 from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import SENT
 from labos.adapter._keepalive import timings
@@ -37,7 +37,7 @@ class WeiZmqNode(WeiJsonNode):
             import zmq.asyncio
             import zmq.utils.monitor
         except ImportError as error:
-            raise missing_package(error, "zmq") from error
+            raise report_missing_package(error, "zmq") from error
         await self.close()
         self._zmq: Any = zmq
         self._context = zmq.asyncio.Context()

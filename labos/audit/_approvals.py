@@ -7,13 +7,13 @@ from typing import Any
 import msgspec
 
 from labos.audit._campaigns import agree
-from labos.audit._rows import Row, Rows
+from labos.audit._rows import Row, RowChanges
 from labos.audit._work_tables import APPROVALS, CAMPAIGNS, EXPERIMENTS, RUNS, WAITING
 from labos.core import approvals as p
 from labos.core.envelope import Envelope
 
 
-def on_requested(rows: Rows, event: p.ApprovalRequested, head: Envelope, at: float) -> None:
+def on_requested(rows: RowChanges, event: p.ApprovalRequested, head: Envelope, at: float) -> None:
     _answer(rows, event.subject, "changed", "", "", head, at)
     rows.put(WAITING, {"subject": event.subject, "position": head.position})
     rows.put(
@@ -44,7 +44,7 @@ def on_requested(rows: Rows, event: p.ApprovalRequested, head: Envelope, at: flo
         campaign["status"] = "proposed"
 
 
-def on_given(rows: Rows, event: p.ApprovalGiven, head: Envelope, at: float) -> None:
+def on_given(rows: RowChanges, event: p.ApprovalGiven, head: Envelope, at: float) -> None:
     row = _answer(rows, event.subject, "approved", event.by, event.comment, head, at)
     changes = {"priority": event.priority, "terms": msgspec.to_builtins(event.terms), "alike": event.alike}
     if row is not None:
@@ -60,11 +60,11 @@ def on_given(rows: Rows, event: p.ApprovalGiven, head: Envelope, at: float) -> N
             agree(campaign, event.terms)
 
 
-def on_refused(rows: Rows, event: p.ApprovalRefused, head: Envelope, at: float) -> None:
+def on_refused(rows: RowChanges, event: p.ApprovalRefused, head: Envelope, at: float) -> None:
     _answer(rows, event.subject, "refused", event.by, event.comment, head, at)
 
 
-def on_second_person(rows: Rows, event: p.RunApproved, head: Envelope, at: float) -> None:
+def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at: float) -> None:
     """Of a run that nobody had to approve but a second person."""
     run = rows.get(RUNS, event.run)
     rows.put(
@@ -93,7 +93,7 @@ def on_second_person(rows: Rows, event: p.RunApproved, head: Envelope, at: float
 
 
 def _answer(
-    rows: Rows, subject: str, answer: str, by: str, comment: str, head: Envelope, at: float
+    rows: RowChanges, subject: str, answer: str, by: str, comment: str, head: Envelope, at: float
 ) -> Row | None:
     """The row of what waits, with its answer; None if nothing does."""
     waiting = rows.get(WAITING, subject)

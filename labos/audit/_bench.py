@@ -7,12 +7,12 @@ from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._bench_tables import LOT_USES, MOVES
-from labos.audit._rows import Row, Rows
+from labos.audit._rows import Row, RowChanges
 from labos.core import labware as b
 from labos.core.envelope import Envelope
 
 
-def on_placed(rows: Rows, event: b.LabwarePlaced, head: Envelope, at: float) -> None:
+def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: float) -> None:
     row = rows.put(
         LABWARE,
         {
@@ -49,14 +49,14 @@ def on_placed(rows: Rows, event: b.LabwarePlaced, head: Envelope, at: float) -> 
         rows.add(LOT_USES, head.position, 0, at, *about)
 
 
-def on_moved(rows: Rows, event: b.LabwareMoved, head: Envelope, at: float) -> None:
+def on_moved(rows: RowChanges, event: b.LabwareMoved, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
     if row is not None:
         _settle(rows, row, event.target, event.on)
     _note(rows, event, head, at, "moved", event.source, event.target, event.on)
 
 
-def on_observed(rows: Rows, event: b.LabwareObserved, head: Envelope, at: float) -> None:
+def on_observed(rows: RowChanges, event: b.LabwareObserved, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
     source = on = ""
     if row is not None:
@@ -67,7 +67,7 @@ def on_observed(rows: Rows, event: b.LabwareObserved, head: Envelope, at: float)
     _note(rows, event, head, at, "observed", source, event.station, on, why=f"seen by {event.by}")
 
 
-def on_uncertain(rows: Rows, event: b.LabwareUncertain, head: Envelope, at: float) -> None:
+def on_uncertain(rows: RowChanges, event: b.LabwareUncertain, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
     source = row["station"] if row is not None else ""
     if row is not None:
@@ -77,7 +77,7 @@ def on_uncertain(rows: Rows, event: b.LabwareUncertain, head: Envelope, at: floa
     _note(rows, event, head, at, "uncertain", source, "", event.on, event.places, event.why)
 
 
-def on_removed(rows: Rows, event: b.LabwareRemoved, head: Envelope, at: float) -> None:
+def on_removed(rows: RowChanges, event: b.LabwareRemoved, head: Envelope, at: float) -> None:
     """A plate leaves with the lid on it; one that may be elsewhere stays in doubt."""
     row = rows.change(LABWARE, event.labware)
     source = row["station"] if row is not None else ""
@@ -91,13 +91,13 @@ def on_removed(rows: Rows, event: b.LabwareRemoved, head: Envelope, at: float) -
     _note(rows, event, head, at, "removed", source or event.where, "", why=event.why)
 
 
-def on_changed(rows: Rows, event: b.LabwareChanged, head: Envelope, at: float) -> None:
+def on_changed(rows: RowChanges, event: b.LabwareChanged, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
     if row is not None:
         row["variables"] = {**row["variables"], event.variable: event.value}
 
 
-def on_handed_over(rows: Rows, event: b.LabwareHandedOver, head: Envelope, at: float) -> None:
+def on_handed_over(rows: RowChanges, event: b.LabwareHandedOver, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
     if row is not None:
         row["owner"] = event.owner
@@ -106,19 +106,19 @@ def on_handed_over(rows: Rows, event: b.LabwareHandedOver, head: Envelope, at: f
             lid["owner"] = event.owner
 
 
-def on_barcode_read(rows: Rows, event: b.BarcodeRead, head: Envelope, at: float) -> None:
+def on_barcode_read(rows: RowChanges, event: b.BarcodeRead, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
     if row is not None:
         row["barcode"] = event.barcode
 
 
-def on_loaded(rows: Rows, event: b.StationLoaded, head: Envelope, at: float) -> None:
+def on_loaded(rows: RowChanges, event: b.StationLoaded, head: Envelope, at: float) -> None:
     if event.lot:
         module = event.station.rpartition(".")[0]
         rows.add(LOT_USES, head.position, 0, at, event.lot, "loaded", module, event.type, "", "", "")
 
 
-def _settle(rows: Rows, row: Row, station: str, on: str) -> None:
+def _settle(rows: RowChanges, row: Row, station: str, on: str) -> None:
     _part(rows, row)
     row["maybe"] = None
     if on:
@@ -128,7 +128,7 @@ def _settle(rows: Rows, row: Row, station: str, on: str) -> None:
         row["station"] = station
 
 
-def _lay_on(rows: Rows, lid: Row, plate: str) -> None:
+def _lay_on(rows: RowChanges, lid: Row, plate: str) -> None:
     _part(rows, lid)
     lid["lies_on"] = plate
     under = rows.change(LABWARE, plate)
@@ -136,21 +136,21 @@ def _lay_on(rows: Rows, lid: Row, plate: str) -> None:
         under["lid"] = lid["labware"]
 
 
-def _part(rows: Rows, lid: Row) -> None:
+def _part(rows: RowChanges, lid: Row) -> None:
     under = rows.change(LABWARE, lid["lies_on"]) if lid["lies_on"] else None
     if under is not None:
         under["lid"] = ""
     lid["lies_on"] = ""
 
 
-def _leave(rows: Rows, row: Row, why: str, head: Envelope, at: float) -> None:
+def _leave(rows: RowChanges, row: Row, why: str, head: Envelope, at: float) -> None:
     _part(rows, row)
     row["station"], row["maybe"] = "", None
     row["gone_at_s"], row["gone"], row["gone_position"] = at, why, head.position
 
 
 def _note(
-    rows: Rows,
+    rows: RowChanges,
     event: b.LabwareEvent,
     head: Envelope,
     at: float,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.audit._bench_tables import CALIBRATIONS
-from labos.audit._rows import Rows
+from labos.audit._rows import RowChanges
 from labos.core.days import end_of
 from labos.core.envelope import Envelope
 from labos.core.modules import ModuleCalibrated
@@ -20,7 +20,7 @@ IN_FORCE = (
 its kind then, and had not expired."""
 
 
-def on_calibrated(rows: Rows, event: ModuleCalibrated, head: Envelope, at: float) -> None:
+def on_calibrated(rows: RowChanges, event: ModuleCalibrated, head: Envelope, at: float) -> None:
     rows.put(
         CALIBRATIONS,
         {

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.audit._rows import Row, Rows, seconds
+from labos.audit._rows import Row, RowChanges, seconds
 from labos.audit._work_tables import CAMPAIGNS, RUNS
 from labos.core import campaigns as c
 from labos.core import runs as r
 from labos.core.envelope import Envelope
 
 
-def on_submitted(rows: Rows, event: c.CampaignSubmitted, head: Envelope, at: float) -> None:
+def on_submitted(rows: RowChanges, event: c.CampaignSubmitted, head: Envelope, at: float) -> None:
     row = rows.put(
         CAMPAIGNS,
         {
@@ -43,7 +43,7 @@ def on_submitted(rows: Rows, event: c.CampaignSubmitted, head: Envelope, at: flo
     agree(row, event.terms)
 
 
-def on_amended(rows: Rows, event: c.CampaignAmended, head: Envelope, at: float) -> None:
+def on_amended(rows: RowChanges, event: c.CampaignAmended, head: Envelope, at: float) -> None:
     row = rows.change(CAMPAIGNS, event.campaign)
     if row is not None:
         agree(row, event.terms)
@@ -55,32 +55,32 @@ def agree(row: Row, terms: c.Terms) -> None:
     row["deadline_s"] = seconds(terms.deadline) if terms.deadline else None
 
 
-def on_paused(rows: Rows, event: c.CampaignPaused, head: Envelope, at: float) -> None:
+def on_paused(rows: RowChanges, event: c.CampaignPaused, head: Envelope, at: float) -> None:
     _into(rows, event.campaign, "paused", event.why)
 
 
-def on_resumed(rows: Rows, event: c.CampaignResumed, head: Envelope, at: float) -> None:
+def on_resumed(rows: RowChanges, event: c.CampaignResumed, head: Envelope, at: float) -> None:
     _into(rows, event.campaign, "open", "")
 
 
-def on_stopped(rows: Rows, event: c.CampaignStopped, head: Envelope, at: float) -> None:
+def on_stopped(rows: RowChanges, event: c.CampaignStopped, head: Envelope, at: float) -> None:
     row = _into(rows, event.campaign, "stopped", event.why)
     if row is not None:
         row["by_run"] = event.by_run
 
 
-def on_cancelled(rows: Rows, event: c.CampaignCancelled, head: Envelope, at: float) -> None:
+def on_cancelled(rows: RowChanges, event: c.CampaignCancelled, head: Envelope, at: float) -> None:
     _into(rows, event.campaign, "cancelled", event.why)
 
 
-def _into(rows: Rows, campaign: str, status: str, why: str) -> Row | None:
+def _into(rows: RowChanges, campaign: str, status: str, why: str) -> Row | None:
     row = rows.change(CAMPAIGNS, campaign)
     if row is not None:
         row["status"], row["why"] = status, why
     return row
 
 
-def on_completed(rows: Rows, event: c.CampaignCompleted, head: Envelope, at: float) -> None:
+def on_completed(rows: RowChanges, event: c.CampaignCompleted, head: Envelope, at: float) -> None:
     row = rows.change(CAMPAIGNS, event.campaign)
     if row is None:
         return
@@ -90,27 +90,27 @@ def on_completed(rows: Rows, event: c.CampaignCompleted, head: Envelope, at: flo
 
 
 def on_archived(
-    rows: Rows, event: c.CampaignArchived | c.CampaignUnarchived, head: Envelope, at: float
+    rows: RowChanges, event: c.CampaignArchived | c.CampaignUnarchived, head: Envelope, at: float
 ) -> None:
     row = rows.change(CAMPAIGNS, event.campaign)
     if row is not None:
         row["archived"] = isinstance(event, c.CampaignArchived)
 
 
-def on_row_refused(rows: Rows, event: c.CampaignRowRefused, head: Envelope, at: float) -> None:
+def on_row_refused(rows: RowChanges, event: c.CampaignRowRefused, head: Envelope, at: float) -> None:
     row = rows.change(CAMPAIGNS, event.campaign)
     if row is not None:
         row["refused"] += 1
 
 
-def on_run_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -> None:
+def on_run_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: float) -> None:
     row = rows.change(CAMPAIGNS, event.campaign) if event.campaign else None
     if row is not None:
         row["runs"] += 1
 
 
 def on_run_ended(
-    rows: Rows, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
+    rows: RowChanges, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
 ) -> None:
     run = rows.get(RUNS, event.run)
     row = rows.change(CAMPAIGNS, run["campaign"]) if run is not None and run["campaign"] else None

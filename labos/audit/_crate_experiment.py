@@ -14,7 +14,7 @@ import msgspec
 from labos.audit._crate_parts import Crate, link, local_id, safe_name, with_offset
 from labos.audit._crate_steps import STATUS
 from labos.audit.cloudevents import cloudevent
-from labos.audit.query import Asker
+from labos.audit.query import ReadConnection
 from labos.core.canonical import canonical
 from labos.core.experiments import ExperimentNoted
 from labos.ports import LogQuery
@@ -33,7 +33,7 @@ class Program(msgspec.Struct, frozen=True):
     content: bytes
 
 
-class Experiment(msgspec.Struct, frozen=True):
+class CrateExperiment(msgspec.Struct, frozen=True):
     """A row of the view ``experiments``."""
 
     experiment: str
@@ -47,7 +47,7 @@ class Experiment(msgspec.Struct, frozen=True):
     ended_position: int | None
 
 
-class Done(msgspec.Struct, frozen=True):
+class CrateRun(msgspec.Struct, frozen=True):
     """A run of the experiment: its id, that of its workflow, the LabOS that carried it out, and when it was
     submitted."""
 
@@ -57,15 +57,15 @@ class Done(msgspec.Struct, frozen=True):
     position: int
 
 
-def experiment_of(asker: Asker, name: str) -> Experiment | None:
+def experiment_of(asker: ReadConnection, name: str) -> CrateExperiment | None:
     """The experiment of that name, if there is one."""
-    columns = ", ".join(("experiment", "name", "user_id", *Experiment.__struct_fields__[3:]))
+    columns = ", ".join(("experiment", "name", "user_id", *CrateExperiment.__struct_fields__[3:]))
     rows = asker.fetch(f"SELECT {columns} FROM experiments WHERE experiment = ?", name)
-    return Experiment(*rows[0]) if rows else None
+    return CrateExperiment(*rows[0]) if rows else None
 
 
 def add_experiment(
-    crate: Crate, log: Log, experiment: Experiment, runs: list[Done], program: Program | None
+    crate: Crate, log: Log, experiment: CrateExperiment, runs: list[CrateRun], program: Program | None
 ) -> str:
     """The application and what it did; returns the id of the application, the crate's main entity."""
     name = experiment.experiment
@@ -109,7 +109,9 @@ def add_experiment(
     return main
 
 
-def _course(experiment: Experiment, runs: list[Done], notes: list[tuple[Any, Any]]) -> dict[str, Any]:
+def _course(
+    experiment: CrateExperiment, runs: list[CrateRun], notes: list[tuple[Any, Any]]
+) -> dict[str, Any]:
     """What the application did, in order."""
     steps = [(run.position, {"run": run.run, "workflow": run.workflow}) for run in runs]
     for head, note in notes:
@@ -127,7 +129,7 @@ def _course(experiment: Experiment, runs: list[Done], notes: list[tuple[Any, Any
 
 
 def _add_application(
-    crate: Crate, experiment: Experiment, program: Program | None, course: bytes, folder: str
+    crate: Crate, experiment: CrateExperiment, program: Program | None, course: bytes, folder: str
 ) -> str:
     """The program, or else what it did, as the workflow that was followed."""
     told = {"name": f"What {experiment.name} did, in order", "encodingFormat": "application/json"}
@@ -153,7 +155,7 @@ def _add_application(
 
 
 def _add_steps(
-    crate: Crate, experiment: Experiment, runs: list[Done], main: str, action: str, user: str
+    crate: Crate, experiment: CrateExperiment, runs: list[CrateRun], main: str, action: str, user: str
 ) -> None:
     """Each run as a step of the application."""
     controls = []
@@ -187,7 +189,7 @@ def _add_steps(
 
 
 def _add_note(
-    crate: Crate, experiment: Experiment, head: Any, note: dict[str, Any], main: str, user: str
+    crate: Crate, experiment: CrateExperiment, head: Any, note: dict[str, Any], main: str, user: str
 ) -> list[str]:
     """A computation or a publication; returns its files."""
     facts = note.get("facts", {})

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from labos.audit._crate_parts import Crate, link, local_id, safe_name, with_offset
-from labos.audit.query import Asker
+from labos.audit.query import ReadConnection
 from labos.core.canonical import canonical
 
 STATUS = {
@@ -67,7 +67,7 @@ def json_of(value: Any) -> Any:
     return msgspec.json.decode(value) if value else {}
 
 
-def add_action(crate: Crate, asker: Asker, doer: Doer, action: str) -> Told:
+def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> Told:
     """An action of a module, with all that hangs on it."""
     found = _Action(*asker.fetch(_ACTION, action)[0])
     id_ = local_id("action", action)
@@ -150,7 +150,7 @@ def _add_driver(crate: Crate, found: _Action) -> str:
     return driver
 
 
-def _add_labware(crate: Crate, asker: Asker, names: list[str]) -> list[str]:
+def _add_labware(crate: Crate, asker: ReadConnection, names: list[str]) -> list[str]:
     ids = []
     for name in names:
         rows = asker.fetch("SELECT type, barcode, lot FROM labware WHERE labware = ?", name)
@@ -168,7 +168,7 @@ def _add_labware(crate: Crate, asker: Asker, names: list[str]) -> list[str]:
     return ids
 
 
-def _add_lots(crate: Crate, asker: Asker, action: str) -> list[str]:
+def _add_lots(crate: Crate, asker: ReadConnection, action: str) -> list[str]:
     rows = asker.fetch(
         "SELECT DISTINCT lot, resource FROM lot_uses WHERE action = ? AND kind <> 'labware' ORDER BY lot",
         action,
@@ -182,7 +182,7 @@ def _add_lot(crate: Crate, lot: str, resource: str) -> str:
     )
 
 
-def _add_files(crate: Crate, asker: Asker, action: str, kind: str) -> list[str]:
+def _add_files(crate: Crate, asker: ReadConnection, action: str, kind: str) -> list[str]:
     """Files that an action was given, or returned."""
     rows = asker.fetch(
         "SELECT digest, file, bytes FROM files WHERE action = ? AND kind = ? ORDER BY position, number",

@@ -12,7 +12,7 @@ from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._entry_tables import ENTRIES
-from labos.audit._rows import Row, Rows
+from labos.audit._rows import Row, RowChanges
 from labos.audit._work_tables import ACTIONS, EXPERIMENTS, RUNS
 from labos.audit.words import all_words
 from labos.core import actions as a
@@ -34,7 +34,7 @@ LONGEST_TEXT = 2000
 MOST_LISTED = 200
 
 
-def _put(rows: Rows, position: int, place: int, kind: str, name: str, at: float, **told: Any) -> Row:
+def _put(rows: RowChanges, position: int, place: int, kind: str, name: str, at: float, **told: Any) -> Row:
     """An entry; what is not told is empty. ``told['also']`` are more words by which it is found."""
     also = told.pop("also", ())
     row: Row = {
@@ -60,7 +60,7 @@ def _add_words(row: Row, *values: Any) -> None:
 # -- experiments and runs ----------------------------------------------------------------------
 
 
-def on_experiment_started(rows: Rows, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
+def on_experiment_started(rows: RowChanges, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
     _put(
         *(rows, head.position, 0, "experiment", event.experiment, at),
         title=event.name,
@@ -71,7 +71,7 @@ def on_experiment_started(rows: Rows, event: x.ExperimentStarted, head: Envelope
     )
 
 
-def on_experiment_changed(rows: Rows, event: x.ExperimentEvent, head: Envelope, at: float) -> None:
+def on_experiment_changed(rows: RowChanges, event: x.ExperimentEvent, head: Envelope, at: float) -> None:
     experiment = rows.get(EXPERIMENTS, event.experiment)
     entry = _entry_of(rows, experiment, "started_position")
     if experiment is not None and entry is not None:
@@ -79,7 +79,7 @@ def on_experiment_changed(rows: Rows, event: x.ExperimentEvent, head: Envelope, 
         _add_words(entry, experiment["why"])
 
 
-def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -> None:
+def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: float) -> None:
     run = rows.get(RUNS, event.run)
     if run is None:
         return
@@ -96,7 +96,7 @@ def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -
     )
 
 
-def on_run_changed(rows: Rows, event: Any, head: Envelope, at: float) -> None:
+def on_run_changed(rows: RowChanges, event: Any, head: Envelope, at: float) -> None:
     run = rows.get(RUNS, event.run)
     entry = _entry_of(rows, run, "submitted_position")
     if run is not None and entry is not None:
@@ -104,14 +104,16 @@ def on_run_changed(rows: Rows, event: Any, head: Envelope, at: float) -> None:
         _add_words(entry, run["why"])
 
 
-def _entry_of(rows: Rows, row: Row | None, position: str) -> Row | None:
+def _entry_of(rows: RowChanges, row: Row | None, position: str) -> Row | None:
     return rows.change(ENTRIES, row[position] * PLACES) if row is not None else None
 
 
 # -- what steps return -------------------------------------------------------------------------
 
 
-def on_result(rows: Rows, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, at: float) -> None:
+def on_result(
+    rows: RowChanges, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, at: float
+) -> None:
     """What was measured, and each file."""
     action = rows.get(ACTIONS, event.action)
     if action is None or event.result is None:
@@ -166,14 +168,14 @@ def _list_readings(files: Iterable[tuple[str, str, int]]) -> list[dict[str, Any]
 # -- samples -----------------------------------------------------------------------------------
 
 
-def samples_of(rows: Rows, labware: str) -> Mapping[str, str]:
+def samples_of(rows: RowChanges, labware: str) -> Mapping[str, str]:
     """The samples that labware was said to hold until now, by well."""
     row = rows.get(LABWARE, labware)
     return row["samples"] if row is not None else {}
 
 
 def on_samples_registered(
-    rows: Rows, event: SamplesRegistered, head: Envelope, at: float, before: Mapping[str, str]
+    rows: RowChanges, event: SamplesRegistered, head: Envelope, at: float, before: Mapping[str, str]
 ) -> None:
     """A sheet of samples, which takes the place of the one ``before``."""
     labware = rows.get(LABWARE, event.labware)
@@ -215,7 +217,7 @@ def _place(well: str) -> int | None:
 # -- publications ------------------------------------------------------------------------------
 
 
-def on_noted(rows: Rows, event: x.ExperimentNoted, head: Envelope, at: float) -> None:
+def on_noted(rows: RowChanges, event: x.ExperimentNoted, head: Envelope, at: float) -> None:
     experiment = rows.get(EXPERIMENTS, event.experiment)
     if event.kind != "publication":
         entry = _entry_of(rows, experiment, "started_position")

@@ -8,7 +8,7 @@ import msgspec
 
 from labos.audit._calibrations import IN_FORCE
 from labos.audit.graph import Entity, well_of
-from labos.audit.query import Asker
+from labos.audit.query import ReadConnection
 
 _ACTION = (
     "SELECT run, step, key, module, name, args, driver, driver_version, about, simulated, requested_at, "
@@ -55,7 +55,7 @@ _OF_THE_END = ("ended_at", "ended_position", "effects", "error", "result")
 """What is not known before the end."""
 
 
-def facts_of(asker: Asker, entity: Entity, upto: int) -> dict[str, Any]:
+def facts_of(asker: ReadConnection, entity: Entity, upto: int) -> dict[str, Any]:
     """What was known of a entity at a position; what is empty is left out, but for the ``calibrations`` that
     a run or an action relied on."""
     match entity.kind:
@@ -112,7 +112,7 @@ def label(entity: Entity, facts: dict[str, Any]) -> str:
     return str(entity)
 
 
-def _list_calibrations(asker: Asker, column: str, entity: Entity, upto: int) -> list[str]:
+def _list_calibrations(asker: ReadConnection, column: str, entity: Entity, upto: int) -> list[str]:
     return [str(name) for name, _ in asker.fetch(_RELIED_ON[column], entity.name, upto)]
 
 

@@ -8,7 +8,7 @@ import msgspec
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._bench_tables import LOT_USES, RESOURCE_CHANGES, RESOURCES, SAMPLES, TRANSFERS
-from labos.audit._rows import Rows
+from labos.audit._rows import RowChanges
 from labos.core import labware as b
 from labos.core import resources as s
 from labos.core.envelope import Envelope
@@ -19,7 +19,7 @@ from labos.ports import BlobStore
 SHEETS = (b.SamplesRegistered,)
 
 
-def on_poured(rows: Rows, event: b.LiquidTransferred, head: Envelope, at: float) -> None:
+def on_poured(rows: RowChanges, event: b.LiquidTransferred, head: Envelope, at: float) -> None:
     lots = list(event.lots)
     by = (event.module, event.run, event.action)
     for number, (well, volume) in enumerate(zip(event.wells, event.volumes_ul, strict=False)):
@@ -30,14 +30,16 @@ def on_poured(rows: Rows, event: b.LiquidTransferred, head: Envelope, at: float)
         rows.add(LOT_USES, head.position, number, at, *about)
 
 
-def on_drawn(rows: Rows, event: b.LiquidDrawn, head: Envelope, at: float) -> None:
+def on_drawn(rows: RowChanges, event: b.LiquidDrawn, head: Envelope, at: float) -> None:
     by = (event.module, event.run, event.action)
     for number, (well, volume) in enumerate(zip(event.wells, event.volumes_ul, strict=False)):
         what: tuple[Any, ...] = ("out", event.labware, well, volume, "", [], event.certain)
         rows.add(TRANSFERS, head.position, number, at, *what, *by)
 
 
-def on_samples_registered(rows: Rows, event: Any, head: Envelope, at: float, blobs: BlobStore | None) -> None:
+def on_samples_registered(
+    rows: RowChanges, event: Any, head: Envelope, at: float, blobs: BlobStore | None
+) -> None:
     """A sheet of samples. One too long for the log is a blob; if that is lost, so are its rows."""
     row = rows.change(LABWARE, event.labware)
     samples = event.wells or _unpack(blobs, event.blob)
@@ -59,11 +61,11 @@ def _unpack(blobs: BlobStore | None, blob: str) -> tuple[b.Sample, ...]:
         return ()
 
 
-def on_counted(rows: Rows, event: s.LevelSet, head: Envelope, at: float) -> None:
+def on_counted(rows: RowChanges, event: s.LevelSet, head: Envelope, at: float) -> None:
     _change(rows, event, head, at, s.fold_level_set, ("counted", event.level, event.lot, ""))
 
 
-def on_replenished(rows: Rows, event: s.ResourceReplenished, head: Envelope, at: float) -> None:
+def on_replenished(rows: RowChanges, event: s.ResourceReplenished, head: Envelope, at: float) -> None:
     _change(
         rows,
         event,
@@ -74,12 +76,12 @@ def on_replenished(rows: Rows, event: s.ResourceReplenished, head: Envelope, at:
     )
 
 
-def on_consumed(rows: Rows, event: s.ResourceConsumed, head: Envelope, at: float) -> None:
+def on_consumed(rows: RowChanges, event: s.ResourceConsumed, head: Envelope, at: float) -> None:
     _change(rows, event, head, at, s.fold_resource_consumed, ("consumed", event.amount, event.lot, ""))
 
 
 def _change(
-    rows: Rows, event: Any, head: Envelope, at: float, fold: Any, what: tuple[str, float, str, str]
+    rows: RowChanges, event: Any, head: Envelope, at: float, fold: Any, what: tuple[str, float, str, str]
 ) -> None:
     """The level is folded as the lab itself does it."""
     row = rows.change(RESOURCES, event.module, event.resource)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.audit._rows import Row, Rows, seconds
+from labos.audit._rows import Row, RowChanges, seconds
 from labos.audit._work_tables import EXPERIMENTS, INTERVENTIONS, USERS
 from labos.core import experiments as x
 from labos.core import interventions as i
@@ -13,17 +13,17 @@ from labos.core.envelope import Envelope
 from labos.core.users import UserErased
 
 
-def note_actor(rows: Rows, head: Envelope, at: float) -> None:
+def note_actor(rows: RowChanges, head: Envelope, at: float) -> None:
     """Somebody caused an event; modules and LabOS itself are nobody."""
     if head.actor != "labos" and "/" not in head.actor:
         _person(rows, head.actor, at)["events"] += 1
 
 
-def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -> None:
+def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: float) -> None:
     _person(rows, event.user, at)["runs"] += 1
 
 
-def _person(rows: Rows, user: str, at: float) -> Row:
+def _person(rows: RowChanges, user: str, at: float) -> Row:
     person = rows.change(USERS, user)
     if person is None:
         counts = {"runs": 0, "experiments": 0, "answers": 0, "events": 0}
@@ -32,12 +32,12 @@ def _person(rows: Rows, user: str, at: float) -> Row:
     return person
 
 
-def on_erased(rows: Rows, event: UserErased, head: Envelope, at: float) -> None:
+def on_erased(rows: RowChanges, event: UserErased, head: Envelope, at: float) -> None:
     row = rows.change(USERS, event.user) or _person(rows, event.user, at)
     row["erased_at_s"] = at
 
 
-def on_asked(rows: Rows, event: i.InterventionRequested, head: Envelope, at: float) -> None:
+def on_asked(rows: RowChanges, event: i.InterventionRequested, head: Envelope, at: float) -> None:
     rows.put(
         INTERVENTIONS,
         {
@@ -61,7 +61,7 @@ def on_asked(rows: Rows, event: i.InterventionRequested, head: Envelope, at: flo
     )
 
 
-def on_resolved(rows: Rows, event: i.InterventionResolved, head: Envelope, at: float) -> None:
+def on_resolved(rows: RowChanges, event: i.InterventionResolved, head: Envelope, at: float) -> None:
     row = rows.change(INTERVENTIONS, event.intervention)
     if row is not None:
         row["choice"], row["resolved_by"], row["note"] = event.choice, event.by, event.note
@@ -70,7 +70,7 @@ def on_resolved(rows: Rows, event: i.InterventionResolved, head: Envelope, at: f
         _person(rows, event.by, at)["answers"] += 1
 
 
-def on_started(rows: Rows, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
+def on_started(rows: RowChanges, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
     rows.put(
         EXPERIMENTS,
         {
@@ -91,7 +91,7 @@ def on_started(rows: Rows, event: x.ExperimentStarted, head: Envelope, at: float
 
 
 def on_cancelled(
-    rows: Rows, event: x.ExperimentCancelled | x.ExperimentClosing, head: Envelope, at: float
+    rows: RowChanges, event: x.ExperimentCancelled | x.ExperimentClosing, head: Envelope, at: float
 ) -> None:
     row = rows.change(EXPERIMENTS, event.experiment)
     if row is not None:
@@ -99,7 +99,7 @@ def on_cancelled(
         row["why"] = row["why"] or event.why
 
 
-def on_ended(rows: Rows, event: x.ExperimentEnded, head: Envelope, at: float) -> None:
+def on_ended(rows: RowChanges, event: x.ExperimentEnded, head: Envelope, at: float) -> None:
     row = rows.change(EXPERIMENTS, event.experiment)
     if row is not None:
         row["status"], row["ended_at_s"], row["ended_position"] = "ended", at, head.position

@@ -60,7 +60,7 @@ class PostgresAudit(AuditDatabase):
     def allow_reading(self, role: str) -> None:
         """Let a role that exists read the views, and find them without their schema's name. Raises
         NotFound, StoreUnavailable."""
-        with self._writing():
+        with self._write_transaction():
             if not self._execute("SELECT 1 FROM pg_roles WHERE rolname = %s", (role,)).fetchone():
                 raise NotFound(
                     f"The {self.name} knows no role {role!r}.",
@@ -81,7 +81,7 @@ class PostgresAudit(AuditDatabase):
     # -- inside ------------------------------------------------------------------------------
 
     @contextmanager
-    def _writing(self) -> Iterator[None]:
+    def _write_transaction(self) -> Iterator[None]:
         with self._door, self._connection.transaction():
             self._execute(f"SELECT pg_advisory_xact_lock({_MAKING})")
             yield

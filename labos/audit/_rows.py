@@ -22,7 +22,7 @@ def seconds(ns: int) -> float:
     return ns // 1_000_000 / 1000
 
 
-class Rows:
+class RowChanges:
     """What a batch of events does to rows: those that are new or changed are written at its end."""
 
     def __init__(self, load: Load) -> None:

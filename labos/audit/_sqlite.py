@@ -84,7 +84,7 @@ class SqliteAudit(AuditDatabase):
     # -- inside ------------------------------------------------------------------------------
 
     @contextmanager
-    def _writing(self) -> Iterator[None]:
+    def _write_transaction(self) -> Iterator[None]:
         with self._door:
             self._connection.execute("BEGIN IMMEDIATE")
             try:

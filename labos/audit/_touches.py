@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from labos.audit._rows import Rows
+from labos.audit._rows import RowChanges
 from labos.audit._work_tables import ACTIONS
 from labos.core.actions import ActionEvent, ActionRequested
 from labos.core.interventions import InterventionRequested
@@ -13,7 +13,7 @@ from labos.core.labware import LabwareEvent, StationObserved
 from labos.core.registry import Event
 
 
-def list_touched(rows: Rows, event: Event) -> Iterable[str]:
+def list_touched(rows: RowChanges, event: Event) -> Iterable[str]:
     """Ids of labware, each once. What became of an action concerns the labware of its request."""
     if isinstance(event, LabwareEvent):
         on = getattr(event, "on", "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
-from labos.audit._rows import Row, Rows, seconds
+from labos.audit._rows import Row, RowChanges, seconds
 from labos.audit._touches import labware_of
 from labos.audit._work_tables import ACTIONS, EXPERIMENTS, FILES, NODES, PLANS, PRESENT, RESULTS, RUNS, STEPS
 from labos.core import actions as a
@@ -24,21 +24,21 @@ NUMBERS: dict[AnyPart, int] = {MAIN: -1, ON_CANCEL: -2}
 # -- plans and runs ----------------------------------------------------------------------------
 
 
-def on_plan_recorded(rows: Rows, event: p.PlanRecorded, head: Envelope, at: float) -> None:
+def on_plan_recorded(rows: RowChanges, event: p.PlanRecorded, head: Envelope, at: float) -> None:
     rows.put(
         PLANS,
         {"plan": event.plan, "workflow": event.workflow, "workcell": event.workcell, "steps": []},
     )
 
 
-def on_plan_steps_recorded(rows: Rows, event: p.PlanStepsRecorded, head: Envelope, at: float) -> None:
+def on_plan_steps_recorded(rows: RowChanges, event: p.PlanStepsRecorded, head: Envelope, at: float) -> None:
     plan = rows.change(PLANS, event.plan)
     if plan is not None:
         steps = [[s.key, s.module, s.action, NUMBERS.get(s.part, s.part), list(s.after)] for s in event.steps]
         plan["steps"] = [*plan["steps"][: event.first], *steps]
 
 
-def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -> None:
+def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: float) -> None:
     plan = rows.get(PLANS, event.plan)
     steps = plan["steps"] if plan is not None else []
     rows.put(
@@ -56,6 +56,7 @@ def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -
             "submitted_at_s": at,
             "started_at_s": None,
             "ended_at_s": None,
+            "due_at_s": seconds(event.due_at) if event.due_at else None,
             "steps": len(steps),
             "steps_done": 0,
             "why": "",
@@ -93,7 +94,7 @@ def on_submitted(rows: Rows, event: r.RunSubmitted, head: Envelope, at: float) -
         experiment["runs"] += 1
 
 
-def on_bound(rows: Rows, event: r.RunBound, head: Envelope, at: float) -> None:
+def on_bound(rows: RowChanges, event: r.RunBound, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is None:
         return
@@ -106,31 +107,31 @@ def on_bound(rows: Rows, event: r.RunBound, head: Envelope, at: float) -> None:
             step["module"] = module
 
 
-def on_started(rows: Rows, event: r.RunStarted, head: Envelope, at: float) -> None:
+def on_started(rows: RowChanges, event: r.RunStarted, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is not None:
         run["status"], run["started_at_s"], run["started_position"] = "active", at, head.position
 
 
-def on_paused(rows: Rows, event: r.RunPaused, head: Envelope, at: float) -> None:
+def on_paused(rows: RowChanges, event: r.RunPaused, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is not None:
         run["status"], run["why"] = "paused", event.why
 
 
-def on_resumed(rows: Rows, event: r.RunResumed, head: Envelope, at: float) -> None:
+def on_resumed(rows: RowChanges, event: r.RunResumed, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is not None:
         run["status"], run["why"] = "active" if run["started_at_s"] is not None else "queued", ""
 
 
-def on_cancelling(rows: Rows, event: r.RunCancelling, head: Envelope, at: float) -> None:
+def on_cancelling(rows: RowChanges, event: r.RunCancelling, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is not None:
         run["status"], run["why"] = "cancelling", run["why"] or event.why or event.reason
 
 
-def on_leaving(rows: Rows, event: r.RunLeaving, head: Envelope, at: float) -> None:
+def on_leaving(rows: RowChanges, event: r.RunLeaving, head: Envelope, at: float) -> None:
     run = rows.change(RUNS, event.run)
     if run is None:
         return
@@ -144,7 +145,7 @@ def on_leaving(rows: Rows, event: r.RunLeaving, head: Envelope, at: float) -> No
 
 
 def on_run_ended(
-    rows: Rows, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
+    rows: RowChanges, event: r.RunCompleted | r.RunFailed | r.RunCancelled, head: Envelope, at: float
 ) -> None:
     run = rows.change(RUNS, event.run)
     if run is None:
@@ -162,25 +163,25 @@ def on_run_ended(
 # -- steps -------------------------------------------------------------------------------------
 
 
-def on_breached(rows: Rows, event: st.WindowBreached, head: Envelope, at: float) -> None:
+def on_breached(rows: RowChanges, event: st.WindowBreached, head: Envelope, at: float) -> None:
     step = rows.change(STEPS, event.run, event.step)
     if step is not None:
         step["breached"] = True
 
 
-def on_retried(rows: Rows, event: st.StepRetried, head: Envelope, at: float) -> None:
+def on_retried(rows: RowChanges, event: st.StepRetried, head: Envelope, at: float) -> None:
     _into(rows, event.run, event.step, "pending")
 
 
-def on_skipped(rows: Rows, event: st.StepSkipped, head: Envelope, at: float) -> None:
+def on_skipped(rows: RowChanges, event: st.StepSkipped, head: Envelope, at: float) -> None:
     _into(rows, event.run, event.step, "skipped", event.why)
 
 
-def on_unexpected(rows: Rows, event: st.StepUnexpected, head: Envelope, at: float) -> None:
+def on_unexpected(rows: RowChanges, event: st.StepUnexpected, head: Envelope, at: float) -> None:
     _into(rows, event.run, event.step, "failed", event.why)
 
 
-def on_recovering(rows: Rows, event: st.StepRecovering, head: Envelope, at: float) -> None:
+def on_recovering(rows: RowChanges, event: st.StepRecovering, head: Envelope, at: float) -> None:
     _into(rows, event.run, event.step, "failed", event.why)
     run = rows.get(RUNS, event.run)
     for number in range(run["steps"]) if run is not None else ():
@@ -189,7 +190,7 @@ def on_recovering(rows: Rows, event: st.StepRecovering, head: Envelope, at: floa
             _into(rows, event.run, number, "pending")
 
 
-def _into(rows: Rows, run: str, number: int, state: str, error: str | None = None) -> Row | None:
+def _into(rows: RowChanges, run: str, number: int, state: str, error: str | None = None) -> Row | None:
     """A step is in another state now; its run counts how many are done."""
     step = rows.change(STEPS, run, number) if run else None
     if step is None:
@@ -207,7 +208,7 @@ def _into(rows: Rows, run: str, number: int, state: str, error: str | None = Non
 # -- actions -----------------------------------------------------------------------------------
 
 
-def on_requested(rows: Rows, event: a.ActionRequested, head: Envelope, at: float) -> None:
+def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at: float) -> None:
     step = _into(rows, event.run, event.step, "in flight", "")
     if step is not None:
         step["attempts"] = max(step["attempts"], event.attempt)
@@ -253,39 +254,39 @@ def on_requested(rows: Rows, event: a.ActionRequested, head: Envelope, at: float
         rows.add(FILES, head.position, number, at, "given", digest, name, None, event.run, event.action)
 
 
-def on_accepted(rows: Rows, event: a.ActionAccepted, head: Envelope, at: float) -> None:
+def on_accepted(rows: RowChanges, event: a.ActionAccepted, head: Envelope, at: float) -> None:
     action = rows.change(ACTIONS, event.action)
     if action is not None:
         action["status"], action["accepted_at_s"] = "accepted", at
 
 
-def on_reported(rows: Rows, event: a.ActionReported, head: Envelope, at: float) -> None:
+def on_reported(rows: RowChanges, event: a.ActionReported, head: Envelope, at: float) -> None:
     action = rows.change(ACTIONS, event.action)
     if action is not None:
         action["status"] = "reported"
 
 
-def on_unknown(rows: Rows, event: a.ActionUnknown, head: Envelope, at: float) -> None:
+def on_unknown(rows: RowChanges, event: a.ActionUnknown, head: Envelope, at: float) -> None:
     _into(rows, event.run, event.step, "unknown", event.why)
     action = rows.change(ACTIONS, event.action)
     if action is not None:
         action["status"], action["effects"], action["error"] = "unknown", "unknown", event.why
 
 
-def on_succeeded(rows: Rows, event: a.ActionSucceeded, head: Envelope, at: float) -> None:
+def on_succeeded(rows: RowChanges, event: a.ActionSucceeded, head: Envelope, at: float) -> None:
     _end(rows, event, head, at, "succeeded", "done", "all")
     _add_results(rows, event, head, seconds(event.ended_ns) if event.ended_ns else at)
 
 
-def on_failed(rows: Rows, event: a.ActionFailed, head: Envelope, at: float) -> None:
+def on_failed(rows: RowChanges, event: a.ActionFailed, head: Envelope, at: float) -> None:
     _end(rows, event, head, at, "failed", "failed", event.effects, event.error)
 
 
-def on_rejected(rows: Rows, event: a.ActionRejected, head: Envelope, at: float) -> None:
+def on_rejected(rows: RowChanges, event: a.ActionRejected, head: Envelope, at: float) -> None:
     _end(rows, event, head, at, "rejected", "failed" if event.final else "pending", "none", event.why)
 
 
-def on_reconciled(rows: Rows, event: a.ActionReconciled, head: Envelope, at: float) -> None:
+def on_reconciled(rows: RowChanges, event: a.ActionReconciled, head: Envelope, at: float) -> None:
     state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
     error = "" if state == "done" else f"settled by {event.by}"
     action = _end(rows, event, head, at, "reconciled", state, event.effects, error)
@@ -295,7 +296,7 @@ def on_reconciled(rows: Rows, event: a.ActionReconciled, head: Envelope, at: flo
 
 
 def _end(
-    rows: Rows,
+    rows: RowChanges,
     event: a.ActionEvent,
     head: Envelope,
     at: float,
@@ -317,7 +318,7 @@ def _end(
 
 
 def _add_results(
-    rows: Rows, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, ended: float
+    rows: RowChanges, event: a.ActionSucceeded | a.ActionReconciled, head: Envelope, ended: float
 ) -> None:
     """What the device returned: files, and values by well."""
     action = rows.change(ACTIONS, event.action)
@@ -349,7 +350,7 @@ def _value(value: Any) -> tuple[float | None, str]:
 # -- nodes -------------------------------------------------------------------------------------
 
 
-def on_joined(rows: Rows, event: m.NodeJoined, head: Envelope, at: float) -> None:
+def on_joined(rows: RowChanges, event: m.NodeJoined, head: Envelope, at: float) -> None:
     _leave(rows, event.module, at)
     rows.put(PRESENT, {"module": event.module, "position": head.position})
     rows.put(
@@ -368,11 +369,11 @@ def on_joined(rows: Rows, event: m.NodeJoined, head: Envelope, at: float) -> Non
     )
 
 
-def on_left(rows: Rows, event: m.NodeLeft, head: Envelope, at: float) -> None:
+def on_left(rows: RowChanges, event: m.NodeLeft, head: Envelope, at: float) -> None:
     _leave(rows, event.module, at)
 
 
-def _leave(rows: Rows, module: str, at: float) -> None:
+def _leave(rows: RowChanges, module: str, at: float) -> None:
     present = rows.get(PRESENT, module)
     node = rows.change(NODES, present["position"]) if present is not None else None
     if node is not None and node["left_at_s"] is None:

@@ -16,10 +16,10 @@ from typing import Any
 
 import msgspec
 
-from labos.audit._crate_experiment import Done, Program, add_experiment, experiment_of
+from labos.audit._crate_experiment import CrateRun, Program, add_experiment, experiment_of
 from labos.audit._crate_parts import METADATA, VERSION, Crate, link, local_id, safe_name, with_offset
 from labos.audit._crate_steps import STATUS, Doer, add_action, json_of
-from labos.audit.query import Asker
+from labos.audit.query import ReadConnection
 from labos.core.canonical import canonical
 from labos.core.lab import KernelStarted
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
@@ -104,7 +104,7 @@ class Run(msgspec.Struct, frozen=True):
     ended_position: int | None
 
 
-def runs_of(asker: Asker, name: str) -> list[Run]:
+def runs_of(asker: ReadConnection, name: str) -> list[Run]:
     """The run of that name, or the runs of the experiment, which may have none. Raises NotFound."""
     rows = asker.fetch(_RUNS.format("run = ?"), name) or asker.fetch(_RUNS.format("experiment = ?"), name)
     if not rows and experiment_of(asker, name) is None:
@@ -116,7 +116,12 @@ def runs_of(asker: Asker, name: str) -> list[Run]:
 
 
 def make_crate(
-    asker: Asker, log: Log, name: str, now_ns: int, license_: str = "", program: Program | None = None
+    asker: ReadConnection,
+    log: Log,
+    name: str,
+    now_ns: int,
+    license_: str = "",
+    program: Program | None = None,
 ) -> Crate:
     """The crate of a run or an experiment, as far as it has come. ``license_`` is the URL of a licence,
     ``program`` the source of the experiment's application. Raises NotFound, LogDamaged, and BadInput for the
@@ -146,7 +151,9 @@ def make_crate(
     main = set(workflows.values())
     if experiment is not None:
         told_runs = [
-            Done(run.run, workflows[run.run], tuple(_add_kernels(crate, log, run)), run.submitted_position)
+            CrateRun(
+                run.run, workflows[run.run], tuple(_add_kernels(crate, log, run)), run.submitted_position
+            )
             for run in runs
         ]
         for workflow in main - {workflows[run.run] for run, acted in zip(runs, done, strict=True) if acted}:
@@ -226,7 +233,7 @@ def _plan_of(log: Log, digest: str) -> bytes:
     return canonical(plan)
 
 
-def _add_run(crate: Crate, asker: Asker, log: Log, run: Run, workflow: str) -> bool:
+def _add_run(crate: Crate, asker: ReadConnection, log: Log, run: Run, workflow: str) -> bool:
     """The run and each of its actions; returns whether something was carried out."""
     user = crate.add("Person", local_id("user", run.user), name=run.user, identifier=run.user)
     id_ = local_id("run", run.run)
@@ -289,7 +296,7 @@ def _add_kernels(crate: Crate, log: Log, run: Run) -> list[str]:
 
 def _add_table(
     crate: Crate,
-    asker: Asker,
+    asker: ReadConnection,
     runs: list[Run],
     path: str,
     words: str,

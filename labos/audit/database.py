@@ -18,10 +18,10 @@ from sqlalchemy.engine import URL
 
 from labos.audit._ddl import Dialect, drop_all, make_all
 from labos.audit._encode import encode_rows, encode_values
-from labos.audit._rows import Key, Row, Rows
+from labos.audit._rows import Key, Row, RowChanges
 from labos.audit.tables import VERSION, Table
 from labos.errors import LogTooNew
-from labos.store import Door, display_name, parse_url, sqlite_path
+from labos.store import TranslatedErrors, display_name, parse_url, sqlite_path
 
 
 class Mark(msgspec.Struct, frozen=True):
@@ -39,12 +39,12 @@ class AuditDatabase(ABC):
     dialect: ClassVar[Dialect]
 
     def __init__(self, url: URL) -> None:
-        self.name, self._url, self._door = display_name(url), url, Door(url)
+        self.name, self._url, self._door = display_name(url), url, TranslatedErrors(url)
 
     def prepare(self) -> Mark:
         """Make the tables if there are none; those of an older version are thrown away first. Raises
         LogTooNew for those of a newer one."""
-        with self._writing():
+        with self._write_transaction():
             if not is_current(self._version(), self._url):
                 self._make_anew()
             return self._mark()
@@ -62,7 +62,7 @@ class AuditDatabase(ABC):
 
     def reset(self) -> None:
         """Throw everything away and make empty tables."""
-        with self._writing():
+        with self._write_transaction():
             self._make_anew()
 
     def forget(self) -> str:
@@ -80,9 +80,9 @@ class AuditDatabase(ABC):
     def load(self, table: Table, key: Key) -> Row | None:
         """A row, or None."""
 
-    def write(self, before: Mark, after: Mark, rows: Rows) -> bool:
+    def write(self, before: Mark, after: Mark, rows: RowChanges) -> bool:
         """Write what is new and changed, all or nothing; False if the tables are not at ``before``."""
-        with self._writing():
+        with self._write_transaction():
             if self._lock_mark() != before:
                 return False
             nul = rows.may_have_nul
@@ -108,7 +108,7 @@ class AuditDatabase(ABC):
         return self._mark()
 
     @abstractmethod
-    def _writing(self) -> AbstractContextManager[None]:
+    def _write_transaction(self) -> AbstractContextManager[None]:
         """A transaction that writes."""
 
     @abstractmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.audit.query import Asker
+from labos.audit.query import ReadConnection
 
 _PLACES = (
     "SELECT m.labware, m.kind, m.target, m.lies_on, m.maybe FROM labware_moves m JOIN "
@@ -33,7 +33,7 @@ _QUESTIONS = (
 )
 
 
-class Change(msgspec.Struct, frozen=True):
+class LabDifference(msgspec.Struct, frozen=True):
     """``what`` was ``before`` and is ``after``; empty where there was or is none. ``about`` says which part
     of the lab: labware, run, resource, question or driver."""
 
@@ -43,7 +43,7 @@ class Change(msgspec.Struct, frozen=True):
     after: str
 
 
-def differences(asker: Asker, first: int, last: int) -> list[Change]:
+def differences(asker: ReadConnection, first: int, last: int) -> list[LabDifference]:
     """What is different at position ``last`` from what was at position ``first``."""
     changes = _compare("labware", _places(asker, first), _places(asker, last))
     for run, workflow, user, status, *positions in asker.fetch(_RUNS, last, first):
@@ -60,10 +60,10 @@ def differences(asker: Asker, first: int, last: int) -> list[Change]:
     return changes + _compare("driver", _drivers(asker, first), _drivers(asker, last))
 
 
-def _compare(about: str, before: dict[str, str], after: dict[str, str]) -> list[Change]:
+def _compare(about: str, before: dict[str, str], after: dict[str, str]) -> list[LabDifference]:
     names = sorted({*before, *after}, key=_natural)
     pairs = [(name, before.get(name, ""), after.get(name, "")) for name in names]
-    return [Change(about, name, was, is_) for name, was, is_ in pairs if was != is_]
+    return [LabDifference(about, name, was, is_) for name, was, is_ in pairs if was != is_]
 
 
 def _natural(name: str) -> tuple[str, int, str]:
@@ -73,7 +73,7 @@ def _natural(name: str) -> tuple[str, int, str]:
     return letters, int(digits) if digits else 0, name
 
 
-def _places(asker: Asker, position: int) -> dict[str, str]:
+def _places(asker: ReadConnection, position: int) -> dict[str, str]:
     found = {}
     for name, kind, target, lies_on, maybe in asker.fetch(_PLACES, position):
         if maybe is not None:
@@ -84,12 +84,12 @@ def _places(asker: Asker, position: int) -> dict[str, str]:
     return found
 
 
-def _levels(asker: Asker, position: int) -> dict[str, str]:
+def _levels(asker: ReadConnection, position: int) -> dict[str, str]:
     rows = asker.fetch(_LEVELS, position)
     return {f"{module}:{name}": "" if level is None else f"{level:.10g}" for module, name, level in rows}
 
 
-def _drivers(asker: Asker, position: int) -> dict[str, str]:
+def _drivers(asker: ReadConnection, position: int) -> dict[str, str]:
     return {module: f"{driver} {version}" for module, driver, version in asker.fetch(_DRIVERS, position)}
 
 

@@ -14,7 +14,7 @@ import msgspec
 
 from labos.audit._ddl import vector, words_name
 from labos.audit._entry_tables import ENTRIES, KINDS
-from labos.audit.query import Asker
+from labos.audit.query import ReadConnection
 from labos.audit.words import words_of
 from labos.errors import BadInput
 
@@ -29,7 +29,7 @@ _REMEDY = "Give words of letters and digits, as: labos find color plate*"
 _WORD_AND_STAR = re.compile(r"\S+")
 
 
-class Question(msgspec.Struct, frozen=True):
+class SearchQuery(msgspec.Struct, frozen=True):
     """What is asked for: all ``words`` (none: everything) and every filter that is not empty, one of each
     list. ``since`` and ``until`` are UTC nanoseconds, 0: no limit. The first ``offset`` are left out, and no
     more than ``limit`` are told. ``facets``: how many there are of each user, workcell and so on. Nothing of
@@ -60,7 +60,7 @@ class FoundFile(msgspec.Struct, frozen=True):
     bytes: int
 
 
-class Entry(msgspec.Struct, frozen=True):
+class SearchEntry(msgspec.Struct, frozen=True):
     """What was found. ``name`` is what other commands call it: E1, R1, a sample's well ``P7/B7``, the result
     of a step ``R1#3``, the SHA-256 of a file or image, ``E1@2041`` for what E1 published at that position of
     the log. ``at`` is when it began, was registered, returned or published (UTC, ISO 8601)."""
@@ -87,12 +87,12 @@ class FacetValue(msgspec.Struct, frozen=True):
     count: int
 
 
-class Found(msgspec.Struct, frozen=True):
+class SearchResult(msgspec.Struct, frozen=True):
     """``total`` is how many fit the question, ``entries`` are those that were asked for. ``facets`` say how
     often each value is there, the most frequent ones first. The search index knows the log up to
     ``position``; ``behind`` is how many later events it does not know yet."""
 
-    entries: list[Entry]
+    entries: list[SearchEntry]
     total: int
     facets: dict[str, list[FacetValue]]
     position: int
@@ -106,7 +106,7 @@ _COLUMNS = (
 _JSON = ("keywords", "creators", "files")
 
 
-def find(asker: Asker, question: Question, log_position: int = 0) -> Found:
+def find(asker: ReadConnection, question: SearchQuery, log_position: int = 0) -> SearchResult:
     """Answer a question from the search index as it is. Raises BadInput for one that cannot be answered."""
     where, values = _conditions(asker, question)
     position = asker.fetch("SELECT position FROM projection")[0][0]
@@ -118,18 +118,18 @@ def find(asker: Asker, question: Question, log_position: int = 0) -> Found:
     )
     facets = _facets(asker, where, values) if question.facets else {}
     behind = max(log_position - position, 0)
-    return Found([_entry(row) for row in rows], total, facets, position, behind)
+    return SearchResult([_entry(row) for row in rows], total, facets, position, behind)
 
 
-def _entry(row: Any) -> Entry:
+def _entry(row: Any) -> SearchEntry:
     told = dict(zip(_COLUMNS, row, strict=True))
     told["user"] = told.pop("user_id")
     for name in _JSON:
         told[name] = msgspec.json.decode(told[name])
-    return msgspec.convert(told, Entry)
+    return msgspec.convert(told, SearchEntry)
 
 
-def _conditions(asker: Asker, question: Question) -> tuple[str, list[Any]]:
+def _conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list[Any]]:
     """What stands after WHERE, and the values of its marks."""
     for kind in question.kinds:
         if kind not in KINDS:
@@ -191,14 +191,14 @@ def _terms(text: str) -> list[tuple[str, bool]]:
 _KEYWORD = "one.value"
 
 
-def _keywords(asker: Asker) -> str:
+def _keywords(asker: ReadConnection) -> str:
     """The keywords of an entry, one a row, as ``one.value``."""
     if asker.dialect == "postgresql":
         return "json_array_elements_text(keywords) AS one(value)"
     return "json_each(keywords) AS one"
 
 
-def _facets(asker: Asker, where: str, values: list[Any]) -> dict[str, list[FacetValue]]:
+def _facets(asker: ReadConnection, where: str, values: list[Any]) -> dict[str, list[FacetValue]]:
     """How often each value is there among all that fits."""
     month = (
         "to_char(at, 'YYYY-MM')" if asker.dialect == "postgresql" else "strftime('%Y-%m', at_s, 'unixepoch')"
@@ -236,6 +236,6 @@ class Refusal(msgspec.Struct, frozen=True):
     misasked: bool
 
 
-class Reply(msgspec.Struct, frozen=True):
-    found: Found | None = None
+class SearchReply(msgspec.Struct, frozen=True):
+    found: SearchResult | None = None
     refusal: Refusal | None = None

@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from labos.audit.database import open_audit
-from labos.audit.find import Found, LogPlace, Question, Refusal, Reply, find
+from labos.audit.find import LogPlace, Refusal, SearchQuery, SearchReply, SearchResult, find
 from labos.audit.projector import Projector
 from labos.audit.query import open_asker
 from labos.clock import SystemClock
@@ -41,7 +41,7 @@ class Index:
         self._store = open_store(begin.database, create=False, read_only=True, home=Path(begin.home))
         self._projector = Projector(self._store, open_audit(begin.database), open_blobs(begin.blobs))
 
-    def answer(self, question: Question) -> Found:
+    def answer(self, question: SearchQuery) -> SearchResult:
         """What is found, by an index that is as new as can be waited for. Raises LabosError."""
         clock = SystemClock()
         began = clock.monotonic()
@@ -67,9 +67,9 @@ def main() -> None:
     for line in lines:
         try:
             index = index or Index(begin)
-            reply = Reply(index.answer(msgspec.json.decode(line, type=Question)))
+            reply = SearchReply(index.answer(msgspec.json.decode(line, type=SearchQuery)))
         except LabosError as error:
-            reply = Reply(refusal=Refusal(error.message, error.remedy, isinstance(error, BadInput)))
+            reply = SearchReply(refusal=Refusal(error.message, error.remedy, isinstance(error, BadInput)))
         sys.stdout.buffer.write(msgspec.json.encode(reply) + b"\n")
         sys.stdout.buffer.flush()
 

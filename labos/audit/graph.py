@@ -37,7 +37,7 @@ class Entity(msgspec.Struct, frozen=True):
         return f"{self.kind} {self.name}"
 
 
-class Link(msgspec.Struct, frozen=True):
+class ProvenanceLink(msgspec.Struct, frozen=True):
     """The effect hangs on the cause; ``position`` is the event that says so (0: none in particular)."""
 
     effect: Entity
@@ -46,7 +46,7 @@ class Link(msgspec.Struct, frozen=True):
     position: int = 0
 
 
-class Part(msgspec.Struct, frozen=True):
+class ProvenancePart(msgspec.Struct, frozen=True):
     """What a well holds of one origin. ``volume_ul`` and ``share`` are null where nobody said how much."""
 
     origin: Entity
@@ -63,8 +63,8 @@ class Graph(msgspec.Struct):
     subject: Entity
     position: int
     facts: dict[str, Any] = {}
-    contents: list[Part] = []
-    links: list[Link] = []
+    contents: list[ProvenancePart] = []
+    links: list[ProvenanceLink] = []
     entities: dict[str, dict[str, Any]] = {}
     whole: bool = True
 

@@ -57,12 +57,12 @@ class Stored(msgspec.Struct, frozen=True):
     position: int
 
 
-class Topic(msgspec.Struct, frozen=True):
+class KafkaTopic(msgspec.Struct, frozen=True):
     brokers: str
     name: str
 
     @classmethod
-    def parse(cls, url: str) -> Topic:
+    def parse(cls, url: str) -> KafkaTopic:
         """``kafka://broker:9092,other:9092/topic``. Raises BadInput."""
         found = _URL.fullmatch(url)
         if found is None or "@" in found[1]:
@@ -107,7 +107,7 @@ class KafkaSink:
 
     def __init__(
         self,
-        topic: Topic,
+        topic: KafkaTopic,
         lab: str,
         file: Path,
         settings: Mapping[str, str],

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from labos.audit.graph import Entity, Part
-from labos.audit.query import Asker
+from labos.audit.graph import Entity, ProvenancePart
+from labos.audit.query import ReadConnection
 
 _WELL = re.compile(r"(?:([^/\s]+)/)?([A-Z]{1,2}[1-9][0-9]?)")
 _STEPS = (
@@ -52,7 +52,7 @@ class Mixture(msgspec.Struct):
             self.drawn = dict(self.volumes)
             self.volumes = {origin: part * left for origin, part in self.volumes.items()}
 
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[ProvenancePart]:
         """The largest part first. Shares are told only where all volumes are known."""
         total = self.total_ul
         exact = total > 0 and not self.unmeasured
@@ -62,7 +62,7 @@ class Mixture(msgspec.Struct):
             if volume > _TRACE_UL or origin in self.unmeasured:
                 told = None if origin in self.unmeasured else round(volume, 6)
                 share = round(volume / total, 6) if exact else None
-                found.append(Part(*origin, told, share, origin not in self.doubtful))
+                found.append(ProvenancePart(*origin, told, share, origin not in self.doubtful))
         return sorted(found, key=lambda part: (-(part.volume_ul or 0.0), part.origin.name, part.what))
 
 
@@ -72,7 +72,7 @@ def source_well(labware: str, liquid: str) -> str:
     return f"{found[1] or labware}/{found[2]}" if found else ""
 
 
-def contents(asker: Asker, labware: str, well: str, upto: int) -> list[Part]:
+def contents(asker: ReadConnection, labware: str, well: str, upto: int) -> list[ProvenancePart]:
     """What a well holds after the event at a position. A sheet of samples says anew what is there; what is
     taken out of a well has the shares that the well has at that moment."""
     steps = _steps_before(asker, f"{labware}/{well}", upto)
@@ -84,7 +84,7 @@ def contents(asker: Asker, labware: str, well: str, upto: int) -> list[Part]:
     return wells[f"{labware}/{well}"].parts()
 
 
-def _steps_before(asker: Asker, wanted: str, upto: int) -> dict[str, list[Any]]:
+def _steps_before(asker: ReadConnection, wanted: str, upto: int) -> dict[str, list[Any]]:
     """All that happened to a well, and to those that it was ever filled from."""
     found: dict[str, list[Any]] = {}
     waiting = [wanted]

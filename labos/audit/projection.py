@@ -17,7 +17,7 @@ from labos.audit import (
     _work,
 )
 from labos.audit._bench_tables import TOUCHES
-from labos.audit._rows import Rows, seconds
+from labos.audit._rows import RowChanges, seconds
 from labos.audit._touches import list_touched
 from labos.audit._work_tables import EVENTS
 from labos.core import fold
@@ -49,7 +49,7 @@ _HANDLERS: dict[type[Event], tuple[Handler, ...]] = {
 class Projection:
     """Takes events of a log in their order; ``blobs`` hold long sheets of samples."""
 
-    def __init__(self, rows: Rows, blobs: BlobStore | None = None) -> None:
+    def __init__(self, rows: RowChanges, blobs: BlobStore | None = None) -> None:
         self.rows, self.blobs = rows, blobs
 
     def take(self, record: Record) -> None:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import structlog
 
-from labos.audit._rows import Rows, seconds
+from labos.audit._rows import RowChanges, seconds
 from labos.audit.database import AuditDatabase, Mark
 from labos.audit.projection import Projection
 from labos.core.erasure import WordsErased
@@ -38,7 +38,7 @@ class Projector:
 
     def __init__(self, log: Log, database: AuditDatabase, blobs: BlobStore | None = None) -> None:
         self._log, self._database = log, database
-        self._rows = Rows(database.load)
+        self._rows = RowChanges(database.load)
         self._projection = Projection(self._rows, blobs)
         self._remembered = Mark()
         """What the rows in memory are of."""

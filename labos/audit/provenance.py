@@ -10,9 +10,9 @@ import msgspec
 from labos.audit._causes import CAUSES
 from labos.audit._effects import EFFECTS
 from labos.audit._facts import facts_of
-from labos.audit.graph import Entity, EntityKind, Graph, Link, well_of
+from labos.audit.graph import Entity, EntityKind, Graph, ProvenanceLink, well_of
 from labos.audit.liquids import contents
-from labos.audit.query import Asker
+from labos.audit.query import ReadConnection
 from labos.errors import NotFound
 
 Direction = Literal["up", "down"]
@@ -42,7 +42,7 @@ _BARE: tuple[EntityKind, ...] = (
 )
 
 
-def subject_of(asker: Asker, text: str, upto: int) -> Entity:
+def subject_of(asker: ReadConnection, text: str, upto: int) -> Entity:
     """What a person means: ``P7``, ``P7/B7``, ``R1``, ``R1#3`` (the result of its step 3), the digest of a
     file, a sample, a lot. ``lot:``, ``sample:`` and so on in front say the kind. Raises NotFound."""
     kind, _, name = text.partition(":")
@@ -72,12 +72,14 @@ def subject_of(asker: Asker, text: str, upto: int) -> Entity:
     )
 
 
-def trace(asker: Asker, subject: Entity, upto: int, direction: Direction, most: int = MOST_LINKS) -> Graph:
+def trace(
+    asker: ReadConnection, subject: Entity, upto: int, direction: Direction, most: int = MOST_LINKS
+) -> Graph:
     """What a entity hangs on (up), or what hangs on it (down), with the contents of a well. Only what was so
     when it mattered counts: what was done to a plate after it was read is no cause of the reading."""
     graph = Graph(subject, upto)
     seen = {subject: 0 if direction == "down" else upto}
-    links: dict[Link, bool] = {}
+    links: dict[ProvenanceLink, bool] = {}
     waiting = [(subject, seen[subject])]
     while waiting and graph.whole:
         entity, bound = waiting.pop(0)
@@ -102,7 +104,7 @@ def trace(asker: Asker, subject: Entity, upto: int, direction: Direction, most: 
     return graph
 
 
-def _next(asker: Asker, entity: Entity, bound: int, upto: int, direction: Direction) -> Any:
+def _next(asker: ReadConnection, entity: Entity, bound: int, upto: int, direction: Direction) -> Any:
     if direction == "up":
         causes = CAUSES.get(entity.kind)
         return causes(asker, entity, bound) if causes is not None else ()

@@ -14,7 +14,7 @@ import msgspec
 from labos.audit._ddl import VIEW_SCHEMA, Dialect
 from labos.audit.database import audit_url
 from labos.errors import BadInput, StoreUnavailable
-from labos.store import Door, display_name, sqlite_path
+from labos.store import TranslatedErrors, display_name, sqlite_path
 
 TIME_LIMIT_S = 30.0
 FETCHED = 1000
@@ -26,14 +26,14 @@ _STEPS = 10_000
 _SEE = "What there is to ask: labos sql --views"
 
 
-class Answer(msgspec.Struct, frozen=True):
+class QueryResult(msgspec.Struct, frozen=True):
     """Rows come as they are found; times are text in ISO 8601, UTC."""
 
     columns: tuple[str, ...]
     rows: Iterator[Sequence[Any]]
 
 
-class Asker(Protocol):
+class ReadConnection(Protocol):
     """A connection that only reads. ``values`` stand for ``?`` in the query, one after the other."""
 
     @property
@@ -42,12 +42,12 @@ class Asker(Protocol):
     def fetch(self, query: str, *values: Any) -> list[Any]:
         """All rows of a question of our own, as tuples, without a limit of time."""
 
-    def ask(self, query: str, values: Sequence[Any] = ()) -> Answer:
+    def ask(self, query: str, values: Sequence[Any] = ()) -> QueryResult:
         """One statement. Raises BadInput for what is no question, or takes longer than its limit."""
 
 
 @contextmanager
-def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[Asker]:
+def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnection]:
     """Ask the views beside a log; each question may take ``limit_s`` seconds. Raises StoreUnavailable if
     there are none."""
     parsed = audit_url(url)
@@ -57,7 +57,7 @@ def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[Asker]:
             raise StoreUnavailable(
                 f"There is no {display_name(parsed)}.", remedy="Make it: labos audit project"
             )
-        with Door(parsed):
+        with TranslatedErrors(parsed):
             lite = _open_sqlite(path.as_uri())
         try:
             yield _SqliteAsker(lite, limit_s)
@@ -66,7 +66,7 @@ def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[Asker]:
         return
     from labos.audit._postgres import connect
 
-    with Door(parsed):
+    with TranslatedErrors(parsed):
         server = connect(parsed)
         server.execute("SET default_transaction_read_only = on")
         server.execute(f"SET search_path = {VIEW_SCHEMA}, pg_catalog".encode())
@@ -121,7 +121,7 @@ class _SqliteAsker:
         self._connection.set_progress_handler(None, 0)
         return self._connection.execute(query, values).fetchall()
 
-    def ask(self, query: str, values: Sequence[Any] = ()) -> Answer:
+    def ask(self, query: str, values: Sequence[Any] = ()) -> QueryResult:
         end = time.monotonic() + self._limit_s
         self._connection.set_authorizer(_allow)
         self._is_guarded = True
@@ -132,7 +132,7 @@ class _SqliteAsker:
             raise _refusal(str(error), self._limit_s) from None
         if cursor.description is None:
             raise BadInput("That asks nothing.", remedy="Ask with SELECT.")
-        return Answer(tuple(column[0] for column in cursor.description), self._rows(cursor))
+        return QueryResult(tuple(column[0] for column in cursor.description), self._rows(cursor))
 
     def _rows(self, cursor: sqlite3.Cursor) -> Iterator[Sequence[Any]]:
         try:
@@ -157,10 +157,10 @@ class _PostgresAsker:
         found = self._connection.execute(_for_postgres(query), values)
         return [tuple(_plain(value) for value in row) for row in found.fetchall()]
 
-    def ask(self, query: str, values: Sequence[Any] = ()) -> Answer:
+    def ask(self, query: str, values: Sequence[Any] = ()) -> QueryResult:
         rows = self._rows(query, values)
         columns = next(rows)
-        return Answer(tuple(columns), rows)
+        return QueryResult(tuple(columns), rows)
 
     def _rows(self, query: str, values: Sequence[Any]) -> Iterator[Sequence[Any]]:
         import psycopg

@@ -12,7 +12,7 @@ from labos.core.ids import local, workcell_of
 from labos.errors import StoreError
 from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.otlp import OtlpSender
-from labos.telemetry.process_metrics import Readings
+from labos.telemetry.process_metrics import ProcessReadings
 
 if TYPE_CHECKING:
     from labos.bootstrap._runtime import LabRuntime
@@ -85,11 +85,11 @@ class LabMetrics:
             found.append({"targets": [address], "labels": {"lab": name, "process": "node", **labels}})
         return found
 
-    def _read(self) -> Readings:
+    def _read(self) -> ProcessReadings:
         lab, kernel = self._lab, self._lab.kernel
         state, check, bus = kernel.state, lab.log_check, lab.bus.traffic
         disk = shutil.disk_usage(lab.settings.home)
-        return Readings(
+        return ProcessReadings(
             lab=state.lab.id,
             name=state.lab.name,
             simulated=lab.simulated,

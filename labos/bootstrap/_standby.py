@@ -65,7 +65,7 @@ class Standby:
             try:
                 await asyncio.to_thread(self.follower.catch_up)
                 await asyncio.to_thread(self._store.stand_by, self._name)
-                found = await asyncio.to_thread(self._store.holder)
+                found = await asyncio.to_thread(self._store.find_holder)
                 if self._ready and now() - asked > SURE_S:  # it stood still, and for its kernel too
                     self._away_until, self._unlocked_since = now(), None
                 if not self._ready:

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from labos.node.protocol import ANY_KERNEL, Keys
-from labos.pki import PROCESS_NAME, Entry, Identity
+from labos.pki import PROCESS_NAME, CertificateEntry, Identity
 
 ROUND_TRIP = "labos/@round-trip"
 """What nobody shows: asked for to learn that everything before it has arrived."""
@@ -38,7 +38,7 @@ Rule = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 """Flows, messages, keys."""
 
 
-def access_control(entries: Iterable[Entry]) -> dict[str, Any]:
+def access_control(entries: Iterable[CertificateEntry]) -> dict[str, Any]:
     """The part ``access_control`` of Zenoh's configuration, for certificates that are not revoked."""
     rules: list[dict[str, Any]] = []
     subjects: list[dict[str, Any]] = []

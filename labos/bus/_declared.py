@@ -55,7 +55,7 @@ class Declared:
                 _log.warning("not_declared_again", error=reason_of(error))
 
 
-class Watch:
+class KeyWatch:
     """The living keys that a watcher was told of."""
 
     def __init__(self, deliver: Callable[[str, bool], None]) -> None:

@@ -9,7 +9,7 @@ import msgspec
 
 from labos.bus._zenoh import ZenohBus
 from labos.node.protocol import Keys
-from labos.pki import Entry
+from labos.pki import CertificateEntry
 from labos.ports import Handle
 
 PATIENCE_S = 10.0
@@ -20,7 +20,7 @@ class Unheard(msgspec.Struct, frozen=True):
     """``silent`` are nodes that are connected with a certificate and have not shown themselves; ``unknown``
     the common names of certificates that may do nothing here."""
 
-    silent: tuple[Entry, ...] = ()
+    silent: tuple[CertificateEntry, ...] = ()
     unknown: tuple[str, ...] = ()
 
 
@@ -40,7 +40,7 @@ class Onlooker:
         if self._handle is not None:
             self._handle.close()
 
-    def look(self, admitted: Iterable[Entry]) -> Unheard:
+    def look(self, admitted: Iterable[CertificateEntry]) -> Unheard:
         """Who has been connected for a while and is not heard."""
         known = {entry.common_name: entry for entry in admitted}
         now = asyncio.get_running_loop().time()
@@ -52,7 +52,7 @@ class Onlooker:
             tuple(name for name in long_here if name not in known),
         )
 
-    def _is_heard(self, entry: Entry) -> bool:
+    def _is_heard(self, entry: CertificateEntry) -> bool:
         who = entry.identity
         return who.kind != "node" or (who.lab, who.name) in self._living
 

@@ -35,7 +35,7 @@ class Opening:
         try:
             return await asyncio.to_thread(zenoh.open, config)
         except zenoh.ZError as error:
-            raise _opening_failed(
+            raise _explain_failure(
                 reason_of(error), self._listen, self._connect, secure=security is not None
             ) from error
 
@@ -69,7 +69,7 @@ def config_of(mode: Mode, listen: Sequence[str], connect: Sequence[str], securit
     return config
 
 
-def _opening_failed(reason: str, listen: Sequence[str], connect: Sequence[str], *, secure: bool) -> BusError:
+def _explain_failure(reason: str, listen: Sequence[str], connect: Sequence[str], *, secure: bool) -> BusError:
     where = ", ".join(connect if "connect" in reason else [*listen, *connect])
     if "in use" in reason or "os error 10048" in reason:
         return BusError(

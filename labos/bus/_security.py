@@ -8,7 +8,7 @@ import msgspec
 
 from labos.bus._access import access_control
 from labos.errors import BadInput
-from labos.pki import Credentials, Entry
+from labos.pki import CertificateEntry, Credentials
 
 SCHEME = "tls/"
 
@@ -18,7 +18,7 @@ class Security(msgspec.Struct, frozen=True):
     bus; else whoever runs it knows them."""
 
     credentials: Credentials
-    members: tuple[Entry, ...] = ()
+    members: tuple[CertificateEntry, ...] = ()
 
     def settings(self, mode: str) -> dict[str, Any]:
         """Zenoh's settings for a session of that mode."""

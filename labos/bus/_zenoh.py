@@ -18,7 +18,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from labos.bus._access import ROUND_TRIP
-from labos.bus._declared import Declared, Guarded, Waiting, Watch
+from labos.bus._declared import Declared, Guarded, KeyWatch, Waiting
 from labos.bus._opening import Mode, Opening, reason_of
 from labos.bus._security import Security
 from labos.errors import BusError, LabosError, NoAnswer
@@ -75,7 +75,7 @@ class ZenohBus:
         self._reopening: asyncio.Task[None] | None = None
         self.traffic = Traffic()
         self._handles: dict[Declared, None] = {}  # in the order in which they were declared
-        self._watches: dict[Declared, Watch] = {}
+        self._watches: dict[Declared, KeyWatch] = {}
         self._served: list[tuple[str, Declared]] = []
         self._answering: set[asyncio.Task[None]] = set()
         self._closed = False
@@ -197,7 +197,7 @@ class ZenohBus:
     async def watch_alive(self, keys: str, listener: AliveListener) -> Handle:
         """Call ``listener(key, alive)`` on the event loop; those alive now are told first."""
         deliver = Guarded(listener)
-        watch = Watch(deliver)
+        watch = KeyWatch(deliver)
 
         def on_token(sample: Any) -> None:
             self._hand_over(watch.note, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)

@@ -10,7 +10,7 @@ import click
 
 from labos.audit.database import AuditDatabase, audit_url, open_audit
 from labos.audit.projector import Projector
-from labos.audit.query import TIME_LIMIT_S, Asker, open_asker
+from labos.audit.query import TIME_LIMIT_S, ReadConnection, open_asker
 from labos.cli._query import Where, open_database
 from labos.services.shown import ShownLog
 from labos.settings import Settings
@@ -33,7 +33,9 @@ def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase,
 
 
 @contextmanager
-def open_log_and_views(where: Where, limit_s: float = TIME_LIMIT_S) -> Iterator[tuple[SqlEventStore, Asker]]:
+def open_log_and_views(
+    where: Where, limit_s: float = TIME_LIMIT_S
+) -> Iterator[tuple[SqlEventStore, ReadConnection]]:
     """The log and the views on it, which know all that is in it now. Raises BadInput, StoreUnavailable."""
     with open_projector(where) as (store, _, projector):
         projector.catch_up(tell_progress)
@@ -42,13 +44,13 @@ def open_log_and_views(where: Where, limit_s: float = TIME_LIMIT_S) -> Iterator[
 
 
 @contextmanager
-def open_views(where: Where, limit_s: float) -> Iterator[Asker]:
+def open_views(where: Where, limit_s: float) -> Iterator[ReadConnection]:
     """The same, for who needs the views only."""
     with open_log_and_views(where, limit_s) as (_, asker):
         yield asker
 
 
-def open_views_as_is(where: Where, limit_s: float) -> AbstractContextManager[Asker]:
+def open_views_as_is(where: Where, limit_s: float) -> AbstractContextManager[ReadConnection]:
     """The views, with what they know already."""
     return open_asker(where.url, limit_s)
 

@@ -19,16 +19,16 @@ from labos.cli._out import show_json, tell
 @click.command("observe")
 @click.argument("station", shell_complete=completes("station"))
 @click.argument("what", required=False, default="")
-@json_option_saying("What follows from it, for a program.")
+@json_option_saying("Print the consequences as JSON, for programs.")
 @user_option
 @home_option
 def observe(station: str, what: str, as_json: bool, user: str | None, home: str | None) -> None:
-    """Report an observation at STATION: empty, how many pieces, labware by its id or barcode, or a
-    labware type; without WHAT: something stands there.
+    """Report an observation at STATION. WHAT is `empty`, the number of pieces, an id or barcode of labware,
+    or a labware type. Without WHAT you report that something stands there.
 
-    Labware of which the lab is not sure where it stands is narrowed down by every station that
-    is observed empty, and settled where it is observed; the question about it is auto-resolved. An
-    observation that contradicts the log opens a question: only the labware concerned waits for it.
+    If the lab does not know where a piece of labware stands, each station that is observed empty excludes
+    one possible place. As soon as the piece is observed, the lab's question about it is auto-resolved. An
+    observation that contradicts the log opens a question. Only runs that need this labware wait for it.
 
     \b
     labos observe pf400.gripper empty
@@ -66,10 +66,10 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
     "--to",
     type=click.Choice(["user", "experiment", "shared"]),
     required=True,
-    help="To whom: user NAME, experiment ID, or shared for everybody.",
+    help="The new owner: user NAME, experiment ID, or shared for everybody.",
 )
 @click.argument("name", required=False, default="")
-@click.option("--force", is_flag=True, help="As an operator: it is not yours; say --why.")
+@click.option("--force", is_flag=True, help="For operators: give labware that is not yours; needs --why.")
 @why_option("A note for the log.")
 @user_option
 @home_option
@@ -84,9 +84,10 @@ def give(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Hand LABWARE over: from then on the runs of its new owner may use it, and yours may not.
+    """Give LABWARE to a new owner. From then on the new owner's runs may use it, and yours may not.
 
-    Refused while a run uses it, while it is carried or worked on, and if it is not yours.
+    The command is refused if the labware is not yours, if a run uses it, or if an action on it is in
+    progress.
 
     \b
     labos give P7 --to user bob

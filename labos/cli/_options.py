@@ -48,7 +48,7 @@ database_option = click.option(
 ENDED_SHOWN = 20
 """So many that have ended are listed, unless all are asked for."""
 all_option = click.option(
-    "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
+    "--all", "everything", is_flag=True, help=f"Show all that have ended, not only the last {ENDED_SHOWN}."
 )
 address_option = click.option(
     "--address",
@@ -66,7 +66,7 @@ cert_option = click.option(
     "--cert",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="The folder that `labos pki issue` made, for a secure bus (that in the lab's folder).",
+    help="The folder from `labos pki issue`, for a secure bus (default: the one in the lab's folder).",
 )
 
 
@@ -88,10 +88,15 @@ def json_option_saying(about: str) -> Callable[[F], F]:
 
 json_option = json_option_saying("JSON, for programs.")
 propose_option = click.option(
-    "--propose", is_flag=True, help="It waits for an operator's approval, whatever the policy says."
+    "--propose",
+    is_flag=True,
+    help="Let it wait for an operator's approval, even if the policy does not require one.",
 )
 user_option = click.option(
-    "--user", envvar="LABOS_USER", metavar="NAME", help="Who asks (LABOS_USER; your login if not given)."
+    "--user",
+    envvar="LABOS_USER",
+    metavar="NAME",
+    help="The requesting user (LABOS_USER; your login if not given).",
 )
 
 
@@ -121,11 +126,15 @@ def web_options(about: str) -> Callable[[F], F]:
                     type=click.Path(dir_okay=False),
                     help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
                 ),
-                click.option("--tls-key", type=click.Path(dir_okay=False), help="Its key, a PEM file."),
+                click.option(
+                    "--tls-key",
+                    type=click.Path(dir_okay=False),
+                    help="The private key of --tls-cert, a PEM file.",
+                ),
                 click.option(
                     "--behind-proxy",
                     is_flag=True,
-                    help=f"Another program speaks TLS for {about}, and says for whom (X-Forwarded-For): "
+                    help=f"A proxy provides TLS for {about} and sends X-Forwarded-For: "
                     "nobody else may reach its port.",
                 ),
                 click.option(

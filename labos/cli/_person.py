@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 @click.command("cancel")
 @click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
-@wait_option("Wait until what was cancelled has ended.", default=False)
+@wait_option("Wait until all cancelled runs have ended.", default=False)
 @click.option("--stay", is_flag=True, help="Leave labware where it is, even if there are `on_cancel` steps.")
-@why_option("The reason, for the log and for those who ask later.")
+@why_option("The reason, for the log.")
 @user_option
 @home_option
 @json_option
@@ -35,18 +35,19 @@ def cancel(
 ) -> None:
     """Cancel TARGET: a run, an experiment, or the runs of a module, a workcell or the whole `lab`.
 
-    Actions in progress end first. Labware of a run is then cleared away by the `on_cancel` steps of its
-    workflow; if there are none, it stays where it is and a person is asked. An experiment takes no
-    more runs and closes. For a module, the active runs that still need it are cancelled.
+    Actions in progress continue to their end. Then the `on_cancel` steps of the workflow clear the run's
+    labware away. Without such steps the labware stays where it is, and the lab asks a person. A cancelled
+    experiment accepts no more runs and closes. With a module as TARGET, all active runs that still need it
+    are cancelled.
 
     \b
     labos cancel R3 --why "wrong plate"
-    labos cancel R3 --wait    come back when it has ended
-    labos cancel R3 --stay    move no labware any more, even if it is being cleared away
+    labos cancel R3 --wait    wait until it has ended
+    labos cancel R3 --stay    move no more labware, even if it is being cleared away
     labos cancel R3 --why "wrong plate"
-    labos cancel E2           all its runs; then its closing workflow clears away
-    labos cancel E2 --stay    its closing workflow too: all labware stays where it is
-    labos cancel rpl          all runs of a workcell, those that wait too
+    labos cancel E2           all its runs; then its closing workflow clears the labware away
+    labos cancel E2 --stay    without its closing workflow: all labware stays where it is
+    labos cancel rpl          all runs of a workcell, also waiting ones
     """
     from labos.cli._lab import need_lab
 
@@ -104,8 +105,8 @@ def _target_name(done: dict[str, Any]) -> str:
 @home_option
 @json_option
 def pause(target: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Start no further step of TARGET until it is resumed: a run, an experiment, a module, a workcell, or
-    the whole `lab`. Actions in progress continue to their end.
+    """Pause TARGET: a run, an experiment, a module, a workcell, or the whole `lab`. No further step starts
+    until you resume it. Actions in progress continue to their end.
 
     \b
     labos pause R3
@@ -121,7 +122,7 @@ def pause(target: str, why: str, user: str | None, home: str | None, as_json: bo
 @home_option
 @json_option
 def resume(target: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Let TARGET go on: a run, an experiment, a module, a workcell, or the whole `lab`.
+    """Resume TARGET: a run, an experiment, a module, a workcell, or the whole `lab`.
 
     \b
     labos resume R3
@@ -156,7 +157,9 @@ def _describe_reason(done: dict[str, Any]) -> str:
 @click.argument("intervention", shell_complete=completes("intervention"), required=False)
 @click.argument("choice", required=False)
 @why_option("A note for the log.")
-@click.option("--result", metavar="JSON", help="What a step that was done measured, if later steps read it.")
+@click.option(
+    "--result", metavar="JSON", help="The result of the step, if it was done and later steps read its result."
+)
 @user_option
 @home_option
 @json_option
@@ -169,7 +172,7 @@ def resolve(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Answer a question of the lab with one of its choices; without arguments, list them.
+    """Answer a question of the lab with one of its choices. Without arguments, list the questions.
 
     \b
     labos resolve
@@ -206,7 +209,7 @@ def resolve(
 @home_option
 @json_option
 def place(station: str, labware: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Report that you put LABWARE, given by its type, on an empty STATION.
+    """Report that you put labware on an empty STATION. LABWARE is its type.
 
     \b
     labos place camera_module.plate_station plate96
@@ -223,14 +226,14 @@ def place(station: str, labware: str, user: str | None, home: str | None, as_jso
 @click.command("barcode")
 @click.argument("labware", shell_complete=completes("labware"))
 @click.argument("barcode")
-@click.option("--replace", is_flag=True, help="It had another one; its label was changed.")
+@click.option("--replace", is_flag=True, help="Replace an earlier barcode, because the label was changed.")
 @user_option
 @home_option
 @json_option
 def barcode(
     labware: str, barcode: str, replace: bool, user: str | None, home: str | None, as_json: bool
 ) -> None:
-    """Record that LABWARE has BARCODE: if a reader finds another one there, a person is asked.
+    """Record that LABWARE has BARCODE. If a barcode reader reads another one, the lab asks a person.
 
     \b
     labos barcode P7 LB000815
@@ -244,15 +247,19 @@ def barcode(
 
 @click.command("out-of-service")
 @click.argument("module", shell_complete=completes("module"))
-@why_option("The reason, for everybody whose run waits.", required=True)
-@click.option("--until", metavar="TIME", help="When it is back by itself: 2h, 1d12h, 2026-05-04T10:30.")
+@why_option("The reason, for users whose runs wait.", required=True)
+@click.option(
+    "--until",
+    metavar="TIME",
+    help="When the module returns to service automatically: 2h, 1d12h, 2026-05-04T10:30.",
+)
 @user_option
 @home_option
 @json_option
 def out_of_service(
     module: str, why: str, until: str | None, user: str | None, home: str | None, as_json: bool
 ) -> None:
-    """Take MODULE out of service: what runs there ends, nothing more starts, runs wait for it.
+    """Take MODULE out of service: its current action ends, no new action starts, and runs wait for it.
 
     \b
     labos out-of-service hidex --why "lamp is being changed" --until 2h
@@ -274,7 +281,7 @@ def out_of_service(
 @home_option
 @json_option
 def in_service(module: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Put MODULE back in service: runs that wait for it go on.
+    """Put MODULE back in service: runs that wait for it continue.
 
     \b
     labos in-service hidex

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from labos.cli.restore import Restored
 
 
-class Rehearsal(msgspec.Struct, frozen=True):
+class RestoreRehearsal(msgspec.Struct, frozen=True):
     """What was found: ``took_s`` seconds for all of it; ``behind`` events of the lab's log are not in the
     backup (None: there is no log to compare with, ``compared`` says why)."""
 
@@ -55,7 +55,7 @@ def rehearse(
         home.mkdir(0o700)
         done = put_back(Where(home, own_database(home)))
     behind, compared = _compare(where, done)
-    found = Rehearsal(
+    found = RestoreRehearsal(
         lab=done.lab,
         folder=str(folder.absolute()),
         position=done.position,

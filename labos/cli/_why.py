@@ -7,7 +7,7 @@ import msgspec
 
 from labos.cli._out import show_json, show_table
 from labos.core.ids import local
-from labos.services.losses import Account, Loss, Losses, waits_for_a_person
+from labos.services.losses import Loss, LossAccount, Losses, waits_for_a_person
 from labos.services.next_touch import Touch
 from labos.services.times import show_span, show_time
 from labos.services.twh import Twh
@@ -41,12 +41,12 @@ def why_as_json(found: Losses, shown: list[Twh]) -> None:
     show_json({"pace": found.twh.pace, "scopes": scopes, "next_touches": touches})
 
 
-def account_of(found: Losses, twh: Twh) -> Account:
+def account_of(found: Losses, twh: Twh) -> LossAccount:
     """The account of a scope; an empty one if it never had work."""
     known = {"run": found.runs, "experiment": found.experiments, "workcell": found.workcells}
     if twh.kind == "lab":
         return found.lab
-    return known[twh.kind].get(twh.name) or Account(twh.kind, twh.name, 0, 0, 0, ())
+    return known[twh.kind].get(twh.name) or LossAccount(twh.kind, twh.name, 0, 0, 0, ())
 
 
 def as_plain(twh: Twh) -> dict[str, object]:
@@ -57,7 +57,7 @@ def as_plain(twh: Twh) -> dict[str, object]:
     return plain
 
 
-def _plain(each: Account) -> dict[str, object]:
+def _plain(each: LossAccount) -> dict[str, object]:
     return {
         "span_s": each.span_ns / 1e9,
         "at_work_s": each.at_work_ns / 1e9,
@@ -74,11 +74,11 @@ def _plain(each: Account) -> dict[str, object]:
     }
 
 
-def _name(each: Account) -> str:
+def _name(each: LossAccount) -> str:
     return "the lab" if each.kind == "lab" else f"{each.kind} {each.name}"
 
 
-def _account(each: Account) -> tuple[str, ...]:
+def _account(each: LossAccount) -> tuple[str, ...]:
     most = _cause(each.losses[0]) if each.losses else ""
     times = (each.span_ns, each.at_work_ns, each.lost_ns, each.for_a_person_ns)
     return (f"{each.kind} {each.name}".strip(), *(show_span(ns / 1e9) for ns in times), most)
@@ -88,7 +88,7 @@ def _cause(loss: Loss) -> str:
     return f"{local(loss.cause.module)} {loss.cause.what}".strip()
 
 
-def _loss(each: Account, loss: Loss) -> tuple[str, ...]:
+def _loss(each: LossAccount, loss: Loss) -> tuple[str, ...]:
     cause = loss.cause
     share = f"{100 * loss.lost_ns / each.span_ns:.1f} %"
     named = cause.what if cause.kind in ("error", "other") else f"{cause.kind}: {cause.what}"

@@ -19,19 +19,29 @@ if TYPE_CHECKING:
 LOOK_S = 0.2
 
 
-@click.command("access", short_help="Reach into a workcell: everything there waits meanwhile.")
+@click.command("access", short_help="Reach into a workcell while its runs wait.")
 @click.argument("workcell", shell_complete=completes("workcell"))
-@why_option("What for: those whose runs wait can read it. With --done: a word about it.")
+@why_option("The reason; users whose runs wait can read it. With --done: a comment.")
 @click.option("--no-park", is_flag=True, help="Leave the arms where they are.")
-@click.option("--timeout", type=float, default=600.0, show_default=True, help="Seconds to wait for it.")
-@click.option("--done", is_flag=True, help="Everybody is out again; the lab goes on.")
+@click.option(
+    "--timeout",
+    type=float,
+    default=600.0,
+    show_default=True,
+    help="How many seconds to wait until nothing moves.",
+)
+@click.option(
+    "--done", is_flag=True, help="Report that nobody reaches into the workcell any more; the lab continues."
+)
 @click.option(
     "--changed",
     multiple=True,
     metavar="STATION=WHAT",
-    help="With --done: what stands there now: `empty`, labware by its id (P7), or a type of labware.",
+    help="With --done: what stands at a station now: `empty`, an id of labware (P7), or a labware type.",
 )
-@click.option("--unchanged", is_flag=True, help="With --done: nothing was changed; ask nothing.")
+@click.option(
+    "--unchanged", is_flag=True, help="With --done: report that nothing was changed, without questions."
+)
 @json_option
 @user_option
 @home_option
@@ -47,12 +57,13 @@ def command(
     user: str | None,
     home: str | None,
 ) -> None:
-    """Reach into WORKCELL: nothing more starts there, arms that have a home go there, what is in
-    flight ends; then the command reports that nothing moves. Runs wait until you report --done.
+    """Request access, to reach into WORKCELL. No new action starts there, actions in progress end, and arms
+    with a home position move to it. Then the command reports that nothing moves. Runs wait until you report
+    --done.
 
-    This is no safety function: doors, light curtains and emergency stops are what protects you.
-    With --done, report what you changed: everything else is taken to stand as before. On a terminal you
-    are asked, station by station, and confirm at the end; nothing is sent to the lab before that.
+    This is not a safety function: only doors, light curtains and emergency stops protect you. With --done,
+    report what you changed. LabOS assumes that everything else is unchanged. On a terminal, the command asks
+    you about each station, and you confirm at the end. Nothing is sent to the lab before that.
 
     \b
     labos access rpl --why "a plate has slipped"

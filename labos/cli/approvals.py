@@ -21,16 +21,15 @@ DIGEST_SHOWN = 12
 _subject = click.argument("subject", metavar="ID")
 
 
-@click.command("approvals", short_help="What waits for an approval, and why.")
+@click.command("approvals", short_help="List requests that wait for an approval, and why.")
 @click.argument("subject", metavar="ID", required=False)
-@click.option("--no-forecast", is_flag=True, help="Do not work out what it would bring.")
+@click.option("--no-forecast", is_flag=True, help="Do not forecast the effects of an approval.")
 @home_option
 @json_option
 def approvals(subject: str | None, no_forecast: bool, home: str | None, as_json: bool) -> None:
-    """The runs, campaigns and experiments that wait for an approval by the lab's policy, and changes of
-    campaigns. With an ID: what it asks of the lab, what it would bring if it were approved now (when it
-    starts and ends, whom it delays, what it uses up), and how it differs from what was approved last under
-    its name.
+    """List runs, campaigns, experiments and changes of campaigns that wait for an approval by the lab's
+    policy. With an ID, show what it requests, a forecast for an approval now (start, end, delayed runs,
+    consumption), and the differences from the last approved request with the same name.
 
     \b
     labos approvals
@@ -139,17 +138,25 @@ def _plain(text: str) -> str:
 @click.command("approve")
 @_subject
 @click.option(
-    "--digest", metavar="SHA", help="The digest of what you checked; refused if it was changed since."
+    "--digest",
+    metavar="SHA",
+    help="The digest of the version that you checked; refused if it was changed since.",
 )
-@click.option("--priority", type=int, help="Instead of the requested one.")
-@click.option("--deadline", metavar="TIME", help="Of a campaign: 2026-05-04T10:30, 12h, or empty for none.")
-@click.option("--runs", type=click.IntRange(min=0), help="Of a campaign: so many rows at most.")
-@click.option("--lab-time", metavar="TIME", help="Of a campaign: so much module time at most, as `20 h`.")
-@click.option("--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="So much at most.")
+@click.option("--priority", type=int, help="The priority, in place of the requested one.")
+@click.option(
+    "--deadline",
+    metavar="TIME",
+    help="For a campaign: the deadline, 2026-05-04T10:30, 12h, or empty for none.",
+)
+@click.option("--runs", type=click.IntRange(min=0), help="For a campaign: the maximum number of rows.")
+@click.option("--lab-time", metavar="TIME", help="For a campaign: the maximum module time, such as `20 h`.")
+@click.option(
+    "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="The maximum consumption."
+)
 @click.option(
     "--alike",
     is_flag=True,
-    help="Of a run in an experiment: further runs of its workflow there, with other values, need none.",
+    help="For a run in an experiment: approve further runs of the same workflow with other values too.",
 )
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @why_option("A comment, for the log.")
@@ -169,9 +176,9 @@ def approve(
     as_json: bool,
     **changes: Any,
 ) -> None:
-    """Let the run, campaign or experiment ID go on: as it was proposed, or with changes.
+    """Approve the run, campaign or experiment ID: as it was proposed, or with changes.
 
-    What was looked at is what runs: if it was changed meanwhile, nothing is approved.
+    LabOS approves only the version that you have seen. If it was changed meanwhile, the command is refused.
 
     \b
     labos approve R7 --why "looked at the protocol"
@@ -207,8 +214,8 @@ def approve(
 @home_option
 @json_option
 def refuse(subject: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Do not let the run, campaign or experiment ID go on: it is cancelled. A change of a campaign is not
-    made, and the campaign goes on as before."""
+    """Refuse the run, campaign or experiment ID: it is cancelled. If ID is a change of a campaign, the
+    campaign continues without the change."""
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:

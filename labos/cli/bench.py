@@ -18,12 +18,12 @@ from labos.errors import BadInput
 
 @click.group("bench", cls=Suggesting)
 def command() -> None:
-    """What stands on the bench: declare it, or show a simulated one."""
+    """Declare what stands on the bench, or show a simulated bench."""
 
 
 @command.command("declare")
 @click.argument("stations", nargs=-1, metavar="[FILE | STATION=TYPE]...")
-@click.option("--empty", is_flag=True, help="All stations that were not declared yet are empty.")
+@click.option("--empty", is_flag=True, help="Declare all stations that were not declared yet as empty.")
 @click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
 @json_option
 @user_option
@@ -31,11 +31,12 @@ def command() -> None:
 def declare(
     stations: tuple[str, ...], empty: bool, workcell: str, as_json: bool, user: str | None, home: str | None
 ) -> None:
-    """Declare what stands at stations. A station that nobody has declared is unknown, not empty: runs that
+    """Declare what stands at stations. A station that was never declared is unknown, not empty. Runs that
     would put something there wait (`labos explain`).
 
-    A station is followed by what stands there, bottom to top; nothing behind `=` is an empty one. A
-    FILE is YAML: a station and its list of types in each line. All of it is declared, or nothing.
+    After a station and `=`, list the labware types from bottom to top. Nothing after `=` declares an empty
+    station. A FILE is YAML: each line has a station and its list of types. If one entry has an error,
+    nothing is declared.
 
     \b
     labos bench declare --empty
@@ -69,14 +70,14 @@ def declare(
 @json_option
 @log_options
 def show(where: Where, as_json: bool) -> None:
-    """Show a simulated bench: what its devices really did, whatever the log says, and where the two
-    differ (exit code 1). It works with and without a running lab, and changes nothing.
+    """Show the true state of a simulated bench, and where it differs from the log (exit code 1). The command
+    works with and without a running lab, and changes nothing.
 
     \b
     labos bench show
-    labos stations       what the log says
+    labos stations       the state according to the log
 
-    What an arm holds or has dropped is shown too. A real bench can only be checked by a person.
+    The command also shows labware that an arm holds or has dropped. Only a person can check a real bench.
     """
     from labos.cli._bench_view import BenchView, read_bench, show
     from labos.cli._out import show_json
@@ -98,13 +99,15 @@ def show(where: Where, as_json: bool) -> None:
         raise SystemExit(1)
 
 
-@command.command("round", short_help="Go round the bench of a log that has lost its end.")
+@command.command("round", short_help="Check the bench after the log has lost its end.")
 @click.option("--say", "told", multiple=True, metavar="STATION=WHAT", help="What stands at a station.")
 @click.option(
     "--file", "path", metavar="FILE", help="What stands where: `STATION: WHAT` in each line (YAML)."
 )
-@click.option("--as-simulated", "simulated", is_flag=True, help="Report what a simulated bench really holds.")
-@click.option("--only-say", is_flag=True, help="Leave the question open, even if every station is reported.")
+@click.option("--as-simulated", "simulated", is_flag=True, help="Report the true state of a simulated bench.")
+@click.option(
+    "--only-say", is_flag=True, help="Do not complete the check, even if every station is reported."
+)
 @json_option
 @user_option
 @log_options
@@ -117,23 +120,23 @@ def round_(
     as_json: bool,
     user: str | None,
 ) -> None:
-    """Report what stands where, after the log has lost its end: its nodes, a checkpoint or a journal know
-    more than it holds, or it was restored from an older copy. Nothing starts before that.
+    """Check the bench, station by station, after the log has lost its end. This is so if nodes, a checkpoint
+    or a journal know later events than the log, or if the log was restored from an older copy. No action
+    starts before the check is complete.
 
-    On a terminal you are asked, station by station; answers are kept if you stop. Where an action that the
-    log does not know has worked, report what stands there; elsewhere `as recorded` is enough. WHAT is
-    `empty`, labware by its id (P7) or, where the log does not know it, by its type (plate96, 20xplate96),
-    with its lid (P7+P8), bottom to top; of a waste the number. A FILE is YAML, and may end with
-    `rest: as recorded`.
+    On a terminal, the command asks you about each station. Your answers are kept if you stop. For a station
+    that a lost action has changed, report what stands there. For all others, `as recorded` is enough. WHAT
+    is `empty`, or the labware from bottom to top: its id (P7), with its lid (P7+P8), or its type if the log
+    does not know it (plate96, 20xplate96). For a waste, WHAT is the number of pieces. A FILE is YAML, and
+    may end with `rest: as recorded`.
 
     \b
-    labos bench round --json                  what is known, and what has to be reported
+    labos bench round --json                  what is known, and which stations you have to report
     labos bench round --say sealer.default=P7 --say peeler.default=empty
     labos bench round --file bench.yaml
 
-    When every station is reported, the question is answered: runs that were under way end, their labware
-    stays where you reported it and belongs to their users; runs that wait are paused (labos resume R7,
-    labos cancel R7).
+    After the last station, the check is complete. Runs that were active end. Their labware stays where you
+    reported it and belongs to their users. Waiting runs are paused (labos resume R7, labos cancel R7).
     """
     from labos.cli._bench_round import ask, from_file, from_options, say, show, show_not_known, show_refused
     from labos.cli._lab import need_lab_of

@@ -10,8 +10,8 @@ from labos.cli._complete import completes
 from labos.cli._out import tell
 from labos.cli._query import Where, json_option, log_options, open_database
 from labos.errors import NotFound, SystemFailed
-from labos.services.trust.bundle import About, Attachments, make_bundle, note_beside
-from labos.services.trust.keys import Keys
+from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
+from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import parse_note
 from labos.services.trust.places import newest_in
 from labos.services.trust.publish import FOLDER
@@ -19,7 +19,7 @@ from labos.settings import Settings
 from labos.store import create_file, open_blobs
 
 
-@click.command("bundle", short_help="A run, an experiment or a campaign as a file that proves itself.")
+@click.command("bundle", short_help="Write a run, experiment or campaign to a file with its proof.")
 @click.argument("subject", metavar="ID", shell_complete=completes("run", "experiment"))
 @click.option(
     "-o",
@@ -28,32 +28,34 @@ from labos.store import create_file, open_blobs
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Where the bundle goes.",
+    help="The file to write.",
 )
 @click.option(
     "--checkpoint",
     "checkpoint",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="The checkpoint that it rests on (the newest in checkpoints/ of the lab's folder).",
+    help="The checkpoint for the proof (default: the newest in checkpoints/ of the lab's folder).",
 )
-@click.option("--without-words", is_flag=True, help="Leave out what people wrote; it verifies as well.")
+@click.option(
+    "--without-words", is_flag=True, help="Leave out texts that people wrote; the bundle still verifies."
+)
 @json_option
 @log_options
 def command(
     where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool, as_json: bool
 ) -> None:
-    """Write a run's events, plan and files into FILE, with the proof that they are in the log whose
-    checkpoint was signed; of an experiment or a campaign its own events and those of all its runs. Whoever
-    has the lab's public key checks it without network and without the lab:
+    """Write a run's events, plan and files to FILE, with the proof that they are in the log of a signed
+    checkpoint. For an experiment or a campaign, write its own events and those of all its runs. With the
+    lab's public key, anybody can check the file without network and without the lab:
 
     \b
     labos checkpoint
     labos bundle R7 -o R7.zip
     labos verify --bundle R7.zip --public-key lab.pub
 
-    What people wrote (reasons, notes, comments) is in it as long as it was not erased. A bundle that was
-    handed on is not reached by `labos erase`.
+    The bundle includes texts that people wrote (reasons, notes, comments), unless they were erased. `labos
+    erase` cannot change a bundle that was already passed on.
     """
     data, about = make_bundle_of(where, subject, checkpoint, words=not without_words)
     try:
@@ -67,7 +69,7 @@ def command(
 
 def make_bundle_of(
     where: Where, subject: str, checkpoint: Path | None = None, *, words: bool = True
-) -> tuple[bytes, About]:
+) -> tuple[bytes, AboutBundle]:
     """The bundle of a run, an experiment or a campaign, on a checkpoint or the newest one of the lab, with
     what people wrote or without. Raises NotFound, Refused, LogDamaged."""
     path = checkpoint or newest_in(where.home / FOLDER)
@@ -80,6 +82,6 @@ def make_bundle_of(
             f"The checkpoint {path} cannot be read: {error.strerror or error}.",
             remedy="Name one that labos checkpoint has made: a file that ends in .note.",
         ) from None
-    beside = Attachments(parse_note(note), stamp, Keys(where.home).rotations(), words)
+    beside = Attachments(parse_note(note), stamp, SigningKeys(where.home).rotations(), words)
     with open_database(where) as store:
         return make_bundle(store, open_blobs(Settings.make(where.home, where.url).blobs), subject, beside)

@@ -13,14 +13,19 @@ from labos.errors import BadInput
 
 @click.command("calibrate")
 @click.argument("module", shell_complete=completes("module"))
-@click.option("--what", default="", metavar="TEXT", help="What of it, as `volume`; else all of it.")
+@click.option(
+    "--what",
+    default="",
+    metavar="TEXT",
+    help="The calibrated quantity, such as `volume`; otherwise the whole module.",
+)
 @click.option("--certificate", default="", metavar="TEXT", help="The certificate's number.")
 @click.option(
     "--file",
     "report",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="REPORT",
-    help="The report, to be kept with the lab's files.",
+    help="The report; it is stored with the lab's files.",
 )
 @click.option("--until", default="", metavar="DATE", help="The last day on which it is valid: 2027-01-01.")
 @why_option()
@@ -38,12 +43,12 @@ def command(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Record that MODULE was calibrated. It counts from now on, for what `labos provenance` says of later
-    actions, and takes the place of the one before it of the same `--what`.
+    """Record that MODULE was calibrated. `labos provenance` shows this calibration for all later actions. It
+    replaces the earlier calibration with the same `--what`.
 
-    To correct a calibration, record it again; to withdraw it, with a day in the past after `--until`. The
-    log keeps them all. No run waits for a calibration, and none stops because one has expired: `labos
-    doctor` warns two weeks before.
+    To correct a calibration, record it again. To withdraw it, record it again with a day in the past as
+    `--until`. The log keeps all of them. No run waits for a calibration, and no run stops because a
+    calibration has expired. `labos doctor` warns two weeks before it expires.
 
     \b
     labos calibrate ot2_cp_gamma --what volume --certificate K-2041 --until 2027-01-01

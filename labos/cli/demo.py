@@ -40,9 +40,10 @@ SPEED = 400.0
 def command(speed: float, keep: bool, database: str | None, seed: int, home: str | None) -> None:
     """Run the demonstration on simulated instruments; takes about 40 seconds.
 
-    The RPL workcell of Vescovi et al. with its fourteen modules, each a process of its own. Ada
-    submits two PCR workflows; Bo's application picks a colour: a new plate, three mixes, trash.
-    They share the arm and the stacks, and every step is an event in the log that stays behind.
+    It runs the RPL workcell of Vescovi et al. with its fourteen modules, one process for each. The user
+    Ada submits two PCR workflows. Bo's application picks a colour: it takes a new plate, mixes three
+    times, and throws the plate away. Both share the arm and the stacks. Every step is an event in the
+    log, which you can read afterwards.
 
     \b
     labos demo

@@ -21,8 +21,8 @@ from labos.services.times import Moment
 @json_option
 @log_options
 def command(where: Where, first: Moment, last: Moment, as_json: bool) -> None:
-    """The differences in the lab between two moments: where labware is, runs, levels of resources,
-    questions to people, and drivers' versions.
+    """Show the differences of the lab between two moments: places of labware, runs, levels of resources,
+    questions to people, and versions of drivers.
 
     \b
     labos diff --since -2h

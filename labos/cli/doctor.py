@@ -13,11 +13,11 @@ import click
 from labos.cli._exit import FAILED
 from labos.cli._out import show_json
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
-from labos.core.lengths import drifts
+from labos.core.lengths import find_drifts
 from labos.errors import LabosError
 from labos.pki import Authority
 from labos.services.doctor import (
-    Finding,
+    DoctorFinding,
     check_calibrations,
     check_certificates,
     check_durations,
@@ -43,13 +43,13 @@ PRIVATE = ("labos.db", "labos.key", "labos.head", "keys", "blobs", "journals", "
 LONG_AGO_S = 7 * 86_400.0
 
 
-@click.command("doctor", short_help="Is everything that a lab stands on as it should be?")
+@click.command("doctor", short_help="Check the lab's database, disk, network, nodes and backups.")
 @json_option
 @log_options
 def command(where: Where, as_json: bool) -> None:
     """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints, backups and
-    calibrations, and report for each what to do if it is not as it should be. Moves nothing and changes
-    nothing; works with and without a running kernel. Exit code 1 if anything is a fault.
+    calibrations, and report a remedy for each problem. The command moves and changes nothing. It works with
+    and without a running kernel. Exit code 1 if there is a fault.
 
     \b
     labos doctor
@@ -70,16 +70,16 @@ def command(where: Where, as_json: bool) -> None:
         raise SystemExit(FAILED)
 
 
-def _faults(found: list[Finding]) -> int:
+def _faults(found: list[DoctorFinding]) -> int:
     return sum(finding.state == "fault" for finding in found)
 
 
-def _examine(where: Where) -> Iterator[Finding]:
+def _examine(where: Where) -> Iterator[DoctorFinding]:
     kernel = find_kernel(where.home)
     yield _database(where)
     if not where.home.is_dir():
         told = f"There is no folder {where.home}."
-        yield Finding("home", "fault", told, "Name the lab's folder (--home), or start a lab: labos up")
+        yield DoctorFinding("home", "fault", told, "Name the lab's folder (--home), or start a lab: labos up")
         return
     file = database_file(where.url)
     disk = file.parent if file is not None and file.parent.is_dir() else where.home
@@ -101,33 +101,35 @@ def _examine(where: Where) -> Iterator[Finding]:
     yield from _state(where)
 
 
-def _examine_safely(name: str, look: Callable[[], Finding]) -> Iterator[Finding]:
+def _examine_safely(name: str, look: Callable[[], DoctorFinding]) -> Iterator[DoctorFinding]:
     """What cannot be looked at is a fault too."""
     try:
         yield look()
     except OSError as error:
-        yield Finding(name, "fault", f"This cannot be looked at: {error}.", "Is it this user's lab?")
+        yield DoctorFinding(name, "fault", f"This cannot be looked at: {error}.", "Is it this user's lab?")
 
 
-def _database(where: Where) -> Finding:
+def _database(where: Where) -> DoctorFinding:
     try:
         found = database_status(where.url)
     except LabosError as error:
         told = f"The database {show_url(where.url)} cannot be used: {error.message}"
-        return Finding("database", "fault", told, error.remedy)
+        return DoctorFinding("database", "fault", told, error.remedy)
     told = f"The {found.name} is at revision {found.revision or 'none'}; this LabOS needs {found.expected}."
     match found.state:
         case "current":
-            return Finding("database", "ok", told)
+            return DoctorFinding("database", "ok", told)
         case "missing" | "empty":
             told = f"There is no log in {show_url(where.url)} yet."
-            return Finding("database", "warning", told, "labos up makes one. Or is another --home meant?")
+            return DoctorFinding(
+                "database", "warning", told, "labos up makes one. Or is another --home meant?"
+            )
         case "older":
-            return Finding("database", "fault", told, "Take a backup, then: labos db upgrade")
-    return Finding("database", "fault", told, "Install the newer LabOS that wrote it.")
+            return DoctorFinding("database", "fault", told, "Take a backup, then: labos db upgrade")
+    return DoctorFinding("database", "fault", told, "Install the newer LabOS that wrote it.")
 
 
-def _state(where: Where) -> Iterator[Finding]:
+def _state(where: Where) -> Iterator[DoctorFinding]:
     """Whether actions take as long as planned and calibrations are valid, where there is a log that can be
     read."""
     try:
@@ -137,18 +139,18 @@ def _state(where: Where) -> Iterator[Finding]:
             state = state_at(store)
     except LabosError:
         return  # what is wrong with the log is told elsewhere
-    yield check_durations(drifts(state.lengths, state.lab.pace))
+    yield check_durations(find_drifts(state.lengths, state.lab.pace))
     yield from check_calibrations(state, now_ns())
 
 
-def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[Finding]:
+def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFinding]:
     ports = last_ports(home)
     if kernel is None:
         for name, port in (("HTTP", ports.http), ("bus", ports.bus)):
             if port and not is_free(port):
                 told = f"Another program listens on {port}, the lab's port for {name}."
                 remedy = f"End it, or say another one: labos up --{name.lower()}-port PORT"
-                yield Finding("ports", "fault", told, remedy)
+                yield DoctorFinding("ports", "fault", told, remedy)
         return
     endpoint = urlsplit(kernel.bus.replace("/", "://", 1))
     try:
@@ -156,48 +158,52 @@ def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[Finding]:
         yield _bus(kernel.bus, endpoint.hostname or "")
     except (OSError, ValueError) as error:
         told = f"The bus does not answer at {kernel.bus}: {error}."
-        yield Finding(
+        yield DoctorFinding(
             "bus", "fault", told, "Start it (labos bus), and look at the firewall between the hosts."
         )
 
 
-def _bus(where: str, host: str) -> Finding:
+def _bus(where: str, host: str) -> DoctorFinding:
     from labos.http.server import is_own_address
 
     told = f"The bus answers at {where}."
     if where.startswith("tls/") or is_own_address(host):
-        return Finding("bus", "ok", told)
+        return DoctorFinding("bus", "ok", told)
     told = f"{told} Other computers reach it, and nobody there has to say who he is."
-    return Finding("bus", "warning", told, "labos up --secure; see docs/secure-bus.md.")
+    return DoctorFinding("bus", "warning", told, "labos up --secure; see docs/secure-bus.md.")
 
 
-def _certificates(authority: Authority) -> Iterator[Finding]:
+def _certificates(authority: Authority) -> Iterator[DoctorFinding]:
     if not authority.exists:
         return
     try:
         yield from check_certificates(authority, now_ns())
     except LabosError as error:
-        yield Finding("certificates", "fault", f"They cannot be looked at: {error.message}", error.remedy)
+        yield DoctorFinding(
+            "certificates", "fault", f"They cannot be looked at: {error.message}", error.remedy
+        )
 
 
-def _no_kernel(where: Where) -> Finding:
+def _no_kernel(where: Where) -> DoctorFinding:
     try:
         owner = lease_holder(where.url)
     except LabosError:
         owner = ""
     if owner:
         told = f"A kernel holds this log ({owner}), and does not answer here."
-        return Finding("kernel", "warning", told, "It runs elsewhere, or is frozen: look there.")
+        return DoctorFinding("kernel", "warning", told, "It runs elsewhere, or is frozen: look there.")
     last = last_kernel(where.home)
     if last is not None and last.pid:
         told = (
             f"The last kernel of this lab (pid {last.pid}) ended without a word: it was killed, or crashed."
         )
-        return Finding("kernel", "warning", told, "Look into the journal of its service; then: labos up")
-    return Finding("kernel", "ok", "No kernel runs this lab; the last one ended in order.")
+        return DoctorFinding(
+            "kernel", "warning", told, "Look into the journal of its service; then: labos up"
+        )
+    return DoctorFinding("kernel", "ok", "No kernel runs this lab; the last one ended in order.")
 
 
-def _kernel(home: Path, kernel: KernelInfo) -> Iterator[Finding]:
+def _kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
     from labos.client import LabClient
 
     try:
@@ -205,37 +211,43 @@ def _kernel(home: Path, kernel: KernelInfo) -> Iterator[Finding]:
             health = client.health()
             heard = client.check_nodes()
     except LabosError as error:
-        yield Finding("kernel", "fault", f"The kernel at {kernel.url} says: {error.message}", error.remedy)
+        yield DoctorFinding(
+            "kernel", "fault", f"The kernel at {kernel.url} says: {error.message}", error.remedy
+        )
         return
     yield _health(kernel, health)
     for driver, why in health.get("broken_drivers", {}).items():
         told = f"The driver {driver} cannot be loaded: {why}"
-        yield Finding("drivers", "warning", told, "Install what it needs, if a module uses it.")
+        yield DoctorFinding("drivers", "warning", told, "Install what it needs, if a module uses it.")
     yield from check_nodes(heard, VERSION)
 
 
-def _health(kernel: KernelInfo, health: dict[str, Any]) -> Finding:
+def _health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
     check = health.get("log_check") or {}
     if check.get("damage"):
         told = f"The log is damaged. {check['damage']}"
-        return Finding("log", "fault", told, "Keep it as it is, look with labos verify, restore a backup.")
+        return DoctorFinding(
+            "log", "fault", told, "Keep it as it is, look with labos verify, restore a backup."
+        )
     if health.get("status") != "ok" or health.get("suspended"):
         told = (
             f"The kernel at {kernel.url} does not write: {health.get('suspended') or health.get('status')}."
         )
-        return Finding("kernel", "fault", told, "Is its database there? It goes on when it is back.")
-    return Finding("kernel", "ok", f"The kernel at {kernel.url} runs; the log is at {health['position']}.")
+        return DoctorFinding("kernel", "fault", told, "Is its database there? It goes on when it is back.")
+    return DoctorFinding(
+        "kernel", "ok", f"The kernel at {kernel.url} runs; the log is at {health['position']}."
+    )
 
 
-def _checkpoint(home: Path) -> Finding:
+def _checkpoint(home: Path) -> DoctorFinding:
     newest = newest_in(home / FOLDER)
     if newest is None:
         told = "No checkpoint of the log was signed yet: to others nothing is proven."
-        return Finding(
+        return DoctorFinding(
             "checkpoints", "warning", told, "labos key create, then labos checkpoint --follow --to PLACE"
         )
     made_ns = int(newest.stat().st_mtime * 1e9)
     told = f"The newest checkpoint is {newest.name}, of {show_time(made_ns)}."
     if now_ns() - made_ns > LONG_AGO_S * 1e9:
-        return Finding("checkpoints", "warning", told, "Does labos checkpoint --follow still run?")
-    return Finding("checkpoints", "ok", told)
+        return DoctorFinding("checkpoints", "warning", told, "Does labos checkpoint --follow still run?")
+    return DoctorFinding("checkpoints", "ok", told)

@@ -15,14 +15,14 @@ from labos.services.times import show_time
 from labos.settings import Settings
 
 
-@click.command("erase", short_help="Erase what people wrote: reasons, notes, comments.")
+@click.command("erase", short_help="Erase texts that people wrote: reasons, notes, comments.")
 @click.argument("records", metavar="[POSITION]...", nargs=-1, type=click.IntRange(min=1))
-@click.option("--for", "author", metavar="USER", help="All that this user wrote.")
+@click.option("--for", "author", metavar="USER", help="Erase all texts of this user.")
 @click.option(
-    "--because", metavar="CODE", type=click.Choice(list(REASONS)), help="Why: one of the codes below."
+    "--because", metavar="CODE", type=click.Choice(list(REASONS)), help="The reason: one of the codes above."
 )
-@click.option("--approve", metavar="ID", help="Agree, as the second person.")
-@click.option("--refuse", metavar="ID", help="Do not erase what waits.")
+@click.option("--approve", metavar="ID", help="Approve a request, as the second person.")
+@click.option("--refuse", metavar="ID", help="Refuse a request that waits.")
 @user_option
 @home_option
 @json_option
@@ -36,25 +36,25 @@ def command(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Erase the words of the events at these positions of the log, or all words of a user. The events stay,
-    and the log, its checkpoints and bundles verify as before; in place of the words stands `(erased)`. It is
-    an event who erased what, when and why. This cannot be taken back.
+    """Erase the texts of the events at these positions of the log, or all texts of a user. The events stay in
+    the log, with `(erased)` in place of the texts. The log, its checkpoints and bundles verify as before. An
+    event records the erasure with user, time, positions and reason. An erasure cannot be undone.
 
     \b
-    labos log --user bo                          which position it is
+    labos log --user bo                          find the position
     labos erase 120 --because personal
     labos erase --for bo --because request
-    labos erase                                  what waits for a second person
+    labos erase                                  list requests that wait for a second person
     labos erase --approve X1
 
-    Codes: request (by the person who wrote it, or whom it is about), personal (personal data that does not
-    belong there), secret (a password, or what is confidential), mistake (written in the
-    wrong place), retention (kept for as long as the rules say), order (a court or an authority ordered it).
+    Codes: request (by the author, or by the person concerned), personal (personal data that does not belong
+    there), secret (a password or confidential information), mistake (written in the wrong place), retention
+    (the retention period is over), order (ordered by a court or an authority).
 
-    Names, tags and values that steps were given are no words: the log keeps them. Words that were written
-    before LabOS kept them beside the log stay too. Copies that have left the lab are not reached: bundles,
-    exports, messages that were sent; backups lose the words with the next `labos backup`. Tables for SQL that
-    stand on another computer lose them when they are brought up to date (`labos audit project`).
+    Names, tags and arguments of steps cannot be erased. Neither can texts from before LabOS stored texts
+    beside the log. Copies outside the lab are not changed: bundles, exports, sent messages. Backups lose the
+    texts with the next `labos backup`. SQL tables on another computer lose them with their next update
+    (`labos audit project`).
     """
     from labos.cli._audit import forget_erased
     from labos.cli._lab import need_lab

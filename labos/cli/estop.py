@@ -20,8 +20,13 @@ PATIENCE_S = 2.0
 @click.argument(
     "target", shell_complete=completes("module", "workcell"), required=False, metavar="[MODULE|WORKCELL]"
 )
-@click.option("--all", "everything", is_flag=True, help="Every module of the lab.")
-@click.option("--connect", multiple=True, metavar="ENDPOINT", help="Straight over this bus, past the kernel.")
+@click.option("--all", "everything", is_flag=True, help="Stop every module of the lab.")
+@click.option(
+    "--connect",
+    multiple=True,
+    metavar="ENDPOINT",
+    help="Send the stop directly over this bus, not to the kernel.",
+)
 @cert_option
 @user_option
 @home_option
@@ -37,13 +42,12 @@ def command(
 ) -> None:
     """Stop a MODULE, a WORKCELL or everything at once, in an emergency.
 
-    It waits neither for the log nor for its turn, and no node refuses it. Who stopped what is logged
-    afterwards. A stopped module is in ERROR until `labos reset`. Without a
-    kernel that answers, the command goes to the nodes over the bus. Exit code 0 only if every module
-    reports that it has stopped.
+    The stop waits neither for the log nor for other requests, and no node refuses it. It is logged
+    afterwards, with the user. A stopped module is in the state ERROR until `labos reset`. If no kernel
+    answers, the command goes directly to the nodes over the bus. Exit code 0 only if every module reports
+    that it has stopped.
 
-    This is a convenience and no safety function: where people can be hurt, use the hardware's
-    emergency stop.
+    This command is not a safety function. If people can be hurt, use the hardware's emergency stop.
 
     \b
     labos estop pf400

@@ -14,6 +14,7 @@ from labos.core.interventions import Intervention
 from labos.core.runs import modules_open
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
+from labos.services.due import tell_due
 from labos.services.experiments import experiment_histories
 from labos.services.history import state_at
 from labos.services.runs import RunHistory, run_history
@@ -21,13 +22,13 @@ from labos.services.times import show_span, show_time
 from labos.services.waits import reasons
 
 
-@click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
+@click.command("explain", short_help="Explain why a run is waiting.")
 @click.argument("run", shell_complete=completes("run", "experiment"), metavar="RUN|EXPERIMENT")
 @json_option
 @log_options
 def command(where: Where, run: str, as_json: bool) -> None:
-    """Why RUN waits now, and what it has done so far; for an EXPERIMENT, each of its runs that has not
-    ended.
+    """Explain why RUN waits now, and show what it has done so far. For an EXPERIMENT, do so for each of its
+    open runs.
 
     \b
     labos explain R3
@@ -76,7 +77,7 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         why = f"It {ended}: {story.why}" if story.why else ""
         return [*(text for text in (why, when) if text), *questions(state, story.id)]
     found = [
-        f"#{step.index} {step.key!r} is {_doing(step.state)} on {local(step.module)} since "
+        f"#{step.index} {step.key!r} is {_describe_action(step.state)} on {local(step.module)} since "
         f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
         + (f": {step.error}" if step.error else "")
         + _usual(state, story, step.index)
@@ -102,7 +103,10 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         before = sum(other.position < run.position for other in state.runs.queued.values())
         if before:
             found.append(f"{before} runs that were submitted before it wait too")
-    return found or ["It may go on, and is about to."]
+    found = found or ["It may go on, and is about to."]
+    if run.due_at:
+        found.append(f"it is due at {tell_due(state, [story], now)[story.id]}")
+    return found
 
 
 def _usual(state: LabState, story: RunHistory, index: int) -> str:
@@ -133,7 +137,7 @@ def _how(question: Intervention) -> str:
     return "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
 
 
-def _doing(state: str) -> str:
+def _describe_action(state: str) -> str:
     return "under way" if state == "in flight" else "in an unknown state"
 
 

@@ -39,7 +39,7 @@ SHORT = 12
 """So many digits of a SHA-256 are enough to name a file here."""
 
 
-@click.command("files", short_help="Files that steps have returned, to list and to fetch.")
+@click.command("files", short_help="List or fetch files that steps have returned.")
 @click.argument("run", shell_complete=completes("run"), required=False, default="")
 @click.argument("file", required=False, default="", metavar="[FILE]")
 @click.option(
@@ -47,16 +47,18 @@ SHORT = 12
     "--output",
     "to",
     metavar="PATH",
-    help="Fetch into this folder; with FILE, to this file (- for stdout).",
+    help="Fetch to this folder; with FILE, to this file (- for stdout).",
 )
 @click.option(
-    "--unused", is_flag=True, help="Files that nothing in the log names, in place of those of runs."
+    "--unused", is_flag=True, help="List files to which nothing in the log refers, instead of files of runs."
 )
+@click.option("--remove", is_flag=True, help="With --unused: remove files that are older than --keep-days.")
 @click.option(
-    "--remove", is_flag=True, help="With --unused: remove those that nobody has kept for --keep-days."
-)
-@click.option(
-    "--keep-days", type=click.FloatRange(min=1), default=7.0, show_default=True, help="With --remove."
+    "--keep-days",
+    type=click.FloatRange(min=1),
+    default=7.0,
+    show_default=True,
+    help="With --remove: the age of files to remove.",
 )
 @json_option
 @at_option
@@ -72,17 +74,17 @@ def command(
     as_json: bool,
     moment: Moment,
 ) -> None:
-    """Files that steps have returned: pictures, traces, raw data.
+    """List or fetch files that steps have returned: pictures, traces, raw data.
 
-    FILE is a file's name, or the beginning of its SHA-256. What is fetched is compared with its SHA-256. A
-    file that is there is not written over.
+    FILE is a file's name, or the beginning of its SHA-256. Each fetched file is checked by its SHA-256.
+    Existing files are not overwritten.
 
     \b
-    labos files                        of all runs
-    labos files R3                     of one run
-    labos files R3 -o pictures         fetch them all into a folder
-    labos files R3 plate.png -o .      fetch one
-    labos files --unused --remove      make room: what requests left that were refused, or a kernel that died
+    labos files                        list the files of all runs
+    labos files R3                     list the files of one run
+    labos files R3 -o pictures         fetch all files of a run into a folder
+    labos files R3 plate.png -o .      fetch one file
+    labos files --unused --remove      remove files of refused requests or of a killed kernel
     """
     if remove and not unused:
         raise click.UsageError("--remove goes with --unused.")

@@ -14,18 +14,18 @@ from labos.services.times import parse_time, show_span, show_time
 SHIFT = "-8h"
 
 
-@click.command("handover-report", short_help="What the next shift has to know.")
+@click.command("handover-report", short_help="Write a report for the next shift.")
 @click.option(
     "--since",
     metavar="TIME",
     default=SHIFT,
     show_default=True,
-    help="When the shift began: 2026-05-04T06:00, -8h.",
+    help="The start of the shift: 2026-05-04T06:00, -8h.",
 )
 @json_option
 @log_options
 def command(where: Where, since: str, as_json: bool) -> None:
-    """Summary of a shift: open and ended runs, questions that wait, labware that no run uses, resources
+    """Write a summary of a shift: open and ended runs, open questions, labware that no run uses, resources
     that run out next, and how long the lab worked without intervention.
 
     \b

@@ -14,7 +14,7 @@ from labos.cli._options import json_option
 from labos.cli._out import show_json, show_table
 from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
-from labos.spec.findings import ASSUMED, finding_of
+from labos.spec.findings import ASSUMED, make_finding
 from labos.spec.library import SUFFIXES
 from labos.spec.references import texts_in
 
@@ -68,20 +68,20 @@ class ImportOutcome(msgspec.Struct):
 
 @click.command("import")
 @click.argument("path", metavar="FILE|FOLDER")
-@click.option("-o", "--output", default="imported", show_default=True, metavar="DIR", help="Where to write.")
-@click.option("--force", is_flag=True, help="Overwrite files that are there.")
+@click.option(
+    "-o", "--output", default="imported", show_default=True, metavar="DIR", help="The folder to write to."
+)
+@click.option("--force", is_flag=True, help="Overwrite existing files.")
 @json_option
 def command(path: str, output: str, force: bool, as_json: bool) -> None:
-    """Rewrite workcells and workflows of WEI and MADSci, and labware of Opentrons, in LabOS' own
-    form.
+    """Convert workcells and workflows of WEI and MADSci, and labware of Opentrons, to LabOS' own format.
 
-    A FOLDER is searched for YAML files, and its order is kept. What a workcell does not say is
-    drafted from the workflows in the folder that use it: what a module offers that no driver
-    serves, actions and arguments that a driver does not know, places. So all of it can be
-    simulated at once. Comments are kept. What had to be assumed stands as a comment at its place,
-    and is listed at the end, the most consequential first. Files already in LabOS' form are copied;
-    files that are none of ours are skipped; exit code 1 if one is refused. Files of the FOLDER that
-    arguments name are copied.
+    The command searches a FOLDER for YAML files and keeps its structure. If a workcell file lacks
+    information, the command drafts it from the folder's workflows that use this workcell: actions of a
+    module without a driver, actions and arguments that a driver does not know, and places. So you can
+    simulate the result at once. Comments are kept. Each assumption is written as a comment at its place,
+    and is listed at the end, the most important first. Files in LabOS' format, and files of the FOLDER
+    that arguments name, are copied. Other files are skipped. Exit code 1 if a file is refused.
 
     \b
     labos import rpl_workcell.yaml -o specs
@@ -89,7 +89,7 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
     labos import corning_96_wellplate_360ul_flat.json -o specs/labware
     labos validate specs/workflows/pcr.yaml --workcell specs/rpl_workcell.yaml
 
-    LabOS also runs such files as they are.
+    LabOS can also run such files without conversion.
     """
     from labos.bootstrap import descriptions
 
@@ -120,11 +120,11 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
         try:
             source = read(file, last_wins=True)
             if find_kind(source) is None and path.is_dir():
-                outcome.skipped.append(LeftFile(str(file), [finding_of(no_spec(source))]))
+                outcome.skipped.append(LeftFile(str(file), [make_finding(no_spec(source))]))
                 continue
             sources.append((file, under, source))
         except SpecError as error:
-            outcome.refused.append(LeftFile(str(file), [finding_of(error)]))
+            outcome.refused.append(LeftFile(str(file), [make_finding(error)]))
     users = workflows_by_workcell([source for _, _, source in sources])
     moved: dict[str, list[Moved]] = {}
     files: dict[str, Imported] = {}
@@ -136,7 +136,7 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
             outcome.refused.append(LeftFile(str(file), [f for f in errors.findings if f.severity == "error"]))
             continue
         except SpecError as error:
-            outcome.refused.append(LeftFile(str(file), [finding_of(error)]))
+            outcome.refused.append(LeftFile(str(file), [make_finding(error)]))
             continue
         files[source.file] = found
         if found.moved is not None:

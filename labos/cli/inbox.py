@@ -16,14 +16,19 @@ if TYPE_CHECKING:
 
 
 @click.command("inbox")
-@click.option("--module", shell_complete=completes("module"), metavar="NAME", help="Of this operator only.")
+@click.option(
+    "--module",
+    shell_complete=completes("module"),
+    metavar="NAME",
+    help="Only the work of this operator module.",
+)
 @json_option
 @log_options
 def inbox(where: Where, module: str | None, as_json: bool) -> None:
-    """The planned work that waits for a person, the most urgent first.
+    """List planned work that waits for a person, the most urgent first.
 
-    Each entry is a step of a run on an operator module: the run continues when somebody confirms it.
-    Late work stays in the inbox, and no run fails because of it.
+    Each entry is a step of a run on an operator module. The run continues when a person confirms the step.
+    Late work stays in the inbox. No run fails because of it.
 
     \b
     labos inbox
@@ -79,9 +84,11 @@ def _as_json(story: InterventionHistory) -> dict[str, Any]:
 
 @click.command("confirm")
 @click.argument("intervention", shell_complete=completes("intervention"))
-@click.option("--not-done", is_flag=True, help="It cannot be done, and nothing was moved: the run ends.")
+@click.option(
+    "--not-done", is_flag=True, help="The work cannot be done, and nothing was moved: the run ends."
+)
 @why_option("A note for the log.")
-@click.option("--result", metavar="JSON", help="Its result, if later steps read it.")
+@click.option("--result", metavar="JSON", help="The result of the work, if later steps read it.")
 @user_option
 @home_option
 @json_option
@@ -94,7 +101,7 @@ def confirm(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Confirm that the planned work INTERVENTION is done: it and its effects on the bench are logged.
+    """Confirm that the planned work INTERVENTION is done. LabOS logs it with its effects on the bench.
 
     \b
     labos confirm I7

@@ -9,18 +9,19 @@ from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, json_option, log_options, now_ns, open_log
 from labos.core.ids import local
 from labos.services.history import state_at
-from labos.services.inventory import Inventory, ResourceLeft, StackLeft, WasteLeft, earliest, inventory
+from labos.services.inventory import Inventory, ResourceLeft, StackLeft, WasteLeft, inventory, list_shortfalls
 from labos.services.times import iso_time, show_time
 
 
-@click.command("inventory", short_help="What is left, of which lots, and what runs out when.")
+@click.command("inventory", short_help="Show levels and lots of resources, and when they run out.")
 @json_option
 @log_options
 def command(where: Where, as_json: bool) -> None:
-    """Levels and lots of all resources, what the stacks hold, the room in wastes, and what runs out when.
+    """Show levels and lots of all resources, the content of stacks, the room in wastes, and when each of them
+    runs out.
 
-    Open runs are simulated in their order with nominal durations: the first run that would find too
-    little is named, and when. Waiting for a person makes it later.
+    LabOS simulates the open runs in their order with nominal durations. For each resource, it names the
+    first run that would find too little, and the time. If runs wait for a person, the time is later.
 
     \b
     labos inventory
@@ -47,7 +48,7 @@ def command(where: Where, as_json: bool) -> None:
     if found.wastes:
         click.echo()
         show_table(("waste", "room", "of", "still to come", "full"), [_waste(left) for left in found.wastes])
-    first = earliest(found)
+    first = list_shortfalls(found)
     if first:
         name, out = first[0]
         click.echo(f"\nFirst: {_short(name)} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")

@@ -29,13 +29,13 @@ REMEDIES = {
 @click.option(
     "--check",
     is_flag=True,
-    help="Ask each node and its device who they are and what they see.",
+    help="Ask each node and its device for their identity and observations.",
 )
 @json_option
 @log_options
 def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) -> None:
-    """List the lab's modules, their states and current actions. Where no kernel runs, the last known states
-    are shown.
+    """List the lab's modules, their states and current actions. If no kernel runs, the command shows the last
+    known states.
 
     \b
     labos nodes
@@ -43,9 +43,9 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
     labos nodes --check           ask every node and device now; exit code 1 if one is unavailable
     labos nodes --check pf400
 
-    A check moves nothing. It reports the driver, its version of LabOS, the unit (serial number) that the
-    module is pinned to, the device's firmware, and what it observes; for a module that cannot work, what
-    to do.
+    A check moves nothing. It reports the driver, its version of LabOS, the unit (serial number) to which
+    the module is bound, the device's firmware, and its observations. If a module cannot work, the check
+    reports a remedy.
     """
     from labos.cli._lab import need_lab_of
     from labos.cli._out import show_json, show_table
@@ -150,14 +150,14 @@ def _valid_until(module: dict[str, Any]) -> str:
     return min((one["until"] for one in module.get("calibrations", ()) if one["until"]), default="")
 
 
-def _doing(action: dict[str, Any]) -> str:
+def _describe_action(action: dict[str, Any]) -> str:
     ended = " (nobody knows how it ended)" if action["status"] == "unknown" else ""
     return f"{action['action']} for {action['run']}{ended}"
 
 
 def _row(module: dict[str, Any]) -> tuple[str, ...]:
     process = module["process"] or {}
-    doing = ", ".join(map(_doing, module["doing"]))
+    doing = ", ".join(map(_describe_action, module["doing"]))
     is_well = module["status"] in ("IDLE", "BUSY") and not module["out_of_service"]
     problem = "" if is_well else module["problem"]
     driver = f"{module['driver']}{' (simulated)' if module['simulated'] else ''}"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from labos.spec import Compiled
 
 
-class Step(msgspec.Struct):
+class OutlineStep(msgspec.Struct):
     """A step with its times, in lab seconds from the start of the run. ``duration_s`` is how long it usually
     takes in the lab that was asked, where that knows (``learned``), else ``nominal_s``. ``rescues`` is the
     step for whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled
@@ -76,7 +76,7 @@ class ReservedModule(msgspec.Struct):
     last: str
 
 
-class Setpoint(msgspec.Struct):
+class SetpointUse(msgspec.Struct):
     """A value that a step sets a module to; who wants another waits until the run has ended."""
 
     module: str
@@ -94,41 +94,46 @@ class Outline(msgspec.Struct):
     workcell: str
     total_s: float
     critical: list[str]
-    steps: list[Step]
+    steps: list[OutlineStep]
     busy_s: dict[str, float]
     resources: list[Resource]
     labware_taken: dict[str, int]
     inputs: list[str]
     outputs: list[str]
     holds: list[ReservedModule] = []
-    setpoints: list[Setpoint] = []
+    setpoints: list[SetpointUse] = []
     certificate: Certificate | None = None
     lab: str = ""
 
 
 @click.command("plan")
 @click.argument("workflow", shell_complete=completes("workflow"))
-@click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
+@click.option(
+    "--workcell",
+    required=True,
+    metavar="W",
+    help="A workcell file, or the name of a packaged workcell, such as rpl.",
+)
 @payload_option
 @json_option
 @log_options
 def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bool) -> None:
-    """Show what WORKFLOW (a file, or a packaged one) would do: its steps with the payload filled
-    in, their modules, stations and arguments, when each starts, and what is used up.
+    """Show what WORKFLOW (a file, or a packaged workflow) would do: its steps with the values of the payload,
+    their modules, stations and arguments, start times, and the consumption of resources.
 
-    The times are for a run that has the bench to itself. If there is a lab (--home, LABOS_HOME, ./lab,
-    LABOS_URL), a step takes as long as such steps have usually taken there, once there were three of them;
-    that is marked with ~. All others take as long as their drivers say. Steps marked with * are critical:
-    together they take as long as the run. Of each window it is said whether it can be kept if steps take up
-    to a tenth longer or shorter than their drivers say.
+    The times are for a run that is alone on the bench. If there is a lab (--home, LABOS_HOME, ./lab,
+    LABOS_URL), the times are learned there: a step has the usual duration of such steps if there were at
+    least three. Such times are marked with ~. All other steps have the duration of their driver. Steps
+    marked with * are critical: together they take as long as the run. For each window, the command shows
+    whether a run can keep it if steps take up to a tenth longer or shorter than their drivers state.
 
     \b
     labos plan pcr --workcell rpl
     labos plan my.yaml --workcell my_cell.yaml --payload seal.time=4 --json
     labos plan pcr --workcell rpl --home lab
 
-    Files that are needed only on the real bench may be missing. Warnings go to standard error, also those
-    about assumed consumption. Exit code 1 if the workflow has errors.
+    Files that only the real bench needs may be missing. All warnings go to standard error. Exit code 1 if
+    the workflow has errors.
     """
     from labos.bootstrap import descriptions
     from labos.cli._specs import spec_path
@@ -194,7 +199,7 @@ def outline_of(
     times = timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
     steps = [
-        Step(
+        OutlineStep(
             key=step.key,
             module=local(step.module),
             action=step.action,
@@ -241,7 +246,7 @@ def outline_of(
             for hold in plan.holds
         ],
         setpoints=[
-            Setpoint(local(step.module), effect.setpoint, effect.value, step.key)
+            SetpointUse(local(step.module), effect.setpoint, effect.value, step.key)
             for step in plan.steps
             for effect in step.effects
             if isinstance(effect, Claims)
@@ -365,11 +370,11 @@ def _tell_origin(outline: Outline) -> str:
     )
 
 
-def _where(step: Step) -> str:
+def _where(step: OutlineStep) -> str:
     return " → ".join(step.stations) or f"{step.module}.{step.action}"
 
 
-def _terms(outline: Outline, step: Step) -> Iterator[str]:
+def _terms(outline: Outline, step: OutlineStep) -> Iterator[str]:
     """What holds for a step beside its times, in sentences."""
     from labos.services.times import show_span
 

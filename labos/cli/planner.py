@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from labos.client import LabClient
     from labos.core.state import LabState
     from labos.planner.planner import Planner
-    from labos.planner.watch import Watch
+    from labos.planner.watch import CellWatch
     from labos.ports import EventStore
 
 LOOK_S = 0.5
@@ -25,13 +25,13 @@ LOST_PAUSE_S = 5.0
 """Between two tries to reach a lab that is away."""
 
 
-@click.command("planner", short_help="Suggest in which order to start what is to be done.")
+@click.command("planner", short_help="Search for a better order of steps, and suggest it to the lab.")
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 600),
     default=5.0,
     show_default=True,
-    help="How long to look for an order each time.",
+    help="How long to search for an order each time.",
 )
 @click.option(
     "--quantile",
@@ -40,7 +40,7 @@ LOST_PAUSE_S = 5.0
     default=0.5,
     show_default=True,
     metavar="0..1",
-    help="Plan with durations that so many of the last times have kept: 0.8 plans with long ones.",
+    help="The quantile of measured durations to plan with: 0.5 is the median, 0.8 is longer.",
 )
 @click.option(
     "--pause",
@@ -49,12 +49,12 @@ LOST_PAUSE_S = 5.0
     default=5.0,
     show_default=True,
     metavar="SECONDS",
-    help="Look for a new order for a workcell no more often than that.",
+    help="The minimum time between two searches for a workcell.",
 )
 @click.option(
-    "--workcell", "cells", multiple=True, metavar="NAME", help="Only for this one; may be repeated."
+    "--workcell", "cells", multiple=True, metavar="NAME", help="Only for this workcell; may be repeated."
 )
-@click.option("--once", is_flag=True, help="Suggest one order for each workcell, and end.")
+@click.option("--once", is_flag=True, help="Suggest one order for each workcell, then end.")
 @user_option
 @log_options
 def command(
@@ -66,14 +66,14 @@ def command(
     once: bool,
     user: str | None,
 ) -> None:
-    """Suggest to a running lab in which order to start the next steps, until Ctrl-C.
+    """Search for a better order of the next steps and suggest it to a running lab, until Ctrl-C.
 
-    It follows the log. Whenever runs come or go, or something takes longer than planned, it looks for the
-    order in which all that is known would be over soonest. It rehearses the lab with this order and without,
-    and suggests it if it is better. The lab decides as before: rules, windows and deadlock avoidance are its
-    own, and without a planner, or with a bad one, only the order is another. `labos explain RUN` says where a
-    run waits for this reason. It needs OR-tools: python -m pip install "labos-sdl[plan]". See
-    docs/scheduling.md.
+    The planner follows the log. When a run is submitted or ends, or when a step takes longer than planned,
+    it searches for the order in which all known runs would end soonest. It simulates the lab with and
+    without this order, and suggests the order if it is better. The lab still applies its own rules,
+    windows and deadlock avoidance. Without a planner, or with a bad one, only the order differs. `labos
+    explain RUN` shows whether a run waits because of a suggestion. The planner needs OR-tools: python -m
+    pip install "labos-sdl[plan]". See docs/scheduling.md.
 
     \b
     labos planner
@@ -82,11 +82,11 @@ def command(
     from labos.cli._lab import need_lab_of, orderly
     from labos.planner.planner import Planner
     from labos.planner.solve import expect_solver
-    from labos.planner.watch import Watch
+    from labos.planner.watch import CellWatch
     from labos.runtime.follower import Follower
 
     expect_solver()
-    asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), Watch()
+    asker, planner, watch = find_user(user), Planner(seconds=seconds, level=level), CellWatch()
     next_look: dict[str, float] = {}
     with orderly(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # which it only reads
@@ -112,12 +112,12 @@ def command(
 
 
 def _suggest(
-    state: LabState, cell: str, planner: Planner, watch: Watch, client: LabClient, asker: str
+    state: LabState, cell: str, planner: Planner, watch: CellWatch, client: LabClient, asker: str
 ) -> bool:
     """Look for an order for a workcell if that is worth it; whether it was."""
-    from labos.planner.watch import waiting_in
+    from labos.planner.watch import list_waiting
 
-    waiting = waiting_in(state, cell)
+    waiting = list_waiting(state, cell)
     if not watch.is_due(state, cell, waiting, now_ns()):
         return False
     order = planner.suggest(state, cell, waiting, now_ns())

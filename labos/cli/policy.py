@@ -10,21 +10,21 @@ from labos.cli.approvals import policy_lines
 from labos.cli.shares import read_file
 
 
-@click.command("policy", short_help="Which submissions wait for an approval.")
-@click.option("--apply", "file", metavar="FILE", help="The policy from now on, as this file says.")
+@click.command("policy", short_help="Show or set which submissions need an approval.")
+@click.option("--apply", "file", metavar="FILE", help="Set the policy from this file.")
 @user_option
 @home_option
 @json_option
 def command(file: str | None, user: str | None, home: str | None, as_json: bool) -> None:
-    """Which submissions wait for an operator's approval, who approves, how high a priority may be, and what
-    users who are not operators may book.
+    """Show or set the policy: which submissions need an operator's approval, who may approve, the highest
+    allowed priority, and what users without the role operator may book.
 
-    Without a policy of its own, a lab lets what programs submit wait, and nothing else.
+    Without a policy, only submissions of programs need an approval.
 
     \b
-    labos policy                        what holds now
-    labos policy --apply policy.yaml    from now on, as the file says
-    labos approvals                     what waits
+    labos policy                        the policy in force
+    labos policy --apply policy.yaml    set the policy from a file
+    labos approvals                     requests that wait
     """
     from labos.cli._lab import need_lab
 

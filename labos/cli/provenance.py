@@ -6,7 +6,7 @@ import click
 
 from labos.audit._facts import label
 from labos.audit.formats import as_dot, as_prov
-from labos.audit.graph import Entity, Graph, Part
+from labos.audit.graph import Entity, Graph, ProvenancePart
 from labos.audit.provenance import MOST_LINKS, plain, subject_of, trace
 from labos.cli._audit import open_log_and_views
 from labos.cli._out import show_json, show_table
@@ -18,19 +18,21 @@ from labos.services.times import Moment
 
 @click.command("provenance")
 @click.argument("subject")
-@click.option("--up", "direction", flag_value="up", default="up", help="What it depends on (the default).")
-@click.option("--down", "direction", flag_value="down", help="What depends on it: a recall list.")
-@click.option("--only", metavar="KIND", help="Only what is of this kind: result, run, lot, user …")
+@click.option(
+    "--up", "direction", flag_value="up", default="up", help="Show from what it was derived (default)."
+)
+@click.option("--down", "direction", flag_value="down", help="Show what was derived from it, for a recall.")
+@click.option("--only", metavar="KIND", help="Only entries of this kind: result, run, lot, user …")
 @click.option(
     "--most",
     type=click.IntRange(min=1),
     default=MOST_LINKS,
     show_default=True,
-    help="So many links are followed.",
+    help="The maximum number of links to follow.",
 )
 @json_option
-@click.option("--prov", "as_prov_json", is_flag=True, help="W3C PROV-JSON (extra `provenance`).")
-@click.option("--dot", "as_graphviz", is_flag=True, help="For Graphviz.")
+@click.option("--prov", "as_prov_json", is_flag=True, help="Print W3C PROV-JSON (extra `provenance`).")
+@click.option("--dot", "as_graphviz", is_flag=True, help="Print a graph for Graphviz.")
 @at_option
 @log_options
 def command(
@@ -44,15 +46,15 @@ def command(
     as_graphviz: bool,
     moment: Moment,
 ) -> None:
-    """Who, what, when, with which workflow, driver, arguments and lots: of labware (P7), a well (P7/B7), a
-    run (R1), the result of a step (R1#3), a sample, a file (its digest), or a lot.
+    """Show the provenance of labware (P7), a well (P7/B7), a run (R1), the result of a step (R1#3), a
+    sample, a file (its digest), or a lot: user, time, workflow, driver, arguments and lots.
 
-    Of a well, also what is in it: every transfer since it was filled is followed back to lots and
-    samples. `lot:NAME`, `sample:NAME`, `user:NAME` and so on say which is meant.
+    For a well, show also its content: LabOS follows every transfer since it was filled back to lots and
+    samples. If a name is ambiguous, write `lot:NAME`, `sample:NAME`, `user:NAME` and so on.
 
     \b
-    labos provenance R1#3                        what a result depends on
-    labos provenance P7/B7 --at -1h              what was in a well an hour ago
+    labos provenance R1#3                        from what a result was derived
+    labos provenance P7/B7 --at -1h              the content of a well an hour ago
     labos provenance lot:L42 --down --only result   which results depend on a lot
     """
     if sum((as_json, as_prov_json, as_graphviz)) > 1:
@@ -114,7 +116,7 @@ def _label(graph: Graph, name: str) -> str:
     return label(Entity(kind, rest), facts)  # type: ignore[arg-type]
 
 
-def _part(part: Part) -> tuple[str, ...]:
+def _part(part: ProvenancePart) -> tuple[str, ...]:
     volume = "" if part.volume_ul is None else f"{part.volume_ul:.6g} µL"
     share = "" if part.share is None else f"{part.share:.2%}"
     return (str(part.origin), part.what, volume, share, "yes" if part.certain else "no")

@@ -23,7 +23,7 @@ from labos.services.catalogue import Catalogue
 from labos.services.describe import describe
 from labos.services.log import event_of
 from labos.services.shown import WordsBeside, show_text
-from labos.services.steps import Change, Step, plain, steps
+from labos.services.steps import LogStep, StateChange, plain, steps
 from labos.services.times import iso_time, show_time
 from labos.store import StoredWords, open_store, read_backup, read_segment, read_words_copy, records_of
 
@@ -33,17 +33,16 @@ HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: 
 
 @click.command("replay", short_help="Step through any log, with the state at each event.")
 @click.argument("log", metavar="LOG")
-@click.option("--at", type=click.IntRange(min=1), metavar="N", help="The whole state after position N.")
+@click.option("--at", type=click.IntRange(min=1), metavar="N", help="Show the whole state after position N.")
 @click.option("--from", "first", type=click.IntRange(min=1), metavar="A", help="Begin at position A.")
 @click.option("--to", "last", type=click.IntRange(min=1), metavar="B", help="End at position B.")
-@click.option("--hash", "only_hash", is_flag=True, help="Only the hash of the state at the end.")
-@json_option_saying("JSON: one line an event with its changes.")
+@click.option("--hash", "only_hash", is_flag=True, help="Print only the hash of the state at the end.")
+@json_option_saying("JSON: one line for each event, with its changes.")
 def command(
     log: str, at: int | None, first: int | None, last: int | None, only_hash: bool, as_json: bool
 ) -> None:
-    """Fold LOG again, event by event, and show what each one changed. LOG is a lab's folder, its
-    database (a file or a URL), a backup, or a file of records: what labos log --json prints, and what
-    a simulated lab saves.
+    """Replay LOG, event by event, and show what each event changed. LOG is a lab's folder, its database (a
+    file or a URL), a backup, or a file of records, which labos log --json prints and a simulated lab saves.
 
     \b
     labos replay lab                          in a terminal: step by step
@@ -51,11 +50,11 @@ def command(
     labos replay lab.jsonl --from 90 --to 99  ten events and what they changed
     labos replay /safe/lab --hash             the hash of the state at its end
 
-    What people wrote is shown where it stands beside the log and was not erased; the state, its hash and
-    --json have references in its place, so they are the same before and after.
+    Texts that people wrote are stored beside the log. They are shown unless they were erased. The state,
+    its hash and --json contain only references to them, so an erasure does not change these.
 
-    Nothing is written. A log with events that this LabOS does not know is refused, and one that
-    contradicts itself ends at the first event that does.
+    Nothing is written. If the log has events that this LabOS does not know, the command is refused. If the
+    log contradicts itself, the replay ends at the first wrong event.
     """
     if at is not None and (first or last):
         raise click.UsageError("--at takes the state at one position; --from and --to a stretch of events.")
@@ -90,7 +89,7 @@ def _show_end(state: LabState, only_hash: bool, as_json: bool) -> None:
         click.echo(msgspec.json.format(msgspec.json.encode(plain(state)), indent=2))
 
 
-def _show(step: Step, names: Catalogue, beside: WordsBeside, as_json: bool) -> None:
+def _show(step: LogStep, names: Catalogue, beside: WordsBeside, as_json: bool) -> None:
     head = step.record.head
     if as_json:
         show_line(
@@ -110,7 +109,7 @@ def _show(step: Step, names: Catalogue, beside: WordsBeside, as_json: bool) -> N
     click.echo(show_text(beside, "\n".join(lines)))
 
 
-def _line(change: Change) -> str:
+def _line(change: StateChange) -> str:
     if change.before == "absent":
         return f"+ {change.path} = {_short(change.after)}"
     if change.after == "absent":
@@ -123,7 +122,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= WIDEST else f"{text[:WIDEST]}… ({len(text)} characters)"
 
 
-def _walk(found: Iterator[Step], state: LabState, beside: WordsBeside) -> None:
+def _walk(found: Iterator[LogStep], state: LabState, beside: WordsBeside) -> None:
     """Step by step, as somebody at a terminal asks."""
     click.echo(HELP)
     names, upto = Catalogue(), 0

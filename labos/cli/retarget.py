@@ -15,17 +15,19 @@ from labos.cli._specs import spec_path
 from labos.cli.validate import examine
 from labos.errors import BadInput, SpecError
 from labos.spec import compile_workcell
-from labos.spec.retarget import differing, propose, rename
+from labos.spec.retarget import compare_lines, propose, rename
 from labos.spec.source import read
 from labos.spec.uses import workflow_in
 
 
 @click.command("retarget", short_help="Rewrite a workflow for another workcell.")
 @click.argument("workflow", shell_complete=completes("workflow"))
-@click.option("--from", "old", required=True, metavar="W", help="The workcell it was written for.")
-@click.option("--to", "new", required=True, metavar="W", help="The workcell on which it is to run.")
 @click.option(
-    "--map", "maps", multiple=True, metavar="OLD=NEW", help="A module, and the one that stands in for it."
+    "--from", "old", required=True, metavar="W", help="The workcell for which the workflow was written."
+)
+@click.option("--to", "new", required=True, metavar="W", help="The workcell for the new workflow.")
+@click.option(
+    "--map", "maps", multiple=True, metavar="OLD=NEW", help="A module, and the module that replaces it."
 )
 @click.option(
     "--output",
@@ -33,7 +35,7 @@ from labos.spec.uses import workflow_in
     type=click.Path(dir_okay=False, path_type=Path),
     help="The file to write (WORKFLOW_TO.yaml).",
 )
-@click.option("--force", is_flag=True, help="Overwrite a file that is there.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @payload_option
 @json_option
 def command(
@@ -46,17 +48,18 @@ def command(
     payloads: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Propose for each module of WORKFLOW one of the other workcell that has its actions and
-    stations, say what does not fit, write the file with the other names, and validate it. Nothing
-    but names changes. Exit code 1 if something does not fit, or if the file has errors.
+    """Rewrite WORKFLOW for another workcell. For each module, the command proposes a module of the other
+    workcell with the same actions and stations, and reports what does not fit. It writes a file with the new
+    names and validates it. Only names change. Exit code 1 if something does not fit, or if the file has
+    errors.
 
     \b
     labos retarget seal.yaml --from rpl --to bio
     labos retarget seal.yaml --from rpl --to bio --map pf400=platecrane -o bio/seal.yaml
     labos retarget seal.yaml --from rpl --to bio --json
 
-    What differs in more than names (an incubator's steps, lids) belongs into files that `use:` names, one for
-    each workcell, in the folder of the file that is written.
+    Put differences other than names (an incubator's steps, lids) into a file for each workcell, in the
+    folder of the written file, and refer to it with `use:`.
     """
     from labos.bootstrap import descriptions
 
@@ -84,7 +87,7 @@ def command(
                 "fits": fits,
                 "file": str(target),
                 **msgspec.to_builtins(proposal),
-                "difference": list(differing(text, renamed)),
+                "difference": list(compare_lines(text, renamed)),
                 "findings": msgspec.to_builtins(verdict.findings),
             }
         )
@@ -94,7 +97,7 @@ def command(
         )
         for misfit in proposal.misfits:
             click.echo(f"does not fit: {misfit}")
-        for line in differing(text, renamed):
+        for line in compare_lines(text, renamed):
             click.echo(line)
         for finding in verdict.findings:
             click.echo(f"{finding.severity}: {finding.as_error()}")

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     metavar="NAME|FILE",
     help="The workcell (the lab's own; in a new lab the one beside the workflow's file, else rpl).",
 )
-@click.option("--simulate", is_flag=True, help="On simulated instruments; a running lab must be simulated.")
+@click.option("--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated.")
 @click.option(
     "--place",
     "placed",
@@ -39,11 +39,13 @@ if TYPE_CHECKING:
     "`peeler.default=plate96,sealed` if it is sealed.",
 )
 @user_option
-@click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
+@click.option(
+    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
+)
 @lab_options
 @json_option
-@click.option("--quiet", is_flag=True, help="Only the end.")
-@click.option("--dry-run", is_flag=True, help="Say when it would start and end; submit nothing.")
+@click.option("--quiet", is_flag=True, help="Print only the end.")
+@click.option("--dry-run", is_flag=True, help="Show when it would start and end; submit nothing.")
 def command(
     workflow: str,
     payloads: tuple[str, ...],
@@ -62,8 +64,8 @@ def command(
 ) -> None:
     """Run WORKFLOW, a file or a packaged workflow, and wait for its end.
 
-    In the running lab if there is one, else in a lab of its own that ends with the run.
-    Exit code 0 if it completes, 1 if it fails, is cancelled or is refused.
+    The command uses the running lab. If there is none, it starts a lab for this run only. Exit code 0 if
+    the run completes, 1 if it fails, is cancelled or is refused.
 
     \b
     labos run pcr --simulate --speed 600
@@ -71,8 +73,8 @@ def command(
     labos run mix.yaml --simulate --place camera_module.plate_station=plate96 --payload mix.json
     labos run pcr --dry-run
 
-    With --dry-run nothing is submitted: the running lab says when the run would start and end, whom it
-    would delay, and when a person would be needed.
+    With --dry-run nothing is submitted. The running lab forecasts when the run would start and end, which
+    runs it would delay, and when a person would be needed.
     """
     from labos.cli._payload import read_payload
     from labos.cli._remote import lab_of

@@ -12,22 +12,23 @@ from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.core.shares import Quota
 from labos.errors import BadInput
 from labos.services.log import fold_to
-from labos.services.shares import Account, ledger
+from labos.services.shares import ShareAccount, ledger
 
 
-@click.command("shares", short_help="Who is to have how much of the lab, and who has had it.")
-@click.option("--apply", "file", metavar="FILE", help="Weights and quotas from now on, as this file says.")
+@click.command("shares", short_help="Show or set each user's share of the lab time.")
+@click.option("--apply", "file", metavar="FILE", help="Set weights and quotas from this file.")
 @user_option
 @json_option
 @log_options
 def command(where: Where, file: str | None, user: str | None, as_json: bool) -> None:
-    """The ledger of lab time: for each user the share by weight, and the share used.
+    """Show the ledger of lab time: each user's share by weight, and the used share.
 
-    Used time counts half after a day (half-life). Hours are of the last seven days.
+    Used time has a half-life of one day: after a day it counts half. Hours are those of the last seven
+    days.
 
     \b
     labos shares                        the ledger
-    labos shares --apply shares.yaml    weights and quotas from now on
+    labos shares --apply shares.yaml    set weights and quotas
     """
     if file is not None:
         from labos.cli._lab import need_lab_of
@@ -43,7 +44,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
     show_table(titles, [_row(account) for account in accounts])
 
 
-def _row(account: Account) -> tuple[str, ...]:
+def _row(account: ShareAccount) -> tuple[str, ...]:
     return (
         account.user,
         account.group,

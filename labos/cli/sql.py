@@ -13,7 +13,7 @@ from typing import Any
 import click
 import msgspec
 
-from labos.audit.query import TIME_LIMIT_S, Answer, Asker
+from labos.audit.query import TIME_LIMIT_S, QueryResult, ReadConnection
 from labos.audit.tables import VIEWS, view_columns
 from labos.cli._audit import open_views, open_views_as_is
 from labos.cli._out import show_table
@@ -28,19 +28,19 @@ PROMPT, GOES_ON = "labos> ", "   ... "
 
 @click.command("sql")
 @click.argument("query", required=False)
-@click.option("--csv", "as_csv", is_flag=True, help="CSV, with a line of column names.")
-@click.option("--json", "as_json", is_flag=True, help="JSON, for programs: one object a line.")
+@click.option("--csv", "as_csv", is_flag=True, help="CSV, with column names in the first line.")
+@click.option("--json", "as_json", is_flag=True, help="JSON, for programs: one object for each line.")
 @click.option(
     "--parquet",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
     help="Write a Parquet file (extra `parquet`).",
 )
-@click.option("--views", is_flag=True, help="The views and their columns.")
+@click.option("--views", is_flag=True, help="List the views and their columns.")
 @click.option(
     "--as-is",
     is_flag=True,
-    help="Query the tables as they are, without bringing them up to date: for those who may only read them.",
+    help="Query the tables without an update first, for roles that may only read them.",
 )
 @click.option(
     "--timeout",
@@ -62,10 +62,10 @@ def command(
     as_is: bool,
     limit_s: float,
 ) -> None:
-    """Query the lab in SQL: one QUERY, or a prompt if there is none. Nothing can be changed.
+    """Query the lab in SQL (read-only). Without QUERY, the command shows a prompt.
 
-    The answer includes everything in the log at that moment. Views and columns are the same on SQLite
-    and PostgreSQL, and are listed by --views and in docs/reference/sql.md.
+    The answer includes all events that are in the log at that moment. Views and columns are the same on
+    SQLite and PostgreSQL. --views and docs/reference/sql.md list them.
 
     \b
     labos sql "SELECT run, workflow, status FROM runs ORDER BY submitted_at DESC LIMIT 10"
@@ -95,7 +95,7 @@ def command(
             _show(answer)
 
 
-def write_parquet(answer: Answer, path: Path) -> int:
+def write_parquet(answer: QueryResult, path: Path) -> int:
     """An answer as a Parquet file; returns how many rows it has. Raises BadInput without pyarrow."""
     try:
         import pyarrow
@@ -112,7 +112,7 @@ def write_parquet(answer: Answer, path: Path) -> int:
     return len(rows)
 
 
-def _show(answer: Answer) -> None:
+def _show(answer: QueryResult) -> None:
     rows = [[_cell(value) for value in row] for row in itertools.islice(answer.rows, MOST_SHOWN)]
     show_table(answer.columns, rows)
     if next(answer.rows, None) is not None:
@@ -123,7 +123,7 @@ def _cell(value: Any) -> str:
     return "" if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
-def _converse(asker: Asker) -> None:
+def _converse(asker: ReadConnection) -> None:
     """Questions from a person, each ended by a semicolon, until Ctrl-D."""
     with suppress(ImportError):  # Windows edits lines by itself
         import readline

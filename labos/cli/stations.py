@@ -15,13 +15,13 @@ from labos.core.bench import Station
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
 from labos.services.describe import owner_name
-from labos.services.history import position_at, possibly_at, stations_of
+from labos.services.history import list_possibly_at, position_at, stations_of
 from labos.services.labware import LabwareHistory, labware_histories
 from labos.services.log import Log, fold_to
 from labos.services.times import Moment, iso_time, show_time
 
 
-class Place(msgspec.Struct, frozen=True):
+class StationPlace(msgspec.Struct, frozen=True):
     """A station as it is shown. ``state``: unknown, empty or occupied; ``stock`` are nameless
     items, bottom to top; ``maybe`` is labware of which it is not known whether it stands here; ``hotel`` is
     that of which it is a shelf, ``shelves`` how many it has itself."""
@@ -39,7 +39,7 @@ class Place(msgspec.Struct, frozen=True):
     shelves: int = 0
 
 
-@click.command("stations", short_help="What stands where, now or at any past moment.")
+@click.command("stations", short_help="Show the labware at each station, now or at a past moment.")
 @click.argument(
     "names", shell_complete=completes("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
 )
@@ -48,7 +48,7 @@ class Place(msgspec.Struct, frozen=True):
 @at_option
 @log_options
 def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool, moment: Moment) -> None:
-    """What stands where, whose it is and since when.
+    """Show the labware at each station, its owner, and since when it stands there.
 
     \b
     labos stations                       now
@@ -56,8 +56,8 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     labos stations --at 1234             after the event at that position
     labos stations sciclops wc.output    only these
 
-    `unknown` is not `empty`: nobody has declared yet what stands there. Empty shelves of a hotel are shown
-    only where you name the hotel or the shelf, as wc.output.3.
+    `unknown` is not `empty`: the station was never declared. Empty shelves of a hotel are shown only if you
+    name the hotel or the shelf, such as wc.output.3.
     """
     with open_log(where) as store:
         position = position_at(store, moment)
@@ -76,7 +76,7 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     show_table(("station", "kind", "holds", "of", "since"), rows, title=title)
 
 
-def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place]:
+def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[StationPlace]:
     """The stations of a state; of modules or stations with these names only, if there are any.
     Raises click.UsageError for a name that no station bears."""
     stories = labware_histories(log, state.position) if state.bench.labware else {}
@@ -87,7 +87,7 @@ def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Place
     return [_place(state, name, station, stories) for name, station in found]
 
 
-def _is_bare(place: Place, names: tuple[str, ...]) -> bool:
+def _is_bare(place: StationPlace, names: tuple[str, ...]) -> bool:
     """Whether it is a shelf of which nothing is to be told, and nobody asked for it or its hotel."""
     bare = bool(place.hotel) and place.state == "empty" and not place.maybe and not place.expected
     own = (place.station, place.hotel)
@@ -100,10 +100,12 @@ def _is_named(station: StationName, names: tuple[str, ...]) -> bool:
     return any(name in known for name in names)
 
 
-def _place(state: LabState, name: StationName, station: Station, stories: dict[str, LabwareHistory]) -> Place:
+def _place(
+    state: LabState, name: StationName, station: Station, stories: dict[str, LabwareHistory]
+) -> StationPlace:
     here = [state.bench.labware[item] for item in station.labware]
     held = station.level if station.spec.kind == "waste" else len(here) + len(station.stock)
-    return Place(
+    return StationPlace(
         station=name,
         kind=station.spec.kind,
         state="occupied" if held else "empty" if station.known else "unknown",
@@ -120,7 +122,7 @@ def _place(state: LabState, name: StationName, station: Station, stories: dict[s
             for item in here
         ),
         stock=tuple(station.stock),
-        maybe=tuple(item.id for item in possibly_at(state, name)),
+        maybe=tuple(item.id for item in list_possibly_at(state, name)),
         expected=station.expected,
         level=station.level,
         hotel=station.spec.hotel,
@@ -128,7 +130,7 @@ def _place(state: LabState, name: StationName, station: Station, stories: dict[s
     )
 
 
-def _rows(place: Place) -> list[tuple[str, ...]]:
+def _rows(place: StationPlace) -> list[tuple[str, ...]]:
     """One line for the station, with what is nameless there; one for each further labware."""
     if place.shelves:
         told = f"{len(place.labware)} on {place.shelves} shelves"

@@ -13,8 +13,10 @@ from labos.cli._query import json_option
 @click.command("load")
 @click.argument("station", shell_complete=completes("station"))
 @click.option("--type", "labware", required=True, metavar="TYPE", help="The labware's type.")
-@click.option("--count", type=click.IntRange(min=1), default=1, show_default=True, help="How many pieces.")
-@click.option("--lot", default="", help="Their lot; each piece keeps it as its variable `lot`.")
+@click.option(
+    "--count", type=click.IntRange(min=1), default=1, show_default=True, help="The number of pieces."
+)
+@click.option("--lot", default="", help="The lot; each piece keeps it as its variable `lot`.")
 @json_option
 @user_option
 @home_option
@@ -23,8 +25,8 @@ def load(
 ) -> None:
     """Report that you put labware on a stack, or on the lowest free shelves of a hotel.
 
-    On a stack it lies on top, and gets its id when it is taken. What the station does not
-    accept, or has no room for, is refused.
+    On a stack, new pieces are on top. A piece gets its id when it is taken from the stack. The command is
+    refused if the station does not accept this type or has no room.
 
     \b
     labos load sciclops.tower1 --type pcr96 --count 20 --lot L2093
@@ -46,8 +48,8 @@ def load(
 @click.command("unload")
 @click.argument("station", shell_complete=completes("station"))
 @click.argument("labware", shell_complete=completes("labware"), required=False)
-@click.option("--count", type=click.IntRange(min=1), help="So many pieces from the top.")
-@click.option("--all", "everything", is_flag=True, help="Everything that stands there.")
+@click.option("--count", type=click.IntRange(min=1), help="The number of pieces, from the top.")
+@click.option("--all", "everything", is_flag=True, help="Unload everything that stands there.")
 @json_option
 @user_option
 @home_option
@@ -62,8 +64,8 @@ def unload(
 ) -> None:
     """Report that you took labware away from STATION: it has left the bench.
 
-    Name one piece, or say how many from the top, or --all. What a run or an experiment still owns
-    is refused. A waste is emptied the same way.
+    Give the id of one piece, a number of pieces from the top, or --all. The command is refused if a run or
+    an experiment still owns the labware. It also empties a waste.
 
     \b
     labos unload wc.output P7
@@ -87,10 +89,10 @@ def unload(
 @click.command("replenish")
 @click.argument("module", shell_complete=completes("module"))
 @click.argument("resource")
-@click.option("--amount", metavar="AMOUNT", help="How much: 96, or 20mL [default: until full].")
+@click.option("--amount", metavar="AMOUNT", help="The amount: 96, or 20mL [default: until full].")
 @click.option("--lot", required=True, help="The lot of the new pack.")
-@click.option("--expires", default="", metavar="DATE", help="Until when it is good: 2027-05-31.")
-@click.option("--instead", is_flag=True, help="What was left of the old pack was taken out.")
+@click.option("--expires", default="", metavar="DATE", help="The expiry date: 2027-05-31.")
+@click.option("--instead", is_flag=True, help="The old pack was removed, with its remaining content.")
 @json_option
 @user_option
 @home_option
@@ -105,11 +107,11 @@ def replenish(
     user: str | None,
     home: str | None,
 ) -> None:
-    """Report that you put more of RESOURCE into MODULE: runs that wait for it continue.
+    """Report that you refilled RESOURCE in MODULE. Runs that wait for it continue.
 
-    What is used up is charged to the oldest lot first. One that is past its date is not used, unless
-    the workcell says `expired: warn`: take it out, and put another in with --instead. `labos
-    inventory` shows which resources there are, and which runs out when.
+    Consumption is taken from the oldest lot first. An expired lot is not used, unless the workcell file has
+    `expired: warn`. Remove an expired lot, and report its replacement with --instead. `labos inventory`
+    lists the resources, and when each of them runs out.
 
     \b
     labos replenish ot2_cp_gamma tips --amount 96 --lot T-0815 --expires 2027-05-31

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 POLL_S = 0.02
 
 
-@click.command("take-over", short_help="Let a standby take over while runs go on.")
+@click.command("take-over", short_help="Let a standby take over while runs continue.")
 @click.option(
     "--timeout",
     "wait_s",
@@ -29,18 +29,19 @@ POLL_S = 0.02
     default=30.0,
     show_default=True,
     metavar="SECONDS",
-    help="How long to wait until the standby has the lab.",
+    help="How long to wait until the standby has taken over.",
 )
 @home_option
 @json_option
 def command(home: str | None, wait_s: float, as_json: bool) -> None:
-    """Let the kernel of this computer leave its lab to a standby, which takes over at once. Runs go on: what
-    instruments do is not disturbed, and nothing is started for a second or two. Say it on the kernel's
-    computer, as the user that it runs as.
+    """Stop the kernel on this computer, and let its standby take over the lab at once. Runs continue and
+    instruments are not disturbed. No action is started for one or two seconds. Run this command on the
+    kernel's computer, as the user that runs the kernel.
 
-    It is how a lab is upgraded without a stop: start the newer version as the standby, let it take over, and
-    do the same with the other computer (docs/three-hosts.md). Refused if nobody stands by, and if nodes
-    were started by this kernel and would end with it (`labos up` without --no-nodes and --detach-nodes).
+    Use it to upgrade a lab without a stop: start the newer version as the standby, let it take over, and
+    then do the same on the other computer (docs/three-hosts.md). The command is refused if there is no
+    standby, or if this kernel has started nodes that would end with it (`labos up` without --no-nodes and
+    --detach-nodes).
 
     \b
     labos take-over
@@ -78,7 +79,7 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
                 remedy="Say it as the user that it runs as: sudo -u labos.",
             ) from None
         pause_s = _wait(store, epoch, wait_s)
-        owner, epoch = store.holder().owner, store.head().epoch
+        owner, epoch = store.find_holder().owner, store.head().epoch
     finally:
         store.close()
     facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
@@ -110,7 +111,7 @@ def _wait(store: SqlEventStore, epoch: int, patience_s: float) -> float:
     while time.monotonic() < give_up:
         if store.head().epoch > epoch:
             return time.monotonic() - left_at if left_at else 0.0
-        if not left_at and store.holder().lease_left_s <= 0:
+        if not left_at and store.find_holder().lease_left_s <= 0:
             left_at = time.monotonic()
         time.sleep(POLL_S)
     if left_at:

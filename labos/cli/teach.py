@@ -15,11 +15,15 @@ from labos.cli._options import find_user, home_option, json_option, user_option,
 @click.argument("module", shell_complete=completes("module"))
 @click.argument("station", shell_complete=completes("station"))
 @click.option(
-    "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver wants."
+    "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver requires."
 )
 @why_option()
 @click.option(
-    "--type", "kind", default="", metavar="TYPE", help="For labware of this type only; else for all other."
+    "--type",
+    "kind",
+    default="",
+    metavar="TYPE",
+    help="For labware of this type only; otherwise for all types without their own pose.",
 )
 @user_option
 @home_option
@@ -34,9 +38,9 @@ def teach(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Set the pose at which the arm MODULE reaches STATION. Each pose is a version in the log; the
-    arm's node is started again with it. The first move there is slow if the driver's action has an
-    argument `slow`. A labware type may have a pose of its own, which goes before the station's.
+    """Set the pose at which the arm MODULE reaches STATION. Each pose is logged as a new version, and the
+    arm's node is restarted with it. The first move to the station is slow if the driver's action has an
+    argument `slow`. A pose for a labware type takes precedence over the pose for the station.
 
     \b
     labos teach pf400 sealer.default --pose 190.1,10.2,50.5,260.0,640.7,-480.2
@@ -61,8 +65,8 @@ def teach(
 @json_option
 @home_option
 def locations(module: str, as_json: bool, home: str | None) -> None:
-    """The poses at which the arm MODULE reaches its stations. Version 0 is the workcell file's; the
-    versions before the last one are in the log: `labos log --type location.taught`.
+    """List the poses at which the arm MODULE reaches its stations. Version 0 is the one in the workcell file.
+    Older versions are in the log: `labos log --type location.taught`.
 
     \b
     labos locations pf400

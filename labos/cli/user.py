@@ -15,30 +15,32 @@ from labos.services.times import show_time
 _id = click.argument("name", metavar="ID")
 
 
-@click.group("user", cls=Suggesting, short_help="Users: who may use the lab.")
+@click.group("user", cls=Suggesting, short_help="Manage users.")
 def command() -> None:
-    """Who may use the lab.
+    """Manage users.
 
-    A lab without users is open: everybody who reaches it may do everything. The first user becomes its
-    admin, and from then on nobody but users may do anything. A user may look; what else, roles say (labos
-    role). An id is no name and no mail address: the log keeps it for ever.
+    A lab without users is open: everybody with network access to it has all rights. The first user becomes
+    its admin. From then on only users have access. Every user may read. Roles grant further rights (labos
+    role). Do not use a person's name or mail address as the id, because the log keeps ids forever.
 
     \b
     labos user add ada                       the first one: admin of the lab
-    labos user add bo --role submitter       may submit, and touch what is theirs
-    labos user password bo                   what bo signs in with (labos login)
+    labos user add bo --role submitter       may submit, and change own runs and labware
+    labos user password bo                   set bo's password for labos login
     labos user add robot --service           a program or an agent
     labos user list
-    labos user disable bo                    may do nothing any more
+    labos user disable bo                    withdraw all rights
     """
 
 
 @command.command("add")
 @_id
 @click.option("--service", is_flag=True, help="A program or an agent, which may act on behalf of users.")
-@click.option("--role", type=role_choice, help="Grant this role too.")
-@click.option("--name", "person", metavar="NAME", help="Who it is; kept beside the log, and can be erased.")
-@click.option("--mail", metavar="ADDRESS", help="A mail address; as the name.")
+@click.option("--role", type=role_choice, help="Also grant this role.")
+@click.option(
+    "--name", "person", metavar="NAME", help="The person's name; stored outside the log, can be erased."
+)
+@click.option("--mail", metavar="ADDRESS", help="The mail address; stored outside the log, can be erased.")
 @workcell_option
 @user_option
 @home_option
@@ -54,7 +56,7 @@ def add(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Let a person, or a program, use the lab."""
+    """Add a person or a program as a user of the lab."""
     if workcell and not role:
         raise click.UsageError("--workcell says where a --role counts.")
     with lab_or_its_folder(home) as client:
@@ -82,7 +84,7 @@ def add(
 @home_option
 @json_option
 def list_users(home: str | None, as_json: bool) -> None:
-    """All users, with their groups and roles."""
+    """List all users, with their groups and roles."""
     with lab_at(home) as client:
         found = client.users()
     if as_json:
@@ -98,7 +100,7 @@ def list_users(home: str | None, as_json: bool) -> None:
 @home_option
 @json_option
 def show(name: str, home: str | None, as_json: bool) -> None:
-    """One user, with the roles that come from the user's group."""
+    """Show one user, with the roles of the user's group."""
     with lab_at(home) as client:
         found = client.user(name)
         groups = {group["name"]: group for group in client.groups()}
@@ -124,8 +126,8 @@ def show(name: str, home: str | None, as_json: bool) -> None:
 @home_option
 @json_option
 def disable(name: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Let a user do nothing any more. Runs under way and runs that wait go on, campaigns are paused. Users
-    are never removed, because the log speaks of them."""
+    """Disable a user: withdraw all rights. The user's active and waiting runs continue, campaigns are paused.
+    Users are never removed, because the log refers to them."""
     with lab_at(home) as client:
         client.disable_user(name, find_user(user))
         found = client.user(name) if as_json else {}
@@ -139,7 +141,7 @@ def disable(name: str, user: str | None, home: str | None, as_json: bool) -> Non
 @home_option
 @json_option
 def enable(name: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Let a user who was disabled act again."""
+    """Enable a disabled user again."""
     with lab_at(home) as client:
         client.enable_user(name, find_user(user))
         found = client.user(name) if as_json else {}
@@ -152,11 +154,11 @@ def enable(name: str, user: str | None, home: str | None, as_json: bool) -> None
 @home_option
 @json_option
 def password(name: str, home: str | None, as_json: bool) -> None:
-    """Change a password: your own, by the present one; as an admin, or on the lab's computer as the owner of
-    its folder, anybody's.
+    """Change a password. For your own, you need the present one. An admin, and the owner of the lab's folder
+    on the lab's computer, can change the password of any user.
 
-    It is typed on a terminal; without one, the first line of standard input is the new one (before it, for
-    your own, the present one). All sessions of the user end.
+    The command asks on the terminal. Without a terminal, it reads lines of standard input: the present
+    password (only for your own), then the new one. All sessions of the user end.
     """
     from labos.cli._secret import ask_password
 
@@ -168,12 +170,12 @@ def password(name: str, home: str | None, as_json: bool) -> None:
 
 @command.command("name")
 @_id
-@click.option("--name", "person", metavar="NAME", help="Who it is.")
+@click.option("--name", "person", metavar="NAME", help="The person's name.")
 @click.option("--mail", metavar="ADDRESS", help="A mail address.")
 @home_option
 @json_option
 def rename(name: str, person: str | None, mail: str | None, home: str | None, as_json: bool) -> None:
-    """Say who a user is. Names and addresses are kept beside the log, which knows ids alone."""
+    """Record a user's name and mail address. They are stored outside the log. The log has only ids."""
     with lab_or_its_folder(home) as client:
         client.set_person(name, name=person, mail=mail)
     tell(f"It is known who {name} is.", {"user": name, "name": person, "mail": mail}, as_json=as_json)
@@ -184,9 +186,10 @@ def rename(name: str, person: str | None, mail: str | None, home: str | None, as
 @home_option
 @json_option
 def erase(name: str, home: str | None, as_json: bool) -> None:
-    """Forget who a user is: name, address, password, tokens, sessions. Events remain, and bear the id.
+    """Erase a user's personal data: name, address, password, tokens, sessions. Events stay in the log, with
+    the user's id.
 
-    The user is still one: `labos user disable` besides lets nobody act under the id.
+    The user still exists. Use `labos user disable` too if nobody may act with this id.
     """
     with lab_or_its_folder(home) as client:
         client.erase_person(name)
@@ -200,7 +203,8 @@ def erase(name: str, home: str | None, as_json: bool) -> None:
 @home_option
 @json_option
 def link(name: str, issuer: str, subject: str, home: str | None, as_json: bool) -> None:
-    """Say whom an identity provider means by a user: SUBJECT is what the provider ISSUER, a URL, calls them.
+    """Link a user to an identity at an identity provider. ISSUER is the provider's URL, SUBJECT the user's
+    identifier there.
 
     \b
     labos user link ada https://login.example.org 248289761001

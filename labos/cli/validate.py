@@ -28,7 +28,7 @@ from labos.spec import (
     list_specs,
 )
 from labos.spec.choices import describe_choices, list_choices
-from labos.spec.findings import finding_of
+from labos.spec.findings import make_finding
 
 ONLINE_PATIENCE_S = 2.0
 """How long to ask a lab that does not answer."""
@@ -53,16 +53,16 @@ class Verdict(msgspec.Struct):
         return not self.unreachable and all(f.severity != "error" for f in self.findings)
 
 
-@click.command("validate", short_help="What is wrong with a workflow, before anything moves.")
+@click.command("validate", short_help="Check a workflow before anything moves.")
 @click.argument("workflow", shell_complete=completes("workflow"))
 @click.option(
     "--workcell",
     default="",
     metavar="W",
-    help="A workcell file, or a packaged one: rpl. Needed to check a workflow.",
+    help="A workcell file, or the name of a packaged workcell, such as rpl. Needed to check a workflow.",
 )
 @payload_option
-@click.option("--simulate", is_flag=True, help="Files that are needed on the real bench only may be missing.")
+@click.option("--simulate", is_flag=True, help="Files that only the real bench needs may be missing.")
 @click.option("--online", is_flag=True, help="Also ask each module's node, through the running lab.")
 @json_option
 @log_options
@@ -85,11 +85,11 @@ def command(
     labos validate my.yaml --workcell rpl --payload values.yaml --online
     labos validate my_cell.yaml
 
-    Without --workcell, a workcell or labware file is checked by itself. Each finding names file,
-    line and column, what is wrong, and what to do. Where modules have coordinates, footprints that
-    overlap and stations beyond an arm's reach are warnings. So are windows (`within`) that a run can miss
-    though it is alone, if its steps take up to a tenth longer or shorter; with `windows: refuse` at the
-    top of the workflow they are errors.
+    Without --workcell, a workcell or labware file is checked by itself. Each finding names file, line and
+    column, the problem and the remedy. If modules have coordinates, there are warnings about footprints
+    that overlap and stations outside an arm's reach. There is also a warning about each window (`within`)
+    that a run alone on the bench can miss if its steps take up to a tenth longer or shorter. With
+    `windows: refuse` at the top of the workflow, this is an error.
     """
     if not workcell:
         _alone(workflow, as_json=as_json)
@@ -132,7 +132,7 @@ def _alone(name: str, *, as_json: bool) -> None:
     except SpecErrors as errors:
         findings = list(errors.findings)
     except SpecError as error:
-        findings = [finding_of(error)]
+        findings = [make_finding(error)]
     sound = all(finding.severity != "error" for finding in findings)
     if as_json:
         show_json({"sound": sound, "findings": findings})
@@ -177,7 +177,7 @@ def examine(
         verdict.findings = [*findings, *errors.findings]
         return verdict, None
     except SpecError as error:
-        verdict.findings = [*findings, finding_of(error)]
+        verdict.findings = [*findings, make_finding(error)]
         return verdict, None
     verdict.findings = [*findings, *compiled.findings]
     verdict.inputs, verdict.outputs = compiled.inputs, compiled.outputs

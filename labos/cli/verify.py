@@ -24,7 +24,7 @@ from labos.services.signatures import check_signatures
 from labos.services.times import iso_time
 from labos.services.trust.compare import CheckpointComparison, is_signed
 from labos.services.verification import (
-    Part,
+    VerifiedPart,
     check_benches,
     check_blobs,
     check_database,
@@ -54,7 +54,7 @@ CAVEAT = (
 )
 
 
-@click.command("verify", short_help="Check the log, its snapshot and its blobs; name the first bad position.")
+@click.command("verify", short_help="Check the log's chain of hashes.")
 @click.option(
     "--checkpoint",
     "file",
@@ -64,7 +64,9 @@ CAVEAT = (
 )
 @click.option("--export", is_flag=True, help="Write a new checkpoint if the log agrees with the old one.")
 @click.option(
-    "--journals", is_flag=True, help="Check the journals of this home's nodes, and whether they know more."
+    "--journals",
+    is_flag=True,
+    help="Check the journals of this home's nodes, and whether they know actions that the log lacks.",
 )
 @click.option(
     "--backup",
@@ -76,7 +78,7 @@ CAVEAT = (
 @click.option(
     "--detached",
     is_flag=True,
-    help="With --backup: the segments before the first one that is there are kept elsewhere.",
+    help="With --backup: the first segments are missing because they are kept elsewhere.",
 )
 @click.option(
     "--bundle",
@@ -89,14 +91,14 @@ CAVEAT = (
     "public_keys",
     multiple=True,
     metavar="KEY|FILE",
-    help="Whose signatures count (the keys of the lab's folder). May be repeated.",
+    help="Accept signatures of this public key (default: keys in the lab's folder). May be repeated.",
 )
 @click.option(
     "--witness-key",
     "witness_keys",
     multiple=True,
     metavar="KEY|FILE",
-    help="With --bundle: this witness must have cosigned.",
+    help="With --bundle: require a cosignature of this witness.",
 )
 @click.option(
     "--tsa",
@@ -123,25 +125,26 @@ def command(
     key_file: Path | None,
     as_json: bool,
 ) -> None:
-    """Check every record of the log against the chain of hashes, and the data beside the log: the snapshot
-    (its seal, and whether the log folds to it), how far the log once reached, each blob that the log names,
-    and the records of simulated benches. Reports what was checked in each. Exit code 1 if anything is wrong.
+    """Check every record of the log against the chain of hashes. Check also the data beside the log: the
+    snapshot (its seal, and whether a replay of the log gives the same state), the recorded end of the log,
+    each blob that the log names, and the records of simulated benches. The command reports what it checked.
+    Exit code 1 if anything is wrong.
 
     \b
-    labos verify                               all of that
-    labos verify --checkpoint /safe/lab.json   the first time: note where the log ends;
-                                               later: also that nothing up to there has changed
-    labos verify --checkpoint F --export       compare, then note the new end
+    labos verify                               all of these
+    labos verify --checkpoint /safe/lab.json   the first time: save the end of the log;
+                                               later: check that nothing before it has changed
+    labos verify --checkpoint F --export       compare, then save the new end
     labos verify --checkpoint F --key K        seal it, or check its seal
-    labos verify --journals                    also the nodes' journals, and what they know beyond the log
+    labos verify --journals                    also the nodes' journals, and actions that the log lacks
     labos verify --backup /safe/lab            a backup, without any database
     labos verify --backup /safe/lab --archive /archive/lab   with the segments that were moved there
-    labos verify --backup /safe/lab --detached   its later segments, without those before
-    labos verify --checkpoint /safe/checkpoints   signed ones, of labos checkpoint
+    labos verify --backup /safe/lab --detached   its later segments, without the earlier ones
+    labos verify --checkpoint /safe/checkpoints   signed checkpoints of labos checkpoint
     labos verify --bundle R7.zip --public-key lab.pub   a run, offline
 
-    Keep checkpoints where nobody who can write to the database can write: a chain alone does not show that
-    its tail was cut off.
+    Keep checkpoints in a place without write access for users of the database. The chain of hashes alone
+    does not show that the end of the log was cut off.
     """
     if export and file is None:
         raise click.UsageError("--export needs --checkpoint FILE.")
@@ -199,7 +202,9 @@ def command(
                 "head": end,
                 "compared_with": seen or compared,
                 "parts": [
-                    Part("log", damage.position if damage else end.position, _describe_log(fault, end)),
+                    VerifiedPart(
+                        "log", damage.position if damage else end.position, _describe_log(fault, end)
+                    ),
                     *parts,
                 ],
                 "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
@@ -227,7 +232,7 @@ def command(
 
 
 def _first_position(
-    damage: Damage | None, compared: CheckpointComparison | None, parts: list[Part]
+    damage: Damage | None, compared: CheckpointComparison | None, parts: list[VerifiedPart]
 ) -> int | None:
     """The first position of the log that something is wrong with."""
     if damage is not None:
@@ -237,10 +242,10 @@ def _first_position(
     return next((at for part in parts for at in part.positions), None)
 
 
-def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
+def _other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
     """What there is beside the chain; what cannot be looked at is a fault too."""
     settings = Settings.make(where.home, where.url)
-    looks: tuple[tuple[str, Callable[[], Part]], ...] = (
+    looks: tuple[tuple[str, Callable[[], VerifiedPart]], ...] = (
         ("database", lambda: check_database(store)),
         ("end", lambda: check_end(store)),
         ("snapshot", lambda: check_snapshot(store)),
@@ -254,7 +259,7 @@ def _other_parts(where: Where, store: SqlEventStore) -> list[Part]:
         try:
             found.append(look())
         except LabosError as error:
-            found.append(Part(name, 0, error.message, (str(error),)))
+            found.append(VerifiedPart(name, 0, error.message, (str(error),)))
     return found
 
 

@@ -18,23 +18,23 @@ SIGNS = {"added": "+", "removed": "-", "changed": "~"}
 
 @click.group("workcell", cls=Suggesting)
 def command() -> None:
-    """Workcells of the running lab."""
+    """Manage workcells of the running lab."""
 
 
 @command.command("apply")
 @click.argument("file", shell_complete=completes("workcell file"))
-@click.option("--dry-run", is_flag=True, help="Only show what would change, and what is in the way.")
+@click.option("--dry-run", is_flag=True, help="Only show what would change, and what prevents it.")
 @click.option("--yes", is_flag=True, help="Do not ask first.")
 @json_option
 @user_option
 @home_option
 def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, home: str | None) -> None:
-    """Change a workcell of the running lab to what FILE says now.
+    """Apply the present content of FILE to a workcell of the running lab.
 
-    Shows what is added (+), removed (-) and changed (~), labware types included. Nothing is removed
-    that holds labware, may hold some, is at work, or is needed by runs that are queued or under way:
-    what is in the way is named. Nodes of new modules are started where `labos up` starts the nodes, those of
-    removed ones end.
+    The command shows additions (+), removals (-) and changes (~), also of labware types. It refuses to
+    remove modules and stations that hold labware, may hold labware, are in use, or are needed by queued
+    or active runs, and names the obstacle. If `labos up` starts the nodes, nodes of new modules start
+    and nodes of removed modules end.
 
     \b
     labos workcell apply rpl.yaml --dry-run

@@ -17,7 +17,7 @@ class LabUnreachable(LabosError):
     """No lab answers."""
 
 
-class Problem(msgspec.Struct):
+class ProblemDocument(msgspec.Struct):
     """A problem document, as far as it is read here."""
 
     code: str = ""
@@ -48,12 +48,12 @@ def cannot_write(content: bytes) -> LabUnreachable:
     return LabUnreachable(f"The lab cannot write its log at the moment{reason}", remedy=problem.remedy)
 
 
-def problem_in(content: bytes) -> Problem:
+def problem_in(content: bytes) -> ProblemDocument:
     """The problem that the lab told of; its fields are empty if it told of none."""
     try:
-        return msgspec.json.decode(content, type=Problem)
+        return msgspec.json.decode(content, type=ProblemDocument)
     except msgspec.MsgspecError:
-        return Problem()
+        return ProblemDocument()
 
 
 def _errors() -> dict[str, type[LabosError]]:

@@ -20,7 +20,7 @@ GIVEN_UP: ContextVar[threading.Event | None] = ContextVar("given_up", default=No
 """Set in the threads of the asynchronous client: once the event is set, nobody waits for the call."""
 
 
-class GivenUp(Exception):
+class CallAbandoned(Exception):
     """Nobody waits for this call any more."""
 
 
@@ -28,7 +28,7 @@ def check_given_up() -> None:
     """Raises GivenUp."""
     given_up = GIVEN_UP.get()
     if given_up is not None and given_up.is_set():
-        raise GivenUp
+        raise CallAbandoned
 
 
 def in_path(name: str, parts: int = 1) -> str:

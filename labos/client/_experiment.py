@@ -15,7 +15,7 @@ from labos.client._flows import Flow, FlowFailed, FlowResult
 from labos.client._lab import LabClient, LabUnreachable
 from labos.client._logged import LoggedEvents
 from labos.client._progress import Progress
-from labos.client._record import Record
+from labos.client._record import ExperimentRecord
 from labos.client._replay import Key, ReplayMismatch
 from labos.client._results import RunResult
 from labos.client._services import Computations
@@ -71,7 +71,7 @@ class Experiment(LoggedEvents):
         self._beating: threading.Thread | None = None
         self._random: Random | None = None
         self.id = ""
-        self._record = Record(self)
+        self._record = ExperimentRecord(self)
         self._computations = Computations(self._record)
         self._carrier: GlobusCarrier | None = None
 
@@ -169,7 +169,7 @@ class Experiment(LoggedEvents):
         that was started again asked for another one."""
         taken, record = self._take("run", workflow, key), self._record
         request, told = record.request_of(taken), workflow_text(workflow, payload)
-        with record.asking(taken):
+        with record.keep_key_on_failure(taken):
             run = record.find_run(taken, request, told, payload)
             if run:
                 result = self.lab.wait(run, progress=progress)
@@ -187,7 +187,7 @@ class Experiment(LoggedEvents):
         """Queue a run of a workflow; returns its id. Options are those of ``LabClient.submit``. Raises
         ReplayMismatch."""
         taken = self._take("submit", workflow, key)
-        with self._record.asking(taken):
+        with self._record.keep_key_on_failure(taken):
             return self._submit(taken, self._record.request_of(taken), workflow, payload, options)
 
     def submit_all(
@@ -203,7 +203,7 @@ class Experiment(LoggedEvents):
         taken = self._take("submit_all", workflow, key)
         request = options.pop("request", "") or self._record.request_of(taken)
         found, warnings = [], list[str]()
-        with self._record.asking(taken):
+        with self._record.keep_key_on_failure(taken):
             for number, payload in enumerate(payloads):
                 found.append(self._submit(taken, f"{request}-{number}", workflow, payload, options))
                 warnings += self.lab.warnings
@@ -250,7 +250,7 @@ class Experiment(LoggedEvents):
         ]
         listed = {"keywords": list(keywords), "creators": list(creators) or [self.user], "runs": list(runs)}
         facts = {"title": title, "about": about, "files": kept, **listed}
-        with self._record.asking(taken, PlaceUnavailable):
+        with self._record.keep_key_on_failure(taken, PlaceUnavailable):
             self._record.keep(taken, "publication", title, facts)
             if index is not None:
                 of = {"experiment": self.id, "application": self.name}
@@ -294,7 +294,7 @@ class Experiment(LoggedEvents):
         from labos.services.compute import PlaceUnavailable
 
         taken = self._take("compute_all", function, key)
-        with self._record.asking(taken, PlaceUnavailable):
+        with self._record.keep_key_on_failure(taken, PlaceUnavailable):
             begun = self._computations.submit_all(function, arguments, where, taken)
             return [each.result() for each in begun]
 
@@ -309,7 +309,7 @@ class Experiment(LoggedEvents):
         from labos.services.compute import PlaceUnavailable
 
         taken = self._take("run_flow", flow, key)
-        with self._record.asking(taken, PlaceUnavailable):
+        with self._record.keep_key_on_failure(taken, PlaceUnavailable):
             if isinstance(flow, Flow):
                 result = _flows.run(self._record, self._computations, taken, flow, given)
             else:
@@ -327,7 +327,7 @@ class Experiment(LoggedEvents):
         from labos.services.compute import PlaceUnavailable
 
         taken = self._take("transfer", target, key)
-        with self._record.asking(taken, TransferFailed, PlaceUnavailable):
+        with self._record.keep_key_on_failure(taken, TransferFailed, PlaceUnavailable):
             if _globus.is_globus(source) or _globus.is_globus(target):
                 return _globus.transfer(self._record, taken, source, target, self._carrier, sha256)
             return _transfers.transfer(self._record, taken, source, target)

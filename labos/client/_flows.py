@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from labos.client._record import Record
+from labos.client._record import ExperimentRecord
 from labos.client._replay import Key, ReplayMismatch, as_json
 from labos.client._services import Computations
 from labos.errors import BadInput, LabosError
@@ -71,7 +71,7 @@ class FlowFailed(LabosError):
 
 
 def run(
-    record: Record,
+    record: ExperimentRecord,
     computations: Computations,
     key: Key,
     flow: Flow,
@@ -96,7 +96,7 @@ def run(
 
 
 def _carry_out(
-    record: Record,
+    record: ExperimentRecord,
     computations: Computations,
     key: Key,
     flow: Flow,

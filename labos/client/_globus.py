@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlsplit
 
 from labos.client._flows import FlowResult
-from labos.client._record import Record, ServiceRecord
+from labos.client._record import ExperimentRecord, ServiceRecord
 from labos.client._replay import Key, ReplayMismatch, as_json
 from labos.client._transfers import Place, TransferFailed, Transferred
 from labos.errors import BadInput
@@ -21,7 +21,7 @@ T = TypeVar("T")
 SCHEME = "globus://"
 
 
-def run_flow(record: Record, key: Key, flow: GlobusFlow, given: Mapping[str, Any]) -> FlowResult:
+def run_flow(record: ExperimentRecord, key: Key, flow: GlobusFlow, given: Mapping[str, Any]) -> FlowResult:
     """Have Globus carry out a flow. Raises GlobusError, ReplayMismatch for another flow or another input."""
     from labos.services.globus import run_once
 
@@ -34,7 +34,7 @@ def run_flow(record: Record, key: Key, flow: GlobusFlow, given: Mapping[str, Any
     for attempt in range(1, flow.attempts + 1):
         if ended is not None:
             break
-        run = run_once(flow, record.sent(f"{key} attempt {attempt}", "Globus Flows"), given)
+        run = run_once(flow, record.find_sent(f"{key} attempt {attempt}", "Globus Flows"), given)
         told = {"flow_id": str(key), "globus_run": run.id, "states": run.states}
         if run.status == "SUCCEEDED":
             output = record.json_as_facts(as_json(run.output))
@@ -60,7 +60,12 @@ def is_globus(place: Place) -> bool:
 
 
 def transfer(
-    record: Record, key: Key, source: Place, target: Place, carrier: GlobusCarrier | None, sha256: str
+    record: ExperimentRecord,
+    key: Key,
+    source: Place,
+    target: Place,
+    carrier: GlobusCarrier | None,
+    sha256: str,
 ) -> Transferred:
     """Have Globus copy a file from one collection to another. Raises TransferFailed, GlobusError,
     ReplayMismatch."""
@@ -106,7 +111,7 @@ def transfer(
     return Transferred(**said, sha256=facts["sha256"], bytes=facts["bytes"])
 
 
-def ingest(record: Record, key: Key, index: GlobusIndex, content: Mapping[str, Any]) -> None:
+def ingest(record: ExperimentRecord, key: Key, index: GlobusIndex, content: Mapping[str, Any]) -> None:
     """Put a publication into an index. Raises GlobusError."""
     from labos.services.globus import ingest_once
 
@@ -118,7 +123,7 @@ def ingest(record: Record, key: Key, index: GlobusIndex, content: Mapping[str, A
     record.keep(f"{key} indexed", "flow", "Globus Search", facts)
 
 
-def attempts_of(record: Record, key: Key, service: str, once: Callable[[ServiceRecord], T]) -> T:
+def attempts_of(record: ExperimentRecord, key: Key, service: str, once: Callable[[ServiceRecord], T]) -> T:
     """What comes of the first attempt that has not failed; if it fails, that is written down, and the next
     call is another attempt. Raises GlobusError."""
     from labos.services.globus import GlobusFailed
@@ -126,7 +131,7 @@ def attempts_of(record: Record, key: Key, service: str, once: Callable[[ServiceR
     attempt = 1
     while record.find_note(f"{key} attempt {attempt} failed") is not None:
         attempt += 1
-    sent = record.sent(f"{key} attempt {attempt}", service)
+    sent = record.find_sent(f"{key} attempt {attempt}", service)
     try:
         return once(sent)
     except GlobusFailed as error:

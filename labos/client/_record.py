@@ -10,9 +10,9 @@ import msgspec
 
 from labos.client._answers import LabUnreachable
 from labos.client._replay import (
+    CallKeys,
+    ExperimentPast,
     Key,
-    Keys,
-    Past,
     as_json,
     as_sent,
     check_note,
@@ -41,7 +41,7 @@ KINDS = {
 """The kind of call that stands in a key, if it is not called as the method."""
 
 
-class Recorded(Protocol):
+class RecordedExperiment(Protocol):
     """What is needed of an experiment."""
 
     lab: LabClient
@@ -49,21 +49,21 @@ class Recorded(Protocol):
     id: str
 
 
-class Record:
+class ExperimentRecord:
     """Of one experiment."""
 
-    def __init__(self, experiment: Recorded) -> None:
+    def __init__(self, experiment: RecordedExperiment) -> None:
         self._of = experiment
-        self._keys = Keys()
-        self.past = Past(experiment.lab, "")
+        self._keys = CallKeys()
+        self.past = ExperimentPast(experiment.lab, "")
 
     @property
     def experiment(self) -> str:
         return self._of.id
 
-    def begin(self, experiment: str) -> Past:
+    def begin(self, experiment: str) -> ExperimentPast:
         """Read what the log has of an experiment. Raises NotFound."""
-        self.past = Past(self._of.lab, experiment).read()
+        self.past = ExperimentPast(self._of.lab, experiment).read()
         if not self.past.status:
             raise NotFound(
                 f"There is no experiment {experiment!r}.",
@@ -79,7 +79,7 @@ class Record:
         return self._keys.take(KINDS.get(method, method), about, given)
 
     @contextmanager
-    def asking(self, key: Key, *failures: type[LabosError]) -> Iterator[None]:
+    def keep_key_on_failure(self, key: Key, *failures: type[LabosError]) -> Iterator[None]:
         """A call that was not answered, or failed in a way that leaves no trace, may be made again under the
         same key."""
         without_trace: tuple[type[LabosError], ...] = (LabUnreachable, *failures)
@@ -118,7 +118,7 @@ class Record:
     def note(self, kind: str, name: str, facts: Mapping[str, Any]) -> None:
         """Log something once. Raises ReplayMismatch if the program went another way before."""
         key = self._keys.take(kind, name)
-        with self.asking(key):
+        with self.keep_key_on_failure(key):
             check_note(self.experiment, self.keep(key, kind, name, facts), facts)
 
     def find_note(self, key: str) -> dict[str, Any] | None:
@@ -142,13 +142,13 @@ class Record:
 
     def decide(self, key: Key, name: str, function: Callable[[], Any]) -> Any:
         """What a function returns, or has returned."""
-        with self.asking(key):
+        with self.keep_key_on_failure(key):
             known = self.find_note(key)
             if known is None:
                 known = self.keep(key, "decision", name, self.json_as_facts(as_json(function())))
             return self.json_of(known["facts"])
 
-    def sent(self, key: str, service: str) -> ServiceRecord:
+    def find_sent(self, key: str, service: str) -> ServiceRecord:
         """What the log has of something that is sent to a service elsewhere."""
         return ServiceRecord(self, key, service)
 
@@ -184,7 +184,7 @@ class Record:
         """Raises NotFound, LogDamaged."""
         return self._of.lab.file(sha256)
 
-    def _past_again(self) -> Past:
+    def _past_again(self) -> ExperimentPast:
         self.past.lab = self._of.lab
         return self.past.read()
 
@@ -193,18 +193,18 @@ class ServiceRecord:
     """What the log has of something that was sent to a service elsewhere, under the key of its call: a note
     of kind ``flow`` before it is sent, another one when it has arrived."""
 
-    def __init__(self, record: Record, key: str, service: str) -> None:
+    def __init__(self, record: ExperimentRecord, key: str, service: str) -> None:
         self._record, self._key, self._service = record, key, service
         self.of = record.experiment
         self.mark = f"{record.past.seed}/{key}"
 
-    def known(self, name: str) -> Mapping[str, Any] | None:
+    def find_own(self, name: str) -> Mapping[str, Any] | None:
         return self._facts(f"{self._key} {name}")
 
     def keep(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
         return self._keep(f"{self._key} {name}", {"state": name, "of": self._key, **facts})
 
-    def shared(self, name: str) -> Mapping[str, Any] | None:
+    def find_shared(self, name: str) -> Mapping[str, Any] | None:
         return self._facts(f"{self._service}: {name}")
 
     def keep_shared(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:

@@ -52,7 +52,7 @@ class Key(str):
     """The key of a call, as it has been taken."""
 
 
-class Keys:
+class CallKeys:
     """Gives calls their keys, in the order in which the program makes them."""
 
     def __init__(self) -> None:
@@ -84,16 +84,16 @@ def request_of(experiment: str, key: str) -> str:
     return name if name.isascii() and name.isprintable() else f"{experiment}/{_digest(key)}"
 
 
-class Log(Protocol):
+class EventSource(Protocol):
     """What is needed of a lab."""
 
     def events(self, after: int = 0, **filters: Any) -> Any: ...
 
 
-class Past:
+class ExperimentPast:
     """What the log has of an experiment. ``status``: open, cancelled, closing or ended."""
 
-    def __init__(self, lab: Log, experiment: str) -> None:
+    def __init__(self, lab: EventSource, experiment: str) -> None:
         self.lab, self._experiment = lab, experiment
         self._position = 0
         self._reading = threading.Lock()
@@ -106,7 +106,7 @@ class Past:
         self.strays: list[str] = []
         """Runs that bear no key of the program's."""
 
-    def read(self) -> Past:
+    def read(self) -> ExperimentPast:
         """Read on to the present end of the log. Raises LabUnreachable."""
         with self._reading:
             filters = {"type": list(TYPES), "correlation": self._experiment}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from labos.client._record import LARGEST_IN_EVENT, Record, function_name
+from labos.client._record import LARGEST_IN_EVENT, ExperimentRecord, function_name
 from labos.client._replay import ReplayMismatch, plain_digest
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ LONGEST_SHOWN = 200
 class Computations:
     """Of one experiment. Nothing is opened or imported before the first of them."""
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: ExperimentRecord) -> None:
         self._record = record
         self._places: dict[str, Any] = {}
         self._attempts: Attempts | None = None
@@ -63,7 +63,7 @@ class Computations:
             then=lambda computed: self._tell(key, kind, computed, what),
             failed=lambda error: self._tell_failure(key, kind, error, what),
             unavailable=lambda: self._record.give_back(key),
-            sent=lambda attempt: self._record.sent(f"{key} attempt {attempt}", "Globus Compute"),
+            sent=lambda attempt: self._record.find_sent(f"{key} attempt {attempt}", "Globus Compute"),
         )
 
     def submit_all(

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 import msgspec
 
-from labos.client._record import Record
+from labos.client._record import ExperimentRecord
 from labos.client._replay import Key, ReplayMismatch
 from labos.errors import BadInput, LabosError
 
@@ -40,7 +40,7 @@ class TransferFailed(LabosError):
     """A file could not be transferred. Nothing is said of it in the log."""
 
 
-def transfer(record: Record, key: Key, source: Place, target: str | Path) -> Transferred:
+def transfer(record: ExperimentRecord, key: Key, source: Place, target: str | Path) -> Transferred:
     """Copy a file, read it again where it is now, and log both; or what the log has. Raises TransferFailed,
     ReplayMismatch."""
     said = {"source": show_place(source), "target": show_place(target)}
@@ -68,7 +68,7 @@ def show_place(place: Place) -> str:
     return urlunsplit((parts.scheme, host, parts.path, "", ""))
 
 
-def _copy(record: Record, source: Place, target: str) -> tuple[str, int]:
+def _copy(record: ExperimentRecord, source: Place, target: str) -> tuple[str, int]:
     try:
         import fsspec
     except ImportError:

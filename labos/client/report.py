@@ -44,7 +44,7 @@ class Drawing(Protocol):
     def savefig(self, file: Any, **options: Any) -> Any: ...
 
 
-class Report(NamedTuple):
+class ReportPage(NamedTuple):
     """A page, and a line that says where the data is."""
 
     page: Path
@@ -60,7 +60,7 @@ def write_report(
     pictures: Mapping[str, tuple[str, Drawing | bytes]],
     table: Sequence[Mapping[str, Any]] = (),
     files: str = "its files",
-) -> Report:
+) -> ReportPage:
     """Write the pictures (by file name: what they show, and a figure or a file's content), the table as
     ``data.csv``, and ``index.html``, which holds all of it and needs nothing else. The log is told: a
     publication with the names of the files. ``files`` says what the log holds besides."""
@@ -76,7 +76,7 @@ def write_report(
     shown = [(name, pictures[name][0], content) for name, content in contents.items()]
     page.write_text(_page(f"{title} {experiment.id}", said, shown, table, where), "utf-8")
     experiment.note("publication", "report", files=[str(path.resolve()) for path in (*written, page)])
-    return Report(page, f"The data: {where}; {page}")
+    return ReportPage(page, f"The data: {where}; {page}")
 
 
 def parser_for(description: str, *, user: str, out: str) -> argparse.ArgumentParser:

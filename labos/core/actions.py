@@ -215,7 +215,7 @@ def why_not_believed(action: Action, module: str, journal: str, attempt: int) ->
     return ""
 
 
-def time_told(action: Action, ended_ns: int, now: int) -> int:
+def find_device_time(action: Action, ended_ns: int, now: int) -> int:
     """When an action ended by its node's clock (UTC ns); 0 if the node did not say, or said a time that
     cannot be: long before the request, or in the future."""
     possible = action.requested_at - CLOCK_SKEW_NS <= ended_ns <= now + CLOCK_SKEW_NS

@@ -151,7 +151,7 @@ def check_effect(store: Store[Reason], effect: object) -> Reason | None:
     return None
 
 
-class Count(Protocol):
+class PieceCount(Protocol):
     """Who keeps count of labware with a name by its places."""
 
     def lift(self, place: StationName) -> None:
@@ -161,7 +161,7 @@ class Count(Protocol):
         """One piece of labware comes to a place."""
 
 
-def carry(count: Count, what: Carried) -> None:
+def carry(count: PieceCount, what: Carried) -> None:
     """Note where labware stands once something has been carried."""
     if what.emptied and not what.stock:
         count.lift(what.emptied)

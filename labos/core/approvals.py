@@ -137,7 +137,7 @@ class Proposal(msgspec.Struct):
         return {why.code for why in self.why}
 
 
-class Past(msgspec.Struct):
+class LastApproval(msgspec.Struct):
     """What was approved last under a name; ``terms`` of a campaign, as they were approved."""
 
     subject: str
@@ -147,17 +147,17 @@ class Past(msgspec.Struct):
 
 class Approvals(msgspec.Struct):
     """``open`` are the proposals by subject; ``past`` what was approved last, by kind and name; ``given``
-    counts what was approved of each user's. ``alike`` are, by experiment, the workflows (``alike_of``) of
-    which further runs may go on. ``applied`` is the digest of the policy's file."""
+    counts what was approved of each user's. ``alike`` are, by experiment, the workflows (by
+    ``take_common_parts``) whose further runs may go on. ``applied`` is the digest of the policy's file."""
 
     policy: Policy = Policy()
     applied: str = ""
     open: dict[str, Proposal] = {}
-    past: dict[str, Past] = {}
+    past: dict[str, LastApproval] = {}
     given: dict[str, int] = {}
     alike: dict[str, dict[str, bool]] = {}
 
-    def last(self, kind: Kind, name: str) -> Past | None:
+    def last(self, kind: Kind, name: str) -> LastApproval | None:
         """What was approved last of a kind and name."""
         return self.past.get(f"{kind}:{name}")
 
@@ -166,7 +166,7 @@ VALUES = ("plan", "payload")
 """Parts of a run that differ between runs of one workflow."""
 
 
-def alike_of(parts: dict[str, str]) -> str:
+def take_common_parts(parts: dict[str, str]) -> str:
     """What runs have in common that differ in their values only."""
     return "\n".join(f"{name}={parts[name]}" for name in sorted(parts) if name not in VALUES)
 
@@ -186,13 +186,13 @@ def fold_approval_given(approvals: Approvals, event: ApprovalGiven, at: int) -> 
     approvals.past.pop(key, None)
     terms = event.terms or proposal.terms
     changed = {"terms": digest(canonical(terms))} if event.terms is not None else {}
-    approvals.past[key] = Past(proposal.subject, proposal.parts | changed, terms)
+    approvals.past[key] = LastApproval(proposal.subject, proposal.parts | changed, terms)
     while len(approvals.past) > PAST_KEPT:
         del approvals.past[next(iter(approvals.past))]
     approvals.given[proposal.user] = approvals.given.get(proposal.user, 0) + 1
     experiment = proposal.parts.get("experiment", "")
     if event.alike and experiment:
-        approvals.alike.setdefault(experiment, {})[alike_of(proposal.parts)] = True
+        approvals.alike.setdefault(experiment, {})[take_common_parts(proposal.parts)] = True
 
 
 def fold_approval_refused(approvals: Approvals, event: ApprovalRefused, at: int) -> None:

@@ -220,7 +220,7 @@ def fold_stations_applied(bench: Bench, event: StationsApplied, at: int) -> None
 
 def fold_station_declared(bench: Bench, event: StationDeclared, at: int) -> None:
     station = bench.stations[event.station]
-    _know(bench, event.station)
+    _set_known(bench, event.station)
     if station.spec.kind == "waste":
         station.level = len(event.contents)
     else:
@@ -282,11 +282,11 @@ def fold_labware_removed(bench: Bench, event: LabwareRemoved, at: int) -> None:
     labware = bench.labware[event.labware]
     lid = bench.labware.get(labware.lid)
     if lid is not None and lid.maybe:
-        _part(bench, lid)
+        _separate(bench, lid)
     for item in (lid, labware) if lid is not None and not lid.maybe else (labware,):
         _lift(bench, item)
-        _part(bench, item)
-        _disown(bench, item)
+        _separate(bench, item)
+        _remove_from_owner(bench, item)
         bench.barcodes.pop(item.barcode, None)
         del bench.labware[item.id]
     station = bench.stations.get(event.where)
@@ -301,13 +301,13 @@ def fold_labware_uncertain(bench: Bench, event: LabwareUncertain, at: int) -> No
         _lay_on(bench, labware, event.on)
     labware.maybe = event.places
     bench.lost[labware.id] = True
-    _haunt(bench, event.places)
+    _count_possible(bench, event.places)
 
 
 def fold_station_observed(bench: Bench, event: StationObserved, at: int) -> None:
     """What is seen empty is known, if nobody ever spoke of it."""
     if event.count == 0:
-        _know(bench, event.station)
+        _set_known(bench, event.station)
 
 
 def fold_labware_changed(bench: Bench, event: LabwareChanged, at: int) -> None:
@@ -352,7 +352,7 @@ def fold_labware_handed_over(bench: Bench, event: LabwareHandedOver, at: int) ->
             item.lender = NOBODY
         elif item.owner != event.owner:
             item.lender = item.owner
-        _disown(bench, item)
+        _remove_from_owner(bench, item)
         item.owner = event.owner
         bench.by_owner.setdefault(event.owner, {})[item.id] = True
 
@@ -369,7 +369,7 @@ def fold_intervention_requested(bench: Bench, event: InterventionRequested, at: 
             places = [event.topic.station]
     if places:
         bench.searched[event.intervention] = tuple(places)
-        _haunt(bench, tuple(places))
+        _count_possible(bench, tuple(places))
 
 
 def fold_intervention_resolved(bench: Bench, event: InterventionResolved, at: int) -> None:
@@ -419,7 +419,7 @@ def _expect(bench: Bench, what: Carrying, change: int) -> None:
         bench.stations[what.stock].taking += change
 
 
-def taking(bench: Bench, stack: StationName) -> int:
+def count_taking(bench: Bench, stack: StationName) -> int:
     """How many items of a stack actions in flight are about to take."""
     station = bench.stations.get(stack)
     return station.taking if station is not None else 0
@@ -427,8 +427,8 @@ def taking(bench: Bench, stack: StationName) -> int:
 
 def _settle(bench: Bench, labware: Labware, station: StationName, on: str = "") -> None:
     _lift(bench, labware)
-    _part(bench, labware)
-    _know(bench, station)
+    _separate(bench, labware)
+    _set_known(bench, station)
     if on:
         _lay_on(bench, labware, LabwareId(on))
     else:
@@ -438,12 +438,12 @@ def _settle(bench: Bench, labware: Labware, station: StationName, on: str = "") 
 
 
 def _lay_on(bench: Bench, lid: Labware, plate: LabwareId) -> None:
-    _part(bench, lid)
+    _separate(bench, lid)
     lid.on = plate
     bench.labware[plate].lid = lid.id
 
 
-def _part(bench: Bench, lid: Labware) -> None:
+def _separate(bench: Bench, lid: Labware) -> None:
     """A lid and the plate that it lay on have no more to do with each other."""
     if lid.on:
         bench.labware[lid.on].lid = LabwareId("")
@@ -466,7 +466,7 @@ def _rooms(bench: Bench, place: StationName) -> tuple[Station, ...]:
     return (station, bench.stations[station.spec.hotel]) if station.spec.hotel else (station,)
 
 
-def _know(bench: Bench, place: StationName) -> None:
+def _set_known(bench: Bench, place: StationName) -> None:
     """It is known what stands at a station."""
     station = bench.stations[place]
     station.known = True
@@ -486,7 +486,7 @@ def _take_away(bench: Bench, name: StationName) -> Station | None:
     return station
 
 
-def _haunt(bench: Bench, places: tuple[StationName, ...]) -> None:
+def _count_possible(bench: Bench, places: tuple[StationName, ...]) -> None:
     for place in places:
         bench.haunted[place] = bench.haunted.get(place, 0) + 1
 
@@ -502,7 +502,7 @@ def _number(name: LabwareId) -> int:
     return int(name[1:]) if name[1:].isdigit() else 0
 
 
-def _disown(bench: Bench, labware: Labware) -> None:
+def _remove_from_owner(bench: Bench, labware: Labware) -> None:
     owned = bench.by_owner[labware.owner]
     del owned[labware.id]
     if not owned:

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.algebra import check_effect, settings_after
-from labos.core.bench import Labware, a1_after, parts, taking, variable_of
+from labos.core.bench import Labware, a1_after, count_taking, parts, variable_of
 from labos.core.effects import (
     AnyEffect,
     Carrying,
@@ -42,7 +42,7 @@ from labos.core.waits import Wait, module_key, occupants, party, station_key, un
 
 def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffect, ...]:
     """Write into the effects which labware they touch, if all of them are possible now."""
-    start = Start(state, run, step)
+    start = StartCheck(state, run, step)
     for effect in step.effects:
         wait = check_effect(start, effect)
         if wait is not None:
@@ -54,7 +54,7 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
 def unfit(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     """What labware that is where a step needs it is not as the step needs it; None if it is. Nothing that
     others do changes that."""
-    start = Start(state, run, step)
+    start = StartCheck(state, run, step)
     for effect in step.effects:
         wait: Wait | None = None
         match effect:
@@ -77,7 +77,7 @@ def _for_good(wait: Wait) -> Wait:
     return Wait(reasons.Unfit(*wait.reason.names), wait.on)
 
 
-class Start:
+class StartCheck:
     """A step that is about to start, as the state has it: a store that says what the step waits for.
     ``bound`` are the effects that may happen, with their labware, ``subject`` is the labware that was spoken
     of last."""
@@ -98,7 +98,7 @@ class Start:
             return Wait(reasons.Buried(stack, station.labware[-1]), key)
         if stack in self.state.bench.haunted:
             return Wait(reasons.Uncertain(stack), key)
-        left = len(station.stock) - taking(self.state.bench, stack)
+        left = len(station.stock) - count_taking(self.state.bench, stack)
         if left <= 0:
             return Wait(reasons.StackEmpty(stack), key)
         alike = {*zip(station.stock[left - 1 :], station.lots[left - 1 :], strict=True)}
@@ -112,7 +112,7 @@ class Start:
             self._found[place] = item
             return None
         if self._used and usable_at(self.state, self.run, place) is not None:
-            return _missing(self.state, self.run, place)  # the other piece is carried away already
+            return _explain_missing(self.state, self.run, place)  # the other piece is carried away already
         return explain_missing(self.state, self.run, place)
 
     def fits(self, what: Carrying) -> Wait | None:
@@ -195,7 +195,7 @@ class Start:
                 names = (place, f"{number} arrivals at once")
                 return Wait(reasons.Occupied(*names), until_left_alone(self.state, place))
         for stack, number in Counter(effect.stock for effect in list_carried(self.bound)).items():
-            if stack and number > len(bench.stations[stack].stock) - taking(bench, stack):
+            if stack and number > len(bench.stations[stack].stock) - count_taking(bench, stack):
                 return Wait(reasons.StackEmpty(stack), (station_key(stack),))
         return None
 
@@ -236,7 +236,7 @@ class Start:
 
     def _topmost(self, stack: StationName) -> str:
         """The type of what is taken off a stack."""
-        left = len(self.state.bench.stations[stack].stock) - taking(self.state.bench, stack)
+        left = len(self.state.bench.stations[stack].stock) - count_taking(self.state.bench, stack)
         return parts(self.state.bench.stations[stack].stock[left - 1])[0]
 
 
@@ -337,10 +337,10 @@ def explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
         return Wait(reasons.NotYours(labware.id, place, labware.owner or "nobody"), key)
     if station is not None and not station.known and not station.expected:
         return Wait(reasons.Undeclared(place), key)
-    return _missing(state, run, place)
+    return _explain_missing(state, run, place)
 
 
-def _missing(state: LabState, run: RunState, place: StationName) -> Wait:
+def _explain_missing(state: LabState, run: RunState, place: StationName) -> Wait:
     """Nothing stands at a place; labware of this run that is being carried may yet come there."""
     on_its_way = any(item.moving for item in state.bench.list_owned(run_owner(run.id)))
     why = reasons.StillToCome(place) if on_its_way else reasons.NothingThere(place)
@@ -390,7 +390,7 @@ def check_stack_alone(state: LabState, place: StationName) -> Wait | None:
     if station.spec.kind != "stack" or place in state.bench.haunted:  # of which it is asked elsewhere
         return None
     moving = any(state.bench.labware[name].moving for name in station.labware)
-    if station.expected or moving or taking(state.bench, place):
+    if station.expected or moving or count_taking(state.bench, place):
         return Wait(reasons.ReachedInto(place), until_left_alone(state, place))
     return None
 

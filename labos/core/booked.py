@@ -13,7 +13,7 @@ from functools import lru_cache
 import msgspec
 
 from labos.core import reasons
-from labos.core.bookings import Booking, Span
+from labos.core.bookings import Booking, BookingSpan
 from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, workcell_of
 from labos.core.model import PlanStep
@@ -66,7 +66,7 @@ def theirs(state: LabState, user: str, module: ModuleName, *, clears: bool = Fal
 
 def find_blocked(
     state: LabState, user: str, module: ModuleName, since: int, until: int, *, clears: bool = False
-) -> list[Span]:
+) -> list[BookingSpan]:
     """When a module is booked for others than a user from ``since`` to ``until`` (UTC ns), in order. What was
     booked for the user later on goes before what others have booked, but for maintenance."""
     others = theirs(state, user, module, clears=clears)
@@ -80,8 +80,8 @@ def _own(state: LabState, user: str, module: ModuleName) -> list[Booking]:
     return [booking for booking in state.bookings.list_for(module) if booking.is_for(user, group)]
 
 
-def _spans(others: Iterable[Booking], own: Iterable[Booking], since: int, until: int) -> list[Span]:
-    found: list[Span] = []
+def _spans(others: Iterable[Booking], own: Iterable[Booking], since: int, until: int) -> list[BookingSpan]:
+    found: list[BookingSpan] = []
     for booking in others:
         later = [mine for mine in own if mine.made > booking.made and not booking.maintenance]
         for span in booking.spans(since, until):
@@ -92,7 +92,7 @@ def _spans(others: Iterable[Booking], own: Iterable[Booking], since: int, until:
     return sorted(found)
 
 
-def _cut_out(span: Span, cut: Span) -> Iterator[Span]:
+def _cut_out(span: BookingSpan, cut: BookingSpan) -> Iterator[BookingSpan]:
     """What is left of a time when another is cut out."""
     if cut.ends <= span.begins or cut.begins >= span.ends:
         yield span
@@ -116,7 +116,7 @@ def not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait
 
 
 def waits_for(
-    state: LabState, module: ModuleName, span: Span, step: str, now: int, until: int | None = None
+    state: LabState, module: ModuleName, span: BookingSpan, step: str, now: int, until: int | None = None
 ) -> Wait:
     """The wait of a step for the end of a booking, or until another time at which there is room for it."""
     booking = state.bookings.open[span.booking]
@@ -141,7 +141,7 @@ def find_begun_booking(state: LabState, run: RunState, steps: Iterable[PlanStep]
     for (module, clears), step in longest.items():
         found = find_begun(state, run.user, module, clears=clears)
         if found is not None:
-            span = Span(found.began, found.until, found.id)
+            span = BookingSpan(found.began, found.until, found.id)
             return waits_for(state, module, span, step.key, found.began)
         length = int(step.duration_s * 1e9 / state.lab.pace)
         wait = no_gap(state, run.user, module, length, state.recorded_at, clears=clears)

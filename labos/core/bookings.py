@@ -30,7 +30,7 @@ class BookingEvent(Event, frozen=True):
         return f"booking:{self.booking}"
 
 
-class Terms(BookingEvent, frozen=True):
+class BookingTerms(BookingEvent, frozen=True):
     """What is booked: a module or a workcell (``target``), from ``begins`` to ``ends`` (UTC ns). It is for a
     ``user``, for a ``group``, or for nobody (``maintenance``). With a ``rule`` it is repeated by the clock of
     the time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end)."""
@@ -49,14 +49,14 @@ class Terms(BookingEvent, frozen=True):
 
 
 @event("booking.made")
-class BookingMade(Terms, frozen=True):
+class BookingMade(BookingTerms, frozen=True):
     """Somebody booked a module or a workcell. ``over`` are bookings that it was made over, by force."""
 
     over: tuple[str, ...] = ()
 
 
 @event("booking.changed")
-class BookingChanged(Terms, frozen=True):
+class BookingChanged(BookingTerms, frozen=True):
     """A booking is for another time or for somebody else. All of it is said again."""
 
     over: tuple[str, ...] = ()
@@ -103,7 +103,7 @@ class BookingEnded(Occasion, frozen=True):
     over: bool = False
 
 
-class Span(msgspec.Struct, frozen=True, order=True):
+class BookingSpan(msgspec.Struct, frozen=True, order=True):
     """One time of a booking (UTC ns)."""
 
     begins: int
@@ -155,7 +155,7 @@ class Booking(msgspec.Struct):
             return False
         return bool(group) and group == self.group if self.group else user == self.user
 
-    def spans(self, since: int, until: int) -> list[Span]:
+    def spans(self, since: int, until: int) -> list[BookingSpan]:
         """Its times that are not over at ``since`` and have begun before ``until``, in order (UTC ns)."""
         length = self.ends - self.begins
         if not self.rule:
@@ -164,12 +164,12 @@ class Booking(msgspec.Struct):
             before = min(until, self.last + 1) if self.last else until
             starts = times_between(self.rule, self.zone, self.begins, since - length + 1, before)
         return [
-            Span(begins, begins + length, self.id)
+            BookingSpan(begins, begins + length, self.id)
             for begins in starts
             if begins < until and begins + length > since and begins not in self.skipped
         ]
 
-    def next_span(self, after: int) -> Span | None:
+    def next_span(self, after: int) -> BookingSpan | None:
         """The first of its times that is not over then (UTC ns); None if it does not come again."""
         for days in (40, 400, 4_000, 40_000) if self.rule else (40_000,):
             found = self.spans(after, max(after, self.begins) + days * DAY_NS)

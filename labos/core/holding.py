@@ -58,7 +58,7 @@ def find_other_claimant(state: LabState, name: ModuleName, allowed: tuple[Owner,
 
 def holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str:
     """Which other run keeps the module by its plan's word."""
-    return next((run_owner(holder) for holder in state.runs.holding(name) if holder != run.id), "")
+    return next((run_owner(holder) for holder in state.runs.list_holders(name) if holder != run.id), "")
 
 
 def door_left_by(state: LabState, name: ModuleName, run: RunState) -> str:

@@ -22,7 +22,7 @@ from labos.core.runs import RunState, RunStatus
 from labos.core.state import LabState
 
 
-class Scene(msgspec.Struct):
+class BenchOfRun(msgspec.Struct):
     """What of the bench concerns one run: where its labware stands (how much), whose stations these are,
     how doors and lids of modules stand and how at rest, and of which modules the run has left them away
     from it."""
@@ -50,7 +50,7 @@ def will_leave(plan: Plan, run: RunState) -> bool:
     return run.status == RunStatus.CANCELLING and not run.why and not run.stay and bool(steps_out(plan))
 
 
-def way_out(plan: Plan, scene: Scene) -> tuple[int, ...]:
+def way_out(plan: Plan, scene: BenchOfRun) -> tuple[int, ...]:
     """The steps that lead out from a scene, which is changed to what they leave."""
     found = []
     for index in order_of(plan, steps_out(plan)):
@@ -61,7 +61,7 @@ def way_out(plan: Plan, scene: Scene) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _is_needed(step: PlanStep, scene: Scene) -> bool:
+def _is_needed(step: PlanStep, scene: BenchOfRun) -> bool:
     for what in list_carried(step.effects):
         if what.stands:
             return all(scene.standing[place] > 0 for place in what.stands)
@@ -81,7 +81,7 @@ def _is_needed(step: PlanStep, scene: Scene) -> bool:
     return does_more or not doors or any(now.get(name) != value for name, value in doors.items())
 
 
-def _carry_out(step: PlanStep, scene: Scene) -> None:
+def _carry_out(step: PlanStep, scene: BenchOfRun) -> None:
     for what in list_carried(step.effects):
         carry(scene, what)
     doors = settings_after(step.effects).variables
@@ -92,7 +92,7 @@ def _carry_out(step: PlanStep, scene: Scene) -> None:
         (scene.left.add if away else scene.left.discard)(step.module)
 
 
-def scene_of(state: LabState, run: RunState) -> Scene:
+def find_bench_of_run(state: LabState, run: RunState) -> BenchOfRun:
     """What a run finds on the bench."""
     own = state.bench.list_owned(run_owner(run.id))
     cell = state.runs.plan_of(run).workcell
@@ -102,7 +102,7 @@ def scene_of(state: LabState, run: RunState) -> Scene:
         for name, module in modules
         if any(left.by == run.id for left in module.away_from_rest().values())
     }
-    return Scene(
+    return BenchOfRun(
         Counter(StationName(item.station) for item in own if item.station),
         {name: state.bench.stations[name].spec.module for name in state.bench.in_cell.get(cell, ())},
         {name: module.values for name, module in modules},

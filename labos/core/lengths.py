@@ -92,8 +92,8 @@ class Lengths(msgspec.Struct):
 
 
 class Drift(msgspec.Struct, frozen=True):
-    """An action that takes longer or shorter than its driver or workflow says: middle of its last times, in
-    lab seconds."""
+    """An action that takes a quarter more or less than planned, and differs by more than a second. Both are
+    medians of its last times (at most ``KEPT``), in lab seconds: what it took and what was planned for it."""
 
     module: ModuleName
     action: str
@@ -120,11 +120,12 @@ def learn(lengths: Lengths, action: Action, step: PlanStep, at: int, pace: float
         del known[next(iter(known))]
 
 
-DRIFT, LEAST_S = 1.25, 1.0
+DRIFT_RATIO, LEAST_DRIFT_S = 1.25, 1.0
 
 
-def drifts(lengths: Lengths, pace: float) -> list[Drift]:
-    """The actions that take a quarter more or less than planned, and not by less than a second."""
+def find_drifts(lengths: Lengths, pace: float) -> list[Drift]:
+    """The drifts of all actions that were carried out often enough, in the order in which they were last
+    carried out; ``pace`` is the lab's speed-up factor."""
     found: list[Drift] = []
     for kind, times in lengths.by_kind.items():
         module, action, *more = kind.split("\x1f")
@@ -133,7 +134,7 @@ def drifts(lengths: Lengths, pace: float) -> list[Drift]:
         planned = sorted(times.planned)[len(times.planned) // 2]
         takes = planned * times.usual // 1_000_000
         longer, shorter = max(takes, planned), min(takes, planned)
-        if longer > DRIFT * shorter and longer - shorter > LEAST_S * 1e9:
+        if longer > DRIFT_RATIO * shorter and longer - shorter > LEAST_DRIFT_S * 1e9:
             found.append(Drift(ModuleName(module), action, takes * pace / 1e9, planned * pace / 1e9))
     return found
 

@@ -45,7 +45,7 @@ AT_REST, IN_USE, UNCERTAIN = "at rest", "in use", "uncertain"
 """Labware that stands somewhere, with which an action is at work, and of which nobody knows where it is."""
 
 
-class Row(msgspec.Struct, frozen=True):
+class Transition(msgspec.Struct, frozen=True):
     """An event, the statuses in which it may find something, and the one in which it leaves it."""
 
     event: type[Event]
@@ -60,69 +60,69 @@ _AR, _AA, _AP, _AU = tuple(ActionStatus)
 _IDLE, _BUSY, _ERROR, _GONE = tuple(ModuleStatus)
 
 RUN = (
-    Row(RunSubmitted, (NOT_THERE,), _Q),
-    Row(RunStarted, (_Q,), _A),
-    Row(RunCancelling, (_A, _L), _C),
-    Row(RunLeaving, (_C,), _L),
-    Row(RunCompleted, (_A, _C), NOT_THERE),  # a completion wins the race
-    Row(RunFailed, (_Q, _A, _C, _L), NOT_THERE),
-    Row(RunCancelled, (_Q, _A, _C, _L), NOT_THERE),
+    Transition(RunSubmitted, (NOT_THERE,), _Q),
+    Transition(RunStarted, (_Q,), _A),
+    Transition(RunCancelling, (_A, _L), _C),
+    Transition(RunLeaving, (_C,), _L),
+    Transition(RunCompleted, (_A, _C), NOT_THERE),  # a completion wins the race
+    Transition(RunFailed, (_Q, _A, _C, _L), NOT_THERE),
+    Transition(RunCancelled, (_Q, _A, _C, _L), NOT_THERE),
 )
 
 STEP = (
-    Row(ActionRequested, (_P,), _F),
-    Row(ActionAccepted, (_U,), _F),
-    Row(ActionReported, (_U,), _F),
-    Row(ActionRejected, (_F, _U), _P),
-    Row(ActionRejected, (_F, _U), _X),
-    Row(ActionSucceeded, (_F, _U), _D),
-    Row(ActionFailed, (_F, _U), _X),
-    Row(ActionUnknown, (_F,), _U),
-    Row(ActionReconciled, (_U,), _D),
-    Row(ActionReconciled, (_U,), _P),
-    Row(ActionReconciled, (_U,), _X),
-    Row(StepUnexpected, (_D,), _X),
-    Row(StepRetried, (_X, _D, _S), _P),
-    Row(StepRecovering, (_S,), _P),
-    Row(StepSkipped, (_P, _X), _S),
-    Row(RunLeaving, (_P, _X), _S),
-    Row(RunLeaving, (_S,), _P),
+    Transition(ActionRequested, (_P,), _F),
+    Transition(ActionAccepted, (_U,), _F),
+    Transition(ActionReported, (_U,), _F),
+    Transition(ActionRejected, (_F, _U), _P),
+    Transition(ActionRejected, (_F, _U), _X),
+    Transition(ActionSucceeded, (_F, _U), _D),
+    Transition(ActionFailed, (_F, _U), _X),
+    Transition(ActionUnknown, (_F,), _U),
+    Transition(ActionReconciled, (_U,), _D),
+    Transition(ActionReconciled, (_U,), _P),
+    Transition(ActionReconciled, (_U,), _X),
+    Transition(StepUnexpected, (_D,), _X),
+    Transition(StepRetried, (_X, _D, _S), _P),
+    Transition(StepRecovering, (_S,), _P),
+    Transition(StepSkipped, (_P, _X), _S),
+    Transition(RunLeaving, (_P, _X), _S),
+    Transition(RunLeaving, (_S,), _P),
 )
 
 ACTION = (
-    Row(ActionRequested, (NOT_THERE,), _AR),
-    Row(ActionAccepted, (_AR, _AU), _AA),
-    Row(ActionReported, (_AR, _AA, _AU), _AP),
-    Row(ActionUnknown, (_AR, _AA, _AP), _AU),
-    Row(ActionRejected, (_AR, _AA, _AU), NOT_THERE),
-    Row(ActionSucceeded, (_AR, _AA, _AP, _AU), NOT_THERE),
-    Row(ActionFailed, (_AR, _AA, _AP, _AU), NOT_THERE),
-    Row(ActionReconciled, (_AU,), NOT_THERE),
+    Transition(ActionRequested, (NOT_THERE,), _AR),
+    Transition(ActionAccepted, (_AR, _AU), _AA),
+    Transition(ActionReported, (_AR, _AA, _AU), _AP),
+    Transition(ActionUnknown, (_AR, _AA, _AP), _AU),
+    Transition(ActionRejected, (_AR, _AA, _AU), NOT_THERE),
+    Transition(ActionSucceeded, (_AR, _AA, _AP, _AU), NOT_THERE),
+    Transition(ActionFailed, (_AR, _AA, _AP, _AU), NOT_THERE),
+    Transition(ActionReconciled, (_AU,), NOT_THERE),
 )
 
 NODE = (
-    Row(WorkcellApplied, (NOT_THERE,), _GONE),
-    *(Row(NodeJoined, (_GONE, _IDLE, _BUSY, _ERROR), status) for status in (_IDLE, _BUSY, _ERROR)),
-    Row(NodeLeft, (_IDLE, _BUSY, _ERROR), _GONE),
-    *(Row(NodeStateChanged, (_IDLE, _BUSY, _ERROR), status) for status in (_IDLE, _BUSY, _ERROR)),
-    Row(EmergencyStopped, (_IDLE, _BUSY), _ERROR),
-    Row(WorkcellApplied, (_IDLE, _BUSY, _ERROR, _GONE), NOT_THERE),
+    Transition(WorkcellApplied, (NOT_THERE,), _GONE),
+    *(Transition(NodeJoined, (_GONE, _IDLE, _BUSY, _ERROR), status) for status in (_IDLE, _BUSY, _ERROR)),
+    Transition(NodeLeft, (_IDLE, _BUSY, _ERROR), _GONE),
+    *(Transition(NodeStateChanged, (_IDLE, _BUSY, _ERROR), status) for status in (_IDLE, _BUSY, _ERROR)),
+    Transition(EmergencyStopped, (_IDLE, _BUSY), _ERROR),
+    Transition(WorkcellApplied, (_IDLE, _BUSY, _ERROR, _GONE), NOT_THERE),
 )
 
 LABWARE = (
-    Row(LabwarePlaced, (NOT_THERE,), AT_REST),
-    Row(ActionRequested, (AT_REST,), IN_USE),
-    Row(ActionRejected, (IN_USE,), AT_REST),
-    Row(ActionSucceeded, (IN_USE,), AT_REST),
-    Row(ActionFailed, (IN_USE,), AT_REST),
-    Row(ActionReconciled, (IN_USE,), AT_REST),
-    Row(LabwareUncertain, (AT_REST, IN_USE), UNCERTAIN),
-    Row(LabwareObserved, (UNCERTAIN,), AT_REST),
-    Row(LabwareObserved, (UNCERTAIN,), IN_USE),
-    Row(LabwareRemoved, (AT_REST, IN_USE, UNCERTAIN), NOT_THERE),
+    Transition(LabwarePlaced, (NOT_THERE,), AT_REST),
+    Transition(ActionRequested, (AT_REST,), IN_USE),
+    Transition(ActionRejected, (IN_USE,), AT_REST),
+    Transition(ActionSucceeded, (IN_USE,), AT_REST),
+    Transition(ActionFailed, (IN_USE,), AT_REST),
+    Transition(ActionReconciled, (IN_USE,), AT_REST),
+    Transition(LabwareUncertain, (AT_REST, IN_USE), UNCERTAIN),
+    Transition(LabwareObserved, (UNCERTAIN,), AT_REST),
+    Transition(LabwareObserved, (UNCERTAIN,), IN_USE),
+    Transition(LabwareRemoved, (AT_REST, IN_USE, UNCERTAIN), NOT_THERE),
 )
 
-MACHINES: dict[str, tuple[Row, ...]] = {
+MACHINES: dict[str, tuple[Transition, ...]] = {
     "run": RUN,
     "step": STEP,
     "action": ACTION,
@@ -131,7 +131,7 @@ MACHINES: dict[str, tuple[Row, ...]] = {
 }
 
 
-def arrows(rows: tuple[Row, ...]) -> Iterator[tuple[str, str, str]]:
+def arrows(rows: tuple[Transition, ...]) -> Iterator[tuple[str, str, str]]:
     """Event type, status before and status after, of each change."""
     for row in rows:
         for before in row.before:

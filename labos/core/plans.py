@@ -83,7 +83,7 @@ _parts: dict[bytes, object] = {}
 _written = msgspec.json.Encoder().encode
 
 
-def _one_of_all_equal(part: T, make: Callable[[T], T] = lambda part: part) -> T:
+def _share_equal(part: T, make: Callable[[T], T] = lambda part: part) -> T:
     """The part of another plan that is written the same, if one is known: ten thousand waiting plans
     differ in little, and nobody changes a plan. One that is new is kept as ``make`` makes it."""
     key = _written(part)
@@ -98,16 +98,16 @@ def _one_of_all_equal(part: T, make: Callable[[T], T] = lambda part: part) -> T:
 def share_plans(plans: Plans) -> None:
     """What plans have in common is held once."""
     for known in plans.values():
-        known.plan = msgspec.structs.replace(known.plan, steps=_shared(known.plan.steps))
+        known.plan = msgspec.structs.replace(known.plan, steps=_share_effects(known.plan.steps))
 
 
-def _shared(steps: tuple[PlanStep, ...]) -> tuple[PlanStep, ...]:
+def _share_effects(steps: tuple[PlanStep, ...]) -> tuple[PlanStep, ...]:
     """The same steps, in as little memory as those of other plans leave them to take."""
-    return tuple(_one_of_all_equal(step, _with_shared_effects) for step in steps)
+    return tuple(_share_equal(step, _share_effects_of_step) for step in steps)
 
 
-def _with_shared_effects(step: PlanStep) -> PlanStep:
-    return msgspec.structs.replace(step, effects=_one_of_all_equal(step.effects))
+def _share_effects_of_step(step: PlanStep) -> PlanStep:
+    return msgspec.structs.replace(step, effects=_share_equal(step.effects))
 
 
 def plan_recorded(plans: Plans, event: PlanRecorded) -> None:
@@ -117,7 +117,7 @@ def plan_recorded(plans: Plans, event: PlanRecorded) -> None:
 
 def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
     state = plans[event.plan]
-    state.plan = msgspec.structs.replace(state.plan, steps=(*state.plan.steps, *_shared(event.steps)))
+    state.plan = msgspec.structs.replace(state.plan, steps=(*state.plan.steps, *_share_effects(event.steps)))
     if state.complete:
         state.starts = tuple(
             i for i, step in enumerate(state.plan.steps) if not step.after and step.part == MAIN

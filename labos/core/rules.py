@@ -42,7 +42,7 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
         _own_turn(state, run, step, index)
         or log_whole(state, step)
         or check_starts_allowed(state, run, step)
-        or no_hands_inside(state, run, step)
+        or check_no_access(state, run, step)
         or within_quota(state, run, now)
         or _in_window(state, run, step, now)
         or _check_retry_delay(state, run, step, index, now)
@@ -109,7 +109,7 @@ def check_starts_allowed(state: LabState, run: RunState, step: PlanStep) -> Wait
     return None
 
 
-def no_hands_inside(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+def check_no_access(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     """Nothing starts in a workcell into which a person reaches; arms are parked before."""
     cell = workcell_of(step.module)
     access = state.lab.access.get(cell)

@@ -134,7 +134,7 @@ class Shares(msgspec.Struct):
     def member(self, user: str) -> Member:
         return self.members.get(user, _ANYBODY)
 
-    def standing(self, user: str, now: int) -> tuple[float, float]:
+    def find_share_used(self, user: str, now: int) -> tuple[float, float]:
         """What a user has had for the weight: first the group, then the user within it. Whoever has the least
         goes first."""
         member, group = self.member(user), self.groups.get(self.group_of.get(user, ""))

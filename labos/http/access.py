@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from labos.core.decide.access import Change, EndAccess, RequestAccess
+from labos.core.decide.access import EndAccess, ReportedChange, RequestAccess
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import local, workcell_of
 from labos.core.modules import ModuleStatus
@@ -56,7 +56,7 @@ async def end_access(
 ) -> None:
     """The person is out; what was changed is written down with it. Raises Refused, NotFound."""
     cell = service.workcell(workcell).name
-    changes = [Change(service.station(change.station), change.what) for change in told]
+    changes = [ReportedChange(service.station(change.station), change.what) for change in told]
     for change in changes:
         known = change.what == "empty" or change.what in service.kernel.state.bench.labware
         if not known:

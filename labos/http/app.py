@@ -19,7 +19,7 @@ from starlette.routing import Route
 
 from labos.errors import LabosError
 from labos.http import wire
-from labos.http.door import Door
+from labos.http.door import RequestFilter
 from labos.http.identity import Gate
 from labos.http.metrics import metric_routes
 from labos.http.openapi import document
@@ -45,9 +45,9 @@ def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> 
         exception_handlers={
             LabosError: wire.labos_error,  # type: ignore[dict-item]
             HTTPException: wire.http_error,  # type: ignore[dict-item]
-            Exception: wire.surprise,
+            Exception: wire.report_fault,
         },
-        middleware=[Middleware(Door, names=names), Middleware(ShownWords, log=service.parts.store)],
+        middleware=[Middleware(RequestFilter, names=names), Middleware(ShownWords, log=service.parts.store)],
     )
     app.state.api = api
     return app

@@ -7,7 +7,7 @@ import msgspec
 from labos.core.approvals import Proposal
 from labos.core.decide.targets import cells_of
 from labos.errors import BadInput
-from labos.http.campaigns import ConsumableEstimate, remaining
+from labos.http.campaigns import ConsumableEstimate, find_left
 from labos.http.service import LabService
 from labos.planning.lab_forecast import LabForecast
 
@@ -31,6 +31,6 @@ async def forecast_proposal(service: LabService, proposal: Proposal) -> Proposal
     (cell,) = cells_of(service.kernel.state, proposal.subject)
     needed = proposal.demand.consumables
     consumables = {
-        kind: ConsumableEstimate(amount, remaining(service, cell, kind)) for kind, amount in needed.items()
+        kind: ConsumableEstimate(amount, find_left(service, cell, kind)) for kind, amount in needed.items()
     }
     return ProposalForecast(await service.forecasts.forecast_proposal(proposal.subject), consumables)

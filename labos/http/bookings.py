@@ -6,7 +6,7 @@ from typing import Annotated
 
 import msgspec
 
-from labos.core.bookings import Booking, Span
+from labos.core.bookings import Booking, BookingSpan
 from labos.core.decide.bookings import NewTerms
 from labos.core.recurrence import DAY_NS
 from labos.core.state import LabState
@@ -147,7 +147,7 @@ class BookingCancelled(msgspec.Struct, frozen=True):
 
 def view(booking: Booking, over: tuple[str, ...] = ()) -> BookingView:
     span = (
-        Span(booking.began, booking.until, booking.id)
+        BookingSpan(booking.began, booking.until, booking.id)
         if booking.began
         else booking.next_span(booking.handled)
     )
@@ -199,7 +199,7 @@ def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarVie
         raise BadInput(
             f"A calendar shows 1 to {LONGEST_CALENDAR_DAYS} days.", remedy="Ask for a shorter time at once."
         )
-    found: list[tuple[Span, Booking]] = []
+    found: list[tuple[BookingSpan, Booking]] = []
     for booking in bookings_of(service, query.target):
         found += [(span, booking) for span in booking.spans(since, until)]
     found.sort(key=lambda pair: (pair[0].begins, pair[0].ends, pair[1].id))
@@ -208,7 +208,7 @@ def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarVie
     return CalendarView(since, until, [_time(span, booking) for span, booking in found])
 
 
-def _time(span: Span, booking: Booking) -> BookedTime:
+def _time(span: BookingSpan, booking: Booking) -> BookedTime:
     return BookedTime(
         booking.id,
         booking.target,

@@ -18,7 +18,7 @@ from labos.ports import BlobReader
 _definition = msgspec.json.Decoder(WorkflowText)
 
 
-class Table:
+class RowTable:
     """The rows of a campaign: the blob and where each row begins in it."""
 
     def __init__(self, data: bytes) -> None:
@@ -40,8 +40,8 @@ class Table:
         return found
 
 
-def read_table(blobs: BlobReader, digest: str) -> Table:
-    return Table(blobs.get(digest))
+def read_table(blobs: BlobReader, digest: str) -> RowTable:
+    return RowTable(blobs.get(digest))
 
 
 def read_definition(blobs: BlobReader, digest: str) -> WorkflowText:
@@ -53,7 +53,7 @@ class CampaignRows:
 
     def __init__(self, service: LabService) -> None:
         self._service = service
-        self._known: dict[CampaignId, tuple[Table, WorkflowText]] = {}
+        self._known: dict[CampaignId, tuple[RowTable, WorkflowText]] = {}
 
     async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
         table, workflow = await self._read(campaign)
@@ -65,7 +65,7 @@ class CampaignRows:
         pins = self._service.pins_of(workflow, *compiled.plans)
         return SubmitRow(campaign.id, row, compiled.plan, payload, pins, compiled.others)
 
-    async def _read(self, campaign: Campaign) -> tuple[Table, WorkflowText]:
+    async def _read(self, campaign: Campaign) -> tuple[RowTable, WorkflowText]:
         if campaign.id not in self._known:
             for name in [
                 name for name in self._known if name not in self._service.kernel.state.campaigns.open

@@ -26,8 +26,8 @@ from labos.planning.lab_forecast import LabForecast
 from labos.services.times import parse_until
 from labos.spec import SpecErrors, compile_workflow, parse_workflow
 from labos.spec.campaign import CampaignSource, parse_campaign, stop_rule
-from labos.spec.findings import Finding, Report, finding_of, near
-from labos.spec.rows import Line as RowLine
+from labos.spec.findings import Finding, FindingList, make_finding, near
+from labos.spec.rows import TableLine as RowLine
 
 MOST_CHECKED = 2_000
 """Rows of one campaign that are planned before it is submitted; of longer tables so many, evenly spread."""
@@ -87,11 +87,11 @@ class CampaignView(msgspec.Struct, frozen=True):
     cloned_from: str
 
 
-class Checked(msgspec.Struct):
+class CheckedCampaign(msgspec.Struct):
     """What the check of a campaign's rows has found: a plan of each that was planned, and in ``rows`` all of
     them between which it chooses."""
 
-    report: Report
+    report: FindingList
     plans: list[Plan] = []
     rows: list[tuple[Plan, ...]] = []
     findings: dict[Finding, bool] = {}
@@ -109,7 +109,7 @@ async def keep_campaign(
     new: NewCampaign,
     told: CampaignSource,
     workcell: str,
-    checked: Checked,
+    checked: CheckedCampaign,
     deadline: int,
     request: str,
     cloned_from: CampaignId = NOBODYS,
@@ -150,7 +150,7 @@ async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Esti
     return estimate, await service.forecasts.forecast_campaign(command, checked.rows, new.user)
 
 
-async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, Checked]:
+async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, CheckedCampaign]:
     """A campaign file as it is meant, its deadline (UTC ns), its workcell, and what was found in it."""
     service.expect_role(new.user, "submitter")  # before anything is planned or kept
     told = await service.beside(len(new.text), parse_campaign, new.text, new.name, new.files)
@@ -163,7 +163,7 @@ def _command(
     new: NewCampaign,
     told: CampaignSource,
     estimate: Estimate,
-    checked: Checked,
+    checked: CheckedCampaign,
     deadline: int,
     *,
     table: str = "",
@@ -230,9 +230,11 @@ def _choose_rows(lines: Sequence[RowLine]) -> list[int]:
     return sorted({round(last * part / (MOST_CHECKED - 1)) for part in range(MOST_CHECKED)})
 
 
-async def check_rows(service: LabService, new: NewCampaign, told: CampaignSource, workcell: str) -> Checked:
+async def check_rows(
+    service: LabService, new: NewCampaign, told: CampaignSource, workcell: str
+) -> CheckedCampaign:
     """Plan rows. Raises SpecErrors with the faults of all of them."""
-    checked, rows = Checked(Report(new.name)), _choose_rows(told.lines)
+    checked, rows = CheckedCampaign(FindingList(new.name)), _choose_rows(told.lines)
     for first in range(0, len(rows), CHECKED_AT_ONCE):
         part = rows[first : first + CHECKED_AT_ONCE]
         size = len(new.workflow.text) * len(part)
@@ -248,7 +250,7 @@ def _plan_rows(
     told: CampaignSource,
     workcell: str,
     rows: Sequence[int],
-    checked: Checked,
+    checked: CheckedCampaign,
 ) -> None:
     cell, bench = service.workcell(workcell), service.bench(workcell)
     source = parse_workflow(new.workflow.text, new.workflow.name)
@@ -270,14 +272,14 @@ def _plan_rows(
                 if finding.severity == "error":
                     _report_row(checked.report, row, line, finding, source.text)
         except SpecError as error:
-            _report_row(checked.report, row, line, finding_of(error), source.text)
+            _report_row(checked.report, row, line, make_finding(error), source.text)
         else:
             checked.plans.append(compiled.plan)
             checked.rows.append(compiled.plans)
             checked.findings.update(dict.fromkeys(compiled.findings, True))
 
 
-def _report_row(report: Report, row: int, line: RowLine, finding: Finding, workflow: str) -> None:
+def _report_row(report: FindingList, row: int, line: RowLine, finding: Finding, workflow: str) -> None:
     """A fault of a row, at its place in the table: that of the value which the faulty line of the workflow
     takes, if it names one. Where the workflow has it stands behind."""
     where, field = "", finding.field
@@ -295,7 +297,7 @@ def _report_row(report: Report, row: int, line: RowLine, finding: Finding, workf
     )
 
 
-def _check_stop_rule(told: CampaignSource, checked: Checked) -> None:
+def _check_stop_rule(told: CampaignSource, checked: CheckedCampaign) -> None:
     until = told.terms.until
     if until is None or not checked.plans:
         return
@@ -306,7 +308,7 @@ def _check_stop_rule(told: CampaignSource, checked: Checked) -> None:
         checked.report.error(f"The workflow has no step {key!r}.", place, field="until", remedy=remedy)
 
 
-def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: Checked) -> Estimate:
+def _estimate(service: LabService, told: CampaignSource, workcell: str, checked: CheckedCampaign) -> Estimate:
     plans = checked.plans
     times = len(told.lines) / len(plans)
     modules: dict[str, float] = {}
@@ -330,13 +332,13 @@ def _estimate(service: LabService, told: CampaignSource, workcell: str, checked:
         bounds_s=modules[busiest],
         busiest=busiest,
         consumables={
-            kind: ConsumableEstimate(n, remaining(service, workcell, kind)) for kind, n in needed.items()
+            kind: ConsumableEstimate(n, find_left(service, workcell, kind)) for kind, n in needed.items()
         },
         findings=tuple(checked.findings),
     )
 
 
-def remaining(service: LabService, workcell: str, kind: str) -> float | None:
+def find_left(service: LabService, workcell: str, kind: str) -> float | None:
     """What is left of a consumable in all modules of a workcell."""
     levels = service.kernel.state.resources.levels
     found = [

@@ -17,7 +17,7 @@ from labos.http.service import LabService
 from labos.ports import LogQuery
 from labos.services.log import Log, events
 from labos.spec.campaign import CampaignFile, CampaignSource, RowsEntry
-from labos.spec.rows import Line
+from labos.spec.rows import TableLine
 from labos.spec.source import parse
 
 
@@ -39,7 +39,7 @@ async def clone_campaign(
         rows=RowsEntry(),
         visibility=asked.visibility or service.kernel.state.campaigns.visibility_of(first.campaign),
     )
-    rows = [Line(table.row(number), f"rows of {name}") for number in range(len(table))]
+    rows = [TableLine(table.row(number), f"rows of {name}") for number in range(len(table))]
     told = CampaignSource(file, parse("labos: 1\n", f"campaign {name}"), rows, terms)
     new = NewCampaign(
         text="",

@@ -11,7 +11,7 @@ from starlette.types import Message
 
 from labos.errors import LabosError
 from labos.http.idempotency import IdempotentAnswers
-from labos.http.letters import Answer, Headers, Hello, Letters, Recall, Reply, SentOn, Welcome
+from labos.http.letters import Headers, Hello, KernelAnswer, LetterReply, Letters, Recall, SentOn, Welcome
 from labos.http.notes import notes_of
 from labos.http.operation import ADMITTED
 from labos.http.problems import problem
@@ -50,7 +50,7 @@ class Desk:
         match question:
             case Hello(address):
                 self._note(key.split("/")[3], address)
-                reply: Reply = Welcome(notes_of(self._service))
+                reply: LetterReply = Welcome(notes_of(self._service))
             case Recall():
                 reply = await self._recall(question)
             case SentOn():
@@ -61,21 +61,21 @@ class Desk:
         if name in self._heard or len(self._heard) < MOST_PROCESSES:
             self._heard[name] = address[:100], self._service.kernel.clock.monotonic()
 
-    async def _recall(self, asked: Recall) -> Answer:
+    async def _recall(self, asked: Recall) -> KernelAnswer:
         idempotent: IdempotentAnswers = self._app.state.api.idempotent
         try:
             found = await idempotent.recall(asked.key, asked.digest, asked.user)
         except LabosError:
             found = None  # it was refused, and is not remembered
         if found is None:
-            return Answer(0)
-        return Answer(found.status_code, tuple(found.raw_headers), bytes(found.body), self._durable)
+            return KernelAnswer(0)
+        return KernelAnswer(found.status_code, tuple(found.raw_headers), bytes(found.body), self._durable)
 
     @property
     def _durable(self) -> int:
         return self._service.kernel.durable
 
-    async def _carry_out(self, asked: SentOn) -> Answer:
+    async def _carry_out(self, asked: SentOn) -> KernelAnswer:
         if self._working >= AT_ONCE or asked.path == STREAM or not asked.path.startswith(f"{PREFIX}/"):
             return _refusal("The kernel is asked for too much at once.")
         self._working += 1
@@ -86,7 +86,7 @@ class Desk:
             return _refusal(f"This took the kernel longer than {LONGEST_S:g} s.")
         finally:
             self._working -= 1
-        return Answer(status, headers, body, self._durable)
+        return KernelAnswer(status, headers, body, self._durable)
 
     async def _call(self, asked: SentOn) -> tuple[int, Headers, bytes]:
         """Ask the application as its server would."""
@@ -128,6 +128,6 @@ class Desk:
         return status, headers, bytes(body)
 
 
-def _refusal(why: str) -> Answer:
+def _refusal(why: str) -> KernelAnswer:
     found = send_problem(problem("too_many", why, "Ask again in a moment."))
-    return Answer(found.status_code, tuple(found.raw_headers), bytes(found.body))
+    return KernelAnswer(found.status_code, tuple(found.raw_headers), bytes(found.body))

@@ -26,7 +26,7 @@ WAY_BACK = "/login/oidc/callback"
 """Where an identity provider sends a browser: the one path to which pages of others may lead."""
 
 
-class Door:
+class RequestFilter:
     """Refuses requests before any handler sees them. ``names`` are those of the server besides this
     computer's own."""
 

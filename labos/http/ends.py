@@ -16,7 +16,7 @@ LONGEST_S = 86400.0
 """A stream ends after a day at the latest if its follower has shown something; who follows connects again."""
 
 
-class End:
+class StreamEnd:
     """The end of one stream. ``when`` is called when it comes."""
 
     def __init__(self, lasts_s: float) -> None:
@@ -34,13 +34,13 @@ class End:
         self._timer.cancel()
 
 
-class Ends:
+class StreamEnds:
     """The streams of this process by the key of a credential, and those that another process serves.
     ``cut_elsewhere`` is told which keys have ended."""
 
     def __init__(self, clock: Clock, cut_elsewhere: Callable[[str], None] = lambda key: None) -> None:
         self._clock, self._cut_elsewhere = clock, cut_elsewhere
-        self._here: dict[str, set[End]] = {}
+        self._here: dict[str, set[StreamEnd]] = {}
         self._known: dict[str, Credential] = {}
 
     @property
@@ -55,13 +55,13 @@ class Ends:
         self._known[credential.key] = credential
         return max(0.0, (credential.until - now) / _SECOND)
 
-    def begin(self, credential: Credential) -> End:
+    def begin(self, credential: Credential) -> StreamEnd:
         """The end of a stream of this process."""
-        end = End(self.lasts_s(credential))
+        end = StreamEnd(self.lasts_s(credential))
         self._here.setdefault(credential.key, set()).add(end)
         return end
 
-    def over(self, credential: Credential, end: End) -> None:
+    def over(self, credential: Credential, end: StreamEnd) -> None:
         """The stream is over by itself."""
         end.forget()
         left = self._here.get(credential.key, set())

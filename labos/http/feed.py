@@ -30,10 +30,10 @@ class Feed:
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
         if entries:
-            self._ring()
+            self._wake_up()
 
     def on_reopened(self) -> None:
-        self._ring()
+        self._wake_up()
 
     def close(self) -> None:
         """Let everybody go who waits."""
@@ -58,7 +58,7 @@ class Feed:
         finally:
             self._waiters.discard(waiter)
 
-    def _ring(self) -> None:
+    def _wake_up(self) -> None:
         if self._waiters and self._look_at is None:
             loop = asyncio.get_running_loop()
             pause = min(sum(waiter.each_s for waiter in self._waiters), LONGEST_PAUSE_S)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from labos.audit.find import Found, LogPlace, Question, Reply
+from labos.audit.find import LogPlace, SearchQuery, SearchReply, SearchResult
 from labos.errors import BadInput, Refused
 
 PROGRAM = "labos.audit.find_process"
@@ -23,7 +23,7 @@ MOST_ASKED = 16
 LONGEST_LINE = 64 * 1024 * 1024
 
 _encode = msgspec.json.Encoder().encode
-_decode = msgspec.json.Decoder(Reply).decode
+_decode = msgspec.json.Decoder(SearchReply).decode
 
 
 class Finder:
@@ -37,7 +37,7 @@ class Finder:
         self._turn = asyncio.Lock()
         self._asked = 0
 
-    async def find(self, question: Question) -> Found:
+    async def find(self, question: SearchQuery) -> SearchResult:
         """Raises BadInput for a question that cannot be answered, Refused for an index that cannot."""
         if self._asked >= MOST_ASKED:
             raise Refused(
@@ -81,7 +81,7 @@ class Finder:
                 await process.wait()
                 await process.stdout.read()
 
-    async def _ask(self, question: Question) -> Reply:
+    async def _ask(self, question: SearchQuery) -> SearchReply:
         try:
             async with asyncio.timeout(GIVE_UP_S):
                 self._expect_open()

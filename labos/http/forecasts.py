@@ -12,18 +12,12 @@ from labos.core.ids import CampaignId
 from labos.core.model import Plan
 from labos.core.state import fold_fingerprint, picture
 from labos.http.campaign_rows import CampaignRows
-from labos.planning.durations import LEARNED_FROM, Drift, Durations
 from labos.planning.hindsight import Hindsight, LookBack, Row
 from labos.planning.lab_forecast import ForecastRequest, LabForecast
-from labos.ports import LogQuery
-from labos.runtime.forecasting import ForecastProcess, Question
-from labos.services.log import Log, events
+from labos.runtime.forecasting import ForecastJob, ForecastProcess
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
-
-LEARNED = 20_000
-"""The last events of actions that are looked at for drifts at first."""
 
 LOOKED_BACK = 200_000
 """Of a longer log, only what comes after its snapshot tells how good forecasts were."""
@@ -44,7 +38,6 @@ class Forecasts:
     def __init__(self, service: LabService) -> None:
         self._service = service
         self._process = ForecastProcess()
-        self._drifts = Drifts(service.parts.store)
         self._known: LookBack | None = None
         self._rows = CampaignRows(service)
         self._queue: LabForecast | None = None
@@ -80,10 +73,6 @@ class Forecasts:
         """What would come if a run, a campaign or a change of one were approved. Raises Refused."""
         return await self._ask(approved=subject)
 
-    async def drifts(self) -> list[Drift]:
-        """The actions whose last times differ much from their earlier ones."""
-        return await self._drifts.find()
-
     async def _ask(
         self,
         new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None,
@@ -94,7 +83,7 @@ class Forecasts:
         rows = await self._plan_rows()
         kernel = self._service.kernel
 
-        async def ask() -> Question:
+        async def ask() -> ForecastJob:
             known, records = await asyncio.to_thread(self._read, kernel.durable)
             request = ForecastRequest(
                 picture=picture(kernel.state),
@@ -105,7 +94,7 @@ class Forecasts:
                 new_rows=new_rows or [],
                 approved=approved,
             )
-            return Question(request, known, records)
+            return ForecastJob(request, known, records)
 
         def keep(known: LookBack) -> None:
             self._known = known
@@ -133,26 +122,3 @@ class Forecasts:
                 if isinstance(command, SubmitRow):
                     found.setdefault(campaign.id, []).append((command.plan, *command.others))
         return found
-
-
-class Drifts:
-    """Which actions take longer or shorter than they did, as far as the log goes."""
-
-    def __init__(self, store: Log) -> None:
-        self._store = store
-        self._durations = Durations()
-        self._position = 0
-        self._turn = asyncio.Lock()
-
-    async def find(self) -> list[Drift]:
-        """Learn from what was recorded since the last time."""
-        async with self._turn:
-            await asyncio.to_thread(self._read)
-            return self._durations.drifts()
-
-    def _read(self) -> None:
-        first = None if self._position else LEARNED
-        query = LogQuery(after=self._position, types=LEARNED_FROM, last=first)
-        for event, head in events(self._store.select(query)):
-            self._durations.learn(event, head.recorded_at)
-            self._position = head.position

@@ -54,7 +54,7 @@ class Hello(msgspec.Struct, frozen=True, tag="hello"):
     address: str
 
 
-class Answer(msgspec.Struct, frozen=True, tag="answer"):
+class KernelAnswer(msgspec.Struct, frozen=True, tag="answer"):
     """An answer of the kernel's process; ``status`` 0: nothing is known. ``position`` is how far its log was
     on disk."""
 
@@ -68,8 +68,8 @@ class Welcome(msgspec.Struct, frozen=True, tag="welcome"):
     notes: Notes
 
 
-Question = SentOn | Recall | Hello
-Reply = Answer | Welcome
+LetterRequest = SentOn | Recall | Hello
+LetterReply = KernelAnswer | Welcome
 
 
 class _Sealed(msgspec.Struct, frozen=True):
@@ -84,8 +84,8 @@ class _Sealed(msgspec.Struct, frozen=True):
 T = TypeVar("T")
 _encode = msgspec.msgpack.Encoder().encode
 _sealed = msgspec.msgpack.Decoder(_Sealed)
-_question: msgspec.msgpack.Decoder[Question] = msgspec.msgpack.Decoder(Question)
-_reply: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply)
+_question: msgspec.msgpack.Decoder[LetterRequest] = msgspec.msgpack.Decoder(LetterRequest)
+_reply: msgspec.msgpack.Decoder[LetterReply] = msgspec.msgpack.Decoder(LetterReply)
 
 
 class Letters:
@@ -95,15 +95,15 @@ class Letters:
         self._key, self._clock = key, clock
         self._seen: OrderedDict[bytes, int] = OrderedDict()
 
-    def ask(self, question: Question) -> tuple[bytes, bytes]:
+    def ask(self, question: LetterRequest) -> tuple[bytes, bytes]:
         """A question as it is sent, and the nonce that its reply has to bear."""
         nonce = os.urandom(16)
         return self._seal(b"ask", nonce, question), nonce
 
-    def reply(self, nonce: bytes, reply: Reply) -> bytes:
+    def reply(self, nonce: bytes, reply: LetterReply) -> bytes:
         return self._seal(b"reply", nonce, reply)
 
-    def read_question(self, payload: bytes) -> tuple[Question, bytes]:
+    def read_question(self, payload: bytes) -> tuple[LetterRequest, bytes]:
         """A question, and its nonce. Raises Unreadable for one that nobody may ask, or that was asked
         before."""
         sealed = self._open(b"ask", payload)
@@ -117,14 +117,14 @@ class Letters:
         self._seen[sealed.nonce] = now
         return _decode(_question, sealed.message), sealed.nonce
 
-    def read_reply(self, payload: bytes, nonce: bytes) -> Reply:
+    def read_reply(self, payload: bytes, nonce: bytes) -> LetterReply:
         """Raises Unreadable for one that is not the kernel's, or answers another question."""
         sealed = self._open(b"reply", payload)
         if sealed.nonce != nonce:
             raise Unreadable("The reply answers another question.")
         return _decode(_reply, sealed.message)
 
-    def _seal(self, way: bytes, nonce: bytes, said: Question | Reply) -> bytes:
+    def _seal(self, way: bytes, nonce: bytes, said: LetterRequest | LetterReply) -> bytes:
         message, at_ns = _encode(said), self._clock.now_ns()
         return _encode(_Sealed(at_ns, nonce, self._mac(way, at_ns, nonce, message), message))
 

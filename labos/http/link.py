@@ -18,14 +18,23 @@ from starlette.responses import Response
 
 from labos.errors import BusError, KernelAway, LabosError
 from labos.http import wire
-from labos.http.letters import Answer, Hello, Letters, Question, Recall, Reply, SentOn, Welcome
+from labos.http.letters import (
+    Hello,
+    KernelAnswer,
+    LetterReply,
+    LetterRequest,
+    Letters,
+    Recall,
+    SentOn,
+    Welcome,
+)
 from labos.http.notes import Notes
 from labos.node.protocol import Keys
 from labos.ports import Bus
 from labos.runtime.followed import Behind, FollowedKernel, SendOn
 
 if TYPE_CHECKING:
-    from labos.http.operation import Asked, Operation
+    from labos.http.operation import AdmittedRequest, Operation
 
 ANSWER_S = 70.0
 """How long the kernel may take: a little longer than what somebody may ask it to wait for."""
@@ -108,7 +117,7 @@ class KernelLink:
         await self._kernel.up_to_date(at_least)
 
     async def answer(
-        self, operation: Operation, asked: Asked, work: Callable[[], Awaitable[Response]]
+        self, operation: Operation, asked: AdmittedRequest, work: Callable[[], Awaitable[Response]]
     ) -> Response:
         """The answer to a request; ``work`` is its handler over the log that is followed. Raises KernelAway,
         and what the handler raises."""
@@ -135,7 +144,7 @@ class KernelLink:
             raise refusal
         return found
 
-    async def _send_on(self, asked: Asked) -> Response:
+    async def _send_on(self, asked: AdmittedRequest) -> Response:
         request, loop = asked.request, asyncio.get_running_loop()
         headers = tuple(
             (name, value) for name, value in request.scope["headers"] if PASSED_ON.fullmatch(name)
@@ -160,10 +169,10 @@ class KernelLink:
                 raise KernelAway(error.message, remedy=AGAIN if can_repeat else NO_KEY) from None
             self.work.kernel_s += loop.time() - began
         self.work.by_kernel += 1
-        assert isinstance(reply, Answer)
+        assert isinstance(reply, KernelAnswer)
         return await self._response(reply)
 
-    async def _recall(self, asked: Asked) -> Response | None:
+    async def _recall(self, asked: AdmittedRequest) -> Response | None:
         """What the kernel has answered to a request with this key; None if it knows of none, or is
         away."""
         try:
@@ -172,9 +181,9 @@ class KernelLink:
             )
         except KernelAway:
             return None
-        return await self._response(reply) if isinstance(reply, Answer) and reply.status else None
+        return await self._response(reply) if isinstance(reply, KernelAnswer) and reply.status else None
 
-    async def _response(self, reply: Answer) -> Response:
+    async def _response(self, reply: KernelAnswer) -> Response:
         try:
             await self._kernel.up_to_date(reply.position)  # who asks next sees what was done
         except Behind:
@@ -187,7 +196,7 @@ class KernelLink:
         ]
         return found
 
-    async def _ask(self, question: Question, within_s: float) -> Reply:
+    async def _ask(self, question: LetterRequest, within_s: float) -> LetterReply:
         """Raises KernelAway."""
         key = Keys(self._kernel.lab).requests_of(self._name, self._kernel.epoch)
         payload, nonce = self._letters.ask(question)
@@ -196,16 +205,16 @@ class KernelLink:
         try:
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
             if not asking.done():
-                raise self._away("it is gone")
+                raise self._report_away("it is gone")
             reply = self._letters.read_reply(asking.result(), nonce)
         except BusError as error:
-            raise self._away(error.message) from None
+            raise self._report_away(error.message) from None
         finally:
             asking.cancel()
         self.is_there = True
         return reply
 
-    def _away(self, why: str) -> KernelAway:
+    def _report_away(self, why: str) -> KernelAway:
         self.is_there = False
         known = "whether the request was carried out is not known"
         return KernelAway(f"The kernel gave no answer, and {known} ({why.rstrip('.')}).")

@@ -25,13 +25,13 @@ from labos.core.visibility import find_hidden, viewer_of
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http import wire
 from labos.http.body_reader import BodyReader, drain
-from labos.http.ends import Ends
+from labos.http.ends import StreamEnds
 from labos.http.idempotency import IdempotentAnswers, LoggedRequest, mark_of
 from labos.http.identity import Gate, Who
 from labos.http.limits import SMALL_BODY
 from labos.http.method import Method
 from labos.http.notes import Notes, notes_of
-from labos.http.recorded import Recorded
+from labos.http.recorded import RepeatedRequest
 from labos.http.repeats import digest_of_request
 from labos.http.service import LabService
 from labos.http.shared import Shared
@@ -55,7 +55,7 @@ class Api:
         self.service, self.gate = service, gate
         self.kernel = service.kernel
         viewers = service.viewers
-        self.ends = Ends(self.kernel.clock, viewers.cut if viewers is not None else lambda key: None)
+        self.ends = StreamEnds(self.kernel.clock, viewers.cut if viewers is not None else lambda key: None)
         gate.accounts.on_end.append(self.ends.cut)
         self.arriving = BodyReader()
         self.idempotent = IdempotentAnswers()
@@ -137,7 +137,7 @@ class Call:
         return wire.key_of(self.request)
 
 
-class Asked(msgspec.Struct, frozen=True):
+class AdmittedRequest(msgspec.Struct, frozen=True):
     """A request that was let in and read: ``key`` is its idempotency key (empty: none that counts),
     ``digest`` stands for all that it says, ``logged`` tells what the log says of it."""
 
@@ -231,11 +231,11 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
                 asked = digest_of_request(path, who.user or wire.header(request, "labos-user"), told)
             logged = None
             if key and not self.logs_key and api.service.marks is not None:
-                again = Recorded(api, self, request, who, told)
+                again = RepeatedRequest(api, self, request, who, told)
                 mark = mark_of(who.user, path, key)
                 logged = LoggedRequest(api.service.marks, mark, key, asked, again.answer)
             if link is not None:
-                found = await link.answer(self, Asked(request, who, told, key, asked, logged), work)
+                found = await link.answer(self, AdmittedRequest(request, who, told, key, asked, logged), work)
             elif key:
                 found = await api.idempotent.once(
                     key, path, asked, work, user=who.user, logs_key=self.logs_key, logged=logged

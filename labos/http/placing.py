@@ -13,8 +13,8 @@ from labos.core.effects import Requires, Sets
 from labos.core.ids import StationName, local
 from labos.errors import BadInput
 from labos.http.limits import Name, Variables
-from labos.http.stock import expect
-from labos.spec import Bench, Stock
+from labos.http.stock import predict_events
+from labos.spec import BenchFile, Stock
 from labos.spec.about import find_description
 from labos.spec.bench import DEFAULT_LID
 from labos.spec.findings import near
@@ -55,7 +55,7 @@ def loads_of(service: LabService, placings: Sequence[Placing], workcell: str, by
         count = 1 if there is None else there.count + 1
         loads[name] = LoadStation(name, labware, count, set=put_on, unset=left_off)
     for command in loads.values():
-        expect(service, command, by)
+        predict_events(service, command, by)
     return list(loads.values())
 
 
@@ -85,10 +85,10 @@ def _list_variables(service: LabService) -> set[str]:
     return {e.variable for e in effects if isinstance(e, Requires | Sets) and e.of == "labware"}
 
 
-def with_loads(bench: Bench, loads: Sequence[LoadStation]) -> Bench:
+def with_loads(bench: BenchFile, loads: Sequence[LoadStation]) -> BenchFile:
     """What the stacks will hold when this has been put on them."""
     held = {stock.station: stock.count for stock in bench.stock}
     on_top = {load.station: load for load in loads}
     kept = [stock for stock in bench.stock if stock.station not in on_top]
     new = [Stock(name, load.labware, load.count + held.get(name, 0)) for name, load in on_top.items()]
-    return Bench((*kept, *new), bench.away_from_rest)
+    return BenchFile((*kept, *new), bench.away_from_rest)

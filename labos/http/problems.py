@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from labos.errors import LabosError, SpecError
-from labos.spec.findings import Finding, SpecErrors, finding_of
+from labos.spec.findings import Finding, SpecErrors, make_finding
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -88,7 +88,7 @@ def problem_of(error: LabosError) -> Problem:
     kind that is known of."""
     findings = error.findings if isinstance(error, SpecErrors) else ()
     if isinstance(error, SpecError):
-        return problem("spec_error", str(error), "", (finding_of(error),))
+        return problem("spec_error", str(error), "", (make_finding(error),))
     near = next(
         code_of(kind)
         for kind in type(error).__mro__

@@ -75,13 +75,13 @@ async def begin(call: Call, told: BeginSignIn) -> Response:
 
 async def finish(call: Call, told: FinishSignIn) -> Response:
     """Raises Refused, NotFound, NotSignedIn, BadInput."""
-    from labos.services.accounts.command_line import Wait  # few labs have a provider
+    from labos.services.accounts.command_line import RetryAfter  # few labs have a provider
 
     way, accounts = _way(call), call.api.gate.accounts
     sent = {"state": told.state, "code": told.code, "iss": told.iss, "error": told.error}
     try:
         claims = await way.finish({name: text for name, text in sent.items() if text}, told.key)
-        if isinstance(claims, Wait):
+        if isinstance(claims, RetryAfter):
             return _answer(FinishedSignIn(wait_s=claims.seconds))
         user = await user_meant(call.api, way.provider, claims)
     except NotSignedIn:

@@ -22,7 +22,7 @@ from labos.services.accounts.secrets import make_id
 
 if TYPE_CHECKING:
     from labos.http.operation import Api
-    from labos.services.accounts.oidc import Claims, Provider
+    from labos.services.accounts.oidc import Provider, ProviderClaims
 
 START = "/login/oidc"
 COOKIE = "labos-way-back"
@@ -89,7 +89,7 @@ def _cookie(secure: bool) -> str:
     return f"__Host-{COOKIE}" if secure else COOKIE
 
 
-async def user_meant(api: Api, provider: Provider, claims: Claims) -> str:
+async def user_meant(api: Api, provider: Provider, claims: ProviderClaims) -> str:
     """The user whom a provider means; a new one, where that is allowed. Raises NotSignedIn."""
     accounts, told, state = api.gate.accounts, provider.told, api.kernel.state
     user = await accounts.user_of(told.issuer, claims.subject)

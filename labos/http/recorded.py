@@ -163,7 +163,7 @@ class _RecordedParts:
         """They were followed then."""
 
 
-class Recorded(msgspec.Struct, frozen=True):
+class RepeatedRequest(msgspec.Struct, frozen=True):
     """A request as it came again, which can be asked of the log."""
 
     api: Api

@@ -26,7 +26,7 @@ def digest_of_request(*whole: Any) -> str:
 
 def expect_same_run(log: Log, key: str, run: str, asked: str) -> None:
     """Raises KeyReused if the run that bears a key was asked for in other words."""
-    first = _first(log, run, RunSubmitted)
+    first = _read_first(log, run, RunSubmitted)
     if first is not None and first.pins.get("request", asked) != asked:
         raise KeyReused(
             f"The key {key!r} belongs to {run}, {first.workflow!r} of {first.user}, which was asked for with "
@@ -37,7 +37,7 @@ def expect_same_run(log: Log, key: str, run: str, asked: str) -> None:
 
 def expect_same_experiment(log: Log, command: StartExperiment, experiment: str) -> None:
     """Raises KeyReused if the experiment that bears a key is another one."""
-    first = _first(log, experiment, ExperimentStarted)
+    first = _read_first(log, experiment, ExperimentStarted)
     closing = plan_digest(command.closing) if command.closing is not None else ""
     asked = (command.name, command.user, closing, command.priority, command.parking)
     if first is not None and (first.name, first.user, first.closing, first.priority, first.parking) != asked:
@@ -48,7 +48,7 @@ def expect_same_experiment(log: Log, command: StartExperiment, experiment: str) 
         )
 
 
-def _first(log: Log, stream: str, kind: type[E]) -> E | None:
+def _read_first(log: Log, stream: str, kind: type[E]) -> E | None:
     record = next(iter(log.select(LogQuery(streams=(stream,), types=(kind.TYPE,)))), None)
     event = event_of(record) if record is not None else None
     return event if isinstance(event, kind) else None

@@ -10,8 +10,8 @@ import msgspec
 from labos.core.decide.composites import ReportRound
 from labos.core.decide.contents import list_recorded
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.rights import lacking
-from labos.core.decide.shorter import ConfirmStations, SayContents, must_be_said, to_say
+from labos.core.decide.rights import check_role
+from labos.core.decide.shorter import ConfirmStations, SayContents, list_to_say, must_say
 from labos.core.effects import places
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
@@ -59,7 +59,7 @@ class DiscoveredAction(msgspec.Struct, frozen=True):
 
 class RoundStation(msgspec.Struct, frozen=True):
     """A station on the round. ``recorded`` is what stands there by the log, bottom to top; ``types`` are
-    those of its labware; ``perhaps`` is uncertain labware that may be there; ``must_be_said``: it is not
+    those of its labware; ``perhaps`` is uncertain labware that may be there; ``must_say``: it is not
     enough that it is as recorded."""
 
     station: str
@@ -108,7 +108,7 @@ class RoundResult(msgspec.Struct, frozen=True):
 def round_view(state: LabState) -> Round:
     """What is known of the log's lost end, and every station with what the log believes of it."""
     shorter, bench = state.shorter, state.bench
-    left = set(to_say(state))
+    left = set(list_to_say(state))
     asked = [q.id for q in state.interventions.open.values() if q.kind == ShorterLog.KIND]
     return Round(
         intervention=asked[0] if asked else "",
@@ -149,7 +149,7 @@ def _station(state: LabState, name: StationName, said: bool) -> RoundStation:
         types={item: bench.labware[item].type for item in station.labware},
         perhaps=[item.id for item in bench.labware.values() if name in item.maybe],
         said=said,
-        must_be_said=must_be_said(state, name),
+        must_be_said=must_say(state, name),
     )
 
 
@@ -170,7 +170,7 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
         except LabosError as error:
             refused.append(RoundRefusal(written, error.message, error.remedy))
     taken = {name for name in confirmed if name in service.kernel.state.shorter.said}
-    finish = words.finish and lacking(service.kernel.state, by, "operator", WHOLE_LAB) is None
+    finish = words.finish and check_role(service.kernel.state, by, "operator", WHOLE_LAB) is None
     command = ReportRound(by, tuple(said.values()), tuple(confirmed), finish)
     events = await service.kernel.execute(command, by)
     answered = any(isinstance(event, InterventionResolved) and event.choice == "checked" for event in events)
@@ -181,13 +181,13 @@ async def say(service: LabService, words: RoundReport, by: str) -> RoundResult:
                 check(service, word, by)
             except LabosError as error:
                 refused.append(RoundRefusal(local(name), error.message, error.remedy))
-    left = list(map(local, to_say(service.kernel.state)))
-    why_not = _why_open(service, by) if words.finish and not (answered or left) else ""
+    left = list(map(local, list_to_say(service.kernel.state)))
+    why_not = _explain_open(service, by) if words.finish and not (answered or left) else ""
     said_now = [local(name) for name in (*said, *confirmed) if name in taken]
     return RoundResult(said_now, refused, left, answered, why_not)
 
 
-def _why_open(service: LabService, by: str) -> str:
+def _explain_open(service: LabService, by: str) -> str:
     """Why the question about the round cannot be answered though everything is said."""
     for question in service.kernel.state.interventions.open_about(ShorterLog):
         try:

@@ -13,8 +13,8 @@ from labos.core.ids import LabwareId, local
 from labos.errors import BadInput, Refused
 from labos.http.service import LabService
 from labos.spec import SpecErrors
-from labos.spec.findings import Report
-from labos.spec.sheet import MOST_FAULTS, Line, check_wells, read_sheet
+from labos.spec.findings import FindingList
+from labos.spec.sheet import MOST_FAULTS, SheetLine, check_wells, read_sheet
 
 LARGEST_INLINE = 16 * 1024
 """Bytes of samples that stand in an event; more of them are a blob."""
@@ -34,7 +34,7 @@ async def register_samples(
     ``labware`` or ``station`` names the plate where the sheet does not. Raises SpecErrors with the
     sheet's lines, BadInput, Refused, NotFound."""
     service.expect_role(actor, "submitter")
-    report = Report(name)
+    report = FindingList(name)
     rows = await service.beside(len(text), read_sheet, text, report)
     only = _the_plate(service, labware, station)
     plates = _by_plate(service, rows, only, report)
@@ -68,10 +68,10 @@ def _the_plate(service: LabService, labware: str, station: str) -> Labware | Non
 
 
 def _by_plate(
-    service: LabService, rows: list[Line], only: Labware | None, report: Report
-) -> dict[LabwareId, list[Line]]:
+    service: LabService, rows: list[SheetLine], only: Labware | None, report: FindingList
+) -> dict[LabwareId, list[SheetLine]]:
     """The rows of each plate; what names no plate here goes to the report."""
-    found: dict[LabwareId, list[Line]] = {}
+    found: dict[LabwareId, list[SheetLine]] = {}
     named: dict[str, Labware | BadInput] = {}
     for row in rows:
         if report.errors >= MOST_FAULTS:
@@ -103,14 +103,14 @@ def _find_labware(service: LabService, name: str) -> Labware | BadInput:
         return error
 
 
-async def _check(service: LabService, labware: Labware, rows: list[Line], report: Report) -> None:
+async def _check(service: LabService, labware: Labware, rows: list[SheetLine], report: FindingList) -> None:
     kind = service.labware_kind(labware)
     # Of a type that nobody describes, nothing is known that could be wrong.
     if kind is not None:
         await service.beside(0, check_wells, rows, labware.type, kind.wells, report)
 
 
-def _pack(service: LabService, plate: LabwareId, rows: list[Line]) -> PlateSamples:
+def _pack(service: LabService, plate: LabwareId, rows: list[SheetLine]) -> PlateSamples:
     wells = tuple(row.sample for row in rows)
     data = canonical(msgspec.to_builtins(wells))
     if len(data) <= LARGEST_INLINE:

@@ -28,7 +28,7 @@ from labos.core.decide.experiments import (
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import PutBack, RecordStops, TakeOut
-from labos.core.decide.rights import check_rights, lacking
+from labos.core.decide.rights import check_rights, check_role
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import (
@@ -53,15 +53,16 @@ from labos.http.placing import Placing, loads_of, with_loads
 from labos.http.repeats import digest_of_request, expect_same_experiment, expect_same_run
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
-from labos.planning.booked import without_gap
+from labos.planning.booked import list_without_gap
 from labos.planning.certified import check_windows
 from labos.runtime.kernel import error_of
 from labos.runtime.marks import Marks
 from labos.runtime.stop import EVERYTHING, StopReport, resolve_target, stop_modules
 from labos.services.interventions import describe_answer
 from labos.services.runs import RunHistory, run_history
+from labos.services.times import parse_due
 from labos.spec import (
-    Bench,
+    BenchFile,
     Compiled,
     CompiledWorkcell,
     Stock,
@@ -177,7 +178,7 @@ class LabService:
             )
         return self._cells[found]
 
-    def bench(self, workcell: str) -> Bench:
+    def bench(self, workcell: str) -> BenchFile:
         """Which labware types stand in the stacks now, and which modules are not at rest though no run keeps
         them."""
         state = self.kernel.state
@@ -186,7 +187,7 @@ class LabService:
             for name, module in state.modules.by_name.items()
             if workcell_of(name) == workcell and not state.runs.holders.get(name)
         }
-        return Bench(
+        return BenchFile(
             away_from_rest={name: variables for name, variables in away.items() if variables},
             stock=tuple(
                 Stock(name, station.stock[-1], len(station.stock))
@@ -280,10 +281,11 @@ class LabService:
         place: Sequence[Placing] = (),
         request: str = "",
         propose: bool = False,
+        due: str = "",
     ) -> tuple[str, tuple[Finding, ...]]:
         """Queue a run of ``user``, who asks; returns its id and the workflow's warnings. The same ``request``
         twice is one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with
-        it, or not at all. With ``propose`` it waits for an approval."""
+        it, or not at all. With ``propose`` it waits for an approval; it should be over when it is ``due``."""
         self.expect_role(user, "submitter")  # before anything is kept of it
         self._expect_own(experiment, user)
         files = await asyncio.to_thread(_digests, workflow.files)
@@ -297,12 +299,14 @@ class LabService:
             experiment,
             *([place] if place else []),
             *(["propose"] if propose else []),
+            *([f"due {due}"] if due else []),
         )
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
             await self.kernel.flush()
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
             return str(known), ()
+        due_at = parse_due(due, self.kernel.clock.now_ns())
         workcell = await self.workcell_for(workflow, workcell)
         loads = loads_of(self, place, workcell, user)
         compiled = await self.compile(workflow, payload, workcell, loads)
@@ -316,6 +320,7 @@ class LabService:
             request,
             propose,
             compiled.others,
+            due_at=due_at,
         )
         command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
         events = await self.kernel.execute(command, user)
@@ -329,7 +334,7 @@ class LabService:
         """The bookings of others that leave a run no room, as warnings: it would wait for a person."""
         state = self.kernel.state
         known = state.runs.queued.get(run) if state.bookings.open else None
-        waits = without_gap(state, known, self.kernel.clock.now_ns()) if known is not None else []
+        waits = list_without_gap(state, known, self.kernel.clock.now_ns()) if known is not None else []
         told = {wait.reason.sentence: wait.reason.remedy for wait in waits}
         return [
             Finding("warning", f"{said[0].upper()}{said[1:]}.", remedy=todo) for said, todo in told.items()
@@ -424,7 +429,7 @@ class LabService:
 
     def expect_role(self, actor: str, needs: Role, cell: str = "") -> None:
         """Raises Forbidden for somebody who lacks a role in a workcell (empty: in all of them)."""
-        lacks = lacking(self.kernel.state, actor, needs, cell)
+        lacks = check_role(self.kernel.state, actor, needs, cell)
         if lacks is not None:
             raise error_of(lacks)
 

@@ -25,10 +25,10 @@ class Shared:
     async def get(self) -> bytes:
         """The answer, when what it tells is on disk."""
         if self._next is None:
-            self._next = asyncio.get_running_loop().create_task(self._round())
+            self._next = asyncio.get_running_loop().create_task(self._answer_next())
         return await asyncio.shield(self._next)
 
-    async def _round(self) -> bytes:
+    async def _answer_next(self) -> bytes:
         try:
             pause = self._rest_until - time.monotonic()
             if pause > 0:

@@ -85,7 +85,7 @@ async def replenish(service: LabService, module: str, told: Replenishment, by: s
     return sum(event.amount for event in events if isinstance(event, ResourceReplenished))
 
 
-def expect(service: LabService, command: Command, by: str) -> list[Event]:
+def predict_events(service: LabService, command: Command, by: str) -> list[Event]:
     """What somebody's command would do, without what follows from that; changes nothing. Raises Refused."""
     return list(check(service, command, by))
 

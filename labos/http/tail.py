@@ -29,7 +29,7 @@ from labos.services.shown import show_json
 
 if TYPE_CHECKING:
     # The process for followers starts without them.
-    from labos.http.ends import End
+    from labos.http.ends import StreamEnd
     from labos.runtime.ledger import Entry
     from labos.services.log import Log
 
@@ -53,7 +53,7 @@ WANTED_S = 60.0
 """How long what is new is kept after somebody has asked for it and gone."""
 
 
-class Line(msgspec.Struct, frozen=True):
+class StreamLine(msgspec.Struct, frozen=True):
     """An event as it is handed on. ``data`` is its JSON, ``payload`` a part of it."""
 
     position: int
@@ -65,7 +65,7 @@ class Line(msgspec.Struct, frozen=True):
     data: bytes
 
 
-class Filter(msgspec.Struct, frozen=True):
+class StreamFilter(msgspec.Struct, frozen=True):
     """Which events somebody wants, as ``LogQuery`` says it, and what they see of campaigns (``viewer``)."""
 
     types: tuple[str, ...] = ()
@@ -76,10 +76,10 @@ class Filter(msgspec.Struct, frozen=True):
     viewer: Viewer | None = None
 
     @classmethod
-    def make(cls, query: LogQuery, viewer: Viewer | None = None) -> Filter:
+    def make(cls, query: LogQuery, viewer: Viewer | None = None) -> StreamFilter:
         return cls(query.types, query.streams, query.correlation, query.actor, query.mentions, viewer)
 
-    def takes(self, line: Line) -> bool:
+    def takes(self, line: StreamLine) -> bool:
         return (
             (not self.types or any(is_of_type(line.type, name) for name in self.types))
             and (not self.streams or line.stream in self.streams)
@@ -88,7 +88,7 @@ class Filter(msgspec.Struct, frozen=True):
             and (not self.mentions or self._mentions(line))
         )
 
-    def _mentions(self, line: Line) -> bool:
+    def _mentions(self, line: StreamLine) -> bool:
         # In a payload the text stands as JSON writes it.
         return msgspec.json.encode(self.mentions)[1:-1] in line.payload or self.mentions in line.stream
 
@@ -99,7 +99,7 @@ class _Follower:
 
     def __init__(self, query: LogQuery, viewer: Viewer | None) -> None:
         self.query, self.after = query, query.after
-        self.filter = Filter.make(query, viewer)
+        self.filter = StreamFilter.make(query, viewer)
         self.live = self.dropped = False
         self._pieces: list[bytes] = []
         self._size = 0
@@ -142,7 +142,7 @@ class Tail:
     def __init__(self, log: Log, durable: Callable[[], int]) -> None:
         self._log, self._durable = log, durable
         self._restricted = RestrictedCampaigns(log)
-        self._lines: deque[Line] = deque()
+        self._lines: deque[StreamLine] = deque()
         self._size = 0
         self._begin = self._end = self._flushed = 0
         self._followers: set[_Follower] = set()
@@ -201,12 +201,12 @@ class Tail:
         """One page of events as JSON, and the position from which to go on: with the words that stand beside
         the log, or as it is ``stored``; without those that a ``viewer`` does not reach. Raises
         StoreUnavailable."""
-        self._want()
+        self._note_interest()
         if viewer is not None:
             await self._restricted.read()
-        mine = Filter.make(query, viewer)
+        mine = StreamFilter.make(query, viewer)
         upto = self._durable()
-        if _is_open(query) and self._covers(query.after) and self._end == upto:
+        if _is_open(query) and self._holds_after(query.after) and self._end == upto:
             found, full = _cut(line for line in self._since(query.after) if self._takes(mine, line))
         else:
             upto = upto if query.upto is None else min(upto, query.upto)
@@ -218,14 +218,14 @@ class Tail:
     async def follow(
         self,
         query: LogQuery,
-        end: End | None = None,
+        end: StreamEnd | None = None,
         *,
         stored: bool = False,
         viewer: Viewer | None = None,
     ) -> AsyncIterator[bytes]:
         """Server-sent events, for ever; or until their ``end`` comes, or the follower has fallen too far
         behind."""
-        self._want()
+        self._note_interest()
         if viewer is not None:
             await self._restricted.read()
         me = _Follower(query, viewer)
@@ -252,10 +252,10 @@ class Tail:
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _takes(self, wanted: Filter, line: Line) -> bool:
+    def _takes(self, wanted: StreamFilter, line: StreamLine) -> bool:
         return wanted.takes(line) and self._shows(wanted, line)
 
-    def _shows(self, wanted: Filter, line: Line) -> bool:
+    def _shows(self, wanted: StreamFilter, line: StreamLine) -> bool:
         return self._restricted.shows(wanted.viewer, line.type, line.stream, line.correlation)
 
     async def _show(self, data: bytes, *, stored: bool) -> bytes:
@@ -266,7 +266,7 @@ class Tail:
 
     async def _catch_up(self, me: _Follower) -> bytes:
         """What a follower has missed, or a page of that; it is live if there is no more."""
-        if me.query.last is None and (me.after > self._end or self._covers(me.after)):
+        if me.query.last is None and (me.after > self._end or self._holds_after(me.after)):
             piece = _encode_lines(line for line in self._since(me.after) if self._takes(me.filter, line))
             me.after, me.live = max(me.after, self._end), True
             return piece
@@ -278,7 +278,7 @@ class Tail:
         me.after = found[-1].position if full else max(upto, me.after)
         return _encode_lines(found)
 
-    async def _read(self, query: LogQuery, wanted: Filter) -> tuple[list[Line], bool]:
+    async def _read(self, query: LogQuery, wanted: StreamFilter) -> tuple[list[StreamLine], bool]:
         """A page of the log, and whether there may be more. Readers take turns, and the more of them wait,
         the longer is the pause between two pages: the kernel works on."""
         if query.upto is not None and query.after >= query.upto:
@@ -294,7 +294,7 @@ class Tail:
         finally:
             self._waiting -= 1
 
-    def _page_of(self, query: LogQuery, wanted: Filter) -> tuple[list[Line], bool]:
+    def _page_of(self, query: LogQuery, wanted: StreamFilter) -> tuple[list[StreamLine], bool]:
         lines = map(_line, self._log.select(query))
         return _cut(line for line in lines if self._shows(wanted, line))
 
@@ -303,7 +303,7 @@ class Tail:
         self._flush_at, self._last_flush = None, asyncio.get_running_loop().time()
         new = self._since(self._flushed)
         self._flushed = self._end
-        pieces: dict[Filter, bytes] = {}
+        pieces: dict[StreamFilter, bytes] = {}
         for follower in self._followers:
             if not follower.live:
                 continue
@@ -319,12 +319,12 @@ class Tail:
                 piece = pieces[mine] = _encode_lines(line for line in new if self._takes(mine, line))
             follower.give(piece, self._end)
 
-    def _since(self, after: int) -> list[Line]:
+    def _since(self, after: int) -> list[StreamLine]:
         """The lines that are kept, behind a position that is kept too."""
         skipped = max(after - self._begin, 0)
         return list(islice(self._lines, skipped, None))
 
-    def _covers(self, after: int) -> bool:
+    def _holds_after(self, after: int) -> bool:
         return self._begin <= after <= self._end
 
     def _begin_at(self, position: int) -> None:
@@ -337,7 +337,7 @@ class Tail:
                 follower.live = False
                 follower.wake()
 
-    def _want(self) -> None:
+    def _note_interest(self) -> None:
         """Somebody asks: what comes now is kept."""
         if not self._is_wanted():
             self._begin_at(self._durable())
@@ -347,15 +347,17 @@ class Tail:
         return bool(self._followers) or time.monotonic() < self._wanted_until
 
 
-def _line(record: Record) -> Line:
+def _line(record: Record) -> StreamLine:
     head = record.head
     data = msgspec.json.encode(line_of(record))
-    return Line(head.position, head.type, head.stream, head.correlation, head.actor, record.payload, data)
+    return StreamLine(
+        head.position, head.type, head.stream, head.correlation, head.actor, record.payload, data
+    )
 
 
-def _cut(lines: Iterable[Line]) -> tuple[list[Line], bool]:
+def _cut(lines: Iterable[StreamLine]) -> tuple[list[StreamLine], bool]:
     """As many as a page holds, and whether that is a full one."""
-    found: list[Line] = []
+    found: list[StreamLine] = []
     size = 0
     for line in lines:
         found.append(line)
@@ -365,7 +367,7 @@ def _cut(lines: Iterable[Line]) -> tuple[list[Line], bool]:
     return found, False
 
 
-def _encode_lines(lines: Iterable[Line]) -> bytes:
+def _encode_lines(lines: Iterable[StreamLine]) -> bytes:
     return b"".join(b"id: %d\ndata: %b\n\n" % (line.position, line.data) for line in lines)
 
 

@@ -22,7 +22,7 @@ import structlog
 from labos.core.envelope import Record
 from labos.core.viewer import Viewer
 from labos.errors import LabosError
-from labos.http.ends import End
+from labos.http.ends import StreamEnd
 from labos.http.tail import PAGE, RETRY, STREAM_HEADERS, STREAM_TYPE, Tail
 from labos.ports import LogQuery
 from labos.store import open_store
@@ -200,7 +200,7 @@ class _Server:
         self._most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2
         """Followers: the process needs files of its own, and its memory has an end."""
         self._tasks: set[asyncio.Task[None]] = set()
-        self._ends: dict[str, set[End]] = {}
+        self._ends: dict[str, set[StreamEnd]] = {}
 
     def hear(self, message: Message, fds: Sequence[int]) -> None:
         match message:
@@ -208,7 +208,7 @@ class _Server:
                 if len(self._tasks) >= self._most:
                     os.close(fds[0])
                     return
-                end = End(lasts_s) if key else None
+                end = StreamEnd(lasts_s) if key else None
                 if end is not None:  # at once: the next word may be that it has ended
                     self._ends.setdefault(key, set()).add(end)
                 task = asyncio.get_running_loop().create_task(
@@ -242,7 +242,7 @@ class _Server:
     def _records(self, after: int, upto: int) -> list[Record]:
         return list(self.store.read(after, upto))
 
-    async def _serve(self, connection: socket.socket, follow: Follow, end: End | None) -> None:
+    async def _serve(self, connection: socket.socket, follow: Follow, end: StreamEnd | None) -> None:
         reader, writer = await asyncio.open_connection(sock=connection)
         me = asyncio.current_task()
         assert me is not None
@@ -264,7 +264,7 @@ class _Server:
                 end.forget()
                 self._leave(follow.key, end)
 
-    def _leave(self, key: str, end: End) -> None:
+    def _leave(self, key: str, end: StreamEnd) -> None:
         left = self._ends.get(key, set())
         left.discard(end)
         if not left:

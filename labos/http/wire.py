@@ -173,7 +173,7 @@ def _sentence(request: Request, code: str, detail: str) -> str:
     return detail
 
 
-async def surprise(request: Request, error: Exception) -> Response:
+async def report_fault(request: Request, error: Exception) -> Response:
     _log.error("request_failed", path=request.url.path, error=repr(error))
     text = f"LabOS failed on this request ({type(error).__name__})."
     return send_problem(problem("internal", text, "This is a fault of LabOS; its log tells more."))

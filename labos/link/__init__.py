@@ -35,7 +35,13 @@ from labos.link.modbus import ModbusLink
 from labos.link.scripted import OffScript, ScriptedHttp, ScriptedWire
 from labos.link.serial import SerialWire
 from labos.link.tcp import TcpWire
-from labos.link.transcript import Record, read_transcript, recording, start_recording, stop_recording
+from labos.link.transcript import (
+    TranscriptLine,
+    keep_transcript,
+    read_transcript,
+    start_recording,
+    stop_recording,
+)
 from labos.link.usb import UsbWire
 from labos.link.wire import Wire
 
@@ -64,7 +70,6 @@ __all__ = [
     "NotConnected",
     "OffScript",
     "PtyEnd",
-    "Record",
     "ScriptedHttp",
     "ScriptedWire",
     "SdoLink",
@@ -74,11 +79,12 @@ __all__ = [
     "TcpWire",
     "Terminated",
     "TimedDevice",
+    "TranscriptLine",
     "UsbWire",
     "Wire",
     "WrongDevice",
+    "keep_transcript",
     "read_transcript",
-    "recording",
     "replay",
     "serial_end",
     "server_at",

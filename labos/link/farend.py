@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
-from labos.link.transcript import Record, read_transcript
+from labos.link.transcript import TranscriptLine, read_transcript
 
 PORT_S = 20.0
 """How long a port may be taken that a simulated device had before."""
@@ -176,7 +176,9 @@ def serial_end() -> FarEnd:
     return PtyEnd() if hasattr(os, "openpty") else TcpEnd()
 
 
-def replay(script: str | Path | Iterable[Record], end: FarEnd, *, patience_s: float = 5.0) -> list[Record]:
+def replay(
+    script: str | Path | Iterable[TranscriptLine], end: FarEnd, *, patience_s: float = 5.0
+) -> list[TranscriptLine]:
     """Play the device of a transcript over a real wire, until all is said; returns what was not.
 
     Each answer is given when what was sent before it has been sent again; stops when something

@@ -83,12 +83,12 @@ class Link(Life):
         with self._lock:
             if not self._is_open:
                 self.open()
-            with self._judge(), _nothing_sent():
+            with self._judge(), _report_nothing_sent():
                 return self._next(time.monotonic() + timeout_s)
 
     def drain(self) -> None:
         """Forget what has come so far, but hand on what was said unasked. Raises LinkLost."""
-        with self._lock, self._judge(), _nothing_sent():
+        with self._lock, self._judge(), _report_nothing_sent():
             self._discard(keep_partial=False)
 
     # -- inside ------------------------------------------------------------------------------
@@ -106,13 +106,13 @@ class Link(Life):
         """Connected, in step, and with nothing left over from before."""
         if not self._is_open:
             self.open()
-        with self._judge(), _nothing_sent():
+        with self._judge(), _report_nothing_sent():
             if not self._in_step and answers is None:
-                self._get_in_step()
+                self._resynchronise()
             self._in_step = True
             self._discard(keep_partial=answers is not None)
 
-    def _get_in_step(self) -> None:
+    def _resynchronise(self) -> None:
         if self._wire.forgets:
             self.close()
             self.open()
@@ -200,7 +200,7 @@ class Link(Life):
 
 
 @contextmanager
-def _nothing_sent() -> Iterator[None]:
+def _report_nothing_sent() -> Iterator[None]:
     """Whatever happens to the line meanwhile, no question has been sent."""
     try:
         yield

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from labos.errors import LinkLost
-from labos.link.transcript import Record, read_transcript
+from labos.link.transcript import TranscriptLine, read_transcript
 
 
 class OffScript(AssertionError):
@@ -23,7 +23,7 @@ class ScriptedWire:
     name = "scripted"
     forgets = True
 
-    def __init__(self, script: str | Path | Iterable[Record], *, link: str = "") -> None:
+    def __init__(self, script: str | Path | Iterable[TranscriptLine], *, link: str = "") -> None:
         records = read_transcript(script) if isinstance(script, str | Path) else list(script)
         self._records = [r for r in records if r.mark in "<>" and link in ("", r.link)]
         self._at = 0
@@ -74,7 +74,7 @@ class ScriptedWire:
 class ScriptedHttp:
     """Answers HTTP questions as the transcript has them, in its order."""
 
-    def __init__(self, script: str | Path | Iterable[Record], *, link: str = "") -> None:
+    def __init__(self, script: str | Path | Iterable[TranscriptLine], *, link: str = "") -> None:
         records = read_transcript(script) if isinstance(script, str | Path) else list(script)
         self._records = [r for r in records if r.mark in "<>" and link in ("", r.link)]
 
@@ -84,7 +84,7 @@ class ScriptedHttp:
 
     def answer(self, question: bytes) -> bytes | None:
         """What was answered; None if nothing ever was. Raises OffScript."""
-        wanted = self._records.pop(0) if self._records else Record(0.0, "", ">")
+        wanted = self._records.pop(0) if self._records else TranscriptLine(0.0, "", ">")
         if wanted.mark != ">" or wanted.data != question:
             raise OffScript(f"{question!r} was sent; the transcript has {wanted.data!r}.")
         if self._records and self._records[0].mark == "<":

@@ -31,7 +31,7 @@ _BACK = {"t": b"\t", "n": b"\n", "r": b"\r", "\\": b"\\"}
 _ESCAPE = re.compile(r"\\(x[0-9a-fA-F]{2}|.)")
 
 
-class Record(msgspec.Struct, frozen=True):
+class TranscriptLine(msgspec.Struct, frozen=True):
     """One line of a transcript."""
 
     at_s: float
@@ -90,7 +90,7 @@ def stop_recording() -> None:
 
 
 @contextmanager
-def recording(path: str | Path) -> Iterator[None]:
+def keep_transcript(path: str | Path) -> Iterator[None]:
     """Keep a transcript as long as the block lasts."""
     start_recording(path)
     try:
@@ -105,7 +105,7 @@ def note(link: str, mark: Mark, data: bytes = b"") -> None:
         _current.write(link, mark, data)
 
 
-def read_transcript(path: str | Path) -> list[Record]:
+def read_transcript(path: str | Path) -> list[TranscriptLine]:
     """What was written down. Raises BadInput, with file and line."""
     lines = Path(path).read_text(encoding="ascii").splitlines()
     records = []
@@ -118,7 +118,7 @@ def read_transcript(path: str | Path) -> list[Record]:
         try:
             if mark not in MARKS:
                 raise ValueError(f"{mark!r} is none of {', '.join(MARKS)}")
-            records.append(Record(float(at), link, mark, unescape(text)))  # type: ignore[arg-type]
+            records.append(TranscriptLine(float(at), link, mark, unescape(text)))  # type: ignore[arg-type]
         except ValueError as error:
             raise BadInput(
                 f"{path}:{number}: not a line of a transcript: {error}.",

@@ -75,7 +75,7 @@ def make_server(lab: LabClient | Callable[[], LabClient], user: str = USER) -> M
     for group, names, only_looks in groups:
         for name in names:
             server.add_tool(
-                _speaking(group, name, ask, turn),
+                _make_tool(group, name, ask, turn),
                 name=name,
                 annotations=ToolAnnotations(
                     read_only_hint=only_looks, destructive_hint=False, open_world_hint=False
@@ -85,7 +85,7 @@ def make_server(lab: LabClient | Callable[[], LabClient], user: str = USER) -> M
     return server
 
 
-def _speaking(
+def _make_tool(
     group: Callable[[LabClient], Any], name: str, ask: Callable[[], LabClient], turn: Lock | None
 ) -> Callable[..., str]:
     """The tool of a group, with what goes wrong as an answer: what it was, and what to do. Calls take turns

@@ -20,7 +20,7 @@ AWAITING_REST = "waiting for the device to stand still"
 _log = structlog.get_logger(__name__)
 
 
-class Condition:
+class DeviceCondition:
     """``doing`` is what keeps the device busy: an exclusive action's id, or words; ``error`` what is
     wrong, until a recovery; ``connected`` whether the device answered. ``changed`` tells the state,
     ``spawn`` starts what goes on by itself."""

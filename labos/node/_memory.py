@@ -184,7 +184,7 @@ class Memory(msgspec.Struct):
                 case Pruned():
                     forgotten |= {(a.action, a.attempt): a for a in self.list_spent(record.position)}
                 case Handled() | Ended():
-                    self._remember_again(record.action, record.attempt, forgotten)
+                    self._restore_forgotten(record.action, record.attempt, forgotten)
                 case _:
                     pass
             try:
@@ -195,7 +195,7 @@ class Memory(msgspec.Struct):
                     remedy=REMEDY,
                 ) from error
 
-    def _remember_again(self, action: str, number: int, forgotten: dict[tuple[str, int], Attempt]) -> None:
+    def _restore_forgotten(self, action: str, number: int, forgotten: dict[tuple[str, int], Attempt]) -> None:
         """Before there was a record of it, what was taken up after a restart looks in the file as if it
         had been forgotten while it ran. It was not: it was still running."""
         known = self.actions.get(action)

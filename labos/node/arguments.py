@@ -16,29 +16,33 @@ from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid
 
 
-class Problem(msgspec.Struct, frozen=True):
+class ArgumentProblem(msgspec.Struct, frozen=True):
     """What is wrong with one argument; ``argument`` as the caller wrote it."""
 
     argument: str
     message: str
 
 
-def problems(spec: ActionSpec, args: Mapping[str, Any]) -> list[Problem]:
+def problems(spec: ActionSpec, args: Mapping[str, Any]) -> list[ArgumentProblem]:
     """Everything that is wrong with a call, in the order of declaration; unknown names last."""
-    found: list[Problem] = []
+    found: list[ArgumentProblem] = []
     meant = names_of(spec)
     for arg in spec.args:
         written = [name for name in args if meant.get(name) is arg]
         if len(written) > 1:
-            found.append(Problem(written[1], f"is given twice, as {', '.join(written)}"))
+            found.append(ArgumentProblem(written[1], f"is given twice, as {', '.join(written)}"))
         elif not written:
             if arg.required:
-                found.append(Problem(arg.name, f"is missing: {describe_arg(arg)}"))
+                found.append(ArgumentProblem(arg.name, f"is missing: {describe_arg(arg)}"))
         elif flaw(arg, args[written[0]]):
-            found.append(Problem(written[0], f"must be {describe_arg(arg)}, not {shorten(args[written[0]])}"))
+            found.append(
+                ArgumentProblem(written[0], f"must be {describe_arg(arg)}, not {shorten(args[written[0]])}")
+            )
     known = ", ".join(arg.name for arg in spec.args)
     takes = f"takes {known}" if known else "takes no arguments"
-    found.extend(Problem(name, f"is not known: {spec.name} {takes}") for name in args if name not in meant)
+    found.extend(
+        ArgumentProblem(name, f"is not known: {spec.name} {takes}") for name in args if name not in meant
+    )
     return found
 
 

@@ -23,7 +23,7 @@ from labos.errors import ActionInvalid, DeviceError, OutcomeUnknown, Unreadable
 from labos.node import arguments
 from labos.node._admin import Admin
 from labos.node._admission import Admission, NotAdmitted
-from labos.node._condition import Condition
+from labos.node._condition import DeviceCondition
 from labos.node._name import claim
 from labos.node._outcome import RunBlocking, call, outcome_of, text
 from labos.node.files import Files, hand_over
@@ -112,7 +112,7 @@ class NodeServer:
         self._running: dict[str, asyncio.Task[None]] = {}
         self._unanswered: set[str] = set()
         self._by_person: set[str] = set()
-        self._condition = Condition(
+        self._condition = DeviceCondition(
             node, idle_poll_s=idle_poll_s, changed=self._publish_state, spawn=self._spawn
         )
         self._admission = Admission(self.module, lab, journal)
@@ -439,13 +439,13 @@ class NodeServer:
             )
         else:
             calling = self._call(spec, kwargs, pinned, stops)
-            await self._see_through(attempt, spec, calling, started_ns, stops)
+            await self._await_end(attempt, spec, calling, started_ns, stops)
 
-    async def _see_through(
+    async def _await_end(
         self, attempt: Attempt, spec: ActionSpec, calling: Awaitable[Any], started_ns: int, stops: int
     ) -> None:
         """Wait for the driver, and record how it ended, if that can be known."""
-        self._let_the_driver_know(attempt)
+        self._tell_driver(attempt)
         try:
             outcome = await outcome_of(
                 spec.name,
@@ -507,7 +507,7 @@ class NodeServer:
         result = await call(self._methods[spec.name], kwargs, self._run_blocking)
         return await hand_over(result, self._files)
 
-    def _let_the_driver_know(self, attempt: Attempt) -> None:
+    def _tell_driver(self, attempt: Attempt) -> None:
         """Which action this is, and where to keep a handle that the device gives to it."""
 
         async def keep(handle: str) -> None:
@@ -541,7 +541,7 @@ class NodeServer:
         if not self._condition.connected:
             await self._give_up(attempt, f"{INTERRUPTED}, and {self._condition.error}")
             return
-        await self._see_through(attempt, spec, self._take_up(attempt), 0, self._stops)
+        await self._await_end(attempt, spec, self._take_up(attempt), 0, self._stops)
 
     async def _take_up(self, attempt: Attempt) -> Any:
         return await hand_over(await self.node.take_up(attempt.name, attempt.handle), self._files)

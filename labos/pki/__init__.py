@@ -8,7 +8,7 @@ not.
 from labos.pki._authority import CA_KEY, Authority
 from labos.pki._credentials import KEY, MEMBERS, Credentials, read_members
 from labos.pki._lists import NUMBER, ReceivedList
-from labos.pki._party import KINDS, PROCESS_NAME, Entry, Identity, Kind, Members, folder_name
+from labos.pki._party import KINDS, PROCESS_NAME, CertificateEntry, Identity, Kind, Members, folder_name
 
 __all__ = [
     "CA_KEY",
@@ -18,8 +18,8 @@ __all__ = [
     "NUMBER",
     "PROCESS_NAME",
     "Authority",
+    "CertificateEntry",
     "Credentials",
-    "Entry",
     "Identity",
     "Kind",
     "Members",

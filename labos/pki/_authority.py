@@ -23,7 +23,7 @@ import msgspec
 from labos.clock import Clock, SystemClock
 from labos.errors import BadInput, NotFound, Refused
 from labos.pki._credentials import CA, CERTIFICATE, KEY, MEMBERS, Credentials, Stamp, read_members, stamp_of
-from labos.pki._party import SERVERS, Entry, Identity, Members, folder_name
+from labos.pki._party import SERVERS, CertificateEntry, Identity, Members, folder_name
 from labos.private import create_file, make_folder, sync_folder
 
 CA_KEY, REVOKED = "ca.key", "crl.pem"
@@ -92,7 +92,7 @@ class Authority:
                 self.renew(entry, addresses=[*addresses, *older][:MOST_ADDRESSES])
         return self.credentials(identity)
 
-    def find(self, name: str) -> Entry:
+    def find(self, name: str) -> CertificateEntry:
         """The certificate that a person means: by the name of its folder, ``workcell/module`` or its CN. One
         that is not revoked goes first. Raises NotFound, BadInput if several labs have one of that name."""
         entries = [entry for entry in self.members().entries if name in entry.names]
@@ -135,7 +135,7 @@ class Authority:
         *,
         addresses: Sequence[str] = (),
         days: int = DAYS,
-    ) -> Entry:
+    ) -> CertificateEntry:
         """Make a certificate for a party that has none. Raises Refused if it has one, or if the site issues
         them, BadInput, NotFound."""
         with self._lock():
@@ -167,7 +167,9 @@ class Authority:
             if changed:
                 self._keep(Members(tuple(entries.values())))
 
-    def renew(self, entry: Entry, *, addresses: Sequence[str] = (), days: int = 0) -> Entry:
+    def renew(
+        self, entry: CertificateEntry, *, addresses: Sequence[str] = (), days: int = 0
+    ) -> CertificateEntry:
         """A new key and certificate under the same common name; who used the old one opens the bus anew.
         Without ``addresses`` and ``days``, as it was. Raises Refused, BadInput."""
         with self._lock():
@@ -189,7 +191,7 @@ class Authority:
             self._keep(Members((*rest, renewed)))
             return renewed
 
-    def admit(self, identity: Identity, certificate: Path, key: Path) -> Entry:
+    def admit(self, identity: Identity, certificate: Path, key: Path) -> CertificateEntry:
         """Take over a certificate that the site issued: copy it to the party's folder and let its CN speak
         for the party. Raises Refused, BadInput."""
         from labos.pki._signing import entry_of, fits, is_issued_by, read_certificate
@@ -220,7 +222,7 @@ class Authority:
             self._keep(Members((*rest, entry)))
         return entry
 
-    def revoke(self, entry: Entry, why: str) -> Entry:
+    def revoke(self, entry: CertificateEntry, why: str) -> CertificateEntry:
         """Let a certificate speak for nobody any more, and write the list of revoked ones. Raises Refused."""
         now = self._clock.now_ns()
         with self._lock():
@@ -240,7 +242,9 @@ class Authority:
 
         return f"{folder_name(identity)[: LONGEST_COMMON_NAME - 9]}.{os.urandom(4).hex()}"
 
-    def _sign(self, identity: Identity, common_name: str, addresses: Sequence[str], days: int) -> Entry:
+    def _sign(
+        self, identity: Identity, common_name: str, addresses: Sequence[str], days: int
+    ) -> CertificateEntry:
         from labos.pki._signing import entry_of, make_certificate, read_certificate
 
         now = self._clock.now_ns()

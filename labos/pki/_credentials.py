@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.errors import BadInput, NotFound
-from labos.pki._party import Entry, Identity, Members
+from labos.pki._party import CertificateEntry, Identity, Members
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -65,7 +65,7 @@ class Credentials(msgspec.Struct, frozen=True):
 
         return identity_of(self._read())
 
-    def entry(self) -> Entry:
+    def entry(self) -> CertificateEntry:
         """What stands in the certificate. Raises BadInput."""
         from labos.pki._signing import entry_of
 

@@ -57,7 +57,7 @@ def folder_name(identity: Identity) -> str:
     return name if identity.kind == "node" else f"{identity.kind}.{name}" if name else identity.kind
 
 
-class Entry(msgspec.Struct, frozen=True):
+class CertificateEntry(msgspec.Struct, frozen=True):
     """A certificate that may be used on the bus, or was revoked. Zenoh knows a party by the certificate's
     ``common_name`` only, so each name is given once: renewal keeps it, and a new certificate after a
     revocation has a new one. Times are UTC nanoseconds. ``own``: issued here, not by the site."""
@@ -87,7 +87,7 @@ class Members(msgspec.Struct, frozen=True):
     list has a higher ``number`` than the one before; ``signature`` is that of the authority, in base64
     (ECDSA, SHA-256, over ``signed_bytes``), and empty where its key is not."""
 
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[CertificateEntry, ...] = ()
     number: int = 0
     signature: str = ""
 
@@ -96,10 +96,10 @@ class Members(msgspec.Struct, frozen=True):
         return b"labos members 1\n" + msgspec.json.encode(msgspec.structs.replace(self, signature=""))
 
     @property
-    def admitted(self) -> tuple[Entry, ...]:
+    def admitted(self) -> tuple[CertificateEntry, ...]:
         """Those that are not revoked."""
         return tuple(entry for entry in self.entries if not entry.revoked_at)
 
-    def find(self, identity: Identity) -> Entry | None:
+    def find(self, identity: Identity) -> CertificateEntry | None:
         """The certificate of a party that is not revoked."""
         return next((entry for entry in self.admitted if entry.identity == identity), None)

@@ -15,7 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID as Usage
 from cryptography.x509.oid import NameOID
 
 from labos.errors import BadInput
-from labos.pki._party import SERVERS, Entry, Identity, identity_in
+from labos.pki._party import SERVERS, CertificateEntry, Identity, identity_in
 
 DAY_NS = 86_400 * 10**9
 BEFORE_NS = 600 * 10**9
@@ -70,7 +70,9 @@ def make_certificate(
     return certificate.public_bytes(serialization.Encoding.PEM), _pem(key)
 
 
-def make_revocation_list(ca: tuple[bytes, bytes], revoked: Sequence[Entry], now_ns: int, days: int) -> bytes:
+def make_revocation_list(
+    ca: tuple[bytes, bytes], revoked: Sequence[CertificateEntry], now_ns: int, days: int
+) -> bytes:
     """The list of revoked certificates (X.509 CRL), as PEM."""
     issuer = read_certificate(ca[0], "the authority's certificate")
     builder = (
@@ -126,7 +128,7 @@ def identity_of(certificate: x509.Certificate) -> Identity | None:
     return next((identity for identity in found if identity is not None), None)
 
 
-def entry_of(certificate: x509.Certificate, identity: Identity, *, own: bool) -> Entry:
+def entry_of(certificate: x509.Certificate, identity: Identity, *, own: bool) -> CertificateEntry:
     """What is kept of a certificate. Raises BadInput if it bears no common name."""
     common_name = common_name_of(certificate)
     if not common_name:
@@ -134,7 +136,7 @@ def entry_of(certificate: x509.Certificate, identity: Identity, *, own: bool) ->
             "The certificate bears no common name (CN), by which the bus would know its owner.",
             remedy="Ask for one that bears a CN, and a different one for each key.",
         )
-    return Entry(
+    return CertificateEntry(
         identity,
         common_name,
         f"{certificate.serial_number:x}",

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 
 from labos.core.lengths import Lengths
 from labos.core.model import PlanStep
-from labos.planning.durations import quantile
 
 SPREAD = 0.1
 """What is assumed of a step that was not carried out often enough: its duration differs from what was planned
@@ -21,6 +21,14 @@ def at_level(lengths: Lengths, step: PlanStep, pace: float, level: float) -> int
         return int(planned * (1 + SPREAD * (2 * level - 1)))
     found = quantile(sorted(times.took), level)
     return int(found * planned / 1e6 if is_part else found)
+
+
+def quantile(ordered: Sequence[float], level: float) -> float:
+    """The value at a level between 0 and 1 of values in order, between two of them in proportion."""
+    place = level * (len(ordered) - 1)
+    below = min(int(place), len(ordered) - 1)
+    above = min(below + 1, len(ordered) - 1)
+    return ordered[below] + (ordered[above] - ordered[below]) * (place - below)
 
 
 def draw(what: str) -> float:

@@ -14,11 +14,11 @@ from labos.core.rules import lab_ns
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import Suggested
-from labos.planner.problem import Problem, problem_of
-from labos.planner.rehearsal import Rehearsal
+from labos.planner.problem import SchedulingProblem, problem_of
+from labos.planner.rehearsal import OrderRehearsal
 from labos.planner.solve import Schedule, solve
 
-Solver = Callable[[Problem, float, dict[int, float]], Schedule | None]
+Solver = Callable[[SchedulingProblem, float, dict[int, float]], Schedule | None]
 
 STAYS_GOOD_S = 3600.0
 """A suggestion counts at most so long after its last start (lab seconds)."""
@@ -45,14 +45,16 @@ class Planner:
         if _is_one_line(problem):
             return None
         found = self._search(state, cell, problem, now)
-        rehearsal = Rehearsal(state, cell, now, self.level)
+        rehearsal = OrderRehearsal(state, cell, now, self.level)
         without = rehearsal.score(None)
         before = rehearsal.score(rehearsal.order) if rehearsal.order is not None else without
         if found is not None and rehearsal.score(found) < min(without, before):
             return found
         return None if before <= without else SuggestOrder(cell, self.name, now, (), state.position)
 
-    def _search(self, state: LabState, cell: str, problem: Problem, now: int) -> SuggestOrder | None:
+    def _search(
+        self, state: LabState, cell: str, problem: SchedulingProblem, now: int
+    ) -> SuggestOrder | None:
         last, pace = self._last.get(cell, {}), state.lab.pace
         hint = {
             number: max(0.0, (last[task.run, task.step] - now) / 1e9 * pace)
@@ -79,7 +81,7 @@ class Planner:
         return SuggestOrder(cell, self.name, until, ordered, state.position)
 
 
-def _is_one_line(problem: Problem) -> bool:
+def _is_one_line(problem: SchedulingProblem) -> bool:
     """Whether there is nothing to put in order: one run, whose steps follow one another."""
     if len({task.run for task in problem.tasks}) > 1:
         return False

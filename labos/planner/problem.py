@@ -66,7 +66,7 @@ class Task(msgspec.Struct, frozen=True):
     shut: tuple[tuple[float, float], ...] = ()
 
 
-class Stay(msgspec.Struct, frozen=True):
+class RoomUse(msgspec.Struct, frozen=True):
     """Labware takes room at ``place`` from the start of task ``first`` (None: now) to the end of
     task ``last`` (None: for good)."""
 
@@ -75,13 +75,13 @@ class Stay(msgspec.Struct, frozen=True):
     last: int | None
 
 
-class Problem(msgspec.Struct, frozen=True):
+class SchedulingProblem(msgspec.Struct, frozen=True):
     """All tasks, those of a run together, and how many have room where. ``like`` are pairs of runs' first
     tasks that are alike: the first goes first. Of each run ``ends`` are the tasks that no other follows, and
     ``more`` says whether further runs follow that nobody knows yet: it is part of an experiment."""
 
     tasks: tuple[Task, ...]
-    stays: tuple[Stay, ...]
+    stays: tuple[RoomUse, ...]
     room: dict[str, int]
     like: tuple[tuple[int, int], ...]
     ends: tuple[tuple[int, ...], ...]
@@ -90,7 +90,7 @@ class Problem(msgspec.Struct, frozen=True):
 
 def problem_of(
     state: LabState, cell: str, waiting: Iterable[RunState], now: int, level: float = 0.5
-) -> Problem:
+) -> SchedulingProblem:
     """What is to be done in a workcell: by the runs inside, and the first of those that are ``waiting``.
     ``level`` is the quantile of durations, between 0 and 1."""
     reader = _Reader(state, now, level)
@@ -111,7 +111,7 @@ class _Reader:
     def __init__(self, state: LabState, now: int, level: float) -> None:
         self.state, self.now, self.level = state, now, level
         self.tasks: list[Task] = []
-        self.stays: list[Stay] = []
+        self.stays: list[RoomUse] = []
         self.read_runs: dict[RunId, bool] = {}
         self._places: dict[str, bool] = {}
         self._taken: dict[str, int] = {}
@@ -135,7 +135,7 @@ class _Reader:
             after = tuple(numbers[before] for before in step.after if before in numbers)
             flying = run.has_started and run.steps[index].status == IN_FLIGHT
             lags = tuple(self._lags(step, numbers, ended))
-            duration_s = self._left_s(run, index, step) if flying else self._takes_s(step)
+            duration_s = self._find_left_s(run, index, step) if flying else self._takes_s(step)
             taken = tuple(list_taken(self.state, step))
             shut = () if flying else tuple(self._shut(run, step))
             self.tasks.append(Task(run.id, index, duration_s, taken, after, lags, runs=flying, shut=shut))
@@ -171,7 +171,7 @@ class _Reader:
                 begins, ends = ((at - now) / 1e9 * state.lab.pace for at in (span.begins, span.ends))
                 yield max(0.0, begins), ends
 
-    def _left_s(self, run: RunState, index: int, step: PlanStep) -> float:
+    def _find_left_s(self, run: RunState, index: int, step: PlanStep) -> float:
         for action in self.state.actions.within(self.state.runs.plan_of(run).workcell):
             if action.run == run.id and action.step == index and action.status != ActionStatus.UNKNOWN:
                 gone_s = (self.now - action.requested_at) / 1e9 * self.state.lab.pace
@@ -187,14 +187,14 @@ class _Reader:
         owners = [run_owner(run.id), *([experiment_owner(run.experiment)] if run.experiment else [])]
         for labware in [piece for owner in owners for piece in self.state.bench.list_owned(owner)]:
             if not labware.on:
-                for place in self._counted(labware.station):
+                for place in self._list_counted_keys(labware.station):
                     standing.setdefault(place, []).append(None)
         for index, step in enumerate(steps):
             number = numbers.get(index)
             if number is None:
                 continue
             for what in list_carried(step.effects):
-                for place in self._counted(what.emptied):
+                for place in self._list_counted_keys(what.emptied):
                     pieces = standing.get(place, [])
                     if place.startswith(DECK) and len(pieces) > 1:
                         pieces.pop()  # the run has the deck until its last piece has left
@@ -203,7 +203,7 @@ class _Reader:
                     elif self._stands(place):
                         self._taken[place] = self._taken.get(place, 0) + 1
                         self._stay(place, None, number)
-                for place in self._counted(what.filled):
+                for place in self._list_counted_keys(what.filled):
                     standing.setdefault(place, []).append(number)
         # What a run leaves behind stands there for good. Not in an experiment: its next run will fetch
         # it, and nobody knows when.
@@ -219,16 +219,16 @@ class _Reader:
 
     def _stay(self, place: str, first: int | None, last: int | None) -> None:
         self._places[place] = True
-        self.stays.append(Stay(place, first, last))
+        self.stays.append(RoomUse(place, first, last))
 
-    def _counted(self, place: StationName) -> list[str]:
+    def _list_counted_keys(self, place: StationName) -> list[str]:
         station = self.state.bench.stations.get(place)
         if station is None or station.spec.kind in ("stack", "waste"):
             return []
         keys = [station_key(place)]
         return [*keys, f"{DECK}{station.spec.claim}"] if station.spec.claim else keys
 
-    def problem(self, cell: str) -> Problem:
+    def problem(self, cell: str) -> SchedulingProblem:
         room: dict[str, int] = {}
         for key in self._places:
             name = key.partition(":")[2]
@@ -240,7 +240,7 @@ class _Reader:
             capacity = sum(self.state.bench.stations[s].spec.capacity for s in shelves)
             strangers = self._strangers(station.spec.name) - self._taken.get(key, 0)
             room[key] = (capacity or station.spec.capacity) - strangers
-        return Problem(
+        return SchedulingProblem(
             tuple(self.tasks),
             tuple(self.stays),
             room,

@@ -33,7 +33,7 @@ class Score(msgspec.Struct, frozen=True, order=True):
     ends_s: float
 
 
-class Rehearsal:
+class OrderRehearsal:
     """Carries copies of a workcell on. ``level`` is the quantile of durations with which it is planned."""
 
     def __init__(self, state: LabState, cell: str, now: int, level: float) -> None:

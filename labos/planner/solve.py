@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.errors import SystemFailed
-from labos.planner.problem import GOES_ON, Problem
+from labos.planner.problem import GOES_ON, SchedulingProblem
 
 if TYPE_CHECKING:
     from ortools.sat.python import cp_model
@@ -41,7 +41,11 @@ def expect_solver() -> None:
 
 
 def solve(
-    problem: Problem, seconds: float, hint: Mapping[int, float] | None = None, *, counted: bool = False
+    problem: SchedulingProblem,
+    seconds: float,
+    hint: Mapping[int, float] | None = None,
+    *,
+    counted: bool = False,
 ) -> Schedule | None:
     """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
     starts (lab seconds) of a schedule that is known, by task. Windows are kept where that is possible.
@@ -71,7 +75,7 @@ def solve(
         for name in task.takes:
             using.setdefault(name, []).append(interval)
         if task.shut:
-            model.add_no_overlap([interval, *_closed(model, task.shut, unit)])
+            model.add_no_overlap([interval, *_merge_closed(model, task.shut, unit)])
         for before in task.after:
             model.add(begin[number] >= end[before])
         for lag in task.lags:
@@ -130,7 +134,7 @@ def solve(
     return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
 
 
-def _closed(
+def _merge_closed(
     model: cp_model.CpModel, times: Sequence[tuple[float, float]], unit: float
 ) -> list[cp_model.IntervalVar]:
     """Times in which something cannot be, those that overlap as one."""

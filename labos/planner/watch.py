@@ -32,7 +32,7 @@ class _Seen(msgspec.Struct):
     repeated: int = 0
 
 
-class Watch:
+class CellWatch:
     """What each workcell looked like when an order was looked for last."""
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class Watch:
         self._seen[cell] = _Seen(runs, known, now, order is not None, repeated)
 
 
-def waiting_in(state: LabState, cell: str) -> list[RunState]:
+def list_waiting(state: LabState, cell: str) -> list[RunState]:
     """The runs that wait to be let into a workcell, in about the order in which they will be."""
     found = [run for run in state.runs.queued.values() if state.runs.plan_of(run).workcell == cell]
     return sorted(found, key=lambda run: (-run.priority, run.position))

@@ -10,11 +10,16 @@ from labos.core.runs import PENDING, RunState
 from labos.core.state import LabState
 from labos.planning.forecast import find_pending_before
 from labos.planning.player import FAR, Step, Who, step_of
-from labos.planning.rehearsal import Advice, Outcome
+from labos.planning.rehearsal import Advice, RehearsalResult
 
 
 def options(
-    state: LabState, run: RunState | None, advice: Advice, outcome: Outcome, late: Step, forced: Step | None
+    state: LabState,
+    run: RunState | None,
+    advice: Advice,
+    outcome: RehearsalResult,
+    late: Step,
+    forced: Step | None,
 ) -> Iterator[Advice]:
     """Other advice that may bring one in time who was late: whoever was in its way goes on to its end, or
     waits until it has passed; or its clock is started later. ``run`` is a run that is to begin, the step
@@ -48,7 +53,7 @@ def _let_pass(state: LabState, advice: Advice, start: Step, lost: Sequence[str])
 
 
 def _in_the_way(
-    run: RunState, chain: Sequence[int], advice: Advice, outcome: Outcome
+    run: RunState, chain: Sequence[int], advice: Advice, outcome: RehearsalResult
 ) -> Iterator[tuple[Step, Who]]:
     """For whom these steps of a run had to wait, and for whom those in turn who should have gone."""
     blocked = [(str(run.id), index) for index in reversed(chain)]

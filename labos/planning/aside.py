@@ -29,7 +29,7 @@ DOWN = (reasons.NoModule, reasons.ModuleDown, reasons.OutOfService)
 """What a run waits for that needs a module that is down."""
 
 
-def better_here(state: LabState, safety: Safety, run: RunState, step: int) -> Wait | None:
+def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) -> Wait | None:
     """What a run inside waits for if it had better stay where it is than start a step; None if it may go on.
     One whose clock runs goes on as far as it can."""
     if run.status != RunStatus.ACTIVE or run.id in state.runs.windowed:
@@ -110,4 +110,4 @@ def _find_kept(floor: Floor, actor: Actor) -> set[str]:
     return kept
 
 
-__all__ = ["better_here"]
+__all__ = ["check_may_stay"]

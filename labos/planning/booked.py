@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 import msgspec
 
 from labos.core.booked import HORIZON_NS, contacts, find_blocked, is_exempt, no_gap, waits_for
-from labos.core.bookings import Bookings, Span
+from labos.core.bookings import Bookings, BookingSpan
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
 from labos.core.effects import Carrying, Sets, list_carried
@@ -28,7 +28,7 @@ from labos.planning.forecast import earliest, usual
 from labos.planning.player import find_chained
 
 
-class Stay(msgspec.Struct, frozen=True):
+class ModuleUse(msgspec.Struct, frozen=True):
     """When a run has a module, or something of it stands there (ns from now on), from a ``step`` on. Who only
     ``clears`` is stopped by maintenance alone."""
 
@@ -39,7 +39,7 @@ class Stay(msgspec.Struct, frozen=True):
     clears: bool = False
 
 
-def against(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
+def check_start(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
     """What booking a start would run into; None if there is room. The rules must allow it."""
     if not state.bookings.in_cell(state.runs.plan_of(run).workcell):
         return None
@@ -48,13 +48,13 @@ def against(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         return None
     times = _times(state, run, plan, step, now)
     if not run.has_started:
-        every = list(_stays(state, plan, times, times))
-        for wait in _without_gap(state, run, every, now):
+        every = list(_list_stays(state, plan, times, times))
+        for wait in _list_without_gap(state, run, every, now):
             return wait
         if _first_fit(state, run.user, every, now) is not None:
             return _room_for(state, run, plan, every, now)
     together = {step, *find_chained(run, plan, [step])}
-    return _room_for(state, run, plan, list(_stays(state, plan, times, together)), now)
+    return _room_for(state, run, plan, list(_list_stays(state, plan, times, together)), now)
 
 
 def room_ends(state: LabState, name: RunId, now: int) -> int | None:
@@ -65,7 +65,7 @@ def room_ends(state: LabState, name: RunId, now: int) -> int | None:
     times = _times(state, run, plan, 0, now)
     found = (
         span.begins - stay.ends + 1
-        for stay in _stays(state, plan, times, times)
+        for stay in _list_stays(state, plan, times, times)
         for span in find_blocked(
             state, run.user, stay.module, now + stay.begins, now + HORIZON_NS, clears=stay.clears
         )
@@ -73,16 +73,16 @@ def room_ends(state: LabState, name: RunId, now: int) -> int | None:
     return min((at for at in found if at > now), default=None)
 
 
-def without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
+def list_without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
     """The modules on which bookings of others leave no gap that is long enough for a run that waits."""
     plan = state.runs.plan_of(run)
     if not state.bookings.in_cell(plan.workcell):
         return []
     times = _times(state, run, plan, 0, now)
-    return list(_without_gap(state, run, _stays(state, plan, times, times), now))
+    return list(_list_without_gap(state, run, _list_stays(state, plan, times, times), now))
 
 
-def _without_gap(state: LabState, run: RunState, stays: Iterable[Stay], now: int) -> Iterator[Wait]:
+def _list_without_gap(state: LabState, run: RunState, stays: Iterable[ModuleUse], now: int) -> Iterator[Wait]:
     """The waits for modules on which the longest of these stays has no room."""
     longest: dict[tuple[ModuleName, bool], int] = {}
     for stay in stays:
@@ -94,20 +94,22 @@ def _without_gap(state: LabState, run: RunState, stays: Iterable[Stay], now: int
             yield wait
 
 
-def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[Stay], now: int) -> Wait | None:
+def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[ModuleUse], now: int) -> Wait | None:
     """The wait for a time at which there is room for all these stays; None if it is now."""
     met = _first_met(state, run.user, stays, now)
     if met is None:
         return None
     stay, span = met
-    for wait in _without_gap(state, run, stays, now):
+    for wait in _list_without_gap(state, run, stays, now):
         return wait
     return waits_for(
         state, stay.module, span, plan.steps[stay.step].key, now, _first_fit(state, run.user, stays, now)
     )
 
 
-def _first_met(state: LabState, user: str, stays: Iterable[Stay], now: int) -> tuple[Stay, Span] | None:
+def _first_met(
+    state: LabState, user: str, stays: Iterable[ModuleUse], now: int
+) -> tuple[ModuleUse, BookingSpan] | None:
     for stay in stays:
         ends = max(stay.ends, stay.begins + 1)
         for span in find_blocked(state, user, stay.module, now + stay.begins, now + ends, clears=stay.clears):
@@ -115,7 +117,7 @@ def _first_met(state: LabState, user: str, stays: Iterable[Stay], now: int) -> t
     return None
 
 
-def _first_fit(state: LabState, user: str, stays: list[Stay], now: int) -> int | None:
+def _first_fit(state: LabState, user: str, stays: list[ModuleUse], now: int) -> int | None:
     """When all stays have room, if they begin together as late as that (UTC ns); None if that is not within
     the days that are looked at."""
     time = now
@@ -156,9 +158,9 @@ def _times(state: LabState, run: RunState, plan: Plan, first: int, now: int) -> 
     return found
 
 
-def _stays(
+def _list_stays(
     state: LabState, plan: Plan, times: dict[int, tuple[int, int]], steps: Iterable[int]
-) -> Iterator[Stay]:
+) -> Iterator[ModuleUse]:
     """The stays that these steps begin, each as long as it lasts."""
     in_time = sorted(times, key=lambda index: times[index])
     for index in sorted(steps):
@@ -167,14 +169,16 @@ def _stays(
         begins, ends = times[index]
         step = plan.steps[index]
         for module, clears in contacts(state, step).items():
-            last = ends if clears else max([ends, *_leaves(state, plan, times, in_time, index, module)])
-            yield Stay(module, begins, last, index, clears)
+            last = (
+                ends if clears else max([ends, *_list_end_times(state, plan, times, in_time, index, module)])
+            )
+            yield ModuleUse(module, begins, last, index, clears)
         for hold in plan.holds:
             if hold.first == index and hold.last in times:
-                yield Stay(hold.module, begins, max(ends, times[hold.last][1]), index)
+                yield ModuleUse(hold.module, begins, max(ends, times[hold.last][1]), index)
 
 
-def _leaves(
+def _list_end_times(
     state: LabState,
     plan: Plan,
     times: dict[int, tuple[int, int]],
@@ -193,7 +197,7 @@ def _leaves(
     for what in list_carried(step.effects):
         place = what.filled
         if place and _is_inside(state, place, module):
-            gone = next((i for i in later if _takes(plan.steps[i], place)), None)
+            gone = next((i for i in later if _empties(plan.steps[i], place)), None)
             if gone is not None:
                 yield times[gone][1]
             else:
@@ -207,7 +211,7 @@ def _is_inside(state: LabState, place: StationName, module: ModuleName) -> bool:
     return spec.module == module and not spec.stands_apart and spec.kind != "waste"
 
 
-def _takes(step: PlanStep, place: StationName) -> bool:
+def _empties(step: PlanStep, place: StationName) -> bool:
     return any(isinstance(e, Carrying) and e.emptied == place and not e.stock for e in step.effects)
 
 
@@ -264,4 +268,4 @@ class BookingTimes:
                     yield EndBooking(booking.id, now)
 
 
-__all__ = ["BookingTimes", "against", "room_ends", "without_gap"]
+__all__ = ["BookingTimes", "check_start", "list_without_gap", "room_ends"]

@@ -37,7 +37,7 @@ Range = tuple[float, float]
 """The least and the greatest duration of a step, in seconds."""
 
 
-class Taken(msgspec.Struct, frozen=True):
+class StepTime(msgspec.Struct, frozen=True):
     """A step, and how long it takes where a window breaks (seconds)."""
 
     step: str
@@ -55,7 +55,7 @@ class WindowVerdict(msgspec.Struct, frozen=True):
     wait_s: float
     within_s: float | None
     breaks_by_s: float = 0.0
-    path: tuple[Taken, ...] = ()
+    path: tuple[StepTime, ...] = ()
 
     @property
     def is_kept(self) -> bool:
@@ -140,13 +140,13 @@ def certify(
     }
     sources = [node for step in reversed(order) for node in (_end(step), _sure(step), _begin(step))]
     broken: dict[int, int] = {}
-    paths: dict[int, tuple[Taken, ...]] = {}
+    paths: dict[int, tuple[StepTime, ...]] = {}
     for number, most in width.items():
         index, anchor, _ = known[number]
         between, path = _find_longest_path(fixed, order[place[anchor] : place[index] + 1])
         if between > most:
             broken[number] = between - most
-            paths[number] = tuple(Taken(plan.steps[step].key, limits[step][1]) for step in path)
+            paths[number] = tuple(StepTime(plan.steps[step].key, limits[step][1]) for step in path)
     width = {number: most + broken.get(number, 0) for number, most in width.items()}
     cycles = 0
     is_whole = len(main) <= MOST_STEPS or not width
@@ -279,7 +279,7 @@ def _find_longest_path(fixed: _Fixed, steps: Sequence[int]) -> tuple[int, list[i
 
 def _list_taken(
     plan: Plan, cycle: Sequence[_Edge], limits: Sequence[Range], place: dict[int, int]
-) -> tuple[Taken, ...]:
+) -> tuple[StepTime, ...]:
     """The steps of a cycle, with how long each takes there, in the order of the plan. One that stands there
     at its longest and at its shortest does not matter."""
     cases: dict[int, set[int]] = {}
@@ -289,7 +289,7 @@ def _list_taken(
     times = {
         step: limits[step][1 if 1 in found else 0] for step, found in cases.items() if not {1, -1} <= found
     }
-    return tuple(Taken(plan.steps[step].key, times[step]) for step in sorted(times, key=place.__getitem__))
+    return tuple(StepTime(plan.steps[step].key, times[step]) for step in sorted(times, key=place.__getitem__))
 
 
 def _find_shortfall(ways: Sequence[Sequence[_Edge]], window: int) -> int:

@@ -9,7 +9,7 @@ import msgspec
 from labos.core.model import Workcell
 from labos.planning.certificate import MOST_STEPS, Certificate, WindowVerdict, certify
 from labos.spec import Compiled
-from labos.spec.findings import Finding, Report
+from labos.spec.findings import Finding, FindingList
 
 REMEDY = "Let `at_most` be {needed:g} s or more, or move steps that need not stand between the two."
 ACCEPT = "{remedy} To accept it, write `windows: {word}` at the top."
@@ -20,7 +20,7 @@ def check_windows(compiled: Compiled, workcell: Workcell) -> Compiled:
     Raises SpecErrors where the workflow says `windows: refuse`; where it says `accept`, nothing is said."""
     if compiled.windows == "accept" or not compiled.written:
         return compiled
-    report = Report()
+    report = FindingList()
     for finding in compiled.findings:
         report.keep(finding)
     for finding in _find_broken(compiled, certify_all(compiled, workcell)):

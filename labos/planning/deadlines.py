@@ -24,7 +24,7 @@ from labos.planning.touch import BEGUN, DUE, EVERYTHING, OVER, RUN, WINDOW, Touc
 
 
 class Deadlines:
-    """The times of one state that only moves forward; ``heed`` tells what each event has touched."""
+    """The times of one state that only moves forward; ``note_changes`` takes what each event has touched."""
 
     def __init__(self) -> None:
         self._windows: Alarms[RunId] = Alarms()
@@ -34,7 +34,7 @@ class Deadlines:
         self._bookings = BookingTimes()
         self._filled = False
 
-    def heed(self, state: LabState, touched: Touched) -> None:
+    def note_changes(self, state: LabState, touched: Touched) -> None:
         """Work out anew what has been touched."""
         if not self._filled or touched.whole:
             self._fill(state)

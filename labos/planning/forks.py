@@ -23,7 +23,7 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, results_of
 from labos.planning.floor import UNSETTLED, Actor, Branch, Floor, change_claim
-from labos.planning.moves import Taken, may_move, move, take_back
+from labos.planning.moves import Undo, may_move, move, take_back
 from labos.planning.paths import FORKED, Motion, Path, carry
 
 FORK = Motion(FORKED)
@@ -31,11 +31,11 @@ FORK = Motion(FORKED)
 Change = tuple[dict[Any, int], Any, int]
 
 
-class Ends(msgspec.Struct):
+class ActorEnds(msgspec.Struct):
     """How an actor came to all its ends: the motions of one branch, carried out, what had to be added to
     counts for the others, and how variables stood that they leave otherwise."""
 
-    motions: list[tuple[Motion, Taken | None]]
+    motions: list[tuple[Motion, Undo | None]]
     changes: list[Change]
     values: list[tuple[str, Any]]
 
@@ -43,7 +43,7 @@ class Ends(msgspec.Struct):
 # -- which branches are left ---------------------------------------------------------------------
 
 
-def futures(
+def find_branches(
     path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus], tail: tuple[Motion, ...]
 ) -> tuple[tuple[Motion, ...], tuple[Branch, ...]]:
     """What is left of a way that forks, given the states of the run's steps: the motions before the first
@@ -62,7 +62,7 @@ def futures(
         if all(known.get(what, value) == value for what, value in way.said)
         and _possible(way, plan, steps, troubles)
     ]
-    flying = _in_the_balance([way for way, _ in possible], run, steps)
+    flying = _list_undecided([way for way, _ in possible], run, steps)
     for way, motions in possible:
         left = tuple(motion for motion in motions if motion.step not in over)
         outcome = [motion for index in flying for motion in _outcome(path, way, motions, index)]
@@ -106,7 +106,7 @@ def _list_failed(run: RunState) -> frozenset[int]:
     return frozenset(index for index, step in enumerate(run.steps) if step.trouble is not None)
 
 
-def _in_the_balance(ways: Sequence[Way], run: RunState, steps: Sequence[StepStatus]) -> list[int]:
+def _list_undecided(ways: Sequence[Way], run: RunState, steps: Sequence[StepStatus]) -> list[int]:
     """The steps in flight that may fail and be skipped or recovered from. What may have been done is taken
     for done, as the floor has it."""
     failing = {index for way in ways for index in way.without | way.rescued}
@@ -125,7 +125,7 @@ def find_kept(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]
     changing = {key for key, number in Counter(key for key, _ in grabs).items() if number > 1}
     values = {key: None if key in changing else value for key, value in grabs}
     kept: list[Motion] = []
-    for index in _in_the_balance([way for way, _ in possible], run, steps):
+    for index in _list_undecided([way for way, _ in possible], run, steps):
         kept += [Motion(index, place, back=True) for place in _find_left(motions_of(path, index))]
         own = [motion for _, motions in possible for motion in motions if motion.step == index]
         held = {key: values.get(key) for motion in own for key in motion.frees}
@@ -168,26 +168,26 @@ def motions_of(path: Path, step: int) -> list[Motion]:
 # -- all branches at once ------------------------------------------------------------------------
 
 
-def finish(floor: Floor, actor: Actor) -> Ends | None:
+def finish(floor: Floor, actor: Actor) -> ActorEnds | None:
     """Let an actor that stands before its fork go to its end on every branch; None, and nothing
     changed, if one of them is blocked. What the floor holds then is the worst of all ends."""
     ends: list[dict[int, dict[Any, int]]] = []
     values: list[dict[str, Any]] = []
-    last: list[tuple[Motion, Taken | None]] = []
+    last: list[tuple[Motion, Undo | None]] = []
     lasting = [branch for branch in actor.forks if not branch.fails]
     for branch in [*(b for b in actor.forks if b.fails), *reversed(lasting)]:
-        _back(floor, actor, last)
+        _take_back_all(floor, actor, last)
         last = []
         for motion in branch.motions:
             if not may_move(floor, actor, motion):
-                _back(floor, actor, last)
+                _take_back_all(floor, actor, last)
                 return None
             last.append((motion, move(floor, actor, motion)))
         if not branch.fails:
             values.append(dict(floor.values))
             ends.append({number: dict(table) for number, table in enumerate(_tables(floor, actor))})
     if not lasting:
-        _back(floor, actor, last)
+        _take_back_all(floor, actor, last)
         last = []
     changes: list[Change] = []
     for number, table in enumerate(_tables(floor, actor)):
@@ -206,16 +206,16 @@ def finish(floor: Floor, actor: Actor) -> Ends | None:
         if any(other.get(key) != value for other in values)
     ]
     floor.values.update((key, UNSETTLED) for key, _ in unsettled)
-    return Ends(last, changes, unsettled)
+    return ActorEnds(last, changes, unsettled)
 
 
-def unfinish(floor: Floor, actor: Actor, ends: Ends) -> None:
+def unfinish(floor: Floor, actor: Actor, ends: ActorEnds) -> None:
     """Take back what ``finish`` did."""
     floor.values.update(ends.values)
     _claim(floor, actor, ends.changes, -1)
     for table, key, change in reversed(ends.changes):
         table[key] = table.get(key, 0) - change
-    _back(floor, actor, ends.motions)
+    _take_back_all(floor, actor, ends.motions)
 
 
 def _tables(floor: Floor, actor: Actor) -> list[dict[Any, int]]:
@@ -230,9 +230,9 @@ def _claim(floor: Floor, actor: Actor, changes: list[Change], sign: int) -> None
             change_claim(floor, key, actor.name, sign * change)
 
 
-def _back(floor: Floor, actor: Actor, trail: list[tuple[Motion, Taken | None]]) -> None:
+def _take_back_all(floor: Floor, actor: Actor, trail: list[tuple[Motion, Undo | None]]) -> None:
     for motion, taken in reversed(trail):
         take_back(floor, actor, motion, taken)
 
 
-__all__ = ["FORK", "Ends", "finish", "futures", "motions_of", "unfinish"]
+__all__ = ["FORK", "ActorEnds", "find_branches", "finish", "motions_of", "unfinish"]

@@ -49,7 +49,7 @@ class Helpers(msgspec.Struct):
 def helpers_of(state: LabState, run: RunState, chain: Iterable[int], now: int, safety: Safety) -> Helpers:
     """Who has to move first so that these steps of a run can be carried out."""
     search = _Search(state, now, safety, state.runs.plan_of(run).workcell)
-    search.clear_the_way(run, set(chain))
+    search.add_blockers(run, set(chain))
     return search.found
 
 
@@ -69,30 +69,30 @@ class _Search:
                     target = state.bench.as_planned(what.target)
                     self._standing.setdefault(target, []).append(run_owner(action.run))
 
-    def clear_the_way(self, run: RunState, steps: set[int]) -> None:
+    def add_blockers(self, run: RunState, steps: set[int]) -> None:
         """Add everybody who keeps these steps of a run from being carried out."""
         plan = self.state.runs.plan_of(run)
         for index in sorted(steps):
             step = plan.steps[index]
             if step.exclusive:
-                self.let_go(step.module, run)
+                self.add_holders(step.module, run)
             clearing = _Clearing(self, run, step)
             for effect in step.effects:
                 check_effect(clearing, effect)
-        self._not_trapped(run, steps)
+        self._add_trapped(run, steps)
 
     def is_full(self, place: StationName) -> bool:
         station = self.state.bench.stations[place]
         count = len(self._standing.get(place, ())) + len(station.stock)
         return station.spec.kind != "waste" and count >= station.spec.capacity
 
-    def away_from(self, place: StationName, run: RunState) -> None:
+    def add_occupants(self, place: StationName, run: RunState) -> None:
         own = run_owner(run.id)
         for owner in self._standing.get(place, ()):
             if owner != own:
                 self._add(place, owner)
 
-    def let_go(self, name: ModuleName, run: RunState) -> None:
+    def add_holders(self, name: ModuleName, run: RunState) -> None:
         """Whoever holds a module has to come away from it, shut its door, do what it held it for."""
         bench, mine = self.state.bench, party(run)
         for place in bench.by_module.get(name, ()):
@@ -100,7 +100,7 @@ class _Search:
                 for owner in self._standing.get(place, ()):
                     if owner not in mine:
                         self._add(place, owner)
-        for holder in self.state.runs.holding(name):
+        for holder in self.state.runs.list_holders(name):
             if holder != run.id:
                 self._add(ANYWHERE, run_owner(holder))
         module = self.state.modules.by_name[name]
@@ -109,7 +109,7 @@ class _Search:
             if by != run.id and by in self.state.runs.active:
                 self._add(ANYWHERE, run_owner(by))
 
-    def set_free(self, name: ModuleName, effect: Claims, run: RunState) -> None:
+    def add_setpoint_holders(self, name: ModuleName, effect: Claims, run: RunState) -> None:
         """Whoever needs another value has to let go of the setpoint."""
         held = self.state.modules.by_name[name].setpoints.get(effect.setpoint)
         if held is not None and held.value != effect.value:
@@ -140,9 +140,9 @@ class _Search:
         pending = [index for index in range(len(plan.steps)) if is_pending(run, index)]
         leaving = next((index for index in pending if _carries(plan.steps[index], place)), None)
         steps = pending if place == ANYWHERE or leaving is None else find_pending_before(run, plan, leaving)
-        self.clear_the_way(run, set(steps))
+        self.add_blockers(run, set(steps))
 
-    def _not_trapped(self, run: RunState, steps: set[int]) -> None:
+    def _add_trapped(self, run: RunState, steps: set[int]) -> None:
         """Whom the run's next motions would trap has to move before it may."""
         for index in sorted(steps):
             found = examine(self.state, run, index, self.now)
@@ -178,7 +178,7 @@ class _Clearing:
         self.search, self.run, self.step = search, run, step
 
     def stock(self, what: Carrying, stack: StationName) -> None:
-        self.search.away_from(stack, self.run)
+        self.search.add_occupants(stack, self.run)
 
     def stands(self, what: Carrying, place: StationName) -> None:
         """Of others' labware on a hotel or a nest it is not known whether it is in the way."""
@@ -187,16 +187,16 @@ class _Clearing:
         """What keeps a run from its end by its labware makes it stuck."""
 
     def hand(self, what: Carrying) -> None:
-        self.search.away_from(hand_of(self.step.module), self.run)
+        self.search.add_occupants(hand_of(self.step.module), self.run)
 
     def entry(self, what: Carrying, place: StationName) -> None:
         spec = self.search.state.bench.stations[place].spec
         if spec.claim and spec.module:
-            self.search.let_go(spec.module, self.run)
+            self.search.add_holders(spec.module, self.run)
 
     def room(self, what: Carrying, place: StationName) -> None:
         if self.search.is_full(place):
-            self.search.away_from(place, self.run)
+            self.search.add_occupants(place, self.run)
 
     def labware(self, needs: Needs) -> None:
         """Nobody knows who might bring it."""
@@ -205,7 +205,7 @@ class _Clearing:
         """Nobody knows who might change it."""
 
     def setpoint(self, claims: Claims) -> None:
-        self.search.set_free(self.step.module, claims, self.run)
+        self.search.add_setpoint_holders(self.step.module, claims, self.run)
 
     def amount(self, consumes: Consumes) -> None:
         """A person has to fill it up."""

@@ -112,24 +112,26 @@ class PastForecast(msgspec.Struct):
     next_at: int = 0
     age: int = 0
 
-    def foreseen(self, what: str) -> int:
+    def find_expected(self, what: str) -> int:
         return self.start if what == "starts" else self.end
 
-    def came(self, what: str) -> int:
+    def find_actual(self, what: str) -> int:
         return self.started if what == "starts" else self.ended
 
-    def told(self, what: str, kind: str) -> TimeRange:
+    def find_range(self, what: str, kind: str) -> TimeRange:
         """What was told as things usually go (`usual`), or if nobody came (`alone`)."""
         expected = self.told_start if what == "starts" else self.told_end
         return expected.usual if kind == "usual" else expected.alone
 
     def is_alone(self, what: str) -> bool:
         """Whether nobody submitted anything until it came."""
-        return not self.next_at or self.next_at > self.came(what)
+        return not self.next_at or self.next_at > self.find_actual(what)
 
-    def off_by(self, what: str) -> float:
+    def find_error(self, what: str) -> float:
         """How much later it came than foreseen, as part of the time that was foreseen."""
-        return (self.came(what) - self.foreseen(what)) / _scale(self.foreseen(what) - self.at)
+        return (self.find_actual(what) - self.find_expected(what)) / _scale(
+            self.find_expected(what) - self.at
+        )
 
 
 class Hindsight(msgspec.Struct):
@@ -155,7 +157,7 @@ class Hindsight(msgspec.Struct):
         if foreseen < now:
             return ExpectedTimes(*[TimeRange(foreseen, foreseen, foreseen)] * 2)
         known = self.ended if age < NEW_NS else self.ended_again
-        asked = _Asked(what, foreseen, now, age)
+        asked = _RangeRequest(what, foreseen, now, age)
         return ExpectedTimes(
             self._range(asked, "usual", self._possible(known, now), ASSUMED),
             self._range(asked, "alone", [past for past in known if past.is_alone(what)], ASSUMED_ALONE),
@@ -168,10 +170,10 @@ class Hindsight(msgspec.Struct):
         return quiet if len(quiet) >= ENOUGH else known
 
     def _range(
-        self, asked: _Asked, kind: str, known: list[PastForecast], assumed: Sequence[float]
+        self, asked: _RangeRequest, kind: str, known: list[PastForecast], assumed: Sequence[float]
     ) -> TimeRange:
         pauses = self.pauses if kind == "usual" else []
-        parts = [past.off_by(asked.what) for past in asked.find_nearest(known, pauses)]
+        parts = [past.find_error(asked.what) for past in asked.find_nearest(known, pauses)]
         if len(parts) < ENOUGH:
             parts += assumed
         parts.sort()
@@ -188,26 +190,26 @@ class Hindsight(msgspec.Struct):
         on as it was after this event; it is asked only if a run was submitted."""
         match event:
             case RunSubmitted() if not (event.campaign or event.closing):
-                self._come(event.run, at, foresee)
+                self._note_submission(event.run, at, foresee)
             case RunStarted() if event.run in self.open:
-                for past in self._told_of(event.run):
+                for past in self._list_forecasts(event.run):
                     past.started = at
                     if past.start >= past.at:
-                        self._judge(past, "starts")
+                        self._adapt_ranges(past, "starts")
             case RunCompleted() if event.run in self.open:
-                for past in self._told_of(event.run):
+                for past in self._list_forecasts(event.run):
                     past.ended = at
-                    self._judge(past, "ends")
+                    self._adapt_ranges(past, "ends")
                 self.ended = [*self.ended, self.open.pop(event.run)][-KEPT:]
                 self.ended_again = [*self.ended_again, *self.open_again.pop(event.run, [])][-KEPT:]
             case RunFailed() | RunCancelled():
                 self.open.pop(event.run, None)
                 self.open_again.pop(event.run, None)
 
-    def _told_of(self, run: RunId) -> list[PastForecast]:
+    def _list_forecasts(self, run: RunId) -> list[PastForecast]:
         return [self.open[run], *self.open_again.get(run, [])]
 
-    def _come(self, run: RunId, at: int, foresee: Callable[[], Play | None]) -> None:
+    def _note_submission(self, run: RunId, at: int, foresee: Callable[[], Play | None]) -> None:
         for past in (*self.open.values(), *self.ended, *self.ended_again):
             past.next_at = past.next_at or at
         for again in self.open_again.values():
@@ -234,19 +236,19 @@ class Hindsight(msgspec.Struct):
         told = self.expect("starts", start, at, age), self.expect("ends", end, at, age)
         return PastForecast(run, at, tuple(self.pauses), start, end, *told, started=started, age=age)
 
-    def _judge(self, past: PastForecast, what: str) -> None:
+    def _adapt_ranges(self, past: PastForecast, what: str) -> None:
         """Widen or narrow the ranges to come."""
-        came = past.came(what)
+        came = past.find_actual(what)
         for kind in ("usual", "alone"):
             if kind == "alone" and not past.is_alone(what):
                 continue
-            told, name = past.told(what, kind), _level_of(what, kind, past.age)
+            told, name = past.find_range(what, kind), _level_of(what, kind, past.age)
             missed = not told.earliest_at <= came <= told.latest_at
             level = self.levels.get(name, self.target) + RATE * (missed - (1 - self.target))
             self.levels[name] = min(MOST_LEVEL, max(self.target - MOST_BELOW, level))
 
 
-class _Asked(msgspec.Struct, frozen=True):
+class _RangeRequest(msgspec.Struct, frozen=True):
     """What a range is asked for."""
 
     what: str
@@ -261,7 +263,7 @@ class _Asked(msgspec.Struct, frozen=True):
 
     def _differ(self, past: PastForecast, pauses: Sequence[int]) -> float:
         """How unlike this one a forecast of the past was."""
-        foreseen, long = past.foreseen(self.what) - past.at, self.foreseen - self.now
+        foreseen, long = past.find_expected(self.what) - past.at, self.foreseen - self.now
         differs = abs(math.log(_scale(foreseen) / _scale(long)))
         differs += WEIGHT_OF_AGE * abs(math.log(_scale(past.age) / _scale(self.age)))
         both = zip(reversed(past.pauses), reversed(pauses), strict=False)

@@ -27,7 +27,7 @@ from labos.planning.forecast import earliest, is_pending
 from labos.planning.layout import down
 from labos.planning.passage import find_late_step, first_trap
 from labos.planning.player import FAR, Player, Step, find_chained
-from labos.planning.rehearsal import NO_ADVICE, Advice, Outcome, play
+from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
 from labos.planning.suggested import find_suggested_times
@@ -44,14 +44,14 @@ ALONE_LIMIT = 8
 """The same, for a run that has the workcell to itself."""
 
 
-class Plan:
+class CellOutlook:
     """How a workcell goes on from one position of the log and one time: who has to start something in time
     (``obliged``), what each of them has to wait for, and what comes of it. Its scene is set when somebody
     needs it."""
 
     def __init__(self, state: LabState, cell: str, now: int, obliged: list[RunState], advice: Advice) -> None:
         self.cell, self.now = cell, now
-        self.obliged, self.advice, self.outcome = obliged, advice, Outcome()
+        self.obliged, self.advice, self.outcome = obliged, advice, RehearsalResult()
         self._state = state
         self._scene: Scene | None = None
 
@@ -61,9 +61,9 @@ class Plan:
             self._scene = Scene(self._state, self.cell, self.now)
         return self._scene
 
-    def alone(self, run: RunState) -> Plan:
+    def alone(self, run: RunState) -> CellOutlook:
         """The same, if nobody but a run were there."""
-        other = Plan(self._state, self.cell, self.now, [], NO_ADVICE)
+        other = CellOutlook(self._state, self.cell, self.now, [], NO_ADVICE)
         other._scene = self.scene.alone(run)
         return other
 
@@ -72,12 +72,12 @@ class Trial(msgspec.Struct, frozen=True):
     """A step of a run that is tried out (no run: nothing is, the plan goes on by itself), and the windowed
     steps that are late anyway."""
 
-    plan: Plan
+    plan: CellOutlook
     run: RunState | None
     step: int
     known: set[Step]
 
-    def news(self, outcome: Outcome) -> list[Step]:
+    def list_newly_late(self, outcome: RehearsalResult) -> list[Step]:
         """Who is late beside those, the first one first."""
         return [who for who in outcome.late if who not in self.known]
 
@@ -89,7 +89,7 @@ class Windows:
         self.plays = 0
         self._limit = limit
         self._at: tuple[int, int] | None = None
-        self._plans: dict[str, Plan] = {}
+        self._plans: dict[str, CellOutlook] = {}
         self._advice: dict[str, Advice] = {}
         self._tried: dict[Step, tuple[Advice, list[Step]]] = {}
         self._hopeless: dict[Step, bool] = {}
@@ -106,7 +106,7 @@ class Windows:
         plan = self._plan(state, cell, now, safety)
         return plan.outcome.starts.get((str(run.id), step), FAR) <= now
 
-    def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """What a start has to wait for so that windows can be kept; None if it may go ahead."""
         what = state.runs.plans[run.plan]
         follow = find_chained(run, what.plan, [step]) if what.windowed else ()
@@ -119,23 +119,23 @@ class Windows:
         if waits is not None:
             return waits
         if not plan.obliged and not follow:
-            return self._tangles(state, plan, run, step, safety)
+            return self._find_tangle(state, plan, run, step, safety)
         who = (str(run.id), step)
         self._anxious.pop(who, None)
         trial = Trial(plan, run, step, set(plan.outcome.late) | set(self._hopeless))
         advice, found = self._search(state, trial, safety, forced=True, limit=1)
-        if any(late[0] == who[0] for late in trial.news(found)):
-            trial.known.update(self._late_anyway(state, trial))
-        at_first = trial.news(found)
+        if any(late[0] == who[0] for late in trial.list_newly_late(found)):
+            trial.known.update(self._list_late_alone(state, trial))
+        at_first = trial.list_newly_late(found)
         if at_first or found.tangle is not None:
             advice, found = self._search(state, trial, safety, forced=True)
-        late = trial.news(found)
+        late = trial.list_newly_late(found)
         others = [other for other in late if other[0] != who[0]]
         if others:
             running = {str(other.id) for other in plan.obliged}
             at_stake = any(other[0] in running for other in others)
             # Whose clock does not run yet is only foreseen to be late: it is not waited for without end.
-            again = FAR if at_stake else self._calm_at(state, plan, who)
+            again = FAR if at_stake else self._find_rest_time(state, plan, who)
             if again > now:
                 return self._wait(state, plan, run, step, others[0], again)
         elif late:
@@ -144,7 +144,7 @@ class Windows:
                 named = next(other for other in (*at_first, *late) if other[0] == who[0])
                 return self._wait(state, plan, run, step, named, again)
         elif found.tangle is not None:
-            again = self._calm_at(state, plan, who)
+            again = self._find_rest_time(state, plan, who)
             if again > now:
                 return self._wait(state, plan, run, step, found.tangle, again)
         self._anxious.pop(who, None)
@@ -159,7 +159,7 @@ class Windows:
         who = (str(run.id), trial.step)
         _, later = self._search(state, trial, safety)
         at = later.starts.get(who, now)
-        found = not trial.news(later) and later.tangle is None and at > now
+        found = not trial.list_newly_late(later) and later.tangle is None and at > now
         others = _inside(state, trial.plan.cell)
         here = {str(other.id): tuple(other.statuses) for other in others}
         if found:
@@ -174,9 +174,9 @@ class Windows:
             # Nobody is left of those whom it met: it has waited long enough for who came later.
             chain = find_chained(run, state.runs.plan_of(run), [trial.step])
             self._anxious[who] = frozenset(state.runs.plan_of(run).steps[i].module for i in chain)
-        return at if found else self._calm_at(state, trial.plan, who)
+        return at if found else self._find_rest_time(state, trial.plan, who)
 
-    def _calm_at(self, state: LabState, plan: Plan, who: Step) -> int:
+    def _find_rest_time(self, state: LabState, plan: CellOutlook, who: Step) -> int:
         """When nothing will have happened for long enough; FAR as long as something goes on whose end is an
         event. What nobody knows the end of does not go on."""
         inside = _inside(state, plan.cell)
@@ -194,7 +194,9 @@ class Windows:
             since = plan.now
         return max(plan.now, since + lab_ns(state, CALM_S))
 
-    def _tangles(self, state: LabState, plan: Plan, run: RunState, step: int, safety: Safety) -> Wait | None:
+    def _find_tangle(
+        self, state: LabState, plan: CellOutlook, run: RunState, step: int, safety: Safety
+    ) -> Wait | None:
         """A start waits after which some step could not follow in time any more, whoever goes first: it
         is started all the same when nothing else goes on."""
         if run.has_started and not safety.changes_anything(state, run, step):
@@ -203,10 +205,12 @@ class Windows:
         late = find_late_step(state, plan.cell, [who], safety)
         if late is None or find_late_step(state, plan.cell, [], safety) is not None:
             return None
-        again = self._calm_at(state, plan, who)
+        again = self._find_rest_time(state, plan, who)
         return self._wait(state, plan, run, step, late, again) if again > plan.now else None
 
-    def _hold_off(self, state: LabState, plan: Plan, run: RunState, step: int, now: int) -> Wait | None:
+    def _hold_off(
+        self, state: LabState, plan: CellOutlook, run: RunState, step: int, now: int
+    ) -> Wait | None:
         """Nobody is let in who needs the modules of a run inside, or of an older one, that waits for calm."""
         if run.has_started or not self._anxious:
             return None
@@ -223,7 +227,7 @@ class Windows:
                 return self._wait(state, plan, run, step, (name, index), again)
         return None
 
-    def _late_anyway(self, state: LabState, trial: Trial) -> list[Step]:
+    def _list_late_alone(self, state: LabState, trial: Trial) -> list[Step]:
         """Which windows of a run could not be kept if it had the workcell to itself from now on."""
         assert trial.run is not None
         alone = Trial(trial.plan.alone(trial.run), trial.run, trial.step, set())
@@ -238,7 +242,7 @@ class Windows:
 
     # -- the plan ------------------------------------------------------------------------------
 
-    def _plan(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
+    def _plan(self, state: LabState, cell: str, now: int, safety: Safety) -> CellOutlook:
         if self._at != (state.position, now):
             self._at = (state.position, now)
             self._plans.clear()
@@ -262,10 +266,10 @@ class Windows:
             self._advice[cell] = found.advice
         return found
 
-    def _make_plan(self, state: LabState, cell: str, now: int, safety: Safety) -> Plan:
+    def _make_plan(self, state: LabState, cell: str, now: int, safety: Safety) -> CellOutlook:
         obliged = [run for run in _find_obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
         before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
-        plan = Plan(state, cell, now, obliged, before)
+        plan = CellOutlook(state, cell, now, obliged, before)
         if obliged:
             trial = Trial(plan, None, -1, set(self._hopeless))
             plan.advice, plan.outcome = self._search(state, trial, safety)
@@ -275,21 +279,21 @@ class Windows:
 
     def _search(
         self, state: LabState, trial: Trial, safety: Safety | None, *, forced: bool = False, limit: int = 0
-    ) -> tuple[Advice, Outcome]:
+    ) -> tuple[Advice, RehearsalResult]:
         """The best advice found and what comes of it; ``forced``: the step that is tried starts now."""
         plan, run = trial.plan, trial.run
         start = (str(run.id), trial.step) if run is not None and forced else None
         limit = limit or self._limit
 
-        def rank(outcome: Outcome) -> tuple[int, int]:
-            late = trial.news(outcome)
+        def rank(outcome: RehearsalResult) -> tuple[int, int]:
+            late = trial.list_newly_late(outcome)
             return len(late) + (outcome.tangle is not None), sum(outcome.late[who] for who in late)
 
-        def rehearse(advice: Advice) -> Outcome:
+        def rehearse(advice: Advice) -> RehearsalResult:
             self.plays += 1
-            players = _cast(state, plan, advice, run, trial.step)
+            players = _make_players(state, plan, advice, run, trial.step)
             outcome = play(plan.scene.copy(), players, advice, start)
-            if safety is not None and not trial.news(outcome):
+            if safety is not None and not trial.list_newly_late(outcome):
                 _find_trap(state, plan, outcome, safety)
             return outcome
 
@@ -298,7 +302,9 @@ class Windows:
         open_ = [(*best[0], 0, plan.advice, first)]
         seen = {_key(plan.advice)}
         tried = 1
-        suggested = _suggested_advice(state, plan.cell, plan.now) if best[0][0] and tried < limit else None
+        suggested = (
+            _find_suggested_advice(state, plan.cell, plan.now) if best[0][0] and tried < limit else None
+        )
         if suggested is not None:
             tried += 1
             found = rehearse(suggested)
@@ -308,7 +314,7 @@ class Windows:
                 best = (rank(found), suggested, found)
         while open_ and best[0][0] and tried < limit:
             *_, advice, outcome = heapq.heappop(open_)
-            late = next(iter(trial.news(outcome)), None)
+            late = next(iter(trial.list_newly_late(outcome)), None)
             for option in options(state, run, advice, outcome, late, start) if late is not None else ():
                 if _key(option) in seen or tried >= limit:
                     continue
@@ -325,7 +331,7 @@ class Windows:
     # -- explaining ----------------------------------------------------------------------------
 
     def _wait(
-        self, state: LabState, plan: Plan, run: RunState, step: int, late: Step, again: int = FAR
+        self, state: LabState, plan: CellOutlook, run: RunState, step: int, late: Step, again: int = FAR
     ) -> Wait:
         """A start waits since somebody would be late, at least until something may be otherwise."""
         whose, now = state.runs.get(RunId(late[0])), plan.now
@@ -384,7 +390,9 @@ def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bo
     return bool(starts) and all(safety.traps(state, run, i, only_asking=True) == [run.id] for i in starts)
 
 
-def _cast(state: LabState, plan: Plan, advice: Advice, run: RunState | None, step: int) -> Iterable[Player]:
+def _make_players(
+    state: LabState, plan: CellOutlook, advice: Advice, run: RunState | None, step: int
+) -> Iterable[Player]:
     mine = [run] if run is not None else []
     ends: dict[str, dict[int, int]] = {}
     for end, _, (name, index), *_ in plan.scene.flying:
@@ -403,7 +411,7 @@ def _cast(state: LabState, plan: Plan, advice: Advice, run: RunState | None, ste
             yield player(leaving, free=True)
 
 
-def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) -> None:
+def _find_trap(state: LabState, plan: CellOutlook, outcome: RehearsalResult, safety: Safety) -> None:
     """See whether planning would let these starts happen; who cannot start never does."""
     starts = list(outcome.starts)
     outcome.trap = first_trap(state, plan.cell, starts, safety)
@@ -417,7 +425,7 @@ def _find_trap(state: LabState, plan: Plan, outcome: Outcome, safety: Safety) ->
         outcome.late.update(dict.fromkeys(behind[:1], FAR))
 
 
-def _suggested_advice(state: LabState, cell: str, now: int) -> Advice | None:
+def _find_suggested_advice(state: LabState, cell: str, now: int) -> Advice | None:
     """To do as a planner has suggested: everybody inside goes on, each step at its time. Like any other
     advice it counts only if a rehearsal shows that it keeps the windows."""
     times = find_suggested_times(state, cell, now)

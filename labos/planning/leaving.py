@@ -10,7 +10,7 @@ from labos.core.ids import ModuleName, RunId, StationName, run_owner
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.paths import Motion, Stand, door_key, motions_of_steps, setpoint_key
+from labos.planning.paths import Motion, RunOnBench, door_key, motions_of_steps, setpoint_key
 
 
 def find_way_out(
@@ -33,8 +33,8 @@ def find_way_out(
     )
 
 
-def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> Stand:
-    stand = Stand()
+def _stand(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> RunOnBench:
+    stand = RunOnBench()
     for item in state.bench.list_owned(run_owner(run.id)):
         place = state.bench.as_planned(item.station)
         stand.own[place] += 1

@@ -52,7 +52,7 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
         if not _open_to(floor, self.actor, module):
             return True
         claim = floor.claims.get(place, "")
-        return bool(claim and not _claimable(floor, self.actor, claim)) or None
+        return bool(claim and not _may_claim(floor, self.actor, claim)) or None
 
     def room(self, what: Motion, place: StationName) -> bool | None:
         floor = self.floor
@@ -74,7 +74,7 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
             return False
         return not motion.needs or all(find_usable_place(floor, actor, places) for places in motion.needs)
     mover = Mover(floor, actor)
-    if isinstance(motion.step, ClosingStep) and _nothing_to_clear(mover, motion):
+    if isinstance(motion.step, ClosingStep) and _has_nothing_to_clear(mover, motion):
         return True
     if motion.uses and not may_use(floor, actor, motion.uses):
         return False
@@ -84,7 +84,7 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
 def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     """Whether nobody else keeps a module."""
     return _open_to(floor, actor, module) and (
-        module not in floor.claimed or _claimable(floor, actor, module)
+        module not in floor.claimed or _may_claim(floor, actor, module)
     )
 
 
@@ -98,11 +98,11 @@ def find_usable_place(floor: Floor, actor: Actor, places: Iterable[StationName])
     """The first of some places where labware stands that an actor may use: its own first; empty if there is
     none."""
     owners = [None, *actor.inputs]
-    found = [(owners.index(owner), place) for place in places for owner in _usable(floor, actor, place)]
+    found = [(owners.index(owner), place) for place in places for owner in _list_usable(floor, actor, place)]
     return min(found, key=lambda pair: pair[0])[1] if found else NOWHERE
 
 
-def _usable(floor: Floor, actor: Actor, place: StationName) -> list[Owner | None]:
+def _list_usable(floor: Floor, actor: Actor, place: StationName) -> list[Owner | None]:
     """Whose labware an actor would use at a place: its own (None), or out of a pool; empty if there is
     none."""
     if _has_own(floor, actor, place):
@@ -112,7 +112,7 @@ def _usable(floor: Floor, actor: Actor, place: StationName) -> list[Owner | None
     return [*owners[:1]]
 
 
-def _nothing_to_clear(mover: Mover, motion: Motion) -> bool:
+def _has_nothing_to_clear(mover: Mover, motion: Motion) -> bool:
     """Whether a motion of a closing workflow is left out, as nothing stands there."""
     for place in motion.stands:  # noqa: SIM110  (asked too often for a generator)
         if mover.stands(motion, place):
@@ -134,7 +134,7 @@ def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
         return False
     claim = floor.claims.get(target)
-    return not claim or _claimable(floor, actor, claim)
+    return not claim or _may_claim(floor, actor, claim)
 
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
@@ -158,7 +158,7 @@ def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
         return False
     module = find_kept_module(key)
     return not module or (
-        _may_hold(floor, actor, door_key(module), None) and _claimable(floor, actor, module)
+        _may_hold(floor, actor, door_key(module), None) and _may_claim(floor, actor, module)
     )
 
 
@@ -183,24 +183,24 @@ def _pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, 
     return None
 
 
-def _claimable(floor: Floor, actor: Actor, claim: str) -> bool:
+def _may_claim(floor: Floor, actor: Actor, claim: str) -> bool:
     """Whether nobody but the actor, and what it may use, stands where a claim is held."""
     holders = floor.claimed.get(claim)
     for who, number in holders.items() if holders else ():
         if not number or who == actor.name:
             continue
-        if who != OTHERS or number > _usable_at_claim(floor, actor, claim):
+        if who != OTHERS or number > _count_usable(floor, actor, claim):
             return False
     return True
 
 
-def _usable_at_claim(floor: Floor, actor: Actor, claim: str) -> int:
+def _count_usable(floor: Floor, actor: Actor, claim: str) -> int:
     """How much of what an actor may use stands where a claim is held."""
     pools = [floor.pools.get(owner, {}) for owner in actor.inputs]
     return sum(n for pool in pools for place, n in pool.items() if floor.claims.get(place) == claim)
 
 
-class Held(msgspec.Struct):
+class ActorBefore(msgspec.Struct):
     """What an actor held before a motion (key, whether, value), how variables stood, what was lent to it, and
     which plates have become its own (1), or are not any more (-1), out of which pool."""
 
@@ -210,12 +210,12 @@ class Held(msgspec.Struct):
     plates: list[tuple[StationName, Counts, int]] = []
 
 
-Taken = tuple[Counts, str, Counts | None, Loans] | Held
+Undo = tuple[Counts, str, Counts | None, Loans] | ActorBefore
 """From which count a motion took its labware, in whose name, from which pool it took over the plate whose
 lid it carries, and what was lent to its actor before; for taking it back. Or what its actor held."""
 
 
-def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
+def move(floor: Floor, actor: Actor, motion: Motion) -> Undo | None:
     """Carry a motion out on the floor; returns what ``take_back`` needs."""
     source, target = motion.source, motion.target
     if motion.back:
@@ -223,7 +223,7 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
         return {}, "", None, floor.lent.get(actor.name, ())
     if not target:
         return _hold(floor, actor, motion)
-    if isinstance(motion.step, ClosingStep) and _nothing_to_clear(Mover(floor, actor), motion):
+    if isinstance(motion.step, ClosingStep) and _has_nothing_to_clear(Mover(floor, actor), motion):
         return None
     counts: Counts = {}
     who, lent = "", floor.lent.get(actor.name, ())
@@ -256,11 +256,11 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> Taken | None:
     return counts, who, pool, lent
 
 
-def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Taken | None) -> None:
+def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Undo | None) -> None:
     """Undo the last motion of an actor."""
     if taken is None:
         return
-    if isinstance(taken, Held):
+    if isinstance(taken, ActorBefore):
         for key, before, value in reversed(taken.keys):
             if before:
                 floor.held.setdefault(key, {})[actor.name] = value
@@ -350,12 +350,12 @@ def _has_own(floor: Floor, actor: Actor, source: StationName) -> bool:
     return pile[-1] == actor.name if pile else bool(actor.own.get(source))
 
 
-def _hold(floor: Floor, actor: Actor, motion: Motion) -> Held | None:
+def _hold(floor: Floor, actor: Actor, motion: Motion) -> ActorBefore | None:
     """Let an actor hold what a motion grabs, and have what it needs; let go of what it frees, and return what
     was lent."""
     if not motion.changes_anything:
         return None
-    who, before = actor.name, Held(lent=floor.lent.get(actor.name, ()))
+    who, before = actor.name, ActorBefore(lent=floor.lent.get(actor.name, ()))
     for key, value in motion.grabs:
         holders = floor.held.setdefault(key, {})
         before.keys.append((key, who in holders, holders.get(who)))
@@ -380,9 +380,9 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> Held | None:
     return before
 
 
-def _borrow(floor: Floor, actor: Actor, place: StationName, before: Held, *, keeps: bool) -> None:
+def _borrow(floor: Floor, actor: Actor, place: StationName, before: ActorBefore, *, keeps: bool) -> None:
     """What stands at a place is an actor's from now on: until its end, or for good."""
-    owner = next((owner for owner in _usable(floor, actor, place) if owner is not None), None)
+    owner = next((owner for owner in _list_usable(floor, actor, place) if owner is not None), None)
     pool = _take_over(floor, actor, place) if owner is not None else None
     if keeps:
         _keep_loan(floor, actor, place)

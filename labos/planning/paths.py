@@ -177,7 +177,7 @@ def path_of(
     return Path(found[0][1], modules, changing, tuple(found) if len(found) > 1 else ())
 
 
-class Stand(msgspec.Struct):
+class RunOnBench(msgspec.Struct):
     """How a run stands on the bench before its next motion: where it has how much labware, how much of that
     holds each claim, where what it works on is ``lent`` to it, how the doors and lids are that it has left,
     and what it holds by them or by setpoints."""
@@ -219,11 +219,11 @@ def motions_of_steps(
     claims: Mapping[StationName, str],
     rests: Mapping[ModuleName, Values],
     nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
-    before: Stand | None = None,
+    before: RunOnBench | None = None,
 ) -> tuple[Motion, ...]:
     """What steps do to the bench, carried out in this order. Changes how the run stands."""
     motions: list[Motion] = []
-    before = Stand() if before is None else before
+    before = RunOnBench() if before is None else before
     standing, values, held = before.claims, before.doors, before.held
     ever, lent = dict(held), bool(before.lent)
     for index in order:
@@ -271,7 +271,7 @@ def motions_of_steps(
 
 
 def _needs(
-    step: PlanStep, nests: Mapping[ModuleName, tuple[StationName, ...]], before: Stand
+    step: PlanStep, nests: Mapping[ModuleName, tuple[StationName, ...]], before: RunOnBench
 ) -> tuple[tuple[StationName, ...], ...]:
     """Where a step needs labware that its run has not brought there, or changes what is lent to it."""
     found: list[tuple[StationName, ...]] = []

@@ -35,7 +35,7 @@ NOT_OVERTAKEN = (
 """Waits that no other run's start makes longer: for a time, or for the run itself."""
 
 
-class Patience:
+class OvertakeCounts:
     """How many younger runs have overtaken each run inside. Counts only; they begin anew with the kernel."""
 
     def __init__(self) -> None:

@@ -45,7 +45,7 @@ class Advice(msgspec.Struct, frozen=True):
 NO_ADVICE = Advice()
 
 
-class Outcome(msgspec.Struct):
+class RehearsalResult(msgspec.Struct):
     """How it went: when each step started (UTC ns); which windowed steps were late, and by how much (ns;
     FAR: they never started), the first one first; for whom each step had to wait that could not start at
     once; by when the windowed steps had to start. ``trap`` is the first start after which some runs could
@@ -60,11 +60,13 @@ class Outcome(msgspec.Struct):
     tangle: Step | None = None
 
 
-def play(scene: Scene, players: Iterable[Player], advice: Advice, forced: Step | None = None) -> Outcome:
+def play(
+    scene: Scene, players: Iterable[Player], advice: Advice, forced: Step | None = None
+) -> RehearsalResult:
     """Play a scene forward until nothing has to be started any more, or nothing goes on. ``forced`` starts
     at once, whatever the advice. Changes scene and players."""
     cast = {player.name: player for player in players}
-    outcome, now = Outcome(), scene.now
+    outcome, now = RehearsalResult(), scene.now
 
     def start(player: Player, index: int) -> None:
         step = player.plan.steps[index]
@@ -100,7 +102,7 @@ def play(scene: Scene, players: Iterable[Player], advice: Advice, forced: Step |
 
 
 def _start_all(
-    scene: Scene, cast: dict[str, Player], advice: Advice, outcome: Outcome, now: int, start: Any
+    scene: Scene, cast: dict[str, Player], advice: Advice, outcome: RehearsalResult, now: int, start: Any
 ) -> list[int]:
     """Start what can start; returns when the next ones may, as far as that is a question of time only."""
     later: list[int] = []

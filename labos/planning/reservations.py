@@ -118,14 +118,14 @@ class Reservations:
         finally:
             self.windows = kept
 
-    def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """For whom a start has to wait; None if it may go ahead. The rules must allow it."""
         if self.windows.is_due(state, run, step, now, safety):
             return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)
         wait = self._in_the_way(state, run, step, now, safety, reservations) if reservations else None
         wait = wait or self._not_in_time(state, run, step, now, safety, reservations)
-        wait = wait or self.windows.against(state, run, step, now, safety)
+        wait = wait or self.windows.check_start(state, run, step, now, safety)
         self.refusals += wait is not None
         return wait
 

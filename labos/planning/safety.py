@@ -39,7 +39,7 @@ from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, statuses_of
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Branch, Floor, is_closing
-from labos.planning.forks import find_kept, futures, motions_of
+from labos.planning.forks import find_branches, find_kept, motions_of
 from labos.planning.layout import down, find_standing, keep, lay_out
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
@@ -66,7 +66,7 @@ class View(msgspec.Struct, frozen=True):
     closing: bool = False
 
 
-class Known(msgspec.Struct, frozen=True):
+class LastResult(msgspec.Struct, frozen=True):
     """What was found last in a workcell, and for which stuck actors it holds."""
 
     stuck: frozenset[str]
@@ -79,7 +79,7 @@ class Safety:
 
     def __init__(self, limit: int = SEARCH_LIMIT) -> None:
         self._paths: dict[str, Path] = {}
-        self._known: dict[View, Known] = {}
+        self._known: dict[View, LastResult] = {}
         self._given_up: dict[View, tuple[set[str], frozenset[str]]] = {}
         self._limit = limit
         self.searches = 0
@@ -131,7 +131,7 @@ class Safety:
         if self._can_pass(state, run, cell):
             return []
         actors = self.actors(state, cell)
-        found: dict[View, Known] = {}
+        found: dict[View, LastResult] = {}
         grounds: dict[bool, Floor] = {}
         for view in self._views(state, run, cell, actors):
             here = [as_seen(actor, view) for actor in actors]
@@ -195,7 +195,7 @@ class Safety:
         ground: Floor,
         actors: list[Actor],
         view: View,
-    ) -> Known | list[str]:
+    ) -> LastResult | list[str]:
         """What holds after the start, seen one way, or whom it would trap."""
         known = self._before(ground, actors, view)
         name = str(run.id)
@@ -222,20 +222,20 @@ class Safety:
             steps = statuses_of(plan, run)
             steps[step] = IN_FLIGHT
             tail = self._tail(state, run, mover.owners) if view.closing or not mover.parks else ()
-            mover.motions, mover.forks = futures(path, plan, run, steps, tail)
+            mover.motions, mover.forks = find_branches(path, plan, run, steps, tail)
             keep(floor, mover, [kept for kept in find_kept(path, plan, run, steps) if kept.step == step])
             if known.witness and known.witness[0] == (name, FORKED):
                 here = [fresh(actor) for actor in actors]
                 order = replay(copy(floor), here, known.witness)
                 if order is not None:
-                    return Known(_find_stuck(actors), order, frozenset(to_end))
+                    return LastResult(_find_stuck(actors), order, frozenset(to_end))
         else:
             mover.motions = tuple(m for m in mover.motions if m.step != step)
         witness, ends = self.find(floor, actors, to_end)
         lost = sorted(to_end - ends)
-        return lost or Known(_find_stuck(actors), witness, frozenset(ends))
+        return lost or LastResult(_find_stuck(actors), witness, frozenset(ends))
 
-    def _before(self, ground: Floor, actors: list[Actor], view: View) -> Known:
+    def _before(self, ground: Floor, actors: list[Actor], view: View) -> LastResult:
         """What holds before the start: what was found last, or what is found now when somebody
         has got stuck or free since, or has a motion to do again."""
         names = {actor.name for actor in actors}
@@ -255,7 +255,7 @@ class Safety:
             if any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
                 order = replay(copy(ground), [fresh(a) for a in actors if not a.stuck], known.witness)
                 if order is not None:
-                    known = self._known[view] = Known(stuck, order, known.ends & names)
+                    known = self._known[view] = LastResult(stuck, order, known.ends & names)
                     return known
         free = names - stuck
         witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], free)
@@ -263,7 +263,7 @@ class Safety:
             self._given_up[view] = (names, stuck)  # not again while the same are inside
             limit = self._limit * THOROUGH
             witness, ends = self.find(copy(ground), [fresh(actor) for actor in actors], free, limit)
-        known = self._known[view] = Known(stuck, witness, frozenset(ends))
+        known = self._known[view] = LastResult(stuck, witness, frozenset(ends))
         return known
 
     def _with_newcomer(self, state: LabState, run: RunState, actors: list[Actor], view: View) -> list[Actor]:
@@ -317,7 +317,7 @@ class Safety:
         if run.status == RunStatus.LEAVING:
             motions = (*find_way_out(state, run, *_rules(state, plan.workcell)), *behind)
         elif path.ways:
-            motions, forks = futures(path, plan, run, states, behind)
+            motions, forks = find_branches(path, plan, run, states, behind)
             kept = find_kept(path, plan, run, states)
         own, lost = find_standing(state, owners)
         return Actor(
@@ -426,7 +426,7 @@ def _without_closing(motions: Sequence[Motion]) -> tuple[Motion, ...]:
     return tuple(motion for motion in motions if not is_closing(motion))
 
 
-def _with_passers(known: Known, actors: Sequence[Actor]) -> Known:
+def _with_passers(known: LastResult, actors: Sequence[Actor]) -> LastResult:
     """What is known, and before it those who were let in since and only use modules."""
     passers = [
         actor
@@ -439,7 +439,7 @@ def _with_passers(known: Known, actors: Sequence[Actor]) -> Known:
         return known
     ahead = tuple((actor.name, motion.step) for actor in passers for motion in actor.motions)
     ends = known.ends | {actor.name for actor in passers}
-    return Known(known.stuck, ahead + known.witness, ends)
+    return LastResult(known.stuck, ahead + known.witness, ends)
 
 
 def _make_closing(path: Path) -> tuple[Motion, ...]:

@@ -59,7 +59,7 @@ class Scene:
                 if item.lender:
                     self._lend(_run_of(item.owner), place, item.lender)
         for name in state.runs.holders:
-            self.held[name] = {str(run): None for run in state.runs.holding(name)}
+            self.held[name] = {str(run): None for run in state.runs.list_holders(name)}
         for name, module in state.modules.by_name.items():
             if name.startswith(f"{cell}/"):
                 for variable, known in module.variables.items():

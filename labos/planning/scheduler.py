@@ -27,11 +27,12 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
 from labos.planning.arrival import check_arrival
-from labos.planning.aside import better_here
+from labos.planning.aside import check_may_stay
 from labos.planning.choosing import changes, options_in_order
 from labos.planning.deadlines import Deadlines
+from labos.planning.due import UNDATED, DueDates
 from labos.planning.obstacle import obstacle
-from labos.planning.patience import Patience
+from labos.planning.patience import OvertakeCounts
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
@@ -46,10 +47,10 @@ from labos.planning.touch import (
     RUN,
     STANDING,
     Touched,
-    all_of,
     cell_key,
     cell_of_closing,
     cell_of_run,
+    list_cell_keys,
     near_key,
     sort_keys,
 )
@@ -88,8 +89,9 @@ class Scheduler:
         self.deadlines = Deadlines()
         self.sleepers = Sleepers()
         self.room = WaitingRoom()
-        self.patience = Patience()
+        self.patience = OvertakeCounts()
         self.adviser = Adviser()
+        self.due_dates = DueDates()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
@@ -98,23 +100,24 @@ class Scheduler:
         self._touched = sort_keys([EVERYTHING])
 
     def proposals(self, state: LabState, now: int) -> Iterator[Start]:
-        """Starts that are legal and safe after what was heeded last, one by one. The caller carries each one
-        out before it asks for the next."""
+        """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
+        one out before it asks for the next."""
         self._standings.clear()
+        self.due_dates.forget()
         for spot in self._order(state, self._wake(state, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
             else:
                 # Only now: until it is looked at, others may overtake it.
-                self.sleepers.rouse((spot.run.id, spot.step))
-                wait = self.judge(state, state.runs.active.get(spot.run.id), spot.step, now)
+                self.sleepers.wake((spot.run.id, spot.step))
+                wait = self.check_start(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
                     self.patience.count_start(state, spot.run, spot.step, self.sleepers)
                     yield Start(spot.run.id, spot.step)
                 else:
                     self.sleepers.sleep((spot.run.id, spot.step), wait)
 
-    def judge(
+    def check_start(
         self, state: LabState, run: RunState | None, step: int, now: int, *, only_asking: bool = False
     ) -> Wait | None:
         """What a step waits for; None if it may start now. Unless the caller is only asking, the
@@ -125,10 +128,10 @@ class Scheduler:
         found = examine(state, run, step, now)
         if isinstance(found, Wait):
             return found
-        wait = booked.against(state, run, step, now) if state.bookings.open else None
-        wait = wait or self.reservations.against(state, run, step, now, self.safety)
+        wait = booked.check_start(state, run, step, now) if state.bookings.open else None
+        wait = wait or self.reservations.check_start(state, run, step, now, self.safety)
         if wait is None and state.suggestions.orders and not self._is_overtaken(state, run):
-            wait = self.adviser.against(state, run, step, now)
+            wait = self.adviser.check_start(state, run, step, now)
         if wait is not None:
             return wait
         queued = not run.has_started
@@ -138,7 +141,7 @@ class Scheduler:
                 return stuck  # let in, it would come to a stand on the bench
         if queued or self.safety.changes_anything(state, run, step):
             plan = state.runs.plan_of(run)
-            aside = better_here(state, self.safety, run, step)
+            aside = check_may_stay(state, self.safety, run, step)
             if aside is not None:
                 return aside
             if queued and run.id not in state.runs.windowed:  # a clock that runs goes before patience
@@ -149,7 +152,7 @@ class Scheduler:
                     return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
                 early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
                 waited = early is not None and any(
-                    run.id == other.id for other in self.room.impatient(state, plan.workcell)
+                    run.id == other.id for other in self.room.list_overtaken(state, plan.workcell)
                 )
                 if early is not None and not waited:
                     return early
@@ -164,18 +167,18 @@ class Scheduler:
                 return Wait(why, (cell_key(plan.workcell),))
         return None
 
-    def heed(self, state: LabState, keys: Iterable[str]) -> None:
+    def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
         """Take note of what the keys of events have touched, before anything else is asked."""
         self._touched = self._find_touched(state, keys)
-        self.deadlines.heed(state, self._touched)
+        self.deadlines.note_changes(state, self._touched)
 
     def due(self, state: LabState, now: int) -> Iterator[Command]:
         """What the time that has come asks for, and what becomes of cancelled runs."""
         yield from self.deadlines.due(state, now)
-        yield from self._leaving(state)
+        yield from self._find_ways_out(state)
         yield from changes(state, self.safety)
 
-    def _leaving(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
+    def _find_ways_out(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
         """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot."""
         found: list[TakeWayOut | GiveUpWayOut] = []
         for run in map(state.runs.active.__getitem__, state.runs.ending):
@@ -200,7 +203,7 @@ class Scheduler:
         """Why a run does not go on: (step, wait) for each step whose turn it is."""
         with self.reservations.only_asking():
             found = [
-                (step, self.judge(state, option, step, now, only_asking=True))
+                (step, self.check_start(state, option, step, now, only_asking=True))
                 for option in options(run)
                 for step in (
                     state.runs.plans[option.plan].starts if not run.has_started else ready(state, run)
@@ -248,7 +251,9 @@ class Scheduler:
             names.update({(run.id, step): True for run in active for step in ready(state, run)})
             names.update({(bundle, 0): True for bundle in self.room})
         seen: dict[Kind, list[Wait]] = {}
-        return [spot for spot in (self._rouse(state, name, now, seen) for name in names) if spot is not None]
+        return [
+            spot for spot in (self._look_again(state, name, now, seen) for name in names) if spot is not None
+        ]
 
     def _find_touched(self, state: LabState, keys: Iterable[str]) -> Touched:
         """What the keys stand for, with the workcells of all that is over: the state does not know any more
@@ -266,7 +271,7 @@ class Scheduler:
             return touched
         return sort_keys([*keys, *(key for cell in left for key in _list_keys_of(cell))])
 
-    def _rouse(
+    def _look_again(
         self, state: LabState, name: tuple[str, int], now: int, seen: dict[Kind, list[Wait]]
     ) -> Spot | None:
         """Who is worth a look in turn; a bundle that has to wait anyway sleeps on at once. ``seen``
@@ -275,7 +280,7 @@ class Scheduler:
         active = state.runs.active.get(RunId(who))
         if active is not None:
             return Spot(active, step)
-        self.sleepers.rouse(name)
+        self.sleepers.wake(name)
         if who not in self.room:
             return None
         run = self.room.anybody(state, who)
@@ -287,7 +292,7 @@ class Scheduler:
             waits = seen[kind] = self._waits_at_start(state, run, now)
         for wait in waits:
             self.sleepers.sleep(name, wait)
-        first = self._first(state, who, now) if not waits else None
+        first = self._find_first(state, who, now) if not waits else None
         return Spot(first, 0, who) if first is not None else None
 
     def _waits_at_start(self, state: LabState, run: RunState, now: int) -> list[Wait]:
@@ -313,15 +318,16 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], int]:
+        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), run.position)
-            calm, share = not is_urgent(state, run, now), self._standing(state, now, run.user)
+                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, run.position)
+            calm, share = not is_urgent(state, run, now), self._find_share_used(state, now, run.user)
             orders = state.suggestions.orders
             advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
-            return (deadline, 1, calm, -run.priority, advised, waits, share, run.position)
+            due = self.due_dates.rank(state, run)
+            return (deadline, 1, calm, -run.priority, advised, waits, share, due, run.position)
 
         return sorted(spots, key=rank)
 
@@ -329,23 +335,29 @@ class Scheduler:
         """Whether a run has waited for so long that nobody's advice holds it up."""
         if run.has_started:
             return self.patience.is_over(run.id)
-        return run in self.room.impatient(state, state.runs.plan_of(run).workcell)
+        return run in self.room.list_overtaken(state, state.runs.plan_of(run).workcell)
 
-    def _standing(self, state: LabState, now: int, user: str) -> tuple[float, float]:
+    def _find_share_used(self, state: LabState, now: int, user: str) -> tuple[float, float]:
         """The lab time that a user's group and the user have had for their weights, worked out once in a
         turn."""
         standing = self._standings.get(user)
         if standing is None:
-            standing = self._standings[user] = state.shares.standing(user, now)
+            standing = self._standings[user] = state.shares.find_share_used(user, now)
         return standing
 
-    def _turn(self, state: LabState, now: int, run: RunState) -> Turn:
-        return (not is_urgent(state, run, now), *self._standing(state, now, run.user), run.position)
+    def _make_turn_key(self, state: LabState, now: int, run: RunState) -> Turn:
+        due = self.due_dates.rank(state, run)
+        return (
+            not is_urgent(state, run, now),
+            *self._find_share_used(state, now, run.user),
+            due,
+            run.position,
+        )
 
     # -- letting new runs in -----------------------------------------------------------------
 
-    def _first(self, state: LabState, bundle: str, now: int) -> RunState | None:
-        first = self.room.first(state, bundle, partial(self._turn, state, now))
+    def _find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
+        first = self.room.first(state, bundle, partial(self._make_turn_key, state, now))
         if first is None or not state.suggestions.orders or self._is_overtaken(state, first):
             return first
         return self.adviser.find_next(state, first, now)
@@ -368,7 +380,7 @@ class Scheduler:
             yield Start(run.id, free, option.plan if run.choices else "")
             if run.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
-            run = self._first(state, bundle, now)
+            run = self._find_first(state, bundle, now)
 
     def _free_start(
         self, state: LabState, run: RunState, now: int
@@ -378,7 +390,7 @@ class Scheduler:
         waits: list[Wait] = []
         for option in options_in_order(state, run, now):
             for step in state.runs.plans[option.plan].starts:
-                wait = self.judge(state, option, step, now)
+                wait = self.check_start(state, option, step, now)
                 if wait is None:
                     return (option, step), []
                 waits.append(wait)
@@ -396,7 +408,7 @@ class Scheduler:
         """The elder for whom this run has to stay out; empty if there is none."""
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
-        for elder in self.room.impatient(state, plan.plan.workcell):
+        for elder in self.room.list_overtaken(state, plan.plan.workcell):
             if elder.position >= run.position or find_holds(elder):
                 continue
             mine = mine or {step.module for step in plan.plan.steps}
@@ -412,14 +424,14 @@ class Scheduler:
         found = examine(state, elder, first, now)
         if isinstance(found, Wait) and found.blocked:
             return False  # it waits for a person: nobody has to wait with it
-        if self._stands_out(state, elder):
+        if self._is_hopeless(state, elder):
             return False  # a later step of it does, or what it waits for no run inside moves away
-        if state.bookings.open and booked.against(state, elder, first, now) is not None:
+        if state.bookings.open and booked.check_start(state, elder, first, now) is not None:
             return False  # it waits until somebody else's booking is over
         # It may wait for a time: who reserves nothing does not put it off.
         return windowed or not self._is_reserved(state, elder, first, now)
 
-    def _stands_out(self, state: LabState, elder: RunState) -> bool:
+    def _is_hopeless(self, state: LabState, elder: RunState) -> bool:
         """Whether a run could not come to its end in an empty workcell either."""
         if self._futile_at != state.position:
             self._futile_at = state.position
@@ -431,7 +443,7 @@ class Scheduler:
         return known
 
     def _is_reserved(self, state: LabState, run: RunState, step: int, now: int) -> bool:
-        return self.reservations.against(state, run, step, now, self.safety) is not None
+        return self.reservations.check_start(state, run, step, now, self.safety) is not None
 
 
 def ready(state: LabState, run: RunState) -> list[int]:
@@ -453,7 +465,7 @@ def _list_keys_of(cell: str | None) -> tuple[str, ...]:
     knows."""
     if cell is None:
         return (EVERYTHING,)
-    return all_of(cell) if cell else ()
+    return list_cell_keys(cell) if cell else ()
 
 
 def _cells(state: LabState) -> dict[str, str]:

@@ -34,7 +34,7 @@ class Sleepers:
         if wait.until is not None:
             self._alarms.set(name, min(w.until for w in waits if w.until is not None))
 
-    def rouse(self, name: Name) -> None:
+    def wake(self, name: Name) -> None:
         who, step = name
         steps = self._waits.get(who)
         waits = steps.pop(step, None) if steps is not None else None
@@ -53,7 +53,7 @@ class Sleepers:
     def forget(self, who: str) -> None:
         """A run has ended, or a bundle is empty."""
         for step in list(self._waits.get(who, ())):
-            self.rouse((who, step))
+            self.wake((who, step))
 
     def find_waiting(self, key: str) -> dict[Name, bool]:
         """Who waits for a key. Not to be changed, nor kept."""

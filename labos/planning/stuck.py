@@ -44,13 +44,13 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
     return (
         _check_halted(state, run, left)
         or _check_lost(state, (run_owner(run.id),))
-        or _down(state, left)
+        or _check_modules(state, left)
         or find_begun_booking(state, run, left)
-        or _cut_off(state, run, left)
+        or _check_stopped_devices(state, run, left)
         or _check_barred(state, run, left)
         or find_unwatched(state, left)
-        or _dry(state, run)
-        or _at_a_loss(state, run)
+        or _check_supplies(state, run)
+        or _check_labware(state, run)
     )
 
 
@@ -79,7 +79,7 @@ def _check_lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
     return None
 
 
-def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
+def _check_modules(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
     recovered = {step.module for step in left if step.recovers}
     for name in dict.fromkeys(step.module for step in left):
         module = state.modules.by_name.get(name)
@@ -91,7 +91,7 @@ def _down(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
     return None
 
 
-def _cut_off(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
+def _check_stopped_devices(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
     """A device that a run's labware has to come to or from, and that stopped in the midst of something."""
     for name in state.modules.in_cell.get(state.runs.plan_of(run).workcell, ()):
         module = state.modules.by_name[name]
@@ -118,7 +118,7 @@ def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> W
     return None
 
 
-def _dry(state: LabState, run: RunState) -> Wait | None:
+def _check_supplies(state: LabState, run: RunState) -> Wait | None:
     """A resource of which less is left than one of the run's steps needs."""
     used = state.runs.plans[run.plan].uses_up
     states = statuses_of(state.runs.plan_of(run), run) if used else ()
@@ -132,11 +132,11 @@ def _dry(state: LabState, run: RunState) -> Wait | None:
     return None
 
 
-def _at_a_loss(state: LabState, run: RunState) -> Wait | None:
+def _check_labware(state: LabState, run: RunState) -> Wait | None:
     """A step whose turn it is, but whose labware is not as the step or the place needs it: of a type that
     the place does not take or the arm cannot hold, the wrong way round, sealed or lidded."""
     if not run.has_started:
-        return _unlike(state, run)
+        return _check_labware_ahead(state, run)
     if run.has(IN_FLIGHT):
         return None
     steps = state.runs.plan_of(run).steps
@@ -150,19 +150,19 @@ def _at_a_loss(state: LabState, run: RunState) -> Wait | None:
     return waits[0] if waits and all(waits) else None
 
 
-def _unlike(state: LabState, run: RunState) -> Wait | None:
+def _check_labware_ahead(state: LabState, run: RunState) -> Wait | None:
     """Labware that a run will find on the bench once it is let in, and that is not as one of its steps needs
     it."""
-    way = _OnTheWay(state, run)
+    way = _LabwareAhead(state, run)
     for step in state.runs.plan_of(run).steps:
         if step.part == MAIN and step.when is None:
-            wait = way.unlike(step)
+            wait = way.find_misfit(step)
             if wait is not None:
                 return wait
     return None
 
 
-class _OnTheWay:
+class _LabwareAhead:
     """The labware that a run will meet, as it stands now and also where it is lent to somebody, and what the
     run will have changed of it."""
 
@@ -171,7 +171,7 @@ class _OnTheWay:
         self._at: dict[StationName, Labware | None] = {}
         self._changed: set[tuple[LabwareId, str]] = set()
 
-    def unlike(self, step: PlanStep) -> Wait | None:
+    def find_misfit(self, step: PlanStep) -> Wait | None:
         """What is not as a step needs it; then as the step leaves it."""
         subject: Labware | None = None
         for effect in step.effects:

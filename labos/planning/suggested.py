@@ -43,7 +43,7 @@ a planner that suggests again and again what cannot start stops nobody where som
 LAST = 2**62
 
 
-class Advice(msgspec.Struct):
+class OrderLookup(msgspec.Struct):
     """A suggestion, ready to be asked: when each step should start; by resource (the key of a module or
     station) the steps that take it, the earliest first; and by group of runs that wait in line, whose turn it
     should be in it."""
@@ -58,7 +58,7 @@ class Adviser:
     """The suggestions of one state after the other, each put in order once."""
 
     def __init__(self) -> None:
-        self._known: dict[str, Advice] = {}
+        self._known: dict[str, OrderLookup] = {}
         self._since: dict[tuple[RunId, int], int] = {}
 
     def start_of(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
@@ -85,7 +85,7 @@ class Adviser:
                 return other
         return run
 
-    def against(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         """For whom a start has to wait by what was suggested; None if it may go ahead."""
         plan = state.runs.plan_of(run)
         advice = self._advice(state, plan.workcell, now)
@@ -119,7 +119,7 @@ class Adviser:
                 return Wait(why, (cell_key(plan.workcell),), min(until, enough) + 1)
         return None
 
-    def _advice(self, state: LabState, cell: str, now: int) -> Advice | None:
+    def _advice(self, state: LabState, cell: str, now: int) -> OrderLookup | None:
         order = state.suggestions.orders.get(cell)
         if order is None or order.until <= now:
             return None
@@ -153,8 +153,8 @@ def _starts_clock(state: LabState, run: RunState, step: int) -> bool:
     )
 
 
-def _put_in_order(state: LabState, order: OrderSuggested) -> Advice:
-    advice = Advice(order, {}, {}, {})
+def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:
+    advice = OrderLookup(order, {}, {}, {})
     for one in order.steps:
         run = state.runs.get(one.run)
         if run is None:

@@ -17,7 +17,7 @@ from labos.core.actions import (
 )
 from labos.core.approvals import ApprovalGiven, RunApproved
 from labos.core.booked import booking_key
-from labos.core.bookings import BookingEvent, BookingNeared, Terms
+from labos.core.bookings import BookingEvent, BookingNeared, BookingTerms
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
 from labos.core.ids import ExperimentId, LabwareId, ModuleName, RunId, StationName, workcell_of
 from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
@@ -109,7 +109,7 @@ def sort_keys(keys: Iterable[str]) -> Touched:
     return Touched(ordered, named, EVERYTHING in ordered)
 
 
-def everything_in(cell: str) -> str:
+def every_wait_key(cell: str) -> str:
     """The key of events after which every wait in a workcell is looked at again."""
     return f"{EVERYTHING}{cell}"
 
@@ -129,22 +129,22 @@ def near_key(cell: str) -> str:
     return f"near:{cell}"
 
 
-def standing_key(cell: str) -> str:
+def labware_key(cell: str) -> str:
     """Touched when labware may stand elsewhere in a workcell, or belong to somebody else."""
     return f"{STANDING}:{cell}"
 
 
-def all_of(cell: str) -> tuple[str, ...]:
+def list_cell_keys(cell: str) -> tuple[str, ...]:
     """The keys of everything that may have happened in a workcell."""
-    return (everything_in(cell), near_key(cell), standing_key(cell))
+    return (every_wait_key(cell), near_key(cell), labware_key(cell))
 
 
-def begun_key(name: str) -> str:
+def started_key(name: str) -> str:
     """Touched when an experiment has begun, or a person is asked."""
     return f"{BEGUN}:{name}"
 
 
-def over_key(name: str) -> str:
+def ended_key(name: str) -> str:
     """Touched when a run or an experiment has ended, or a question is answered: every wait in its workcell
     is looked at again."""
     return f"{OVER}:{name}"
@@ -155,9 +155,9 @@ def due_key(name: str) -> str:
     return f"{DUE}:{name}"
 
 
-def wakes_many(key: str) -> bool:
+def is_key_of_all(key: str) -> bool:
     """Whether a key stands for all waits of a workcell, or of the lab."""
-    return key.startswith((EVERYTHING, over_key("")))
+    return key.startswith((EVERYTHING, ended_key("")))
 
 
 def window_key(run: RunId) -> str:
@@ -168,7 +168,7 @@ def window_key(run: RunId) -> str:
 def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
     """The keys that an event touches; called after it was folded."""
     cell = _cell_of(state, event)
-    keys = _find_touched_keys(state, event, everything_in(cell) if cell else EVERYTHING)
+    keys = _find_touched_keys(state, event, every_wait_key(cell) if cell else EVERYTHING)
     if isinstance(event, ActionEvent) and keys:
         keys = (*keys, due_key(event.action))
     if isinstance(event, _LESS_IS_TO_COME) and state.shares.digest:
@@ -177,7 +177,7 @@ def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
         return keys
     # What an action did to labware follows as events of their own.
     stays = isinstance(event, ActionSucceeded) or (isinstance(event, ActionRequested) and not event.effects)
-    return (*keys, near_key(cell)) if stays else (*keys, near_key(cell), standing_key(cell))
+    return (*keys, near_key(cell)) if stays else (*keys, near_key(cell), labware_key(cell))
 
 
 def _cell_of(state: LabState, event: Event) -> str:
@@ -265,19 +265,19 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
             # Its way is another one now: others may be safer for it, or hold what it let go of.
             return (everything, run_key(event.run))
         case RunCompleted() | RunFailed() | RunCancelled():
-            return (over_key(event.run), QUOTA_KEY) if state.shares.digest else (over_key(event.run),)
+            return (ended_key(event.run), QUOTA_KEY) if state.shares.digest else (ended_key(event.run),)
         case SharesApplied() | GroupRemoved() | MemberAdded() | MemberRemoved():
             return (EVERYTHING, QUOTA_KEY, *map(bench_key, state.lab.workcells))
         case OrderSuggested():
-            return all_of(event.workcell)
+            return list_cell_keys(event.workcell)
         case InterventionRequested():
-            return (begun_key(event.intervention),)
+            return (started_key(event.intervention),)
         case InterventionOverdue():
             return (due_key(event.intervention),)
         case InterventionResolved():
-            return (over_key(event.intervention),)
+            return (ended_key(event.intervention),)
         case ExperimentStarted():
-            return (begun_key(event.experiment),)
+            return (started_key(event.experiment),)
         case RunCancelling() | WindowBreached():
             return _window(state, event.run)
         case (
@@ -299,10 +299,10 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         ):
             return (everything,)
         case AccessRequested() | AccessGranted() | AccessEnded():
-            return (*all_of(event.name), access_key(event.name))
+            return (*list_cell_keys(event.name), access_key(event.name))
         case ApprovalGiven():
             cell = cell_of_run(state, event.subject)  # others may be safe or not with it
-            return (everything_in(cell), run_key(RunId(event.subject))) if cell else ()
+            return (every_wait_key(cell), run_key(RunId(event.subject))) if cell else ()
         case RunPaused() | RunResumed() | RunApproved():
             return (everything, run_key(event.run))
         case StartsPaused() | StartsResumed():
@@ -311,7 +311,7 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
             # What it parks will be cleared away: others' ways may be free now.
             return _list_experiment_keys(state, event.experiment)
         case ExperimentEnded():
-            return (over_key(event.experiment),)
+            return (ended_key(event.experiment),)
         case BookingEvent():
             return _list_booking_keys(state, event)
         case WorkcellApplied() | StationsApplied():
@@ -323,7 +323,7 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
 def _list_target_keys(state: LabState, target: str) -> tuple[str, ...]:
     """Where starts are paused: on a module, in a workcell; else everywhere."""
     cell = workcell_of(ModuleName(target))
-    return all_of(cell) if cell in state.lab.workcells else (EVERYTHING,)
+    return list_cell_keys(cell) if cell in state.lab.workcells else (EVERYTHING,)
 
 
 def _list_booking_keys(state: LabState, event: BookingEvent) -> tuple[str, ...]:
@@ -331,9 +331,9 @@ def _list_booking_keys(state: LabState, event: BookingEvent) -> tuple[str, ...]:
     if isinstance(event, BookingNeared):
         return ()
     known = state.bookings.open.get(event.booking)
-    target = event.target if isinstance(event, Terms) else known.target if known is not None else ""
+    target = event.target if isinstance(event, BookingTerms) else known.target if known is not None else ""
     cells = [workcell_of(ModuleName(target))] if target else list(state.lab.workcells)
-    return tuple(key for cell in cells for key in (*all_of(cell), booking_key(cell)))
+    return tuple(key for cell in cells for key in (*list_cell_keys(cell), booking_key(cell)))
 
 
 def _list_experiment_keys(state: LabState, name: ExperimentId) -> tuple[str, ...]:
@@ -342,7 +342,7 @@ def _list_experiment_keys(state: LabState, name: ExperimentId) -> tuple[str, ...
     if known is None:
         return (EVERYTHING,)
     cells = dict.fromkeys([cell_of_closing(state, name), *(cell_of_run(state, run) for run in known.runs)])
-    return tuple(key for cell in cells if cell for key in all_of(cell))
+    return tuple(key for cell in cells if cell for key in list_cell_keys(cell))
 
 
 def cell_of_closing(state: LabState, experiment: str) -> str:

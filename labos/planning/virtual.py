@@ -68,7 +68,7 @@ OVERDUE = 0.05
 """What takes longer than it should has this part of its time still to go."""
 
 
-class Touch(msgspec.Struct, frozen=True):
+class ForeseenTouch(msgspec.Struct, frozen=True):
     """When a person is needed (UTC ns), for what, and what is to be done about it. ``planned``: a workflow
     asks for it."""
 
@@ -88,7 +88,7 @@ class Play(msgspec.Struct):
     starts: dict[RunId, int] = {}
     ends: dict[RunId, int] = {}
     failed: dict[RunId, str] = {}
-    touches: list[Touch] = []
+    touches: list[ForeseenTouch] = []
     stays: dict[RunId, str] = {}
     members: dict[RunId, CampaignId] = {}
     users: dict[RunId, str] = {}
@@ -128,17 +128,17 @@ class VirtualLab:
         self._admitted: dict[CampaignId, int] = {}
         self._keys: set[str] = set()
         self._scheduler = Scheduler()
-        self._scheduler.sleepers = _Listening(self._hear)
+        self._scheduler.sleepers = _ObservedSleepers(self._note_wait)
         self._flying: list[tuple[int, int, ActionId]] = []
         self._asked: dict[tuple[str, str], bool] = {}
         self._count = self._alarms = 0
         self._moved_at = now
-        self._calm()
+        self._pass_over_doubts()
         for run in [*state.runs.active.values(), *state.runs.queued.values()]:
             self._note(run)
         for question in state.interventions.open.values():
             if not isinstance(question.topic, PlannedWork):
-                self._touch(Touch(now, question.text, f"labos resolve {question.id}", question.run))
+                self._touch(ForeseenTouch(now, question.text, f"labos resolve {question.id}", question.run))
 
     # -- commands ----------------------------------------------------------------------------
 
@@ -184,7 +184,7 @@ class VirtualLab:
     def _observe(self, event: Event) -> None:
         match event:
             case ActionRequested():
-                self._fly(self.state.actions.open[event.action])
+                self._set_end(self.state.actions.open[event.action])
             case RunBound():
                 self.play.modules[event.run] = {key: local(name) for key, name in event.modules.items()}
             case RunStarted():
@@ -199,7 +199,7 @@ class VirtualLab:
             case InterventionRequested():
                 planned = isinstance(event.topic, PlannedWork)
                 remedy = f"labos resolve {event.intervention}"
-                self._touch(Touch(self.now, event.text, remedy, event.run, planned))
+                self._touch(ForeseenTouch(self.now, event.text, remedy, event.run, planned))
 
     # -- going on ----------------------------------------------------------------------------
 
@@ -215,10 +215,10 @@ class VirtualLab:
             self._start_and_feed()
         runs = [*self.state.runs.active.values(), *self.state.runs.queued.values()]
         if not self.play.cut:
-            self.play.stays = {run.id: self._why(run) for run in runs}
+            self.play.stays = {run.id: self._describe_wait(run) for run in runs}
             if self.play.stays and not self.play.touches:
                 run, why = next(iter(self.play.stays.items()))
-                self._touch(Touch(self.now, f"nothing goes on, as {run} waits: {why}", run=run))
+                self._touch(ForeseenTouch(self.now, f"nothing goes on, as {run} waits: {why}", run=run))
         self.play.levels = {name: level.level for name, level in self.state.resources.levels.items()}
         return self.play
 
@@ -247,7 +247,7 @@ class VirtualLab:
         while True:
             keys, self._keys = self._keys, set()
             before = self.state.position
-            self._scheduler.heed(self.state, keys)
+            self._scheduler.note_changes(self.state, keys)
             for command in self._scheduler.due(self.state, self.now):
                 self._ask(command)
             for start in self._scheduler.proposals(self.state, self.now):
@@ -300,7 +300,7 @@ class VirtualLab:
                 self._ask(AcceptAction(action.id, action.attempt, self.now))
             self._ask(FinishAction(action.id, action.attempt, True, "all"))
 
-    def _fly(self, action: Action) -> None:
+    def _set_end(self, action: Action) -> None:
         """Work out when an action ends that is in flight."""
         module = self.state.modules.by_name[action.module]
         run = self.state.runs.active.get(action.run)
@@ -316,7 +316,7 @@ class VirtualLab:
 
     # -- what is noted -----------------------------------------------------------------------
 
-    def _calm(self) -> None:
+    def _pass_over_doubts(self) -> None:
         """What a play does not know of: results are read by nobody, nobody looks whether a motion is done as
         it was said, and devices are at rest when their actions have ended."""
         state = self.state
@@ -330,7 +330,7 @@ class VirtualLab:
         for action in state.actions.open.values():
             if action.status == ActionStatus.REPORTED:
                 action.status, action.looks = ActionStatus.ACCEPTED, ()
-            self._fly(action)
+            self._set_end(action)
 
     def _note(self, run: RunState) -> None:
         self.play.users[run.id] = run.user
@@ -344,18 +344,18 @@ class VirtualLab:
             if chosen:
                 self.play.modules[run.id] = {key: local(name) for key, name in chosen.items()}
 
-    def _touch(self, touch: Touch) -> None:
+    def _touch(self, touch: ForeseenTouch) -> None:
         key = (touch.why, touch.run if touch.planned else "")
         if key not in self._asked:
             self._asked[key] = True
             self.play.touches.append(touch)
 
-    def _hear(self, name: Name, wait: Wait) -> None:
+    def _note_wait(self, name: Name, wait: Wait) -> None:
         if wait.blocked:
             run = name[0] if RunId(name[0]) in self.state.runs.active else ""
-            self._touch(Touch(self.now, wait.reason.sentence, wait.reason.remedy, run))
+            self._touch(ForeseenTouch(self.now, wait.reason.sentence, wait.reason.remedy, run))
 
-    def _why(self, run: RunState) -> str:
+    def _describe_wait(self, run: RunState) -> str:
         waits = [wait for _, wait in self._scheduler.waits(self.state, run, self.now)]
         found = next((wait for wait in waits if wait.blocked), None) or next(iter(waits), None)
         if found is None:
@@ -363,7 +363,7 @@ class VirtualLab:
         return explain_wait(self._scheduler.safety, self.state, run, found)
 
 
-class _Listening(Sleepers):
+class _ObservedSleepers(Sleepers):
     """Sleepers that tell what they wait for."""
 
     def __init__(self, hear: Callable[[Name, Wait], None]) -> None:

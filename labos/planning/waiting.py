@@ -1,6 +1,7 @@
 """The waiting room: runs that wait to be let in, in bundles of those that wait for the same.
 
-Runs of one *class* (same priority, shape, user, experiment and campaign) differ in nothing but age. Classes
+Runs of one *class* (same priority, shape, user, experiment, campaign and due date) differ in nothing but age.
+Classes
 of one *bundle* may start under the same conditions: they have the same priority and shape, no
 clock runs for one and not for the others, neither their user nor their experiment has anything on the
 bench where it would make a difference, their user has no quota, and the same is booked for them. So one look
@@ -43,9 +44,9 @@ ever."""
 
 Kind = tuple[Any, ...]
 
-Turn = tuple[bool, float, float, int]
+Turn = tuple[bool, float, float, float, int]
 """Who goes first among runs of the same priority: runs of urgent campaigns (False), then by the share that
-the group has had, the user within it, then by age. The least goes first."""
+the group has had, the user within it, then those that are due soonest, then by age. The least goes first."""
 
 
 class WaitingRoom:
@@ -219,7 +220,7 @@ class WaitingRoom:
         counts = self._passed_over.setdefault(state.runs.plan_of(elder).workcell, {})
         counts[elder.id] = counts.get(elder.id, 0) + times
 
-    def impatient(self, state: LabState, cell: str) -> list[RunState]:
+    def list_overtaken(self, state: LabState, cell: str) -> list[RunState]:
         """Who was passed over too often in a workcell."""
         counts = self._passed_over.get(cell, {})
         for name in [name for name in counts if name not in state.runs.queued]:
@@ -243,9 +244,9 @@ class WaitingRoom:
         shape, plans = state.runs.shape_of(run), [state.runs.plans[p] for p in run.choices or (run.plan,)]
         interest = frozenset[StationName]()
         for known in plans:
-            interest |= self._interest(state, known.shape, known.plan)
+            interest |= self._list_stations(state, known.shape, known.plan)
         if closing:
-            interest |= self._interest(state, closing, state.runs.plans[closing].plan)
+            interest |= self._list_stations(state, closing, state.runs.plans[closing].plan)
         stake = [owner for owner in owners if interest & present.get(owner, frozenset())]
         booked = _list_booked(state, run, cell) if state.bookings.open else ""
         if booked:
@@ -269,11 +270,11 @@ class WaitingRoom:
             self._of_owner.setdefault(owner, {}).setdefault(cell, {})[group] = True
         return bundle
 
-    def _interest(self, state: LabState, shape: str, plan: Plan) -> frozenset[StationName]:
+    def _list_stations(self, state: LabState, shape: str, plan: Plan) -> frozenset[StationName]:
         """Stations at which it makes a difference to runs of a shape whose labware stands there."""
         found = self._interests.get(shape)
         if found is None:
-            found = self._interests[shape] = _interest(state, plan)
+            found = self._interests[shape] = _list_stations(state, plan)
         return found
 
     def _leave(self, group: str) -> None:
@@ -319,7 +320,7 @@ def _starts(plan: PlanState) -> bytes:
     return msgspec.json.encode([(s.module, s.effects, s.exclusive, s.windows, s.recovers) for s in steps])
 
 
-def _interest(state: LabState, plan: Plan) -> frozenset[StationName]:
+def _list_stations(state: LabState, plan: Plan) -> frozenset[StationName]:
     bench = state.bench
     found: set[StationName] = set()
     claims: set[str] = set()
@@ -346,7 +347,7 @@ def _present(state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
     found: dict[Owner, set[StationName]] = {}
     for item in labware_in(state, cell):
         if item.owner.startswith(("user:", "experiment:")):
-            places = [p for p in _whereabouts(state.bench, item) if workcell_of(p) == cell]
+            places = [p for p in _list_places(state.bench, item) if workcell_of(p) == cell]
             if places:
                 found.setdefault(item.owner, set()).update(places)
     for run in state.runs.inside(cell):
@@ -355,7 +356,7 @@ def _present(state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
     return {owner: frozenset(places) for owner, places in found.items()}
 
 
-def _whereabouts(bench: Bench, item: Labware) -> list[StationName]:
+def _list_places(bench: Bench, item: Labware) -> list[StationName]:
     if not item.moving and not item.maybe:
         return [bench.as_planned(item.station)]
     return [bench.as_planned(item.station), destination(bench, item), *map(bench.as_planned, item.maybe)]

@@ -11,15 +11,15 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.planning.floor import Actor, Floor
-from labos.planning.forks import FORK, Ends, finish, unfinish
-from labos.planning.moves import Taken, may_move, move, take_back
+from labos.planning.forks import FORK, ActorEnds, finish, unfinish
+from labos.planning.moves import Undo, may_move, move, take_back
 from labos.planning.paths import FORKED, Motion, MotionStep
 
 Witness = tuple[tuple[str, MotionStep], ...]
 """(actor, step) for each motion to come, in an order in which all of them are possible; the motions of a
 step follow one another."""
 
-Trail = list[tuple[Actor, Motion, Taken | Ends | None]]
+Trail = list[tuple[Actor, Motion, Undo | ActorEnds | None]]
 """Motions carried out on a floor, in order; for taking them back."""
 
 
@@ -112,7 +112,7 @@ def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
     """Undo the motions of a trail from ``start`` on."""
     while len(trail) > start:
         actor, motion, taken = trail.pop()
-        if isinstance(taken, Ends):
+        if isinstance(taken, ActorEnds):
             unfinish(floor, actor, taken)
         else:
             take_back(floor, actor, motion, taken)

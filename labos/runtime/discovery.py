@@ -8,7 +8,7 @@ import structlog
 
 from labos.core.actions import Actions
 from labos.core.decide.nodes import HearJournal
-from labos.core.decide.shorter import MANY_FOUND, Found
+from labos.core.decide.shorter import MANY_FOUND, FoundAction
 from labos.core.ids import ActionId, ModuleName
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError
@@ -37,10 +37,10 @@ class Discovery:
     def close(self) -> None:
         self._tasks.cancel()
 
-    async def strange(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[Found]:
+    async def find_unlogged(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[FoundAction]:
         """The actions in a node's journal of which the log knows nothing. One that ended long ago is not in
         memory any more, but its request stands in the log. Raises StoreError."""
-        found: dict[ActionId, Found] = {}
+        found: dict[ActionId, FoundAction] = {}
         for entry in told[:MOST_LOOKED_FOR]:
             name = ActionId(entry.action)
             if self._is_known(module, name):
@@ -51,12 +51,12 @@ class Discovery:
             short = ActionId(cut(name, LONGEST_NAME))
             name_ = cut(entry.name, LONGEST_NAME)
             position = entry.position if 0 <= entry.position < GREATEST else 0
-            found[short] = Found(short, name_, entry.status, position, entry.effects)
+            found[short] = FoundAction(short, name_, entry.status, position, entry.effects)
             if len(found) >= MANY_FOUND:
                 break
         return list(found.values())
 
-    def heed(self, module: ModuleName, report: StateReport) -> None:
+    def compare(self, module: ModuleName, report: StateReport) -> None:
         """A node that names an action which is not in memory is asked for its journal, once for each list of
         such names: anybody can publish a heartbeat. Raises StoreError."""
         named = {ActionId(name) for name in (*report.running, *report.finished, *report.interrupted)}
@@ -80,7 +80,7 @@ class Discovery:
             known = self._kernel.state.modules.by_name.get(module)
             if known is None or (known.instance, known.journal) != (about.instance, about.journal):
                 return
-            found = await self.strange(module, about.open)
+            found = await self.find_unlogged(module, about.open)
             if found:
                 self._kernel.submit(HearJournal(module, tuple(found)), str(module))
         except BusError as error:

@@ -23,7 +23,7 @@ from labos.core.actions import (
     ActionRequested,
     ActionStatus,
     ActionSucceeded,
-    time_told,
+    find_device_time,
     why_not_believed,
 )
 from labos.core.decide.actions import (
@@ -174,7 +174,7 @@ class Dispatcher:
         except BusError:
             self.find_out(event.action)
             return
-        self._heed(event.action, event.attempt, event.journal, reply, started=True)
+        self._take_answer(event.action, event.attempt, event.journal, reply, started=True)
 
     def tell_settled(self, module: ModuleName, action: ActionId, *, done: bool) -> None:
         """Tell a node that an action which may still run there has ended by a person's word; losing
@@ -221,7 +221,7 @@ class Dispatcher:
                     await asyncio.sleep(pause)
                     pause = min(pause * 2, self._pause_s)
                     continue
-                self._heed(name, action.attempt, action.journal, reply)
+                self._take_answer(name, action.attempt, action.journal, reply)
                 return
         except StoreError as error:
             _log.info("question_given_up", action=name, why=str(error))
@@ -258,7 +258,7 @@ class Dispatcher:
 
     # -- answers -----------------------------------------------------------------------------
 
-    def _heed(
+    def _take_answer(
         self, name: ActionId, attempt: int, journal: str, reply: ActionReply, *, started: bool = False
     ) -> None:
         try:
@@ -299,7 +299,7 @@ class Dispatcher:
             kernel.submit(DoubtAction(name, f"its node says {reply.status}: {reply.why}"), by)
 
     def _finish(self, action: Action, attempt: int, journal: str, outcome: Outcome) -> None:
-        ended_ns = time_told(action, outcome.ended_ns, self._kernel.clock.now_ns())
+        ended_ns = find_device_time(action, outcome.ended_ns, self._kernel.clock.now_ns())
         said = (outcome.succeeded, outcome.effects, outcome.result, outcome.error, ended_ns, outcome.collided)
         self._kernel.submit(FinishAction(action.id, attempt, *said, journal), str(action.module))
 
@@ -325,7 +325,7 @@ class Dispatcher:
             if settled is not None and settled.module == module and 0 < result.attempt < MOST_ATTEMPTS:
                 self._ask_late(module, name, result.attempt)
             return
-        told = time_told(action, result.outcome.ended_ns, self._kernel.clock.now_ns())
+        told = find_device_time(action, result.outcome.ended_ns, self._kernel.clock.now_ns())
         why = why_not_believed(action, module, result.journal, result.attempt)
         if not why and named != result.action:
             why = f"it came under the key of action {named}"

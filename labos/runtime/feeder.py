@@ -35,7 +35,7 @@ RETRY_S = 5.0
 _log = structlog.get_logger(__name__)
 
 
-class Rows(Protocol):
+class RowSource(Protocol):
     """Knows what the rows of campaigns are."""
 
     async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
@@ -46,7 +46,7 @@ class Rows(Protocol):
 class Feeder:
     """Proposes rows as long as there is room. One a kernel."""
 
-    def __init__(self, kernel: Kernel, rows: Rows) -> None:
+    def __init__(self, kernel: Kernel, rows: RowSource) -> None:
         self._kernel, self._rows = kernel, rows
         self._bell = asyncio.Event()
         self._task: asyncio.Task[None] | None = None

@@ -22,7 +22,7 @@ class Follower:
     def catch_up(self) -> int:
         """Read what is new; returns how many events that were. A log that is another one than it was (a
         backup was put back) is read from its beginning. Raises StoreUnavailable, LogTooNew, LogDamaged."""
-        if not self._still_true():
+        if not self._is_still_same():
             self.state, self._hash = LabState(), GENESIS
         self.state, number = load(self._store, begin=self.state)
         if number or self._hash == GENESIS:
@@ -32,11 +32,11 @@ class Follower:
     def hand_over(self) -> LabState | None:
         """The state, to be folded on by a kernel; None if the log is another one than it was. The
         follower begins anew afterwards."""
-        state = self.state if self.state.position and self._still_true() else None
+        state = self.state if self.state.position and self._is_still_same() else None
         self.state, self._hash = LabState(), GENESIS
         return state
 
-    def _still_true(self) -> bool:
+    def _is_still_same(self) -> bool:
         return self._hash_at(self.state.position) == self._hash
 
     def _hash_at(self, position: int) -> bytes:

@@ -34,7 +34,7 @@ NICE = 10
 _encode = msgspec.msgpack.Encoder().encode
 
 
-class Question(msgspec.Struct):
+class ForecastJob(msgspec.Struct):
     """A forecast that is asked for, what is known of those of the past, and the records since then."""
 
     request: ForecastRequest
@@ -42,7 +42,7 @@ class Question(msgspec.Struct):
     rows: list[Row] = []
 
 
-class Answer(msgspec.Struct):
+class ForecastResult(msgspec.Struct):
     """A forecast, and what is known now of those of the past."""
 
     forecast: LabForecast
@@ -65,7 +65,7 @@ class ForecastProcess:
             self.working.kill()
 
     async def answer(
-        self, ask: Callable[[], Awaitable[Question]], keep: Callable[[LookBack], None]
+        self, ask: Callable[[], Awaitable[ForecastJob]], keep: Callable[[LookBack], None]
     ) -> LabForecast:
         """What is to be expected; the question is asked when its turn comes, and what was learned is given
         to ``keep``. Raises Refused."""
@@ -83,7 +83,7 @@ class ForecastProcess:
         finally:
             self._asked -= 1
 
-    async def _work_out(self, question: Question) -> Answer:
+    async def _work_out(self, question: ForecastJob) -> ForecastResult:
         data = await asyncio.to_thread(_encode, question)
         self._expect_open()
         process = self.working = await asyncio.create_subprocess_exec(
@@ -113,7 +113,7 @@ class ForecastProcess:
                 f"The forecast failed: {' '.join(last) or f'exit code {process.returncode}'}.",
                 remedy="The lab goes on without it; please report this.",
             )
-        return await asyncio.to_thread(msgspec.msgpack.decode, told, type=Answer)
+        return await asyncio.to_thread(msgspec.msgpack.decode, told, type=ForecastResult)
 
     def _expect_open(self) -> None:
         if self._is_closed:
@@ -126,10 +126,10 @@ def main() -> None:
         os.nice(NICE)
     clock = SystemClock()
     began = clock.monotonic()
-    asked = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Question)
+    asked = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=ForecastJob)
     known = look_back(asked.known, asked.rows, lambda: clock.monotonic() - began > LOOKS_BACK_S)
     asked.request.hindsight = known.hindsight
-    sys.stdout.buffer.write(_encode(Answer(forecast_lab(asked.request), known)))
+    sys.stdout.buffer.write(_encode(ForecastResult(forecast_lab(asked.request), known)))
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ def serve(link: socket.socket) -> tuple[str, ...] | None:
         ready, _, _ = select.select([link.fileno(), woken], [], [])
         if woken in ready:
             os.read(woken, 4096)
-            _tell_of_the_dead(link)
+            _report_ended_children(link)
         if link.fileno() in ready:
             packet, fds, _, _ = socket.recv_fds(link, PACKET, 2)
             if not packet:
@@ -75,14 +75,14 @@ def serve(link: socket.socket) -> tuple[str, ...] | None:
                     os.close(woken)
                     os.close(wake)
                     link.close()
-                    _become(words, *fds)
+                    _set_up_process(words, *fds)
                     return words
                 _tell(link, ChildStarted(pid))
             for fd in fds:
                 os.close(fd)
 
 
-def _tell_of_the_dead(link: socket.socket) -> None:
+def _report_ended_children(link: socket.socket) -> None:
     while True:
         try:
             pid, status = os.waitpid(-1, os.WNOHANG)
@@ -98,7 +98,7 @@ def _tell(link: socket.socket, answer: Answer) -> None:
         link.send(msgspec.json.encode(answer))
 
 
-def _become(words: tuple[str, ...], stdin: int, log: int) -> None:
+def _set_up_process(words: tuple[str, ...], stdin: int, log: int) -> None:
     """What a program of its own would have: a session, its standard files, its name."""
     from setproctitle import setproctitle
 

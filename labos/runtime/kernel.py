@@ -185,7 +185,7 @@ class Kernel(KernelLog):
         self._is_folded = False
         try:
             if command is not None:
-                decided = self._obey(command, turn, actor, causation)
+                decided = self._take_command(command, turn, actor, causation)
                 if isinstance(decided, Rejection):
                     return decided
                 events = decided
@@ -224,7 +224,9 @@ class Kernel(KernelLog):
             self._faulty.record(command, now_s, why)
         return Rejection(FAULT, why, FAULT_REMEDY)
 
-    def _obey(self, command: Command, turn: _Turn, actor: str, causation: str) -> list[Event] | Rejection:
+    def _take_command(
+        self, command: Command, turn: _Turn, actor: str, causation: str
+    ) -> list[Event] | Rejection:
         """Carry out what somebody asks for. The words of a person stand beside the log, and go there with the
         first event that refers to them."""
         if actor == LABOS or "/" in actor:  # a module
@@ -276,7 +278,7 @@ class Kernel(KernelLog):
             before = len(turn.entries)
             keys, self._keys = self._keys, set()
             turn.part = parts[0]
-            self.scheduler.heed(state, keys)
+            self.scheduler.note_changes(state, keys)
             if self._deadlines in parts:
                 turn.part = self._deadlines
                 self._carry_out_due(turn, looked_at)
@@ -301,19 +303,19 @@ class Kernel(KernelLog):
         now = self.clock.now_ns()
         for start in self.scheduler.proposals(turn.ledger.state, now):
             action = ActionId(self.ids.new())
-            self._decide_too(StartStep(start.run, start.step, action, now, start.plan), turn)
+            self._decide_follow_up(StartStep(start.run, start.step, action, now, start.plan), turn)
 
     def _carry_out_due(self, turn: _Turn, looked_at: int) -> None:
         """What the time that has come asks for, and the quarantine of modules that fail too often, in the
         entries from ``looked_at`` on."""
         now = self.clock.now_ns()
         for command in self.scheduler.due(turn.ledger.state, now):
-            self._decide_too(command, turn)
-        for suspect in self._suspects(turn.entries[looked_at:]):
+            self._decide_follow_up(command, turn)
+        for suspect in self._list_suspects(turn.entries[looked_at:]):
             limits = (self.settings.quarantine_after, self.settings.quarantine_within_s)
-            self._decide_too(Quarantine(suspect, *limits, now), turn)
+            self._decide_follow_up(Quarantine(suspect, *limits, now), turn)
 
-    def _suspects(self, entries: Sequence[Entry]) -> list[ModuleName]:
+    def _list_suspects(self, entries: Sequence[Entry]) -> list[ModuleName]:
         """Modules that may have failed once too often."""
         if not self.settings.quarantine_after:
             return []
@@ -324,9 +326,9 @@ class Kernel(KernelLog):
         """Nothing is left to start: who waits to reach in may, where nothing moves."""
         for cell, access in list(turn.ledger.state.lab.access.items()):
             if not access.granted:
-                self._decide_too(GrantAccess(cell), turn)
+                self._decide_follow_up(GrantAccess(cell), turn)
 
-    def _decide_too(self, command: Command, turn: _Turn) -> None:
+    def _decide_follow_up(self, command: Command, turn: _Turn) -> None:
         cause = turn.entries[-1].record.head.id if turn.entries else ""
         decided = self._carry_out(command, turn, LABOS, cause)
         if isinstance(decided, Rejection):
@@ -363,9 +365,9 @@ class Kernel(KernelLog):
         if deadline is not None and not self._closing:
             delay = max(deadline - self.clock.now_ns(), 0) / 1e9
             self._alarm_at = deadline
-            self._alarm = asyncio.get_running_loop().call_later(delay, self._ring)
+            self._alarm = asyncio.get_running_loop().call_later(delay, self._wake_up)
 
-    def _ring(self) -> None:
+    def _wake_up(self) -> None:
         self._alarm = None
         if self._ledger is not None:
             self.wake()

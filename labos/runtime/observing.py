@@ -85,7 +85,7 @@ class ObservingListener(ABC, Generic[Name]):
             self._observing[name] = self._tasks.spawn(self._observe(name))
 
 
-class Asker(Protocol):
+class Requester(Protocol):
     """In whose name a node is asked."""
 
     @property
@@ -95,7 +95,9 @@ class Asker(Protocol):
     def epoch(self) -> int: ...
 
 
-async def observe_module(kernel: Asker, bus: Bus, module: ModuleName, answer_s: float) -> Mapping[str, Any]:
+async def observe_module(
+    kernel: Requester, bus: Bus, module: ModuleName, answer_s: float
+) -> Mapping[str, Any]:
     """What a module's device sees: variables by name, ``labware`` by station. Raises BusError if its node
     does not say, StoreError."""
     request = AdminRequest(kernel.lab, kernel.epoch, "observe", {})

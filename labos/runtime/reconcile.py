@@ -75,7 +75,7 @@ class Reconciler(ObservingListener[InterventionId]):
                 return
             for other in self._observers(wanted, module):
                 question = self._open(name)
-                if question is None or self._in_hand(question):
+                if question is None or self._has_labware_in_hand(question):
                     return
                 await self._ask(other, self._possible_places(question), name)
         except LabosError as error:
@@ -93,14 +93,14 @@ class Reconciler(ObservingListener[InterventionId]):
         except BusError as error:
             _log.info("nothing_seen", module=module, why=str(error))
             return False
-        if self._nowhere(about, sights):
+        if self._are_all_empty(about, sights):
             return True  # it stands where nobody thinks: a person has to look
         for station, what in sights.items():
             if station in wanted and self._open(about) is not None:
                 self._tell(module, station, what)
         return True
 
-    def _nowhere(self, about: InterventionId, sights: Mapping[StationName, Any]) -> bool:
+    def _are_all_empty(self, about: InterventionId, sights: Mapping[StationName, Any]) -> bool:
         """Whether every place where some labware may be is seen empty at once: told one by one, the
         last place would count as found."""
         question = self._open(about)
@@ -110,7 +110,7 @@ class Reconciler(ObservingListener[InterventionId]):
         return any(all(sights.get(place) in (0, False) for place in maybe) for maybe in doubtful)
 
     def _tell(self, module: ModuleName, station: StationName, what: Any) -> None:
-        command = sight(self._kernel.state, station, what, local(module))
+        command = read_sight(self._kernel.state, station, what, local(module))
         if command is None:
             return
         answer = self._kernel.submit(command, str(module))
@@ -137,7 +137,7 @@ class Reconciler(ObservingListener[InterventionId]):
         takes = any(effect.stock for effect in motions)
         return wanted | ({hand_of(question.module)} if takes else set())
 
-    def _in_hand(self, question: Intervention) -> bool:
+    def _has_labware_in_hand(self, question: Intervention) -> bool:
         hand = self._kernel.state.bench.stations.get(hand_of(question.module))
         return hand is not None and bool(hand.labware)
 
@@ -158,7 +158,7 @@ class Reconciler(ObservingListener[InterventionId]):
         return found
 
 
-def sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
+def read_sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
     """What a node says of a station: whether something is there, how much, or its barcode; null if
     it cannot tell."""
     said = read_contents(state, what) if station in state.bench.stations else None

@@ -19,7 +19,7 @@ import structlog
 from labos.core.actions import ActionStatus
 from labos.core.decide import Rejection
 from labos.core.decide.nodes import HearJournal, JoinNode, LoseNode, RecordStops, ReportState
-from labos.core.decide.shorter import Found
+from labos.core.decide.shorter import FoundAction
 from labos.core.ids import ActionId, ModuleName, local
 from labos.core.lab import WorkcellApplied
 from labos.core.modules import ModuleStatus
@@ -206,8 +206,8 @@ class Registry:
                         return
                     await self._check_outranked(module, about.epoch)
                     continue
-                strange = await self._discovery.strange(module, about.open)
-                self._join(module, about, state, await self._beyond(about), strange)
+                strange = await self._discovery.find_unlogged(module, about.open)
+                self._join(module, about, state, await self._find_position_beyond(about), strange)
                 return
             except BusError as error:
                 if isinstance(error, Unreadable):
@@ -227,7 +227,7 @@ class Registry:
         self.rejected[module] = f"No workcell of this lab has a module {local(module)}."
         self._dispatcher.doubts.note("node_not_admitted", module, self.rejected[module])
 
-    async def _beyond(self, about: AboutReport) -> int:
+    async def _find_position_beyond(self, about: AboutReport) -> int:
         """The position up to which a node was told of things, if the log does not hold all of that."""
         kernel = self._kernel
         if not about.acknowledged:
@@ -245,7 +245,7 @@ class Registry:
         about: AboutReport,
         report: StateReport,
         beyond: int,
-        strange: Sequence[Found],
+        strange: Sequence[FoundAction],
     ) -> None:
         description = about.description
         known = self._kernel.state.modules.by_name.get(module)
@@ -287,7 +287,7 @@ class Registry:
         self._find_out_about(module)
         now = self._kernel.state.modules.by_name.get(module)
         if now is not None and now.instance == report.instance:
-            self._heed(module, report)
+            self._compare_report(module, report)
 
     def _find_out_about(self, module: ModuleName) -> None:
         for action in list(self._kernel.state.actions.open.values()):
@@ -322,13 +322,13 @@ class Registry:
         refused. Raises StoreError; the kernel stops if it is Fenced."""
         await self._kernel.check_lease()
         why = f"it obeys the kernel of epoch {epoch}; this one's is {self._kernel.epoch}"
-        self._bar(module, f"{why}: see labos db restored")
+        self._keep_out(module, f"{why}: see labos db restored")
         self._dispatcher.doubts.outrank(module, epoch)
 
     def _refuse(self, module: ModuleName, why: str) -> None:
         """A node does not obey this kernel, which is the lab's: nothing more is asked of it, until it says of
         itself whom it obeys."""
-        self._bar(module, why)
+        self._keep_out(module, why)
         self._tasks.spawn(self._refuse_after_asking(module, why))
 
     async def _refuse_after_asking(self, module: ModuleName, why: str) -> None:
@@ -341,7 +341,7 @@ class Registry:
             _log.info("not_said_whom_it_obeys", module=module, why=str(error))
         self._dispatcher.doubts.ask(module, f"it refuses this kernel: {why.rstrip('.')}")
 
-    def _bar(self, module: ModuleName, why: str) -> None:
+    def _keep_out(self, module: ModuleName, why: str) -> None:
         self.rejected[module] = why
         self._barred[module] = self._kernel.clock.monotonic() + self._barred_s
         try:
@@ -366,13 +366,13 @@ class Registry:
             if known is None or known.status == ModuleStatus.GONE:
                 self._greet_soon(module)
             elif (known.instance, known.journal) == (report.instance, report.journal):
-                self._heed(module, report)
+                self._compare_report(module, report)
         except NoAnswer as error:
             self._dispatcher.doubts.note("state_unreadable", module, error.message)
         except LabosError as error:
             _log.debug("state_dropped", module=module, why=str(error))  # it comes again
 
-    def _heed(self, module: ModuleName, report: StateReport) -> None:
+    def _compare_report(self, module: ModuleName, report: StateReport) -> None:
         """A node's own view: its status, and actions of ours that it has ended or never got."""
         state = self._kernel.state
         known = state.modules.by_name.get(module)
@@ -400,7 +400,7 @@ class Registry:
                 ended, lost = action.id in report.finished and not action.looks, False
             if action.status != ActionStatus.REPORTED and (ended or lost):
                 self._dispatcher.find_out(action.id)
-        self._discovery.heed(module, report)
+        self._discovery.compare(module, report)
 
     async def _listen(self) -> None:
         """Miss the nodes whose heartbeat has stopped, and those that only the log remembers. A token alone
@@ -426,9 +426,9 @@ class Registry:
             self._greet_soon(name)
             self._drop_stranger(name)
         for name in list(modules):
-            self._notice_double(name, now)
+            self._report_double(name, now)
 
-    def _notice_double(self, module: ModuleName, now: float) -> None:
+    def _report_double(self, module: ModuleName, now: float) -> None:
         """Two nodes that both go on living under one name are more than one that takes the other's place."""
         known = self._kernel.state.modules.by_name[module]
         living = self._living.list_instances(module)

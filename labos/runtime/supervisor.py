@@ -148,7 +148,7 @@ class Supervisor:
 
     async def _keep(self, command: NodeCommand, node: NodeProcess) -> None:
         while not self.is_stopping(command.module) and node.state != "quarantined":
-            survivor = self._survivor(command.module)
+            survivor = self._find_survivor(command.module)
             began = self._clock.monotonic()
             if survivor is not None:
                 node.pid = survivor.pid
@@ -178,7 +178,7 @@ class Supervisor:
     async def _judge(self, node: NodeProcess, code: ExitCode, lasted_s: float) -> None:
         """It ended unasked: start it again after a while, or give it up."""
         node.failures = node.failures + 1 if lasted_s < QUICK_S else 1
-        node.why = self._last_words(node.module) or f"it ended with code {code}"
+        node.why = self._read_last_line(node.module) or f"it ended with code {code}"
         _log.warning("node_ended", module=node.module, code=code, lasted_s=round(lasted_s, 1), why=node.why)
         if node.failures >= self._patience:
             node.state = "quarantined"
@@ -220,7 +220,7 @@ class Supervisor:
     def _note_file(self, module: str) -> Path:
         return self._notes / f"{module.replace('/', '.')}.json"
 
-    def _survivor(self, module: str) -> _Note | None:
+    def _find_survivor(self, module: str) -> _Note | None:
         """The process of this node that an earlier kernel started, if it still lives."""
         try:
             note = msgspec.json.decode(self._note_file(module).read_bytes(), type=_Note)
@@ -228,7 +228,7 @@ class Supervisor:
             return None
         return note if note.module == module and self._is_alive(note.pid) and _is_node(note) else None
 
-    def _last_words(self, module: str) -> str:
+    def _read_last_line(self, module: str) -> str:
         """The last line of the node's log."""
         try:
             with self.log_of(module).open("rb") as log:

@@ -59,13 +59,13 @@ class Verifier(ObservingListener[ActionId]):
                     give_up = clock.monotonic() + self._patience_s
                     await asyncio.sleep(PAUSE_S)
                     continue
-                before = self._scene(action)
+                before = self._describe_places(action)
                 observed, unseen = await self._observations(action)
                 if self._find_reported(name) is None:
                     return
-                if unseen and self._at_work(action):
+                if unseen and self._is_at_work(action):
                     give_up = clock.monotonic() + self._patience_s
-                if self._scene(action) == before and (not unseen or clock.monotonic() >= give_up):
+                if self._describe_places(action) == before and (not unseen or clock.monotonic() >= give_up):
                     self._tell(action, observed, unseen)
                     return
                 await asyncio.sleep(PAUSE_S)
@@ -126,7 +126,7 @@ class Verifier(ObservingListener[ActionId]):
         action = self._kernel.state.actions.open.get(name)
         return action if action is not None and action.status == ActionStatus.REPORTED else None
 
-    def _at_work(self, action: Action) -> bool:
+    def _is_at_work(self, action: Action) -> bool:
         """Whether an observer does something else: its device may not be able to look meanwhile."""
         state = self._kernel.state
         stations = [state.bench.stations[place] for place in action.looks if place in state.bench.stations]
@@ -134,7 +134,7 @@ class Verifier(ObservingListener[ActionId]):
         modules = [state.modules.by_name[name] for name in observers if name in state.modules.by_name]
         return any(module.in_flight.keys() - {action.id} for module in modules)
 
-    def _scene(self, action: Action) -> list[tuple[Any, ...]]:
+    def _describe_places(self, action: Action) -> list[tuple[Any, ...]]:
         """What is known of the places that are looked at: if it changes meanwhile, what is seen is old."""
         bench = self._kernel.state.bench
         moving = is_disturbed(self._kernel.state, action)

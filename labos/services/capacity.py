@@ -131,7 +131,7 @@ class _PaperBench:
         found = Wait(reasons.Gone())
         for option in options_in_order(self.state, run, self.now):
             for step in self.state.runs.plans[option.plan].starts:
-                wait = self.scheduler.judge(self.state, option, step, self.now)
+                wait = self.scheduler.check_start(self.state, option, step, self.now)
                 if wait is None:
                     self._carry_out(option, step)
                     return None
@@ -140,12 +140,12 @@ class _PaperBench:
 
     def go_on(self) -> bool:
         """One step of the copy that has come furthest and may go on; False if none may."""
-        runs = sorted(self.state.runs.active.values(), key=lambda run: -_over(run))
+        runs = sorted(self.state.runs.active.values(), key=lambda run: -_count_over(run))
         for run in runs:
-            if _over(run) + 1 == len(run.steps):
+            if _count_over(run) + 1 == len(run.steps):
                 continue
             for step in ready(self.state, run):
-                if self.scheduler.judge(self.state, run, step, self.now) is None:
+                if self.scheduler.check_start(self.state, run, step, self.now) is None:
                     self._carry_out(run, step)
                     return True
         return False
@@ -157,11 +157,11 @@ class _PaperBench:
         plan = self.state.runs.plan_of(run)
         self.do(StartStep(RunId(run.id), step, action, self.now, run.plan))
         run = self.state.runs.active[run.id]
-        if _over(run) + 1 < len(run.steps):
+        if _count_over(run) + 1 < len(run.steps):
             self.do(FinishAction(action, 1, True, "all", _imagine_result(plan, step)))
 
 
-def _over(run: RunState) -> int:
+def _count_over(run: RunState) -> int:
     """How many of its steps keep nobody waiting any more."""
     return sum(step.status in SETTLED for step in run.steps)
 

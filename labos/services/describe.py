@@ -41,7 +41,7 @@ def describe(event: Event, head: Envelope, names: Catalogue | None = None) -> st
     if sentence is None:
         return f"{head.type} {head.stream}"
     names = names or Catalogue()
-    return _lead(event, names) + sentence(event, names)
+    return _name_subject(event, names) + sentence(event, names)
 
 
 def owner_name(owner: str) -> str:
@@ -67,7 +67,7 @@ def step_name(run: str, index: int, names: Catalogue) -> str:
     return f"{run} #{index}{key}" if run else "no run"
 
 
-def _lead(event: Event, names: Catalogue) -> str:
+def _name_subject(event: Event, names: Catalogue) -> str:
     """Whom or what a sentence is about."""
     match event:
         case a.ActionDiscovered():
@@ -127,7 +127,7 @@ def _words_of(event: ErasureAsked | WordsErased) -> str:
     return f"the words of position {positions}{_when(len(event.records) > MOST_NAMED, ' …')}"
 
 
-def _there(target: str) -> str:
+def _name_place(target: str) -> str:
     """Where starts are paused: of an experiment, or at a place."""
     return "in the lab" if target == g.WHOLE_LAB else f"of {local(target)}"
 
@@ -150,7 +150,7 @@ MOST_NAMED = 5
 _DONE = {"all": "it was done", "none": "it was not done"}
 
 
-def _describe_booking(event: k.Terms) -> str:
+def _describe_booking(event: k.BookingTerms) -> str:
     whom = (
         "maintenance" if event.maintenance else _when(event.group, f"the group {event.group}") or event.user
     )
@@ -230,6 +230,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.user} submitted {e.workflow!r}"
         + _when(e.experiment, f" in experiment {e.experiment}")
         + _when(e.closing, " to clear away its labware")
+        + _when(e.due_at, f", due {show_time(e.due_at)}")
     ),
     r.RunBound: lambda e, _: (
         f"takes {', '.join(f'{local(m)} for {key!r}' for key, m in e.modules.items())}"
@@ -272,8 +273,10 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"workcell {e.name} applied: {len(e.modules)} modules ({e.digest[:12]})"
         + _when(e.labware, f", its labware: {', '.join(kind.name for kind in e.labware)}")
     ),
-    g.StartsPaused: lambda e, _: f"{e.by} lets nothing start {_there(e.target)}{_when(e.why, f': {e.why}')}",
-    g.StartsResumed: lambda e, _: f"{e.by} lets steps start again {_there(e.target)}",
+    g.StartsPaused: lambda e, _: (
+        f"{e.by} lets nothing start {_name_place(e.target)}{_when(e.why, f': {e.why}')}"
+    ),
+    g.StartsResumed: lambda e, _: f"{e.by} lets steps start again {_name_place(e.target)}",
     g.AccessRequested: lambda e, _: (
         f"workcell {e.name}: {e.by} wants to reach in{_when(e.why, f' ({e.why})')}; nothing starts there"
     ),
@@ -381,8 +384,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     u.GroupRemoved: lambda e, _: f"the group {e.group} was removed",
     u.MemberAdded: lambda e, _: f"{e.user} is in the group {e.group}",
     u.MemberRemoved: lambda e, _: f"{e.user} is no longer in the group {e.group}",
-    u.RoleGranted: lambda e, _: f"{owner_name(e.subject)} is {e.role} {_there(e.scope)} now",
-    u.RoleRevoked: lambda e, _: f"{owner_name(e.subject)} has no role {_there(e.scope)} any more",
+    u.RoleGranted: lambda e, _: f"{owner_name(e.subject)} is {e.role} {_name_place(e.scope)} now",
+    u.RoleRevoked: lambda e, _: f"{owner_name(e.subject)} has no role {_name_place(e.scope)} any more",
     k.BookingMade: lambda e, _: (
         f"{e.by} booked {_describe_booking(e)}{_when(e.over, f', over {_list(e.over)}')}"
     ),

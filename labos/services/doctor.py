@@ -17,7 +17,7 @@ from labos.core.calibrations import WARN_DAYS
 from labos.core.ids import local
 from labos.core.lengths import Drift
 from labos.core.state import LabState
-from labos.pki import Authority, Entry
+from labos.pki import Authority, CertificateEntry
 from labos.private import create_file
 from labos.services.times import show_time
 
@@ -42,7 +42,7 @@ LONG_UNREHEARSED_NS = 100 * 86_400 * 10**9
 State = Literal["ok", "warning", "fault"]
 
 
-class Finding(msgspec.Struct, frozen=True):
+class DoctorFinding(msgspec.Struct, frozen=True):
     """One thing that was looked at. ``told`` says what was found, ``remedy`` what to do (empty if it is
     well)."""
 
@@ -59,47 +59,49 @@ MOST_DRIFTS = 5
 """So many actions are named that take longer or shorter than planned."""
 
 
-def check_space(folder: Path) -> Finding:
+def check_space(folder: Path) -> DoctorFinding:
     """Free space on the disk of a folder."""
     free = shutil.disk_usage(folder).free
     told = f"{free / 1e9:.1f} GB are free on the disk of {folder}."
     if free < LEAST_BYTES:
-        return Finding(
+        return DoctorFinding(
             "disk space", "fault", told, "Make room: the kernel stops when its log cannot be written."
         )
     if free < LITTLE_BYTES:
-        return Finding("disk space", "warning", told, "Make room before it runs out.")
-    return Finding("disk space", "ok", told)
+        return DoctorFinding("disk space", "warning", told, "Make room before it runs out.")
+    return DoctorFinding("disk space", "ok", told)
 
 
-def check_rehearsal(home: Path, now_ns: int) -> Finding:
+def check_rehearsal(home: Path, now_ns: int) -> DoctorFinding:
     """When it was last shown that a backup comes back."""
     remedy = "labos restore FOLDER --rehearse"
     try:
         found = msgspec.json.decode((home / REHEARSAL).read_bytes())
         at, folder, position, took = found["at"], found["folder"], found["position"], found["took_s"]
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, KeyError, TypeError):
-        return Finding("backup", "warning", "Nobody has tried yet whether a backup comes back.", remedy)
+        return DoctorFinding("backup", "warning", "Nobody has tried yet whether a backup comes back.", remedy)
     told = f"On {show_time(at)} the backup in {folder} came back, up to position {position}, in {took:.1f} s."
     if now_ns - at > LONG_UNREHEARSED_NS:
-        return Finding("backup", "warning", told, remedy)
-    return Finding("backup", "ok", told)
+        return DoctorFinding("backup", "warning", told, remedy)
+    return DoctorFinding("backup", "ok", told)
 
 
-def check_durations(found: Sequence[Drift]) -> Finding:
+def check_durations(found: Sequence[Drift]) -> DoctorFinding:
     """Whether actions take about as long as was planned."""
     if not found:
-        return Finding("durations", "ok", "Actions take about as long as their drivers or workflows say.")
+        return DoctorFinding(
+            "durations", "ok", "Actions take about as long as their drivers or workflows say."
+        )
     named = [
-        f"{local(drift.module)}.{drift.action} takes {drift.takes_s:.3g} s, planned {drift.planned_s:.3g} s"
+        f"{drift.module}.{drift.action} takes {drift.takes_s:.3g} s, planned {drift.planned_s:.3g} s"
         for drift in found[:MOST_DRIFTS]
     ]
     more = f"; and {len(found) - MOST_DRIFTS} more" if len(found) > MOST_DRIFTS else ""
     told = f"{'; '.join(named)}{more}. The scheduler goes by what it takes."
-    return Finding("durations", "warning", told, "Is the device well? Else correct its `duration`.")
+    return DoctorFinding("durations", "warning", told, "Is the device well? Else correct its `duration`.")
 
 
-def check_calibrations(state: LabState, now_ns: int) -> list[Finding]:
+def check_calibrations(state: LabState, now_ns: int) -> list[DoctorFinding]:
     """Whether calibrations of modules have expired, or do so soon; nothing if none bears a last day."""
     dated = [
         (f"{local(name)}{f' ({what})' if what else ''}", one)
@@ -112,7 +114,7 @@ def check_calibrations(state: LabState, now_ns: int) -> list[Finding]:
     soon = sorted((one.until, of, one) for of, one in dated if one.expires_soon(now_ns))
     if not soon:
         return [
-            Finding(
+            DoctorFinding(
                 "calibrations", "ok", f"Of {len(dated)} calibrations none expires within {WARN_DAYS} days."
             )
         ]
@@ -122,10 +124,12 @@ def check_calibrations(state: LabState, now_ns: int) -> list[Finding]:
     ]
     more = f"; and {len(soon) - MOST_NAMED} more" if len(soon) > MOST_NAMED else ""
     told = f"Calibrations: {'; '.join(named)}{more}. No run waits for that."
-    return [Finding("calibrations", "warning", told, "Calibrate; then: labos calibrate MODULE --until DATE")]
+    return [
+        DoctorFinding("calibrations", "warning", told, "Calibrate; then: labos calibrate MODULE --until DATE")
+    ]
 
 
-def check_sync(folder: Path) -> Finding:
+def check_sync(folder: Path) -> DoctorFinding:
     """How long the disk of a folder takes to make 4 KB durable. Raises OSError if it cannot be written."""
     path = folder / f".doctor.{os.getpid()}"
     took = []
@@ -143,35 +147,37 @@ def check_sync(folder: Path) -> Finding:
     told = f"A small write is durable after {median * 1e3:.1f} ms (median of {SYNCS})."
     remedy = "Put the database on a local SSD: an action takes three such writes."
     if median > SLOWEST_SYNC_S:
-        return Finding("disk sync", "fault", told, remedy)
-    return Finding(
+        return DoctorFinding("disk sync", "fault", told, remedy)
+    return DoctorFinding(
         "disk sync", "warning" if median > SLOW_SYNC_S else "ok", told, remedy * (median > SLOW_SYNC_S)
     )
 
 
-def check_permissions(paths: Iterable[Path]) -> Finding:
+def check_permissions(paths: Iterable[Path]) -> DoctorFinding:
     """Whether others than their owner can read what is private, and whether they are ours."""
     if sys.platform == "win32":
-        return Finding("permissions", "ok", "Windows: the rights of the user's own folder hold.")
+        return DoctorFinding("permissions", "ok", "Windows: the rights of the user's own folder hold.")
     there = [path for path in paths if path.exists()]
     foreign = [path for path in there if path.stat().st_uid != os.getuid()]
     if foreign and os.getuid() != 0:
         told = f"{foreign[0]} belongs to another user than the one who asks."
-        return Finding(
+        return DoctorFinding(
             "permissions", "fault", told, "Run LabOS as the user who owns the lab's folder, or chown it."
         )
     users = {path.stat().st_uid for path in there}
     if len(users) > 1:
         told = f"What is in {there[0]} belongs to several users."
-        return Finding("permissions", "fault", told, "chown -R to the user who runs the lab.")
+        return DoctorFinding("permissions", "fault", told, "chown -R to the user who runs the lab.")
     open_ = [path for path in there if path.stat().st_mode & 0o077]
     if open_:
         told = f"Others may read {open_[0]}{f' and {len(open_) - 1} more' if len(open_) > 1 else ''}."
-        return Finding("permissions", "fault", told, f"chmod -R go= {open_[0]}")
-    return Finding("permissions", "ok", f"{len(there)} private files and folders are their owner's alone.")
+        return DoctorFinding("permissions", "fault", told, f"chmod -R go= {open_[0]}")
+    return DoctorFinding(
+        "permissions", "ok", f"{len(there)} private files and folders are their owner's alone."
+    )
 
 
-def check_certificates(authority: Authority, now_ns: int) -> list[Finding]:
+def check_certificates(authority: Authority, now_ns: int) -> list[DoctorFinding]:
     """Whether the certificates of a secure bus are valid, and how long still. Raises LabosError if their list
     cannot be read."""
     admitted = authority.members().admitted
@@ -180,53 +186,55 @@ def check_certificates(authority: Authority, now_ns: int) -> list[Finding]:
     if ends - now_ns < CA_LITTLE_NS:
         told = f"The authority in {authority.folder} ends {show_time(ends)}, and all certificates with it."
         remedy = "Make another authority (labos pki init --pki FOLDER), and issue all certificates anew."
-        found.append(Finding("authority", "warning" if ends > now_ns else "fault", told, remedy))
+        found.append(DoctorFinding("authority", "warning" if ends > now_ns else "fault", told, remedy))
     if not found:
         first = min((entry.not_after for entry in admitted), default=ends)
         told = f"{len(admitted)} certificates of the bus are valid, the first ends {show_time(first)}."
-        found.append(Finding("certificates", "ok", told))
+        found.append(DoctorFinding("certificates", "ok", told))
     return found
 
 
-def _check_certificate(entry: Entry, now_ns: int) -> Finding | None:
+def _check_certificate(entry: CertificateEntry, now_ns: int) -> DoctorFinding | None:
     name, whose = f"certificate {entry.common_name}", f"The certificate of the {entry.identity.shown}"
     remedy = "labos pki renew, and copy its folder if it is used on another computer."
     if not entry.own:
         remedy = "Ask the site for a new one with the same CN: labos pki admit."
     if entry.not_after <= now_ns:
-        return Finding(name, "fault", f"{whose} has expired: it is refused.", remedy)
+        return DoctorFinding(name, "fault", f"{whose} has expired: it is refused.", remedy)
     if entry.is_due(now_ns):
-        return Finding(name, "warning", f"{whose} ends {show_time(entry.not_after)}.", remedy)
+        return DoctorFinding(name, "warning", f"{whose} ends {show_time(entry.not_after)}.", remedy)
     return None
 
 
-def check_nodes(heard: Iterable[Mapping[str, Any]], version: str) -> list[Finding]:
+def check_nodes(heard: Iterable[Mapping[str, Any]], version: str) -> list[DoctorFinding]:
     """What nodes answer (``GET /nodes?check=1``): do they answer, which version are they, how is their
     clock?"""
     return [finding for one in heard for finding in _check_node(one, version)]
 
 
-def _check_node(one: Mapping[str, Any], version: str) -> list[Finding]:
+def _check_node(one: Mapping[str, Any], version: str) -> list[DoctorFinding]:
     name, answer, checked = str(one["name"]), str(one["answer"]), one.get("checked")
     about = f"node {name}"
     found = []
     if answer in ("IDLE", "BUSY"):
-        found.append(Finding(about, "ok", f"{name} answers: {answer}."))
+        found.append(DoctorFinding(about, "ok", f"{name} answers: {answer}."))
     else:
         state: State = "warning" if answer == "out" else "fault"
         told = f"{name} cannot work ({answer}): {str(one.get('why', '')).rstrip('.')}."
-        found.append(Finding(about, state, told, f"labos nodes --check {name} says what to do."))
+        found.append(DoctorFinding(about, state, told, f"labos nodes --check {name} says what to do."))
     if not checked:
         return found
     if checked["labos"] and checked["labos"] != version:
         told = f"The node of {name} is LabOS {checked['labos']}, the kernel {version}."
-        found.append(Finding(f"version {name}", "warning", told, "Install the same version on its computer."))
+        found.append(
+            DoctorFinding(f"version {name}", "warning", told, "Install the same version on its computer.")
+        )
     ahead = checked.get("clock_ahead_s")
     if ahead is not None and abs(ahead) > CLOCK_OFF_S:
         side = "ahead of" if ahead > 0 else "behind"
         told = f"The clock of {name}'s computer is {abs(ahead):.1f} s {side} the kernel's."
         wrong: State = "fault" if abs(ahead) > CLOCK_WRONG_S else "warning"
         found.append(
-            Finding(f"clock {name}", wrong, told, "Let both follow the same time server (chrony, NTP).")
+            DoctorFinding(f"clock {name}", wrong, told, "Let both follow the same time server (chrony, NTP).")
         )
     return found

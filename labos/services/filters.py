@@ -21,7 +21,7 @@ from labos.services.log import Log, event_of
 from labos.spec.findings import near
 
 
-class Filter(msgspec.Struct, frozen=True):
+class LogFilter(msgspec.Struct, frozen=True):
     """What to show; empty fields show everything. ``types`` are types or families, ``module`` is
     a name with or without its workcell, times are UTC nanoseconds (``since`` counts, ``until``
     is the first that does not)."""
@@ -50,10 +50,10 @@ def check_types(types: Iterable[str]) -> None:
             raise BadInput(f"There are no events of type {kind!r}.", remedy=near(kind, [*TYPES, *families]))
 
 
-class Sieve:
+class FilteredLog:
     """A filter at work on one log: remembers what it needs of the events that went by."""
 
-    def __init__(self, log: Log, wanted: Filter) -> None:
+    def __init__(self, log: Log, wanted: LogFilter) -> None:
         self.log, self.wanted = log, wanted
         self.names: Catalogue = catalogue_of(log)
         self._actions: set[str] = set()
@@ -62,7 +62,7 @@ class Sieve:
             self._note_actions()
         self._tokens = _tokens(wanted)
 
-    def matching_events(self, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
+    def read_matching(self, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
         """The events of the log up to a position, in order. Raises LogTooNew, LogDamaged."""
         wanted = self.wanted
         query = LogQuery(
@@ -73,16 +73,16 @@ class Sieve:
             last=wanted.last if wanted.simple else None,
         )
         records = self.log.select(query)
-        pairs = (pair for record in records for pair in self.let_through(record))
+        pairs = (pair for record in records for pair in self.match(record))
         return iter(deque(pairs, wanted.last)) if wanted.last is not None else pairs
 
-    def later(self, after: int, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
-        """What has been added behind a position, as ``matching_events`` would show it."""
+    def read_later(self, after: int, upto: int | None = None) -> Iterator[tuple[Event, Record]]:
+        """What has been added behind a position, as ``read_matching`` would show it."""
         for record in self.log.read(after, upto):
             self.names.learn(event_of(record))
-            yield from self.let_through(record)
+            yield from self.match(record)
 
-    def let_through(self, record: Record) -> Iterator[tuple[Event, Record]]:
+    def match(self, record: Record) -> Iterator[tuple[Event, Record]]:
         """The record's event if it is wanted."""
         if self._may_concern(record):
             event = event_of(record)
@@ -135,8 +135,8 @@ class Sieve:
 
     def knows_user(self) -> bool:
         """Whether the user that is asked for ever did anything in this log."""
-        anything = Sieve(self.log, Filter(user=self.wanted.user))
-        return next(anything.matching_events(), None) is not None
+        anything = FilteredLog(self.log, LogFilter(user=self.wanted.user))
+        return next(anything.read_matching(), None) is not None
 
     def _note_actions(self) -> None:
         """Actions that touched the labware: what became of them does not name it again."""
@@ -210,7 +210,7 @@ def is_of_type(type_: str, wanted: str) -> bool:
     return type_ == family or type_.startswith(f"{family}.")
 
 
-def _tokens(wanted: Filter) -> tuple[bytes, ...]:
+def _tokens(wanted: LogFilter) -> tuple[bytes, ...]:
     """Bytes of which a payload that concerns the filter's narrowest name holds one."""
     for name, owner in ((wanted.run, "run"), (wanted.labware, ""), (wanted.experiment, "experiment")):
         if name:

@@ -21,7 +21,7 @@ from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 from labos.planning.scheduler import Scheduler
 from labos.services.history import state_at
-from labos.services.inventory import Inventory, Shortfall, earliest, inventory
+from labos.services.inventory import Inventory, Shortfall, inventory, list_shortfalls
 from labos.services.log import Log, events
 from labos.services.runs import RunBook
 from labos.services.times import iso_time
@@ -54,7 +54,7 @@ class RunEnded(msgspec.Struct, frozen=True):
     why: str = ""
 
 
-class Question(msgspec.Struct, frozen=True):
+class OpenQuestion(msgspec.Struct, frozen=True):
     """What waits for a person: planned work of the operator ``of``, or a question of the lab."""
 
     id: str
@@ -129,7 +129,7 @@ class Handover(msgspec.Struct, frozen=True):
     queued: tuple[OpenRun, ...]
     queued_in_all: int
     ended: tuple[RunEnded, ...]
-    questions: tuple[Question, ...]
+    questions: tuple[OpenQuestion, ...]
     away: tuple[UnavailableModule, ...]
     held: tuple[ManualAccess, ...]
     labware: tuple[IdleLabware, ...]
@@ -173,12 +173,14 @@ def handover(log: Log, since: int, until: int) -> Handover:
             if story.over and story.ended_at >= since
         ),
         questions=tuple(_question(asked) for asked in state.interventions.open.values()),
-        away=tuple(_away(state)),
+        away=tuple(_list_unavailable(state)),
         held=tuple(
             ManualAccess(cell, access.by, access.asked_at) for cell, access in state.lab.access.items()
         ),
-        labware=tuple(_piece(item, given) for item in state.bench.labware.values() if _is_left(item)),
-        runs_out=tuple(_short(name, out) for name, out in earliest(left)),
+        labware=tuple(
+            _make_idle_labware(item, given) for item in state.bench.labware.values() if _is_left(item)
+        ),
+        runs_out=tuple(_make_shortage(name, out) for name, out in list_shortfalls(left)),
         expired=tuple(_list_expired(left)),
         twh=meter.report(until).lab,
     )
@@ -207,10 +209,10 @@ def _run(state: LabState, run: RunState, now: int) -> OpenRun:
     )
 
 
-def _question(asked: Intervention) -> Question:
+def _question(asked: Intervention) -> OpenQuestion:
     planned = asked.kind == PlannedWork.KIND
     choices = " | ".join(choice.name for choice in asked.choices)
-    return Question(
+    return OpenQuestion(
         id=asked.id,
         of=local(asked.module) if planned else "",
         run=asked.run,
@@ -222,7 +224,7 @@ def _question(asked: Intervention) -> Question:
     )
 
 
-def _away(state: LabState) -> Iterator[UnavailableModule]:
+def _list_unavailable(state: LabState) -> Iterator[UnavailableModule]:
     for name, module in state.modules.by_name.items():
         back_at = state.modules.back_at.get(name, 0)
         if module.out_of_service:
@@ -236,13 +238,13 @@ def _is_left(item: Labware) -> bool:
     return bool(item.maybe) or not (item.owner.startswith("run:") or item.on)
 
 
-def _piece(item: Labware, given: dict[str, str]) -> IdleLabware:
+def _make_idle_labware(item: Labware, given: dict[str, str]) -> IdleLabware:
     maybe = tuple(local(place) or "gone" for place in item.maybe)
     station = "" if maybe else local(item.station)
     return IdleLabware(item.id, item.type, station, item.owner, maybe, given.get(item.id, ""))
 
 
-def _short(name: str, out: Shortfall) -> Shortage:
+def _make_shortage(name: str, out: Shortfall) -> Shortage:
     return Shortage(local(name).replace(":", " "), out.run, out.workflow, out.step, out.at)
 
 

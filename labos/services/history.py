@@ -44,7 +44,7 @@ def stations_of(state: LabState) -> list[tuple[StationName, Station]]:
     return sorted(state.bench.stations.items(), key=lambda item: workcell_of(item[0]))
 
 
-def possibly_at(state: LabState, station: StationName) -> list[Labware]:
+def list_possibly_at(state: LabState, station: StationName) -> list[Labware]:
     """Labware of uncertain place that may stand at a station."""
     if station not in state.bench.haunted:
         return []

@@ -26,7 +26,7 @@ WITHDRAWN = "withdrawn"
 """The choice in the log of a question that was auto-resolved."""
 
 
-class Answer(msgspec.Struct, frozen=True):
+class PossibleAnswer(msgspec.Struct, frozen=True):
     """What may be answered, what follows from it, and the command that says so."""
 
     name: str
@@ -46,7 +46,7 @@ class InterventionHistory(msgspec.Struct):
     workflow: str
     module: str
     labware: tuple[str, ...]
-    answers: tuple[Answer, ...]
+    answers: tuple[PossibleAnswer, ...]
     requested_at: int
     due_at: int = 0
     overdue: bool = False
@@ -133,7 +133,8 @@ def _begin_history(event: InterventionRequested, workflow: str, at: int) -> Inte
         module=local(event.module),
         labware=tuple(event.labware),
         answers=tuple(
-            Answer(choice.name, choice.consequence, _command(event, choice.name)) for choice in event.choices
+            PossibleAnswer(choice.name, choice.consequence, _command(event, choice.name))
+            for choice in event.choices
         ),
         requested_at=at,
         due_at=event.due_at,

@@ -111,7 +111,7 @@ def inventory(state: LabState, now: int, today: str) -> Inventory:
         elif station.spec.kind == "waste":
             left[f"waste:{place}"] = station.spec.capacity - station.count
     looked_at = 0
-    for found in ahead(state, now):
+    for found in list_runs_ahead(state, now):
         looked_at += 1
         for step, at, name, amount in found.uses:
             promised[name] = promised.get(name, 0.0) + amount
@@ -170,7 +170,7 @@ def _wastes(state: LabState, promised: Promised, short: Shorts) -> Iterator[Wast
             yield WasteLeft(place, capacity - station.count, capacity, wanted, out)
 
 
-def ahead(state: LabState, now: int) -> Iterator[Ahead]:
+def list_runs_ahead(state: LabState, now: int) -> Iterator[Ahead]:
     """The runs that are alive in the order in which they would go on, with what they will use."""
     free: dict[ModuleName, float] = {}
     queued = sorted(state.runs.queued.values(), key=lambda run: (-run.priority, run.position))
@@ -210,7 +210,7 @@ def _is_waste(state: LabState, place: StationName) -> bool:
     return station is not None and station.spec.kind == "waste"
 
 
-def earliest(found: Inventory) -> list[tuple[str, Shortfall]]:
+def list_shortfalls(found: Inventory) -> list[tuple[str, Shortfall]]:
     """What runs out, the first first."""
     named = [(f"{r.module}:{r.resource}", r.runs_out) for r in found.resources]
     named += [(str(stack.station), stack.runs_out) for stack in found.stacks]

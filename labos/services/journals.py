@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from labos.core.decide.shorter import Found
+from labos.core.decide.shorter import FoundAction
 from labos.core.ids import ActionId, ModuleName
 from labos.core.lab import KernelStarted
 from labos.errors import JournalDamaged, Refused
@@ -74,19 +74,19 @@ def surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
     return found
 
 
-def find_untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[Found], int]]:
+def find_untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[FoundAction], int]]:
     """What the journals in a folder know and the log of their lab does not, by module: actions, and the
     position up to which it was told of things (0: the log holds all of that). Damaged ones are left out, as
     their nodes refuse to start."""
     head, starts = log.head(), _starts(log)
-    found: list[tuple[ModuleName, list[Found], int]] = []
+    found: list[tuple[ModuleName, list[FoundAction], int]] = []
     for path in sorted(folder.glob("*.journal")):
         with contextlib.suppress(JournalDamaged):
             journal = Journal.read(path.read_bytes())
             if journal.lab != head.lab:
                 continue
             strange = [
-                Found(ActionId(a.action), a.name, a.status, a.position, a.effects)
+                FoundAction(ActionId(a.action), a.name, a.status, a.position, a.effects)
                 for a in journal.open_attempts()
                 if not _is_requested(log, a.position, a.action, head.position)
             ]

@@ -17,33 +17,33 @@ from labos.services.describe import owner_name
 from labos.services.log import Log, event_of
 
 
-class Proof(msgspec.Struct, frozen=True):
+class RecordReference(msgspec.Struct, frozen=True):
     """Where in the log it stands, and the record's hash."""
 
     position: int
     hash: str
 
 
-class Stay(msgspec.Struct):
+class LabwareStay(msgspec.Struct):
     """One place from ``since`` to ``until`` (UTC ns; 0 while it lasts). ``places`` are several
     while it is not known which; none once it is gone. ``by`` says who or what brought it."""
 
     places: tuple[str, ...]
     since: int
     by: str
-    proof: Proof
+    proof: RecordReference
     until: int = 0
     note: str = ""
 
 
-class Change(msgspec.Struct, frozen=True):
+class LabwareChange(msgspec.Struct, frozen=True):
     """Something else that became true of it: its owner or a variable."""
 
     at: int
     what: str
     value: Any
     by: str
-    proof: Proof
+    proof: RecordReference
 
 
 class LabwareHistory(msgspec.Struct):
@@ -51,8 +51,8 @@ class LabwareHistory(msgspec.Struct):
 
     id: str
     type: str
-    stays: list[Stay] = []
-    changes: list[Change] = []
+    stays: list[LabwareStay] = []
+    changes: list[LabwareChange] = []
     owner: str = ""
     variables: dict[str, Any] = {}
     barcode: str = ""
@@ -100,13 +100,13 @@ def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, Lab
 
 def _add(story: LabwareHistory, event: b.LabwareEvent, record: Record, by: str) -> None:
     at = record.head.recorded_at
-    proof = Proof(record.head.position, record.hash.hex())
+    proof = RecordReference(record.head.position, record.hash.hex())
     match event:
         case b.LabwarePlaced():
             origin = f"from the stack {local(event.stack)}" if event.stack else "put on the bench"
             _stand(story, (event.station,), at, by, proof, origin)
             story.owner = event.owner
-            story.changes.append(Change(at, "owner", owner_name(event.owner), by, proof))
+            story.changes.append(LabwareChange(at, "owner", owner_name(event.owner), by, proof))
         case b.LabwareMoved():
             _stand(story, (event.target,), at, by, proof, "")
         case b.LabwareObserved():
@@ -119,16 +119,16 @@ def _add(story: LabwareHistory, event: b.LabwareEvent, record: Record, by: str) 
             _stand(story, (), at, by, proof, story.gone)
         case b.LabwareChanged():
             story.variables[event.variable] = event.value
-            story.changes.append(Change(at, event.variable, event.value, by, proof))
+            story.changes.append(LabwareChange(at, event.variable, event.value, by, proof))
         case b.BarcodeRead():
             if event.barcode != story.barcode:
-                story.changes.append(Change(at, "barcode", event.barcode, by, proof))
+                story.changes.append(LabwareChange(at, "barcode", event.barcode, by, proof))
             story.barcode = event.barcode
         case b.SamplesRegistered():
-            story.changes.append(Change(at, "samples", event.count, by, proof))
+            story.changes.append(LabwareChange(at, "samples", event.count, by, proof))
         case b.LabwareHandedOver():
             story.owner = event.owner
-            story.changes.append(Change(at, "owner", owner_name(event.owner), by, proof))
+            story.changes.append(LabwareChange(at, "owner", owner_name(event.owner), by, proof))
 
 
 def _take_away(told: dict[str, LabwareHistory], event: b.BarcodeRead) -> None:
@@ -138,10 +138,12 @@ def _take_away(told: dict[str, LabwareHistory], event: b.BarcodeRead) -> None:
             story.barcode = ""
 
 
-def _stand(story: LabwareHistory, places: tuple[str, ...], at: int, by: str, proof: Proof, note: str) -> None:
+def _stand(
+    story: LabwareHistory, places: tuple[str, ...], at: int, by: str, proof: RecordReference, note: str
+) -> None:
     if story.stays:
         story.stays[-1].until = at
-    story.stays.append(Stay(places, at, by, proof, note=note))
+    story.stays.append(LabwareStay(places, at, by, proof, note=note))
 
 
 def _act(event: ActionRequested, names: Catalogue) -> str:

@@ -18,7 +18,7 @@ from labos.core.runs import RunState
 from labos.services.log import events
 from labos.services.next_touch import Touch, next_touches
 from labos.services.standstill import Cause, Standstill
-from labos.services.twh import Meter, Report, ScopeKind
+from labos.services.twh import Meter, ScopeKind, TwhReport
 
 NO_KERNEL = Cause("error", "no kernel", "", "software")
 """LabOS itself did not run: from the last event before to the start of the next kernel."""
@@ -51,7 +51,7 @@ class Interval(msgspec.Struct, frozen=True):
     cause: Cause
 
 
-class Account(msgspec.Struct):
+class LossAccount(msgspec.Struct):
     """``span_ns = at_work_ns + the sum of what was lost``; ``clock_ns = at_work_ns`` + what was lost
     on the clock. Losses from the largest to the smallest."""
 
@@ -76,11 +76,11 @@ class Losses(msgspec.Struct):
     """Every scope's account, beside its time without intervention; ``intervals`` when runs, and the lab,
     stood still; ``next_touches`` what a person is needed for next. ``end`` in UTC ns."""
 
-    twh: Report
-    lab: Account
-    workcells: dict[str, Account]
-    experiments: dict[str, Account]
-    runs: dict[str, Account]
+    twh: TwhReport
+    lab: LossAccount
+    workcells: dict[str, LossAccount]
+    experiments: dict[str, LossAccount]
+    runs: dict[str, LossAccount]
     intervals: tuple[Interval, ...]
     next_touches: tuple[Touch, ...]
     end: int
@@ -108,11 +108,13 @@ class _Book:
         entry[0] += length
         entry[1] += length if on_clock else 0
 
-    def reading(self) -> Account:
+    def make_account(self) -> LossAccount:
         losses = sorted((Loss(cause, *ns) for cause, ns in self.lost.items()), key=lambda loss: -loss.lost_ns)
         lost, silent = sum(loss.lost_ns for loss in losses), sum(loss.on_clock_ns for loss in losses)
         span = self.at_work_ns + lost
-        return Account(self.kind, self.name, span, self.at_work_ns, self.at_work_ns + silent, tuple(losses))
+        return LossAccount(
+            self.kind, self.name, span, self.at_work_ns, self.at_work_ns + silent, tuple(losses)
+        )
 
 
 class LossBook:
@@ -138,12 +140,12 @@ class LossBook:
         self._charge_until(max(now or 0, self._at), None)
         for name in list(self._open):
             self._note(name, None)
-        found = {key: book.reading() for key, book in self._books.items()}
+        found = {key: book.make_account() for key, book in self._books.items()}
 
-        def list_accounts(kind: ScopeKind) -> dict[str, Account]:
+        def list_accounts(kind: ScopeKind) -> dict[str, LossAccount]:
             return {name: account for (known, name), account in found.items() if known == kind}
 
-        lab = found.get(("lab", ""), _Book("lab", "").reading())
+        lab = found.get(("lab", ""), _Book("lab", "").make_account())
         return Losses(
             self.meter.report(self._at),
             lab,
@@ -184,7 +186,7 @@ class LossBook:
         for name in [name for name in self._since if name not in causes]:
             del self._since[name]
         for (kind, name), members in self._scopes(list(state.runs.active.values())).items():
-            cause = self._together(members, causes)
+            cause = self._find_common_cause(members, causes)
             on_clock = overall is None and any(map(self._on_clock, members))
             self._book(kind, name).charge(cause, length, on_clock)
             if kind == "lab":
@@ -197,19 +199,19 @@ class LossBook:
             if self._cell(run) not in busy:
                 waiting.setdefault(("workcell", self._cell(run)), []).append(run)
         for (kind, name), members in waiting.items():
-            cause = overall or self._not_begun(members, briefly)
+            cause = overall or self._explain_not_begun(members, briefly)
             self._book(kind, name).charge(cause, length, False)
             if kind == "lab":
                 self._note("", cause)
 
-    def _together(self, members: list[RunState], causes: dict[str, Cause | None]) -> Cause | None:
+    def _find_common_cause(self, members: list[RunState], causes: dict[str, Cause | None]) -> Cause | None:
         """What several runs wait for; nothing if one goes on. Of several causes the one that began first."""
         found = [run for run in members if causes[run.id] is not None]
         if len(found) < len(members):
             return None
         return causes[min(found, key=lambda run: (self._since[run.id], run.position)).id]
 
-    def _not_begun(self, members: list[RunState], briefly: bool) -> Cause:
+    def _explain_not_begun(self, members: list[RunState], briefly: bool) -> Cause:
         """Why none of the runs that wait has been let in."""
         judged = members[:QUEUED_JUDGED]
         found = [self.standstill.cause(run, briefly=briefly) for run in judged]

@@ -15,7 +15,7 @@ from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 from labos.planning.forecast import is_pending
-from labos.services.inventory import Ahead, Inventory, ahead, earliest, inventory
+from labos.services.inventory import Ahead, Inventory, inventory, list_runs_ahead, list_shortfalls
 from labos.services.times import iso_time
 
 
@@ -32,7 +32,7 @@ class Touch(msgspec.Struct, frozen=True):
 
 def next_touches(state: LabState, now: int) -> list[Touch]:
     """What a person is needed for, the first first; ``now`` in UTC ns."""
-    walked = list(ahead(state, now))
+    walked = list(list_runs_ahead(state, now))
     left = inventory(state, now, iso_time(now)[:10])
     found = [*_find_asked(state), *_modules(state, walked), *_supplies(left), *_work(state, walked)]
     return sorted(found, key=lambda touch: (max(touch.at, now), touch.at))
@@ -68,7 +68,7 @@ def _modules(state: LabState, walked: list[Ahead]) -> Iterator[Touch]:
 
 
 def _supplies(left: Inventory) -> Iterator[Touch]:
-    for name, out in earliest(left):
+    for name, out in list_shortfalls(left):
         what = local(name).replace(":", " ")
         yield Touch(out.at, "supply", f"{what} will not do for step {out.step!r}", out.run)
 

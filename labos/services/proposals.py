@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.approvals import Past, Proposal
+from labos.core.approvals import LastApproval, Proposal
 from labos.core.ids import CampaignId
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
@@ -55,7 +55,7 @@ def differences(log: Log, blobs: BlobReader, state: LabState, proposal: Proposal
     return [ChangedPart(part, _lines(log, blobs, proposal, past, part)) for part in proposal.changed]
 
 
-def _lines(log: Log, blobs: BlobReader, proposal: Proposal, past: Past, part: str) -> tuple[str, ...]:
+def _lines(log: Log, blobs: BlobReader, proposal: Proposal, past: LastApproval, part: str) -> tuple[str, ...]:
     was, now = past.parts.get(part, ""), proposal.parts.get(part, "")
     if part == "payload":
         old, new = _first(log, past.subject, RunSubmitted), _first(log, proposal.subject, RunSubmitted)

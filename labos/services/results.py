@@ -84,7 +84,7 @@ class Readings(list[Reading]):
         return frame
 
 
-class Table(msgspec.Struct, frozen=True):
+class ValueTable(msgspec.Struct, frozen=True):
     """Values of one quantity by well."""
 
     quantity: str
@@ -126,7 +126,7 @@ def readings(log: Log, blobs: BlobReader, run: str, upto: int | None = None) -> 
     return found
 
 
-def tables(result: Any) -> Iterator[Table]:
+def tables(result: Any) -> Iterator[ValueTable]:
     """The tables by well in a step's result; none in most."""
     if isinstance(result, list):
         for item in result:
@@ -141,7 +141,7 @@ def tables(result: Any) -> Iterator[Table]:
             yield from _by_quantity(result, {})
 
 
-def _by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator[Table]:
+def _by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator[ValueTable]:
     """One table for each quantity. What stands in no well, or is no value, is left out."""
     found: dict[str, dict[str, float | bool | str]] = {}
     units = about.get("units")
@@ -156,7 +156,7 @@ def _by_quantity(wells: Mapping[str, Any], about: Mapping[str, Any]) -> Iterator
                 found.setdefault(str(quantity), {})[well] = item
     for quantity, values in found.items():
         values = dict(sorted(values.items(), key=lambda item: well_key(item[0])))
-        yield Table(quantity, str(units.get(quantity, about.get("unit") or "")), values)
+        yield ValueTable(quantity, str(units.get(quantity, about.get("unit") or "")), values)
 
 
 def _well(name: str) -> str:

@@ -10,7 +10,7 @@ from typing import Literal
 import msgspec
 
 from labos.private import replace_file
-from labos.services.doctor import Finding
+from labos.services.doctor import DoctorFinding
 from labos.services.times import show_time
 
 NOTE = "retention.json"
@@ -35,7 +35,7 @@ def note_retention(home: Path, step: Step, now_ns: int) -> None:
         replace_file(home / NOTE, msgspec.json.encode(noted) + b"\n")
 
 
-def check_retention(home: Path, now_ns: int) -> Finding | None:
+def check_retention(home: Path, now_ns: int) -> DoctorFinding | None:
     """Whether both steps were done lately. None in a lab that never did one: it may keep everything."""
     found = _read(home)
     if found is None:
@@ -44,8 +44,8 @@ def check_retention(home: Path, now_ns: int) -> Finding | None:
     told = ", ".join(f"{what} {f'on {show_time(at)}' if at else 'never'}" for what, at in steps) + "."
     if now_ns - min(at for _, at in steps) > LONG_AGO_NS:
         remedy = "Why did it stop? systemctl status labos-retention (docs/backup.md)"
-        return Finding("retention", "warning", told, remedy)
-    return Finding("retention", "ok", told)
+        return DoctorFinding("retention", "warning", told, remedy)
+    return DoctorFinding("retention", "ok", told)
 
 
 def _read(home: Path) -> Retention | None:

@@ -8,7 +8,7 @@ from labos.core.shares import Had, Member, Quota
 from labos.core.state import LabState
 
 
-class Account(msgspec.Struct, frozen=True):
+class ShareAccount(msgspec.Struct, frozen=True):
     """A user. ``wanted`` and ``had`` are parts of the whole; what was had counts half after a day.
     ``lab_hours`` and ``consumables`` are those of the last seven days."""
 
@@ -24,7 +24,7 @@ class Account(msgspec.Struct, frozen=True):
     quota: Quota
 
 
-def ledger(state: LabState, now: int) -> list[Account]:
+def ledger(state: LabState, now: int) -> list[ShareAccount]:
     """Everybody who stands in the shares file or has used the lab, by group and name."""
     shares = state.shares
     users = sorted({*shares.members, *shares.usage, *shares.had})
@@ -40,7 +40,7 @@ def ledger(state: LabState, now: int) -> list[Account]:
         for user in members:
             member, had = shares.member(user), shares.had.get(user, Had())
             accounts.append(
-                Account(
+                ShareAccount(
                     user=user,
                     group=shares.group_of.get(user, ""),
                     weight=member.weight,

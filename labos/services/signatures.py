@@ -17,7 +17,7 @@ from labos.errors import NotFound, Refused
 from labos.ports import LogQuery
 from labos.services.log import Log
 from labos.services.times import iso_time
-from labos.services.verification import Part
+from labos.services.verification import VerifiedPart
 
 Kind = Literal["run", "experiment", "campaign"]
 BEGINS: dict[str, Kind] = {
@@ -116,7 +116,7 @@ def signatures_under(log: Log, subject: str) -> list[Signature]:
     return signatures_of(log, subject)
 
 
-def check_signatures(log: Log) -> Part:
+def check_signatures(log: Log) -> VerifiedPart:
     """Whether each signature is under what was signed."""
     found = signatures_of(log)
     broken = [each for each in found if not each.holds]
@@ -126,7 +126,7 @@ def check_signatures(log: Log) -> Part:
         for each in broken
     )
     told = f"{len(found)} signatures are under the records that were signed."
-    return Part("signatures", len(found), told, faults, tuple(each.position for each in broken))
+    return VerifiedPart("signatures", len(found), told, faults, tuple(each.position for each in broken))
 
 
 def read_signature(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned]:

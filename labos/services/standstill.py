@@ -33,7 +33,7 @@ from labos.core.topics import PlannedWork
 from labos.core.waits import Wait
 from labos.planning.obstacle import obstacle
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import find_touched_keys, wakes_many
+from labos.planning.touch import find_touched_keys, is_key_of_all
 
 Kind = Literal["error", "person", "resource", "planned", "other"]
 ErrorClass = Literal["", "software", "operational", "experiment"]
@@ -99,7 +99,7 @@ class Standstill:
         ``briefly``: it is not worth a look at the whole bench; who waits for his turn waits for what he
         waited for before."""
         self._briefly = briefly
-        return self._in_the_end(run, set())
+        return self._find_final_cause(run, set())
 
     # -- what is still true --------------------------------------------------------------------
 
@@ -109,7 +109,7 @@ class Standstill:
         if furnished:
             self._scheduler = Scheduler()
         asked = isinstance(event, InterventionRequested | InterventionResolved)
-        if asked or furnished or any(map(wakes_many, keys)):
+        if asked or furnished or any(map(is_key_of_all, keys)):
             self._looked.clear()
             self._by_key.clear()
             return
@@ -133,7 +133,7 @@ class Standstill:
 
     # -- one run -------------------------------------------------------------------------------
 
-    def _in_the_end(self, run: RunState, seen: set[RunId]) -> Cause | None:
+    def _find_final_cause(self, run: RunState, seen: set[RunId]) -> Cause | None:
         seen.add(run.id)
         found: Cause | None = None
         for entry in self._entries(run):
@@ -145,7 +145,7 @@ class Standstill:
                 if not entry:
                     return None
                 continue  # they wait for each other: what stops them is found elsewhere
-            behind = [self._in_the_end(other, seen) for other in others]
+            behind = [self._find_final_cause(other, seen) for other in others]
             if None in behind:
                 return None
             found = found or behind[0]
@@ -167,7 +167,7 @@ class Standstill:
             return
         flying = [action for action in state.actions.open.values() if action.run == run.id]
         for action in flying:
-            yield self._flight(action)
+            yield self._explain_flight(action)
         if run.status == RunStatus.CANCELLING and not flying:
             yield PASSES
 
@@ -181,13 +181,13 @@ class Standstill:
                 self._by_key.setdefault(key, set()).add(run.id)
             yield self._wait(run, wait)
 
-    def _flight(self, action: Action) -> Entry:
+    def _explain_flight(self, action: Action) -> Entry:
         """An action in flight goes on, unless its node is away or nobody knows how it ended."""
         if action.status == ActionStatus.UNKNOWN:
             return Cause("error", "unknown action", action.module, "operational", asked=True)
         module = self.state.modules.by_name.get(action.module)
         lost = module is None or module.status in (ModuleStatus.GONE, ModuleStatus.ERROR)
-        return (self._away(action.module) if lost else None) or PASSES
+        return (self._explain_away(action.module) if lost else None) or PASSES
 
     def _question(self, question: Intervention) -> Cause:
         kind = question.kind
@@ -203,7 +203,7 @@ class Standstill:
             error = "software"
         return Cause("error", kind.replace("_", " "), question.module, error, asked=True)
 
-    def _away(self, name: ModuleName) -> Cause | None:
+    def _explain_away(self, name: ModuleName) -> Cause | None:
         """Why a module cannot be used; None if it can."""
         module = self.state.modules.by_name.get(name)
         if module is None:
@@ -231,9 +231,9 @@ class Standstill:
         words: Iterable[str] = reason.names
         match reason:
             case reasons.ModuleDown() | reasons.OutOfService() | reasons.NoModule() | reasons.ZoneBarred():
-                return self._away(ModuleName(reason.module)) or PASSES
+                return self._explain_away(ModuleName(reason.module)) or PASSES
             case reasons.BetterHere():  # it goes aside for a module that is down
-                return self._away(ModuleName(reason.dead[0])) or PASSES
+                return self._explain_away(ModuleName(reason.dead[0])) or PASSES
             case reasons.UsedUp() | reasons.Expired():
                 return Cause("resource", reason.resource, reason.module)
             case reasons.StackEmpty() | reasons.WasteFull():

@@ -20,7 +20,7 @@ PAST_COUNTERS = ("position", "recorded_at", "versions")
 _ABSENT = "absent"
 
 
-class Change(msgspec.Struct, frozen=True):
+class StateChange(msgspec.Struct, frozen=True):
     """A place in the state, what stood there before and what stands there now; what is not there at
     all is ``absent``."""
 
@@ -29,12 +29,12 @@ class Change(msgspec.Struct, frozen=True):
     after: Any
 
 
-class Step(msgspec.Struct, frozen=True):
+class LogStep(msgspec.Struct, frozen=True):
     """An event and what it changed."""
 
     record: Record
     event: Event
-    changes: list[Change]
+    changes: list[StateChange]
 
 
 def plain(state: LabState) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def plain(state: LabState) -> dict[str, Any]:
     return built
 
 
-def steps(records: Iterable[Record], state: LabState, first: int, last: int | None) -> Iterator[Step]:
+def steps(records: Iterable[Record], state: LabState, first: int, last: int | None) -> Iterator[LogStep]:
     """Fold records into a state; yields each from ``first`` to ``last`` with its changes. Raises
     LogTooNew, LogDamaged."""
     seen: dict[str, Any] | None = None
@@ -64,22 +64,22 @@ def steps(records: Iterable[Record], state: LabState, first: int, last: int | No
             ) from None
         if seen is not None:
             now = plain(state)
-            yield Step(record, event, list(changes(seen, now)))
+            yield LogStep(record, event, list(changes(seen, now)))
             seen = now
 
 
-def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Change]:
+def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[StateChange]:
     """Where two states differ, without what every event changes."""
     for key in (*before, *(k for k in after if k not in before)):
         if key not in PAST_COUNTERS:
             yield from _between(key, before.get(key, _ABSENT), after.get(key, _ABSENT))
 
 
-def _between(path: str, before: Any, after: Any) -> Iterator[Change]:
+def _between(path: str, before: Any, after: Any) -> Iterator[StateChange]:
     if before == after:
         return
     if isinstance(before, dict) and isinstance(after, dict):
         for key in (*before, *(k for k in after if k not in before)):
             yield from _between(f"{path}.{key}", before.get(key, _ABSENT), after.get(key, _ABSENT))
     else:
-        yield Change(path, before, after)
+        yield StateChange(path, before, after)

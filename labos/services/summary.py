@@ -11,7 +11,7 @@ from labos.core.envelope import Envelope, Record
 from labos.core.registry import Event
 from labos.services.log import events
 from labos.services.runs import RunBook, RunHistory
-from labos.services.twh import Meter, Report
+from labos.services.twh import Meter, TwhReport
 from labos.services.waits import WaitBook
 
 EVENTS_EXPLAINED = 20_000
@@ -78,7 +78,7 @@ class Summary(msgspec.Struct, frozen=True):
     runs: tuple[RunSummary, ...]
     modules: tuple[ModuleSummary, ...]
     users: tuple[UserSummary, ...]
-    twh: Report
+    twh: TwhReport
 
 
 class _Use(msgspec.Struct):
@@ -121,15 +121,15 @@ class _Usage:
             case a.ActionFailed():
                 module.failed += 1
         if isinstance(event, a.ActionSucceeded | a.ActionFailed | a.ActionRejected | a.ActionReconciled):
-            self._land(event.action, at)
+            self._end_flight(event.action, at)
 
     def finish(self, now: int) -> None:
         """Count what is still in flight up to ``now``."""
         self.last = max(self.last, now) if self._flying else self.last
         for action in list(self._flying):
-            self._land(action, now)
+            self._end_flight(action, now)
 
-    def _land(self, action: str, at: int) -> None:
+    def _end_flight(self, action: str, at: int) -> None:
         flight = self._flying.pop(action, None)
         if flight is not None:
             if flight.exclusive:

@@ -25,7 +25,7 @@ def differences(world: World, state: LabState, records: Sequence[Record], workce
     plates = plates_by_labware(world, records)
     places = world.places()
     pieces = [item for item in state.bench.labware.values() if workcell in ("", workcell_of(item.station))]
-    carried = {item.id: way for item in pieces if (way := _way_of(state, item))}
+    carried = {item.id: way for item in pieces if (way := _list_possible_places(state, item))}
     for labware, way in carried.items():
         found += _under_way(way, labware, plates.get(labware, labware), places)
     for name, station in state.bench.stations.items():
@@ -63,7 +63,7 @@ def differences(world: World, state: LabState, records: Sequence[Record], workce
     return [*found, fault] if fault else found
 
 
-def _way_of(state: LabState, item: Labware) -> list[str]:
+def _list_possible_places(state: LabState, item: Labware) -> list[str]:
     """Where on the bench labware may be that an action in flight carries, nowhere (empty) if that takes it to
     the waste; none if no action carries it."""
     if not item.moving or item.maybe:

@@ -99,7 +99,7 @@ class Twh(msgspec.Struct):
     clock_ns: int = 0
 
 
-class Report(msgspec.Struct):
+class TwhReport(msgspec.Struct):
     """Every scope's figures; ``pace`` turns wall time into lab time."""
 
     lab: Twh
@@ -159,7 +159,7 @@ class _Clock:
         if self.current.worked_ns > self.longest.worked_ns:
             self.longest = self.current
 
-    def reading(self, now: int) -> Twh:
+    def measure(self, now: int) -> Twh:
         self.advance(now)
         self._compare()
         copies = (msgspec.structs.replace(self.current), msgspec.structs.replace(self.longest))
@@ -254,21 +254,21 @@ class Meter:
         for clock in self._every():
             clock.start_over(max(now, self._now))
 
-    def report(self, now: int | None = None) -> Report:
+    def report(self, now: int | None = None) -> TwhReport:
         """The figures at ``now`` (UTC ns), by default at the last event."""
         at = max(self._now, now or 0)
-        return Report(
-            self._lab.reading(at),
-            {name: clock.reading(at) for name, clock in self._cells.items()},
-            {name: clock.reading(at) for name, clock in self._experiments.items()},
-            {name: clock.reading(at) for name, clock in self._runs.items()},
+        return TwhReport(
+            self._lab.measure(at),
+            {name: clock.measure(at) for name, clock in self._cells.items()},
+            {name: clock.measure(at) for name, clock in self._experiments.items()},
+            {name: clock.measure(at) for name, clock in self._runs.items()},
             self.names.pace,
         )
 
     def totals(self, now: int) -> tuple[Twh, dict[str, Twh]]:
         """The figures of the lab and of its workcells at ``now`` (UTC ns)."""
         at = max(self._now, now)
-        return self._lab.reading(at), {name: clock.reading(at) for name, clock in self._cells.items()}
+        return self._lab.measure(at), {name: clock.measure(at) for name, clock in self._cells.items()}
 
     def pass_time(self, now: int) -> None:
         """An event that changes nothing here was recorded at ``now`` (UTC ns): a kernel lived then."""
@@ -396,7 +396,7 @@ class Meter:
         return (self._lab, *self._cells.values(), *self._experiments.values(), *self._runs.values())
 
 
-def measure(records: Iterable[Record], now: int | None = None) -> Report:
+def measure(records: Iterable[Record], now: int | None = None) -> TwhReport:
     """Time without human intervention in every scope of a log."""
     meter = Meter()
     for event, head in events(records):

@@ -31,7 +31,7 @@ _RESULT = frozenset({"file", "sha256", "bytes"})
 """How a file stands in a result."""
 
 
-class Part(msgspec.Struct, frozen=True):
+class VerifiedPart(msgspec.Struct, frozen=True):
     """One part that was looked at. ``checked`` counts the things that were; ``told`` says in a sentence what
     was found, ``faults`` what is wrong; ``positions`` are those of the log that the faults are about."""
 
@@ -61,7 +61,7 @@ class Snapshot(Protocol):
     def on_log(self) -> bytes | None: ...
 
 
-class Store(Log, Protocol):
+class VerifiableStore(Log, Protocol):
     """An event store, for reading."""
 
     def flaw(self) -> str: ...
@@ -76,60 +76,60 @@ class Blobs(Protocol):
     def names(self) -> Iterator[str]: ...
 
 
-def check_database(store: Store) -> Part:
+def check_database(store: VerifiableStore) -> VerifiedPart:
     """Whether the database finds its own tables and indices whole. The chain does not cover the indices, by
     which queries find their records. Raises StoreUnavailable."""
     if flaw := store.flaw():
         fault = f"The database finds its own tables or indices damaged: {flaw}."
-        return Part("database", 1, fault, (fault,))
-    return Part("database", 1, "The database finds no fault with its tables and indices.")
+        return VerifiedPart("database", 1, fault, (fault,))
+    return VerifiedPart("database", 1, "The database finds no fault with its tables and indices.")
 
 
-def check_snapshot(store: Store) -> Part:
+def check_snapshot(store: VerifiableStore) -> VerifiedPart:
     """Whether the snapshot is genuine, and what the log folds to. The log must be whole."""
     found = store.read_snapshot_row()
     if found is None:
-        return Part("snapshot", 0, "There is no snapshot.")
+        return VerifiedPart("snapshot", 0, "There is no snapshot.")
     if not found.genuine:
         said = f"The snapshot of position {found.position} is not used: {found.fault}."
         broken = (said,) if found.fault.startswith("its seal") else ()
-        return Part("snapshot", 1, said, broken, (found.position,) if broken else ())
+        return VerifiedPart("snapshot", 1, said, broken, (found.position,) if broken else ())
     if found.on_log != found.hash:
         there = "which the log does not reach" if found.on_log is None else "where the log has another record"
         fault = f"The sealed snapshot is of position {found.position}, {there}: the log was cut or rewritten."
-        return Part("snapshot", 1, fault, (fault,), (found.position,))
+        return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
     if found.fingerprint != fold_fingerprint():
         told = f"The snapshot of position {found.position} is sealed; another version of LabOS made it."
-        return Part("snapshot", 1, told)
+        return VerifiedPart("snapshot", 1, told)
     state = LabState()
     for row in store.replay(0, found.position):
         evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
     if picture(state) != found.data:
         fault = f"The sealed snapshot of position {found.position} is not what the log folds to."
-        return Part("snapshot", 1, fault, (fault,), (found.position,))
-    return Part(
+        return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
+    return VerifiedPart(
         "snapshot", 1, f"The snapshot of position {found.position} is sealed, and what the log folds to."
     )
 
 
-def check_end(store: Store) -> Part:
+def check_end(store: VerifiableStore) -> VerifiedPart:
     """Whether the log is known to have been longer."""
     known, position = store.known_position, store.head().position
     if not known:
-        return Part("end", 0, "Nothing is known of how far the log once reached.")
+        return VerifiedPart("end", 0, "Nothing is known of how far the log once reached.")
     if known and not position:
         fault = (
             f"The log is empty, but the one of this lab's folder once reached {known}: it is lost, or "
             "another database is meant."
         )
-        return Part("end", 1, fault, (fault,), (1,))
+        return VerifiedPart("end", 1, fault, (fault,), (1,))
     if known > position:
         fault = f"The log ends at position {position}, but it once reached {known}: its tail is lost."
-        return Part("end", 1, fault, (fault,), (position + 1,))
-    return Part("end", 1, f"The lab's folder knows of the log up to position {known}.")
+        return VerifiedPart("end", 1, fault, (fault,), (position + 1,))
+    return VerifiedPart("end", 1, f"The lab's folder knows of the log up to position {known}.")
 
 
-def check_blobs(log: Log, blobs: Blobs) -> Part:
+def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
     """Whether each blob that the log names is there and is what its name says; those that nothing names are
     counted. Raises StoreUnavailable."""
     stored = set(blobs.names())  # before the log: a blob is there before the event that names it
@@ -159,7 +159,7 @@ def check_blobs(log: Log, blobs: Blobs) -> Part:
     unnamed = len(others - mentioned)
     told = f"Blobs: the log names {len(named)}, {len(named) - len(positions)} are there and whole"
     told += f"; {unnamed} are there that it does not name." if unnamed else "."
-    return Part("blobs", len(named) + len(others), told, tuple(faults), tuple(positions))
+    return VerifiedPart("blobs", len(named) + len(others), told, tuple(faults), tuple(positions))
 
 
 def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
@@ -169,7 +169,7 @@ def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
     return sorted(stored - named.keys() - mentioned)
 
 
-def check_journals(folder: Path) -> tuple[Part, dict[str, Journal]]:
+def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Journal]]:
     """Whether the nodes' journals can be read, their checksums included; returns those that can."""
     found: dict[str, Journal] = {}
     faults = []
@@ -181,10 +181,10 @@ def check_journals(folder: Path) -> tuple[Part, dict[str, Journal]]:
             said = error.message if isinstance(error, LabosError) else str(error)
             faults.append(f"The journal {path} is damaged: {said}")
     told = f"Journals: {len(found)} of {len(files)} can be read."
-    return Part("journals", len(files), told, tuple(faults)), found
+    return VerifiedPart("journals", len(files), told, tuple(faults)), found
 
 
-def check_benches(folder: Path) -> Part:
+def check_benches(folder: Path) -> VerifiedPart:
     """Whether the records of simulated benches can be read. They bear no checksums: a letter that changed in
     one is not found here."""
     files = sorted(folder.glob("*.db"))
@@ -194,7 +194,9 @@ def check_benches(folder: Path) -> Part:
             motions += _motions(path)
         except (sqlite3.Error, ValueError, TypeError) as error:
             faults.append(f"The record {path} of a simulated bench is damaged: {error}.")
-    return Part("benches", len(files), f"Simulated benches: {len(files)}, {motions} motions.", tuple(faults))
+    return VerifiedPart(
+        "benches", len(files), f"Simulated benches: {len(files)}, {motions} motions.", tuple(faults)
+    )
 
 
 def _motions(path: Path) -> int:

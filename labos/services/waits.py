@@ -33,7 +33,7 @@ BEHIND = "runs that were submitted before go first"
 READY = "it may start and is about to"
 
 
-class Reason(msgspec.Struct, frozen=True):
+class WaitReason(msgspec.Struct, frozen=True):
     """Why a run does not go on: the step, a sentence, and what a person can do about it."""
 
     step: int
@@ -80,7 +80,7 @@ class WaitBook:
 
 def reasons(
     state: LabState, run: RunState, now: int, scheduler: Scheduler | None = None, *, causes: bool = True
-) -> list[Reason]:
+) -> list[WaitReason]:
     """Why a run does not go on now; empty if something of it may start, or is in flight where a node is.
     With ``causes``, also what is in the way of a run that safety keeps out."""
     scheduler = scheduler or Scheduler()
@@ -91,7 +91,7 @@ def reasons(
     return [
         *_absent_nodes(state, run),
         *(
-            Reason(step, words(wait), wait.blocked, remedy(wait))
+            WaitReason(step, words(wait), wait.blocked, remedy(wait))
             for step, wait in (
                 (step, _name_unknown(state, wait)) for step, wait in scheduler.waits(state, run, now)
             )
@@ -110,7 +110,7 @@ def _name_unknown(state: LabState, wait: Wait) -> Wait:
     return wait
 
 
-def _absent_nodes(state: LabState, run: RunState) -> Iterable[Reason]:
+def _absent_nodes(state: LabState, run: RunState) -> Iterable[WaitReason]:
     """Steps in flight whose nodes are away: only they know how their actions ended."""
     steps = state.runs.plan_of(run).steps
     for index, step in enumerate(run.steps):
@@ -118,4 +118,4 @@ def _absent_nodes(state: LabState, run: RunState) -> Iterable[Reason]:
         if module is not None and module.status == ModuleStatus.GONE:
             wait = Wait(ModuleDown(module.spec.name, "GONE", module.error))
             asked = f"; {NODE_AWAY_S:g} s after it went a person is asked how {steps[index].action!r} ended"
-            yield Reason(index, sentence(wait) + asked, True, remedy(wait))
+            yield WaitReason(index, sentence(wait) + asked, True, remedy(wait))

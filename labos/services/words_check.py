@@ -9,7 +9,7 @@ from labos.core.erasure import WordsErased, references_in_words
 from labos.core.registry import decode
 from labos.core.words import Kept
 from labos.services.log import Log
-from labos.services.verification import Part
+from labos.services.verification import VerifiedPart
 
 
 class StoredWords(Protocol):
@@ -21,14 +21,14 @@ class StoredWords(Protocol):
     def position(self) -> int: ...
 
 
-class Store(Log, Protocol):
+class WordsStore(Log, Protocol):
     """A log with words beside it."""
 
     def all_words(self) -> Iterator[Any]: ...
     def erasures(self) -> Mapping[str, int]: ...
 
 
-def check_words(store: Store) -> Part:
+def check_words(store: WordsStore) -> VerifiedPart:
     """Whether each text beside the log is the one that was written, and whether each that is gone was erased
     by an event: of this log, or of a newer one that it is an older copy of, as the lab's folder knows. Raises
     StoreUnavailable, BadInput."""
@@ -60,7 +60,9 @@ def check_words(store: Store) -> Part:
     told = f"Words beside the log: {whole} are those that were written, {gone} were erased"
     told += f", {apart} in a newer copy of this log." if apart else "."
     faults = tuple(f"Position {position}: {fault}." for position, fault in found)
-    return Part("words", whole + gone + apart + len(found), told, faults, tuple(at for at, _ in found))
+    return VerifiedPart(
+        "words", whole + gone + apart + len(found), told, faults, tuple(at for at, _ in found)
+    )
 
 
 def _references(log: Log) -> tuple[dict[str, int], dict[str, int]]:

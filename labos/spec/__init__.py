@@ -4,7 +4,7 @@ Workcell file → ``CompiledWorkcell`` (``load_workcell``); workflow file, paylo
 ``Compiled`` (``compile_workflow``). Every fault names file, line, column, field and a remedy.
 """
 
-from labos.spec.bench import Bench, Stock, default_stock
+from labos.spec.bench import BenchFile, Stock, default_stock
 from labos.spec.durations import parse_duration
 from labos.spec.findings import Finding, SpecErrors
 from labos.spec.labware import load_labware
@@ -24,7 +24,7 @@ from labos.spec.workcell import (
 from labos.spec.workflow import Compiled, compile_workflow, parse_workflow, read_workflow, validate_workflow
 
 __all__ = [
-    "Bench",
+    "BenchFile",
     "Compiled",
     "CompiledWorkcell",
     "Finding",

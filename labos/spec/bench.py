@@ -24,7 +24,7 @@ class Stock(msgspec.Struct, frozen=True):
     count: int
 
 
-class Bench(msgspec.Struct, frozen=True):
+class BenchFile(msgspec.Struct, frozen=True):
     """What stands where when the lab is first declared; what is not named is empty. Of a lab that runs,
     ``away_from_rest`` names the variables of modules that are not as they are at rest now: how they will be
     when a run begins is not known."""
@@ -33,11 +33,11 @@ class Bench(msgspec.Struct, frozen=True):
     away_from_rest: dict[ModuleName, tuple[str, ...]] = {}
 
 
-def default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> Bench:
+def default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> BenchFile:
     """Every stack full of plates, with lids of a type if one is named, and with ``room`` for some more: a
     simulated bench for a file that declares no stock."""
     usual = f"{DEFAULT_LABWARE}+{lid}" if lid else DEFAULT_LABWARE
-    return Bench(
+    return BenchFile(
         tuple(
             Stock(station.name, (station.accepts or (usual,))[0], max(station.capacity - room, 1))
             for station in workcell.stations
@@ -46,7 +46,7 @@ def default_stock(workcell: Workcell, lid: str = "", room: int = 0) -> Bench:
     )
 
 
-def read_stock(written: Mapping[str, Mapping[str, int]], stations: Stations, remarks: Remarks) -> Bench:
+def read_stock(written: Mapping[str, Mapping[str, int]], stations: Stations, remarks: Remarks) -> BenchFile:
     """The ``stock:`` of a workcell file; faults go to the remarks."""
     found: list[Stock] = []
     for place, counts in written.items():
@@ -63,7 +63,7 @@ def read_stock(written: Mapping[str, Mapping[str, int]], stations: Stations, rem
             found += [Stock(shelf, piece, 1) for shelf, piece in zip(shelves, pieces, strict=False)]
             continue
         found += [Stock(station.name, labware, count) for labware, count in counts.items() if count]
-    return Bench(tuple(found))
+    return BenchFile(tuple(found))
 
 
 def _check(place: str, counts: Mapping[str, int], station: StationSpec, remarks: Remarks) -> None:

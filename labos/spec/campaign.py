@@ -15,9 +15,9 @@ from labos.core.expressions import ExpressionError, names_in, parse_expression
 from labos.core.model import Condition
 from labos.core.viewer import Visibility
 from labos.errors import SpecError
-from labos.spec.findings import Report, SpecErrors
+from labos.spec.findings import FindingList, SpecErrors
 from labos.spec.parts import Label, Part, Seconds
-from labos.spec.rows import Line, expand
+from labos.spec.rows import TableLine, expand
 from labos.spec.source import Source, parse
 from labos.spec.validation import validate
 
@@ -96,7 +96,7 @@ class CampaignSource(msgspec.Struct, frozen=True):
 
     file: CampaignFile
     source: Source
-    lines: list[Line]
+    lines: list[TableLine]
     terms: Terms
 
 
@@ -104,7 +104,7 @@ def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None 
     """Read a campaign given as text; ``files`` holds the table that it names. Raises SpecError, SpecErrors
     with all faults of file and table."""
     source = parse(text, name)
-    report = Report(name)
+    report = FindingList(name)
     file = validate(CampaignFile, source, report)
     if file is None:
         raise SpecErrors(report.sort_findings())
@@ -167,7 +167,7 @@ def stop_rule(text: str) -> Condition:
     return condition(text, fill_in(tree, values))
 
 
-def _until(text: str, source: Source, report: Report) -> Condition | None:
+def _until(text: str, source: Source, report: FindingList) -> Condition | None:
     if not text:
         return None
     try:

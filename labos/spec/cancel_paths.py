@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.leaving import Scene, steps_out, way_out
+from labos.core.leaving import BenchOfRun, steps_out, way_out
 from labos.core.model import Plan
 from labos.spec.dryrun import DryRun
 from labos.spec.paper import Tell
@@ -45,7 +45,7 @@ class CancelPaths:
                 self._told.add((index, message))
                 self.error(index, f"After a cancellation behind {key!r}: {message}", remedy)
 
-        steps = way_out(self.plan, scene_on_paper(dry))
+        steps = way_out(self.plan, find_bench_on_paper(dry))
         out = dry.copy(tell)
         out.run([(index, self.plan.steps[index]) for index in steps])
         for place in set(out.outputs()) - self._left:
@@ -58,7 +58,7 @@ class CancelPaths:
                 )
 
 
-def scene_on_paper(dry: DryRun) -> Scene:
+def find_bench_on_paper(dry: DryRun) -> BenchOfRun:
     """What a run finds on the bench where its dry run stands."""
     rests: dict[ModuleName, Mapping[str, Any]] = {name: m.rest for name, m in dry.modules.items()}
     left = {
@@ -66,7 +66,7 @@ def scene_on_paper(dry: DryRun) -> Scene:
         for name, rest in rests.items()
         if any(dry.variables.get(name, {}).get(variable, value) != value for variable, value in rest.items())
     }
-    return Scene(
+    return BenchOfRun(
         Counter(dry.outputs()),
         {name: station.module for name, station in dry.stations.by_name.items()},
         {name: dict(values) for name, values in dry.variables.items()},

@@ -29,7 +29,7 @@ APPROACH: Literal["approach"] = "approach"
 What = Literal["grip", "approach"]
 
 
-class End(msgspec.Struct, frozen=True):
+class TransferEnd(msgspec.Struct, frozen=True):
     """What one argument says of one end of a transfer: ``value`` is a grip, or for an approach the taught
     place on the way; None if it is known only when the workflow runs. ``arg`` is written so."""
 
@@ -40,7 +40,7 @@ class End(msgspec.Struct, frozen=True):
     value: str | None
 
 
-class Carrying:
+class TransferReader:
     """Reads what transfers on a workcell say of their ends."""
 
     def __init__(self, cell: CompiledWorkcell, descriptions: Mapping[str, Description]) -> None:
@@ -53,19 +53,19 @@ class Carrying:
         }
         self._own = {local(each.name) for each in cell.workcell.modules if not each.config.get("about")}
 
-    def find_agreed(self, uses: Iterable[Use]) -> set[End]:
+    def find_agreed(self, uses: Iterable[Use]) -> set[TransferEnd]:
         """Those on which all of these uses agree; of the arguments only the values count."""
         said: dict[tuple[What, ModuleName, StationName], set[str | None]] = {}
         for use in uses:
             for end in self.ends(use.module, use.action, use.args):
                 said.setdefault((end.what, end.arm, end.station), set()).add(end.value)
         return {
-            End(what, arm, station, "", value)
+            TransferEnd(what, arm, station, "", value)
             for (what, arm, station), values in said.items()
             if len(values) == 1 and (value := next(iter(values))) is not None
         }
 
-    def ends(self, module: str, action: str, args: Mapping[str, Any]) -> Iterator[End]:
+    def ends(self, module: str, action: str, args: Mapping[str, Any]) -> Iterator[TransferEnd]:
         """What a step says of the ends of its transfer, at stations that the arm was taught."""
         offered = self._offered[module].action(action) if module in self._offered else None
         if offered is None:
@@ -81,11 +81,11 @@ class Carrying:
                 if said := args.get(written.get(grip, "")):
                     choices = known[grip].choices
                     value = said if isinstance(said, str) and (not choices or said in choices) else None
-                    yield End("grip", arm, station, written[grip], value)
+                    yield TransferEnd("grip", arm, station, written[grip], value)
                 through = f"{end}_{APPROACH}"
                 if module in self._own and (said := args.get(written.get(through, ""))):
                     way = self._station(said, module)
-                    yield End(APPROACH, arm, station, written[through], local(way) if way else None)
+                    yield TransferEnd(APPROACH, arm, station, written[through], local(way) if way else None)
 
     def _station(self, text: Any, module: str) -> StationName | None:
         try:
@@ -94,7 +94,7 @@ class Carrying:
             return None
 
 
-def add_ends(file: WorkcellFile, agreed: Iterable[End]) -> tuple[WorkcellFile, dict[str, list[str]]]:
+def add_ends(file: WorkcellFile, agreed: Iterable[TransferEnd]) -> tuple[WorkcellFile, dict[str, list[str]]]:
     """A workcell's file that says these of its stations and arms, and the comments for its fields."""
     stations, comments = dict(file.stations), dict[str, list[str]]()
     approaches: dict[str, dict[str, str]] = {}
@@ -107,18 +107,20 @@ def add_ends(file: WorkcellFile, agreed: Iterable[End]) -> tuple[WorkcellFile, d
         stations[place] = entry.model_copy(update={"reach": {**entry.reach, arm: [value]}})
         told = f"The workflows say that {arm} grips {value} here."
         comments.setdefault(f"stations.{place}", []).append(told)
-    modules = [_approaching(entry, approaches.get(entry.name, {})) for entry in file.modules]
+    modules = [_add_approaches(entry, approaches.get(entry.name, {})) for entry in file.modules]
     return file.model_copy(update={"stations": stations, "modules": modules}), comments
 
 
-def _approaching(entry: ModuleEntry, approaches: Mapping[str, str]) -> ModuleEntry:
+def _add_approaches(entry: ModuleEntry, approaches: Mapping[str, str]) -> ModuleEntry:
     if not approaches:
         return entry
     config = {**entry.config, APPROACH: {**approaches, **entry.config.get(APPROACH, {})}}
     return entry.model_copy(update={"config": config})
 
 
-def drop_ends(file: WorkflowFile, cells: Sequence[tuple[Carrying, set[End]]]) -> tuple[WorkflowFile, bool]:
+def drop_ends(
+    file: WorkflowFile, cells: Sequence[tuple[TransferReader, set[TransferEnd]]]
+) -> tuple[WorkflowFile, bool]:
     """A workflow's file without what each of the workcells that it runs on says of its stations itself; and
     whether anything has gone."""
     left = file.model_copy(deep=True)

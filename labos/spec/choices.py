@@ -25,14 +25,14 @@ from labos.spec.source import Path_
 _MODULE_OF = re.compile(r"\$\{(?!payload[.:])([^{}]+)\.module\}")
 
 
-class Bound(msgspec.Struct, frozen=True):
+class BoundWorkflow(msgspec.Struct, frozen=True):
     """A workflow in which each step has one module, and which were chosen, by the steps' names."""
 
     file: WorkflowFile
     chosen: dict[str, str] = {}
 
 
-def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> list[Bound]:
+def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> list[BoundWorkflow]:
     """The workflow once for each choice of modules; as it is if it leaves none. Faults go to the remarks."""
     known = {local(module.name): module.driver for module in workcell.modules}
     choices: dict[str, Sequence[str]] = {}
@@ -56,7 +56,7 @@ def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> li
         )
     references = _check_references(file, known, remarks)
     if remarks.report.errors or not (choices or references):
-        return [Bound(file)]
+        return [BoundWorkflow(file)]
     combinations = product(*choices.values())
     return [_bind(file, dict(zip(choices, names, strict=True)), known) for names in combinations]
 
@@ -195,7 +195,7 @@ def _steps_meant(value: Any) -> list[str]:
     return []
 
 
-def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str]) -> Bound:
+def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str]) -> BoundWorkflow:
     modules = {e.name: chosen.get(e.name, e.module) for p, e in _entries(file) if _is_step(p) and e.module}
     for _ in modules:  # one may be the same as one that is the same as a third
         for name, module in modules.items():
@@ -229,4 +229,4 @@ def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str
     if isinstance(file.on_cancel, list):
         changed["on_cancel"] = [bind(entry, own=False) for entry in file.on_cancel]
     changed["hold"] = {fill(key): value for key, value in file.hold.items()}
-    return Bound(file.model_copy(update=changed), dict(chosen))
+    return BoundWorkflow(file.model_copy(update=changed), dict(chosen))

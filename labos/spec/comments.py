@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from labos.spec.source import Path_, Row, Table, field_name
+from labos.spec.source import Path_, SourceList, SourceMapping, field_name
 
 _COMMENT = re.compile(r"(^|\s)(#.*)$")
 
@@ -39,7 +39,7 @@ def read_comments(text: str) -> list[Comment]:
     return found
 
 
-def place_comments(comments: list[Comment], form: Table) -> tuple[dict[str, list[str]], list[str]]:
+def place_comments(comments: list[Comment], form: SourceMapping) -> tuple[dict[str, list[str]], list[str]]:
     """Comments by the field of the ``form`` that they belong to: one behind an entry to that entry, one on a
     line of its own to the next entry, what stands above everything to the whole file (``""``). The second
     list is what stands below everything."""
@@ -63,12 +63,12 @@ def place_comments(comments: list[Comment], form: Table) -> tuple[dict[str, list
 
 def _lines(value: Any, path: Path_) -> Iterator[tuple[int, Path_]]:
     """Where the entries of a form were written, the outer ones first."""
-    if isinstance(value, Table):
+    if isinstance(value, SourceMapping):
         for key, item in value.items():
             if line := value.keys_at.get(key, value.at).line:
                 yield line, (*path, key)
             yield from _lines(item, (*path, key))
-    elif isinstance(value, Row):
+    elif isinstance(value, SourceList):
         for index, item in enumerate(value):
             if index < len(value.values_at) and (line := value.values_at[index].line):
                 yield line, (*path, index)

@@ -12,7 +12,7 @@ from labos.spec.source import Path_
 from labos.spec.steps import Steps
 
 
-class Conditions:
+class StepConditions:
     """The conditions of a workflow's steps. The steps that they read are added to ``feeds``; faults are
     told where they were written."""
 

@@ -18,7 +18,7 @@ from labos.spec.description import (
     PlaceEntry,
     VariantEntry,
 )
-from labos.spec.findings import Report, SpecErrors, near
+from labos.spec.findings import FindingList, SpecErrors, near
 from labos.spec.frames import Frame, frame, slide, spin
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source, read
@@ -30,7 +30,7 @@ PLACEHOLDER = re.compile(r"\{(\w+)\}")
 def load_description(source: Source | str | Path) -> DescriptionFile:
     """Read and check a description. Raises SpecError or SpecErrors."""
     source = source if isinstance(source, Source) else read(source)
-    report = Report(source.file)
+    report = FindingList(source.file)
     file = validate(DescriptionFile, source, report)
     if file is None:
         raise SpecErrors(report.sort_findings())

@@ -51,7 +51,7 @@ class Finding(msgspec.Struct, frozen=True):
         return f"{self.as_error()} ({self.severity})"
 
 
-def finding_of(error: SpecError) -> Finding:
+def make_finding(error: SpecError) -> Finding:
     """A SpecError as a finding."""
     return Finding("error", error.message, error.file, error.line, error.column, error.field, error.remedy)
 
@@ -65,7 +65,7 @@ class SpecErrors(BadInput):
         super().__init__("\n".join(str(error) for error in self.errors))
 
 
-class Report:
+class FindingList:
     """Collects findings while a file is read."""
 
     def __init__(self, file: str = "") -> None:
@@ -95,7 +95,7 @@ class Report:
         """Add a finding as it is."""
         self._keep(finding)
 
-    def take(self, other: Report) -> None:
+    def take(self, other: FindingList) -> None:
         """Add what was found in another file."""
         for finding in other.findings:
             self._keep(finding)

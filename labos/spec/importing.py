@@ -11,11 +11,11 @@ import msgspec
 from labos.core.ids import local
 from labos.core.model import Description
 from labos.spec.about import find_description as described_module
-from labos.spec.carrying import Carrying, End, add_ends, drop_ends
+from labos.spec.carrying import TransferEnd, TransferReader, add_ends, drop_ends
 from labos.spec.comments import place_comments, read_comments
 from labos.spec.dialects import NOBODYS, Dialect, Kind, kind_of, labware_form, workcell_form, workflow_form
 from labos.spec.emit import to_yaml
-from labos.spec.findings import Finding, Report, SpecErrors
+from labos.spec.findings import Finding, FindingList, SpecErrors
 from labos.spec.interfaces import is_configured
 from labos.spec.models import LabwareFile, ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.parts import Part
@@ -28,7 +28,7 @@ from labos.spec.workcell import CompiledWorkcell, compile_workcell
 NAMES: dict[Dialect, str] = {"labos": "LabOS", "wei": "WEI", "madsci": "MADSci", "opentrons": "Opentrons"}
 
 
-Moved = tuple[Carrying, set[End]]
+Moved = tuple[TransferReader, set[TransferEnd]]
 """What workflows said of carrying and a workcell's file says in their place."""
 
 
@@ -64,7 +64,7 @@ def import_spec(
 
 
 def _labware(source: Source) -> Imported:
-    report = Report(source.file)
+    report = FindingList(source.file)
     form, dialect = labware_form(source, report)
     file = validate(LabwareFile, form, report)
     if file is None:
@@ -75,7 +75,7 @@ def _labware(source: Source) -> Imported:
 
 
 def _workflow(source: Source, moved: Sequence[Moved]) -> Imported:
-    report = Report(source.file)
+    report = FindingList(source.file)
     form, dialect = workflow_form(source, report)
     file = validate(WorkflowFile, form, report)
     if file is None:
@@ -91,12 +91,12 @@ def _workcell(
     source: Source, descriptions: Mapping[str, Description], uses: Sequence[Use] | None
 ) -> Imported:
     cell = compile_workcell(source, descriptions, uses=uses)
-    form, dialect = workcell_form(source, Report(source.file))
+    form, dialect = workcell_form(source, FindingList(source.file))
     file = cell.file
     assert file is not None  # it has been compiled
     text, moved = "", None
     if dialect != "labos":
-        carrying = Carrying(cell, descriptions)
+        carrying = TransferReader(cell, descriptions)
         moved = (carrying, carrying.find_agreed(uses or ()))
         file, notes = add_ends(complete(file, cell, descriptions), moved[1])
         text = _text(file, source, form, dialect, cell.findings, notes)

@@ -50,7 +50,7 @@ def why_not_reached(interface: str) -> str:
 REMEDY = f"There are {', '.join(REACHED)}; `native` is LabOS' own node for the module's driver."
 
 
-def missing_keys(interface: str, config: Mapping[str, Any]) -> list[str]:
+def list_missing_keys(interface: str, config: Mapping[str, Any]) -> list[str]:
     """The keys of ``config`` that an adapter needs and that are not there."""
     return [group[0] for group in REACHED.get(interface, ()) if not any(config.get(key) for key in group)]
 
@@ -75,4 +75,4 @@ def is_configured(interface: str, config: Mapping[str, Any]) -> bool:
     """Whether an interface says how a module is reached: files of other labs also name drivers there,
     or leave the address out."""
     known = interface in REACHED or interface in PLANNED
-    return known and not missing_keys(interface, config)
+    return known and not list_missing_keys(interface, config)

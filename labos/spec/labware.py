@@ -9,7 +9,7 @@ from typing import NamedTuple
 from labos.core.model import LabwareSpec, WellGrid
 from labos.errors import SpecError
 from labos.spec.dialects import find_kind, labware_form
-from labos.spec.findings import Report, SpecErrors, finding_of
+from labos.spec.findings import FindingList, SpecErrors, make_finding
 from labos.spec.library import SUFFIXES, find_spec, list_specs
 from labos.spec.models import ANY, LabwareFile, LabwareType
 from labos.spec.remarks import Remarks
@@ -23,7 +23,7 @@ LABWARE_SUFFIXES = (*SUFFIXES, ".json")
 def load_labware(source: Source | str | Path) -> dict[str, LabwareType]:
     """The labware types of a file, by name. Raises SpecError or SpecErrors."""
     source = source if isinstance(source, Source) else read(source)
-    report = Report(source.file)
+    report = FindingList(source.file)
     form, _ = labware_form(source, report)
     file = validate(LabwareFile, form, report)
     if file is None:
@@ -119,7 +119,7 @@ class _Reader:
                 self._take(file, text)
 
     def _take(self, file: str, text: bytes) -> None:
-        report = Report(file)
+        report = FindingList(file)
         try:
             source = parse(text, file)
             self.digests[file] = source.digest
@@ -127,7 +127,7 @@ class _Reader:
                 raise source.error("This is no labware file.", remedy="Write its types below `labware:`.")
             form, _ = labware_form(source, report)
         except SpecError as error:
-            self.remarks.report.keep(finding_of(error))
+            self.remarks.report.keep(make_finding(error))
             return
         told = validate(LabwareFile, form, report)
         for name, kind in told.labware.items() if told is not None else ():

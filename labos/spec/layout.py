@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from labos.core.model import MAIN, AnyPart
-from labos.spec.findings import Assumed, Report, near
+from labos.spec.findings import Assumed, FindingList, near
 from labos.spec.models import StepEntry
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
@@ -61,7 +61,7 @@ class Leaf:
         self.entry = entry.model_copy(update={"name": key}) if self.unrolled else entry
 
 
-class Node:
+class LayoutNode:
     """One entry of a list of steps. ``parallel`` rounds do not wait for each other; ``onward`` are the
     numbers of those that go on where the one before them has ended: the later parts of one transfer."""
 
@@ -77,9 +77,9 @@ class Node:
 class Box:
     """The steps of one list; those of a used file bear ``prefix`` before their names."""
 
-    def __init__(self, prefix: str = "", node: Node | None = None, number: int = 0) -> None:
+    def __init__(self, prefix: str = "", node: LayoutNode | None = None, number: int = 0) -> None:
         self.prefix, self.node, self.number = prefix, node, number
-        self.nodes: list[Node] = []
+        self.nodes: list[LayoutNode] = []
 
 
 class Layout:
@@ -91,7 +91,7 @@ class Layout:
         """The steps for emergencies."""
         self.leaves: list[Leaf] = []
         self.by_key: dict[str, Leaf] = {}
-        self.nodes: dict[str, Node] = {}
+        self.nodes: dict[str, LayoutNode] = {}
         self._ends: dict[str, frozenset[int]] = {}
         self._open: set[str] = set()
 
@@ -101,7 +101,7 @@ class Layout:
             return self.leaves[path[1]].box
         return self.main
 
-    def find_named(self, name: str, box: Box, path: Path_, remarks: Remarks) -> Node | Leaf | None:
+    def find_named(self, name: str, box: Box, path: Path_, remarks: Remarks) -> LayoutNode | Leaf | None:
         """What a name written in a box means: a step, or an entry that has become several. Faults
         are reported at the path."""
         same = [node for node in box.nodes if node.entry.name == name]
@@ -121,7 +121,12 @@ class Layout:
                 leaf.key.removeprefix(box.prefix) for leaf in self.leaves if leaf.key.startswith(box.prefix)
             ]
             remarks.error(f"There is no step {name!r}.", path, near(name, keys, "step"))
-        elif isinstance(found, Node) and not found.entry.use and not found.entry.for_each and found.rounds:
+        elif (
+            isinstance(found, LayoutNode)
+            and not found.entry.use
+            and not found.entry.for_each
+            and found.rounds
+        ):
             last = found.rounds[-1]  # several are parts of one transfer
             return last if isinstance(last, Leaf) else None
         return found
@@ -132,7 +137,7 @@ class Layout:
         number = next(n for n, item in enumerate(node.rounds) if item is leaf)
         return set(self._before_round(node, number, remarks))
 
-    def _node_of(self, leaf: Leaf) -> Node:
+    def _node_of(self, leaf: Leaf) -> LayoutNode:
         return self._nodes_of_leaves[leaf.index]
 
     def trace(self, remarks: Remarks) -> None:
@@ -152,7 +157,7 @@ class Layout:
 
     def settle(self) -> None:
         """Called when everything is unrolled."""
-        self._nodes_of_leaves: dict[int, Node] = {}
+        self._nodes_of_leaves: dict[int, LayoutNode] = {}
         boxes = [self.main, *self.aside]
         while boxes:
             for node in boxes.pop().nodes:
@@ -162,12 +167,12 @@ class Layout:
                     else:
                         boxes.append(item)
 
-    def _before_round(self, node: Node, number: int, remarks: Remarks) -> frozenset[int]:
+    def _before_round(self, node: LayoutNode, number: int, remarks: Remarks) -> frozenset[int]:
         if number and (not node.parallel or number in node.onward):
             return self._ends_of_round(node.rounds[number - 1], remarks)
         return self._before_node(node, remarks)
 
-    def _before_node(self, node: Node, remarks: Remarks) -> frozenset[int]:
+    def _before_node(self, node: LayoutNode, remarks: Remarks) -> frozenset[int]:
         if node.entry.after is None and node.position:
             return self.ends(node.box.nodes[node.position - 1], remarks)
         path = self._path_of(node)
@@ -181,14 +186,14 @@ class Layout:
         above = node.box.node
         return found if found or above is None else self._before_round(above, node.box.number, remarks)
 
-    def _path_of(self, node: Node) -> Path_:
+    def _path_of(self, node: LayoutNode) -> Path_:
         """A path at which faults of a node are reported: that of its first step."""
         item: Leaf | Box | None = node.rounds[0] if node.rounds else None
         while isinstance(item, Box):
             item = next((r for n in item.nodes for r in n.rounds), None)
         return ("steps", item.index) if isinstance(item, Leaf) and not node.entry.use else ("steps",)
 
-    def ends(self, node: Node, remarks: Remarks) -> frozenset[int]:
+    def ends(self, node: LayoutNode, remarks: Remarks) -> frozenset[int]:
         """The steps with which an entry is done; what comes before it, if it was left out."""
         found = self._ends.get(node.key)
         if found is not None:
@@ -228,7 +233,7 @@ class Layout:
 class UnrolledRemarks(Remarks):
     """Faults of an unrolled step are told at the place where it was written, with its name."""
 
-    def __init__(self, source: Source, report: Report, layout: Layout) -> None:
+    def __init__(self, source: Source, report: FindingList, layout: Layout) -> None:
         super().__init__(source, report)
         self.layout = layout
 

@@ -15,7 +15,7 @@ from labos.core.model import ModuleSpec
 from labos.spec.describing import for_model, parts_at, places_at
 from labos.spec.description import ASSUMED, DescriptionFile, ReachEntry
 from labos.spec.dialects import workcell_form
-from labos.spec.findings import Finding, Report
+from labos.spec.findings import Finding, FindingList
 from labos.spec.frames import Frame, from_quaternion
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
@@ -44,8 +44,8 @@ def check_layout(
     source: Source, cell: CompiledWorkcell, shape_of: Callable[[str], DescriptionFile | None]
 ) -> list[Finding]:
     """The warnings about a workcell file that compiled; ``shape_of`` tells a driver's description."""
-    report = Report(source.file)
-    form, _ = workcell_form(source, Report(source.file))
+    report = FindingList(source.file)
+    form, _ = workcell_form(source, FindingList(source.file))
     remarks = Remarks(form, report)
     there = _apart(list(_list_placed(form, cell, shape_of)), remarks)
     for one, other in combinations(there, 2):

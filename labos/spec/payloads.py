@@ -14,7 +14,7 @@ from labos.core.expressions import ExpressionError, names_in, parse_expression
 from labos.errors import SpecError
 from labos.spec.dialects import workflow_form
 from labos.spec.files import FileFinder
-from labos.spec.findings import Report, near
+from labos.spec.findings import FindingList, near
 from labos.spec.models import RunSteps, StepEntry, WorkflowFile
 from labos.spec.references import keys_in
 from labos.spec.source import Source, parse
@@ -33,7 +33,7 @@ def refuse_unused(
     file: WorkflowFile,
     sources: Sequence[Source],
     finder: FileFinder,
-    report: Report,
+    report: FindingList,
 ) -> None:
     """Report each value of a payload that a workflow does not take. ``sources`` are its file as it was
     written and in LabOS' own form."""
@@ -148,7 +148,7 @@ def _read(name: str, finder: FileFinder) -> tuple[WorkflowFile, list[Source]]:
     if content is None:
         raise _TakesAll
     try:
-        source, report = parse(content, name, last_wins=True), Report(name)
+        source, report = parse(content, name, last_wins=True), FindingList(name)
         form, _ = workflow_form(source, report)
         file = validate(WorkflowFile, form, report)
     except SpecError:

@@ -9,7 +9,7 @@ from labos.core.branches import main_steps, ways
 from labos.core.ids import ModuleName, StationName
 from labos.core.leaving import steps_out
 from labos.core.model import Description, LabwareSpec, ModuleSpec, Plan
-from labos.spec.bench import Bench
+from labos.spec.bench import BenchFile
 from labos.spec.cancel_paths import CancelPaths
 from labos.spec.dryrun import DryRun
 from labos.spec.paper import UNKNOWN, Tell
@@ -28,7 +28,7 @@ class InitialBench:
         stations: Stations,
         modules: Mapping[ModuleName, ModuleSpec],
         described: Mapping[ModuleName, Description],
-        bench: Bench | None,
+        bench: BenchFile | None,
         labware: Mapping[str, LabwareSpec],
     ) -> None:
         self.stations, self.modules, self.described = stations, modules, described
@@ -90,7 +90,7 @@ class PlanCheck:
         out = CancelPaths(plan, self._error, self._warning)
         out.check()
         for way in ways(plan):
-            dry = self.bench.sheet(_nothing, _nothing)
+            dry = self.bench.sheet(_ignore, _ignore)
             dry.run([(index, plan.steps[index]) for index in way.steps], partial(out.try_out, dry))
 
     def _run(self, plan: Plan, order: Sequence[int], error: Tell, warning: Tell) -> DryRun:
@@ -107,5 +107,5 @@ class PlanCheck:
         return tell
 
 
-def _nothing(index: int, message: str, remedy: str) -> None:
+def _ignore(index: int, message: str, remedy: str) -> None:
     """What was told before is not told again."""

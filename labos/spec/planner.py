@@ -39,12 +39,12 @@ from labos.errors import SpecError
 from labos.spec.about import find_description
 from labos.spec.amounts import amount_of, arguments_of
 from labos.spec.arguments import bind, is_later
-from labos.spec.bench import Bench
-from labos.spec.conditions import Conditions
+from labos.spec.bench import BenchFile
+from labos.spec.conditions import StepConditions
 from labos.spec.defaults import timeout_of
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import Report, near
+from labos.spec.findings import FindingList, near
 from labos.spec.holds import holds_of
 from labos.spec.layout import Layout
 from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
@@ -57,7 +57,7 @@ from labos.spec.steps import Steps
 from labos.spec.tables import counter_of
 
 
-class Planner:
+class StepPlanner:
     """One workflow on its way to a plan."""
 
     def __init__(
@@ -70,7 +70,7 @@ class Planner:
         remarks: Remarks,
         finder: FileFinder,
         simulate: bool,
-        bench: Bench | None,
+        bench: BenchFile | None,
         left_out: Mapping[str, str],
     ) -> None:
         self.file, self.layout, self.remarks, self.finder = file, layout, remarks, finder
@@ -86,7 +86,7 @@ class Planner:
         }
         self.steps = Steps(layout, remarks)
         self.feeds: set[int] = set()
-        self.conditions = Conditions(self.steps, self.feeds)
+        self.conditions = StepConditions(self.steps, self.feeds)
         self.pinned: dict[str, str] = {}
         self.contents: dict[str, bytes] = {}
 
@@ -94,7 +94,7 @@ class Planner:
         """The plan; complete only if the report holds no errors afterwards."""
         self._check_modules()
         steps = tuple(self._step(index, entry) for index, entry in enumerate(self.steps.entries))
-        steps = tuple(self._taking_from_stacks(index, step, steps) for index, step in enumerate(steps))
+        steps = tuple(self._take_from_stacks(index, step, steps) for index, step in enumerate(steps))
         return Plan(
             workflow=self.file.name,
             workcell=self.workcell.name,
@@ -104,7 +104,7 @@ class Planner:
             holds=self._holds(steps),
         )
 
-    def _taking_from_stacks(self, index: int, step: PlanStep, steps: Sequence[PlanStep]) -> PlanStep:
+    def _take_from_stacks(self, index: int, step: PlanStep, steps: Sequence[PlanStep]) -> PlanStep:
         """An arm that carries away what lies on a stack takes its topmost piece, unless an earlier step has
         put one there. Behind a failure or a cancellation it carries what the run has, wherever that is."""
         if step.part != MAIN:
@@ -420,7 +420,7 @@ class Planner:
                     effects.append(effect)
             except SpecError as error:
                 if error.file:
-                    elsewhere = Report(error.file)
+                    elsewhere = FindingList(error.file)
                     place = Place(error.line, error.column)
                     elsewhere.error(error.message, place, field=error.field, remedy=error.remedy)
                     self.remarks.report.take(elsewhere)

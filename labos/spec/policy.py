@@ -11,7 +11,7 @@ from pydantic import Field
 from labos.core.campaigns import Budget
 from labos.core.policy import BookingLimits, Policy
 from labos.spec.campaign import BudgetEntry
-from labos.spec.findings import Report, SpecErrors
+from labos.spec.findings import FindingList, SpecErrors
 from labos.spec.parts import Label, Part
 from labos.spec.source import parse
 from labos.spec.validation import validate
@@ -52,7 +52,7 @@ class CompiledPolicy(msgspec.Struct, frozen=True):
 def parse_policy(text: str, name: str = "") -> CompiledPolicy:
     """Read a policy file given as text. Raises SpecError, SpecErrors."""
     source = parse(text, name)
-    report = Report(name)
+    report = FindingList(name)
     file = validate(PolicyFile, source, report)
     if file is None:
         raise SpecErrors(report.sort_findings())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.spec.findings import Assumed, Report
+from labos.spec.findings import Assumed, FindingList
 from labos.spec.source import Path_, Source
 
 
@@ -10,7 +10,7 @@ class Remarks:
     """Writes into a report what is wrong at a path of a file; ``key`` points at the key instead
     of the value."""
 
-    def __init__(self, source: Source, report: Report) -> None:
+    def __init__(self, source: Source, report: FindingList) -> None:
         self.source, self.report = source, report
 
     def error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:

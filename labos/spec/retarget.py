@@ -191,7 +191,7 @@ def rename(text: str, mapping: Mapping[str, str], workcells: tuple[str, str]) ->
     return "\n".join(lines)
 
 
-def differing(old: str, new: str) -> Sequence[str]:
+def compare_lines(old: str, new: str) -> Sequence[str]:
     """The lines that differ, as ``diff`` shows them."""
     import difflib
 

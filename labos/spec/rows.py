@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from labos.errors import SpecError
-from labos.spec.findings import Report
+from labos.spec.findings import FindingList
 from labos.spec.source import NOWHERE, Place, Source, parse, plain
 
 if TYPE_CHECKING:
     from labos.spec.campaign import CampaignFile, LatinHypercube
 
 
-class Line(msgspec.Struct, frozen=True):
+class TableLine(msgspec.Struct, frozen=True):
     """A row: its whole payload, and where it is written. ``columns`` are those of its own values by key,
     where they have any."""
 
@@ -49,7 +49,9 @@ KINDS = {
 """The ways to write rows, by the field of the model."""
 
 
-def expand(file: CampaignFile, source: Source, files: Mapping[str, bytes], report: Report) -> list[Line]:
+def expand(
+    file: CampaignFile, source: Source, files: Mapping[str, bytes], report: FindingList
+) -> list[TableLine]:
     """The rows of a campaign; what is wrong with them goes to the report."""
     from labos.spec.campaign import MOST_ROWS
 
@@ -92,7 +94,7 @@ def expand(file: CampaignFile, source: Source, files: Mapping[str, bytes], repor
         place = source.place(("rows", *(("list", number) if given[0] == "list" else (given[0],))))
         payload = _merge(file.payload, own, report, source.file, place, number)
         if payload is not None:
-            lines.append(Line(payload, source.file, place))
+            lines.append(TableLine(payload, source.file, place))
     return lines
 
 
@@ -122,7 +124,9 @@ def _draw(seed: int, key: str, what: str, number: int) -> float:
     return int.from_bytes(drawn[:7], "big") / 2**56
 
 
-def _from_table(file: CampaignFile, source: Source, files: Mapping[str, bytes], report: Report) -> list[Line]:
+def _from_table(
+    file: CampaignFile, source: Source, files: Mapping[str, bytes], report: FindingList
+) -> list[TableLine]:
     name = file.rows.table
     content = files.get(name)
     if content is None:
@@ -140,7 +144,7 @@ def _from_table(file: CampaignFile, source: Source, files: Mapping[str, bytes], 
     return _from_csv(file, name, text, report)
 
 
-def _from_list(file: CampaignFile, name: str, text: str, report: Report) -> list[Line]:
+def _from_list(file: CampaignFile, name: str, text: str, report: FindingList) -> list[TableLine]:
     """Rows of a YAML or JSON file: a list of tables."""
     if name.lower().endswith(".json"):
         try:
@@ -167,7 +171,7 @@ def _from_list(file: CampaignFile, name: str, text: str, report: Report) -> list
     for number, (row, place) in enumerate(zip(rows, places, strict=True)):
         payload = _merge(file.payload, row, report, name, place, number)
         if payload is not None:
-            lines.append(Line(payload, name, place))
+            lines.append(TableLine(payload, name, place))
     return lines
 
 
@@ -178,12 +182,12 @@ def _below_key(text: str) -> str:
     return f"rows:\n{text}"
 
 
-def _from_csv(file: CampaignFile, name: str, text: str, report: Report) -> list[Line]:
+def _from_csv(file: CampaignFile, name: str, text: str, report: FindingList) -> list[TableLine]:
     """Rows of a CSV file by comma, semicolon or tab. Columns in a message are counted in fields."""
     first = text.partition("\n")[0]
     separator = max(",;\t", key=first.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
-    lines: list[Line] = []
+    lines: list[TableLine] = []
     header: list[str] = []
     columns: dict[str, int] = {}
     try:
@@ -206,7 +210,7 @@ def _from_csv(file: CampaignFile, name: str, text: str, report: Report) -> list[
             own = {key: _value(cell) for key, cell in zip(header, cells, strict=True) if cell.strip()}
             payload = _merge(file.payload, own, report, name, Place(line, 1), len(lines))
             if payload is not None:
-                lines.append(Line(payload, name, Place(line, 1), columns))
+                lines.append(TableLine(payload, name, Place(line, 1), columns))
     except csv.Error as error:
         report.error(
             f"This is not CSV: {error}.", Place(reader.line_num, 1), file=name, remedy="Check quotes."
@@ -214,7 +218,7 @@ def _from_csv(file: CampaignFile, name: str, text: str, report: Report) -> list[
     return lines
 
 
-def _check_header(header: list[str], name: str, line: int, report: Report) -> None:
+def _check_header(header: list[str], name: str, line: int, report: FindingList) -> None:
     for column, key in enumerate(header, 1):
         at = Place(line, column)
         if not key:
@@ -248,7 +252,7 @@ def _value(cell: str) -> Any:
 def _merge(
     base: dict[str, Any],
     own: Mapping[str, Any],
-    report: Report,
+    report: FindingList,
     file: str,
     at: Place,
     number: int,

@@ -8,7 +8,7 @@ import msgspec
 from pydantic import Field
 
 from labos.core.shares import Group, Member, Quota
-from labos.spec.findings import Report, SpecErrors
+from labos.spec.findings import FindingList, SpecErrors
 from labos.spec.parts import Label, Part
 from labos.spec.source import parse
 from labos.spec.validation import validate
@@ -60,7 +60,7 @@ class CompiledShares(msgspec.Struct, frozen=True):
 def parse_shares(text: str, name: str = "") -> CompiledShares:
     """Read a shares file given as text. Raises SpecError, SpecErrors."""
     source = parse(text, name)
-    report = Report(name)
+    report = FindingList(name)
     file = validate(SharesFile, source, report)
     if file is None:
         raise SpecErrors(report.sort_findings())

@@ -14,7 +14,7 @@ import msgspec
 
 from labos.core.labware import Sample
 from labos.core.wells import row_name, well_index, well_name
-from labos.spec.findings import Report, near
+from labos.spec.findings import FindingList, near
 from labos.spec.source import Place
 
 COLUMNS = ("plate", "well", "sample", "volume", "unit")
@@ -26,7 +26,7 @@ MOST_FAULTS = 100
 """So many are told; the rest of the sheet is not read then."""
 
 
-class Line(msgspec.Struct, frozen=True):
+class SheetLine(msgspec.Struct, frozen=True):
     """One row of a sheet; ``at`` is where the row's well is written."""
 
     plate: str
@@ -40,7 +40,7 @@ class Cell(msgspec.Struct, frozen=True):
     at: Place
 
 
-def read_sheet(text: str, report: Report) -> list[Line]:
+def read_sheet(text: str, report: FindingList) -> list[SheetLine]:
     """The rows of a sheet; faults go to the report."""
     lines = [(number, line) for number, line in enumerate(_lines(text), 1) if line.strip()]
     if not lines:
@@ -59,7 +59,7 @@ def read_sheet(text: str, report: Report) -> list[Line]:
     if not _check_header(header, report):
         return []
     names = [cell.text for cell in header]
-    found: list[Line] = []
+    found: list[SheetLine] = []
     seen: dict[tuple[str, str], int] = {}
     for number, line in lines[1:]:
         if report.errors >= MOST_FAULTS:
@@ -101,7 +101,7 @@ class Grid(Protocol):
     def volume_ul(self) -> float: ...
 
 
-def check_wells(rows: list[Line], labware: str, wells: Grid | None, report: Report) -> None:
+def check_wells(rows: list[SheetLine], labware: str, wells: Grid | None, report: FindingList) -> None:
     """Whether the wells exist on a labware type, and hold what is to be in them."""
     for row in rows:
         if report.errors >= MOST_FAULTS:
@@ -127,7 +127,7 @@ def _lines(text: str) -> list[str]:
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def _cells(line: str, number: int, separator: str, report: Report) -> list[Cell]:
+def _cells(line: str, number: int, separator: str, report: FindingList) -> list[Cell]:
     """The cells of a line with their places. A quoted cell may hold the separator."""
     cells: list[Cell] = []
     at = 0
@@ -153,7 +153,7 @@ def _cells(line: str, number: int, separator: str, report: Report) -> list[Cell]
         at = end + 1
 
 
-def _quote(line: str, begin: int, number: int, report: Report) -> tuple[str, int]:
+def _quote(line: str, begin: int, number: int, report: FindingList) -> tuple[str, int]:
     """The text between quotes, and where it ends; two quotes stand for one."""
     parts: list[str] = []
     at = begin + 1
@@ -169,7 +169,7 @@ def _quote(line: str, begin: int, number: int, report: Report) -> tuple[str, int
         at = end + 2
 
 
-def _check_header(header: list[Cell], report: Report) -> bool:
+def _check_header(header: list[Cell], report: FindingList) -> bool:
     errors = report.errors
     seen: set[str] = set()
     for cell in header:
@@ -188,7 +188,7 @@ def _check_header(header: list[Cell], report: Report) -> bool:
     return report.errors == errors
 
 
-def _row(cells: dict[str, Cell], separator: str, report: Report) -> Line | None:
+def _row(cells: dict[str, Cell], separator: str, report: FindingList) -> SheetLine | None:
     well, sample = cells["well"], cells["sample"]
     errors = report.errors
     name = ""
@@ -207,10 +207,10 @@ def _row(cells: dict[str, Cell], separator: str, report: Report) -> Line | None:
     plate = cells.get("plate", Cell("", well.at))
     if report.errors > errors:
         return None
-    return Line(plate.text, Sample(name, sample.text, volume), well.at, plate.at)
+    return SheetLine(plate.text, Sample(name, sample.text, volume), well.at, plate.at)
 
 
-def _volume(volume: Cell | None, unit: Cell | None, separator: str, report: Report) -> float | None:
+def _volume(volume: Cell | None, unit: Cell | None, separator: str, report: FindingList) -> float | None:
     if volume is None or not volume.text:
         return None
     factor = MICROLITRES.get(unit.text.lower() or "ul", 0.0) if unit is not None else 1.0

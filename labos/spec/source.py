@@ -1,8 +1,8 @@
 """YAML with positions: every key and value remembers the line and column where it was written.
 
 The data is plain (dict, list, str, int, float, bool, None) but for the containers, which are
-``Table`` and ``Row`` and carry places. Numbers follow YAML 1.2 (``1e-3`` is a number, ``12:30``
-and dates are text); ``yes``, ``no``, ``on`` and ``off`` stay booleans, because files that other
+``SourceMapping`` and ``SourceList`` and carry places. Numbers follow YAML 1.2 (``1e-3`` is a number,
+``12:30`` and dates are text); ``yes``, ``no``, ``on`` and ``off`` stay booleans, because files that other
 laboratories wrote for YAML 1.1 count on it.
 """
 
@@ -35,7 +35,7 @@ NOWHERE = Place()
 Path_ = Sequence[str | int]
 
 
-class Table(dict[str, Any]):
+class SourceMapping(dict[str, Any]):
     """A mapping that knows where it, its keys and its values were written."""
 
     def __init__(self, at: Place = NOWHERE) -> None:
@@ -49,14 +49,14 @@ class Table(dict[str, Any]):
         self.keys_at[key] = key_at
         self.values_at[key] = value_at
 
-    def take(self, other: Table, key: str, name: str = "") -> None:
+    def take(self, other: SourceMapping, key: str, name: str = "") -> None:
         """Copy an entry with its places, under another name if one is given."""
         self.put(
             name or key, other[key], other.keys_at.get(key, other.at), other.values_at.get(key, other.at)
         )
 
 
-class Row(list[Any]):
+class SourceList(list[Any]):
     """A sequence that knows where it and its values were written."""
 
     def __init__(self, at: Place = NOWHERE) -> None:
@@ -72,7 +72,7 @@ class Row(list[Any]):
 class Source:
     """A file as it was read: its data, where everything stands, and the digest of its bytes."""
 
-    def __init__(self, file: str, data: Table, digest: str, folder: Path | None = None) -> None:
+    def __init__(self, file: str, data: SourceMapping, digest: str, folder: Path | None = None) -> None:
         self.file, self.data, self.digest, self.folder = file, data, digest, folder
         self.written_as: dict[str, str] = {}
         """Top-level keys that a dialect calls otherwise, for messages."""
@@ -95,11 +95,11 @@ class Source:
         here: Any = self.data
         at = self.data.at
         for part in path:
-            if isinstance(here, Table) and isinstance(part, str) and part in here:
+            if isinstance(here, SourceMapping) and isinstance(part, str) and part in here:
                 at = (here.keys_at if key else here.values_at).get(part) or at
-            elif isinstance(here, Row) and isinstance(part, int) and part < len(here):
+            elif isinstance(here, SourceList) and isinstance(part, int) and part < len(here):
                 at = here.values_at[part] if part < len(here.values_at) else at
-            elif isinstance(here, Table) and part == 0:
+            elif isinstance(here, SourceMapping) and part == 0:
                 continue  # one thing where a list of them may stand
             else:
                 break
@@ -189,7 +189,7 @@ def parse(
     data = builder.build(node) if node is not None else None
     if builder.doubles and not last_wins:
         raise builder.doubles[0]
-    if not isinstance(data, Table):
+    if not isinstance(data, SourceMapping):
         what = "empty" if data is None else "not a table of keys and values"
         raise SpecError(
             f"The file is {what}.",
@@ -302,19 +302,19 @@ class _Builder:
     def _error(self, message: str, at: Place, remedy: str, field: str = "") -> SpecError:
         return SpecError(message, file=self.file, line=at.line, column=at.column, field=field, remedy=remedy)
 
-    def _table(self, node: yaml.MappingNode, at: Place) -> Table:
+    def _table(self, node: yaml.MappingNode, at: Place) -> SourceMapping:
         if node.tag != "tag:yaml.org,2002:map":
             raise self._error(f"The tag {node.tag} is not supported.", at, "Remove it.")
-        table = Table(at)
-        merged: list[Table] = []
+        table = SourceMapping(at)
+        merged: list[SourceMapping] = []
         for key_node, value_node in node.value:
             key_at = _mark(key_node.start_mark)
             if not isinstance(key_node, yaml.ScalarNode):
                 raise self._error("A key must be a single word or text.", key_at, "Write `key: value`.")
             if key_node.tag == _MERGE:
                 value = self.build(value_node)
-                merged += value if isinstance(value, Row) else [value]
-                if not all(isinstance(part, Table) for part in merged):
+                merged += value if isinstance(value, SourceList) else [value]
+                if not all(isinstance(part, SourceMapping) for part in merged):
                     raise self._error("`<<` merges tables only.", key_at, "Point it at a table.")
                 continue
             key = key_node.value
@@ -329,10 +329,10 @@ class _Builder:
                     table.take(part, key)
         return table
 
-    def _row(self, node: yaml.SequenceNode, at: Place) -> Row:
+    def _row(self, node: yaml.SequenceNode, at: Place) -> SourceList:
         if node.tag != "tag:yaml.org,2002:seq":
             raise self._error(f"The tag {node.tag} is not supported.", at, "Remove it.")
-        row = Row(at)
+        row = SourceList(at)
         for item in node.value:
             row.put(self.build(item), _mark(item.start_mark))
         return row

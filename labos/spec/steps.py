@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from labos.core.model import MAIN, Window
 from labos.errors import SpecError
 from labos.spec.findings import near
-from labos.spec.layout import Box, Layout, Node
+from labos.spec.layout import Box, Layout, LayoutNode
 from labos.spec.models import StepEntry, Wait, Within
 from labos.spec.references import fill
 from labos.spec.remarks import Remarks
@@ -32,7 +32,7 @@ class Steps:
     def find(self, name: str, path: Path_, box: Box | None = None) -> int | None:
         """The index of the step that a reference means, written in a box; faults are reported at the path."""
         found = self.layout.find_named(name, box or self.layout.box_at(path), path, self.remarks)
-        if isinstance(found, Node):
+        if isinstance(found, LayoutNode):
             inside = [key for key in self.keys if key.startswith((f"{found.key}/", f"{found.key}["))]
             what = found.why_empty or "it stands for several steps"
             remedy = near(name, inside, "step") if inside else "Refer to a step that is always there."

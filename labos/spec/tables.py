@@ -17,9 +17,9 @@ from labos.core.canonical import digest
 from labos.core.counts import Counter
 from labos.core.model import Description
 from labos.errors import BadInput, SpecError
-from labos.spec.findings import Report
+from labos.spec.findings import FindingList
 from labos.spec.remarks import Remarks
-from labos.spec.source import MAX_BYTES, Path_, Row, Source, Table, parse, plain, read
+from labos.spec.source import MAX_BYTES, Path_, Source, SourceList, SourceMapping, parse, plain, read
 from labos.spec.validation import validate
 
 
@@ -76,7 +76,7 @@ def why_broken(driver: str, descriptions: Mapping[str, Description]) -> str:
     return descriptions.broken.get(driver, "") if isinstance(descriptions, Descriptions) else ""
 
 
-def check_table(kind: DriverTable, source: Source, report: Report) -> Any:
+def check_table(kind: DriverTable, source: Source, report: FindingList) -> Any:
     """A table as the driver's model; None, with errors in the report, if it does not fit."""
     told = validate(kind.model, source, report)
     if told is None:
@@ -90,7 +90,7 @@ def check_table(kind: DriverTable, source: Source, report: Report) -> Any:
 def source_of(written: Any, beside: Source, sent: Mapping[str, bytes] | None = None) -> Source:
     """Where a table is written: in the workcell file itself, or in a file that this one names. If files were
     ``sent`` along with it, it is one of these, and no disk is read. Raises SpecError."""
-    if isinstance(written, Table):
+    if isinstance(written, SourceMapping):
         return Source(beside.file, written, beside.digest, beside.folder)
     if not isinstance(written, str) or not written:
         raise SpecError("It is neither a table nor the name of a file.", remedy="Write either of them.")
@@ -143,7 +143,7 @@ def told_by(kind: DriverTable, written: Any) -> Any:
             f"`{kind.key}:` is neither a table nor the name of a file.",
             remedy="Write either of them below `config:`.",
         )
-    report = Report(source.file)
+    report = FindingList(source.file)
     told = check_table(kind, source, report)
     report.raise_if_failed()
     return told
@@ -152,12 +152,12 @@ def told_by(kind: DriverTable, written: Any) -> Any:
 def _placeless(value: Any) -> Any:
     """Plain data in containers that know of no place."""
     if isinstance(value, Mapping):
-        table = Table()
+        table = SourceMapping()
         for key, item in value.items():
             table.put(str(key), _placeless(item))
         return table
     if isinstance(value, list | tuple):
-        row = Row()
+        row = SourceList()
         for item in value:
             row.put(_placeless(item))
         return row

@@ -16,8 +16,8 @@ from labos.spec.carriers import TRANSFER, Carriers
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
 from labos.spec.files import FileFinder
-from labos.spec.findings import Report, finding_of
-from labos.spec.layout import Box, Layout, Leaf, Node, Written
+from labos.spec.findings import FindingList, make_finding
+from labos.spec.layout import Box, Layout, LayoutNode, Leaf, Written
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.payloads import find_unused
 from labos.spec.references import fill, holds, keys_in
@@ -38,7 +38,7 @@ DEEPEST = 8
 """Files that use each other, one inside the other."""
 
 
-class Frame:
+class UnrolledFile:
     """One file while its steps are laid out."""
 
     def __init__(self, file: WorkflowFile, source: Source, names: tuple[str, ...], *, foreign: bool) -> None:
@@ -49,7 +49,9 @@ class Frame:
 class Unroller:
     """Lays a workflow's steps out. Faults go to the report."""
 
-    def __init__(self, report: Report, finder: FileFinder, defaults: Defaults, carriers: Carriers) -> None:
+    def __init__(
+        self, report: FindingList, finder: FileFinder, defaults: Defaults, carriers: Carriers
+    ) -> None:
         self.report, self.finder, self.defaults, self.carriers = report, finder, defaults, carriers
         self.layout = Layout()
         self.pinned: dict[str, str] = {}
@@ -59,13 +61,13 @@ class Unroller:
         self._full = False
         self._part: AnyPart = MAIN
         self._conditions: tuple[Written, ...] = ()
-        self._aside: list[tuple[Leaf, Frame, Path_]] = []
+        self._aside: list[tuple[Leaf, UnrolledFile, Path_]] = []
 
     def unroll(
         self, file: WorkflowFile, source: Source, payload: Mapping[str, Any], *, foreign: bool
     ) -> Layout:
         """The steps of a workflow with its payload."""
-        frame = Frame(file, source, (), foreign=foreign)
+        frame = UnrolledFile(file, source, (), foreign=foreign)
         self._fill_box(self.layout.main, frame, payload)
         if file.on_cancel is not None:
             self._put_way_out(file.on_cancel, frame, payload)
@@ -81,7 +83,9 @@ class Unroller:
             )
         return self.layout
 
-    def _put_way_out(self, written: str | list[StepEntry], frame: Frame, payload: Mapping[str, Any]) -> None:
+    def _put_way_out(
+        self, written: str | list[StepEntry], frame: UnrolledFile, payload: Mapping[str, Any]
+    ) -> None:
         """The steps that bring labware out when a run is cancelled."""
         box = self._box_aside("on_cancel/")
         self._part = ON_CANCEL
@@ -91,7 +95,7 @@ class Unroller:
             self._fill_box(box, frame, payload, ("on_cancel",), written)
         self._part = MAIN
 
-    def _put_aside(self, leaf: Leaf, frame: Frame, path: Path_) -> None:
+    def _put_aside(self, leaf: Leaf, frame: UnrolledFile, path: Path_) -> None:
         """The steps that serve a step: what resets its module before it is done again, and what is done
         when it has failed for good."""
         entry = leaf.entry
@@ -114,7 +118,9 @@ class Unroller:
         self.layout.aside.append(box)
         return box
 
-    def _use_file(self, name: str, box: Box, frame: Frame, at: Path_, scope: Mapping[str, Any]) -> None:
+    def _use_file(
+        self, name: str, box: Box, frame: UnrolledFile, at: Path_, scope: Mapping[str, Any]
+    ) -> None:
         """Lay out the steps of a file that has the payload of the step that it serves."""
         known = self._read(name, frame, at) if name not in frame.names else None
         if known is None:
@@ -122,13 +128,13 @@ class Unroller:
                 self._error(frame, f"The file uses itself: {name}.", at, "Name another file.")
             return
         file, source, foreign = known
-        inner = Frame(file, source, (*frame.names, name), foreign=foreign)
+        inner = UnrolledFile(file, source, (*frame.names, name), foreign=foreign)
         self._fill_box(box, inner, with_defaults(file, scope))
 
     def _fill_box(
         self,
         box: Box,
-        frame: Frame,
+        frame: UnrolledFile,
         scope: Mapping[str, Any],
         at: Path_ = ("steps",),
         entries: Sequence[StepEntry] | None = None,
@@ -145,12 +151,12 @@ class Unroller:
                 while (name := f"{entry.name}#{number}") in taken:
                     number += 1
                 taken.add(name)
-            node = Node(box.prefix + name, entry, box)
+            node = LayoutNode(box.prefix + name, entry, box)
             box.nodes.append(node)
             self.layout.nodes.setdefault(node.key, node)
             self._unroll(node, frame, at if at[-1] == "reset" else (*at, index), scope)
 
-    def _unroll(self, node: Node, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
+    def _unroll(self, node: LayoutNode, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]) -> None:
         entry = node.entry
         if not self._is_sound(entry, frame, path):
             return
@@ -175,7 +181,7 @@ class Unroller:
                 self._place(node, key, frame, path, inner)
             self._conditions = outer
 
-    def _is_full(self, frame: Frame, path: Path_) -> bool:
+    def _is_full(self, frame: UnrolledFile, path: Path_) -> bool:
         if len(self.layout.leaves) < MOST_STEPS and self._entries <= MOST_ENTRIES:
             return False
         self._full = True
@@ -183,13 +189,13 @@ class Unroller:
         self._error(frame, f"The workflow unrolls to more than {MOST_STEPS} steps.", path, remedy)
         return True
 
-    def _error(self, frame: Frame, message: str, path: Path_, remedy: str) -> None:
+    def _error(self, frame: UnrolledFile, message: str, path: Path_, remedy: str) -> None:
         source = frame.source
         self.report.error(
             message, source.place(path), field=source.field(path), remedy=remedy, file=source.file
         )
 
-    def _is_sound(self, entry: StepEntry, frame: Frame, path: Path_) -> bool:
+    def _is_sound(self, entry: StepEntry, frame: UnrolledFile, path: Path_) -> bool:
         """Whether an entry is either a step or the use of a file."""
         if entry.use:
             wrong = sorted(entry.model_fields_set - OF_A_USE)
@@ -214,7 +220,9 @@ class Unroller:
             return False
         return not missing
 
-    def _elements(self, entry: StepEntry, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> list[Any]:
+    def _elements(
+        self, entry: StepEntry, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
+    ) -> list[Any]:
         if entry.for_each is None:
             return [None]
         at = (*path, "for_each", "in")
@@ -229,7 +237,9 @@ class Unroller:
             return []
         return list(found)
 
-    def _is_wanted(self, node: Node, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> bool:
+    def _is_wanted(
+        self, node: LayoutNode, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
+    ) -> bool:
         """Whether ``when`` lets an entry in, as far as the payload decides it."""
         entry = node.entry
         if not entry.when:
@@ -256,7 +266,9 @@ class Unroller:
             node.why_empty = "it is left out by its `when`"
         return decided
 
-    def _transfer(self, node: Node, key: str, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
+    def _transfer(
+        self, node: LayoutNode, key: str, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
+    ) -> None:
         """Lay out the steps that carry labware from one station to another, whoever does it."""
         entry = node.entry
         try:
@@ -284,9 +296,9 @@ class Unroller:
 
     def _place(
         self,
-        node: Node,
+        node: LayoutNode,
         key: str,
-        frame: Frame,
+        frame: UnrolledFile,
         path: Path_,
         scope: Mapping[str, Any],
         written: StepEntry | None = None,
@@ -307,7 +319,9 @@ class Unroller:
         self.layout.by_key[key] = leaf
         node.rounds.append(leaf)
 
-    def _use(self, node: Node, prefix: str, frame: Frame, path: Path_, scope: Mapping[str, Any]) -> None:
+    def _use(
+        self, node: LayoutNode, prefix: str, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
+    ) -> None:
         name, at = node.entry.use, (*path, "use")
         if name in frame.names or len(frame.names) >= DEEPEST:
             chain = " → ".join((*frame.names, name))
@@ -336,10 +350,10 @@ class Unroller:
         box = Box(prefix, node, len(node.rounds))
         node.rounds.append(box)
         self._fill_box(
-            box, Frame(file, source, (*frame.names, name), foreign=foreign), with_defaults(file, inner)
+            box, UnrolledFile(file, source, (*frame.names, name), foreign=foreign), with_defaults(file, inner)
         )
 
-    def _read(self, name: str, frame: Frame, at: Path_) -> tuple[WorkflowFile, Source, bool] | None:
+    def _read(self, name: str, frame: UnrolledFile, at: Path_) -> tuple[WorkflowFile, Source, bool] | None:
         """The file of that name, read and checked once."""
         if name in self._files:
             return self._files[name]
@@ -350,7 +364,7 @@ class Unroller:
             self._error(frame, f"The file {name!r} {found.problem}.", at, remedy)
             return None
         path = str(Path(frame.source.file).parent / name) if not frame.names else name
-        report = Report(path)
+        report = FindingList(path)
         try:
             source = parse_yaml(found.content, path, last_wins=True)
             form, dialect = workflow_form(source, report)
@@ -362,7 +376,7 @@ class Unroller:
                         form.place((key,), key=True), field=key, remedy="Write it there.",
                     )  # fmt: skip
         except SpecError as error:
-            self.report.keep(finding_of(error))
+            self.report.keep(make_finding(error))
             return None
         self.report.take(report)
         if file is None or report.errors:

@@ -13,7 +13,7 @@ import msgspec
 from labos.errors import SpecError
 from labos.spec.choices import expand_lists, is_left_open
 from labos.spec.dialects import kind_of, workcell_form, workflow_form
-from labos.spec.findings import Report
+from labos.spec.findings import FindingList
 from labos.spec.models import RunSteps, StepEntry, WorkcellFile, WorkflowFile
 from labos.spec.references import keys_in, result_of
 from labos.spec.source import Source
@@ -87,16 +87,16 @@ def workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Source]]:
         used = {e.module for one in expand_lists(file) for _, e in entries_of(one) if e.module}
         most = max((len(used & cells[cell]) for cell in named or cells), default=0)
         fitting = [cell for cell in named or cells if most and len(used & cells[cell]) == most]
-        nearest = max((_shared(cell, source.file) for cell in fitting), default=0)
+        nearest = max((_count_shared(cell, source.file) for cell in fitting), default=0)
         for cell in fitting:
-            if _shared(cell, source.file) == nearest:
+            if _count_shared(cell, source.file) == nearest:
                 found.setdefault(cell, []).append(source)
     return found
 
 
 def _modules_of(source: Source) -> set[str]:
     """The active modules of a workcell. Raises SpecError."""
-    form, _ = workcell_form(source, Report(source.file))
+    form, _ = workcell_form(source, FindingList(source.file))
     return {
         str(module.get("name"))
         for module in form.data.get("modules", ())
@@ -112,7 +112,7 @@ def _stem(path: str) -> str:
     return PurePath(path).stem
 
 
-def _shared(one: str, other: str) -> int:
+def _count_shared(one: str, other: str) -> int:
     """How many folders two files have in common, from the root."""
     pairs = zip(PurePath(one).parts[:-1], PurePath(other).parts[:-1], strict=False)
     return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
@@ -120,7 +120,7 @@ def _shared(one: str, other: str) -> int:
 
 def workflow_in(source: Source) -> tuple[Source, WorkflowFile | None]:
     """A workflow in LabOS' form. Raises SpecError."""
-    report = Report(source.file)
+    report = FindingList(source.file)
     form, _ = workflow_form(source, report)
     return form, validate(WorkflowFile, form, report)
 

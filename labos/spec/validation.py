@@ -10,14 +10,14 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from labos.spec.findings import MOST, Report, near
+from labos.spec.findings import MOST, FindingList, near
 from labos.spec.mismatch import describe_mismatch
 from labos.spec.source import Source, plain
 
 M = TypeVar("M", bound=BaseModel)
 
 
-def validate(model: type[M], source: Source, report: Report) -> M | None:
+def validate(model: type[M], source: Source, report: FindingList) -> M | None:
     """The file as a model; None, with errors in the report, if it does not fit."""
     try:
         return model.model_validate(plain(source.data))
@@ -40,8 +40,8 @@ def _is_misspelt(error: Any, others: Sequence[Any]) -> bool:
     return error["type"] == "missing" and bool(difflib.get_close_matches(str(key), beside))
 
 
-def _translate(model: type[BaseModel], source: Source, report: Report, error: Any) -> None:
-    path = _existing(source, error["loc"], error["type"])
+def _translate(model: type[BaseModel], source: Source, report: FindingList, error: Any) -> None:
+    path = _keep_existing(source, error["loc"], error["type"])
     field = source.field(path)
     place = source.place(path)
     context: dict[str, Any] = error.get("ctx") or {}
@@ -86,7 +86,7 @@ def _translate(model: type[BaseModel], source: Source, report: Report, error: An
             )
 
 
-def _existing(source: Source, loc: Sequence[int | str], kind: str) -> tuple[int | str, ...]:
+def _keep_existing(source: Source, loc: Sequence[int | str], kind: str) -> tuple[int | str, ...]:
     """The error's path without the steps that pydantic adds for unions and for keys."""
     path: list[int | str] = []
     here: Any = source.data

@@ -15,14 +15,14 @@ from labos.core.model import LABWARE_TYPE, Description, ModuleSpec, Workcell
 from labos.errors import SpecError
 from labos.spec import rest
 from labos.spec.about import GENERIC, BadEffect, about_of, description_of, extend
-from labos.spec.bench import DEFAULT_LID, Bench, default_stock, read_stock
+from labos.spec.bench import DEFAULT_LID, BenchFile, default_stock, read_stock
 from labos.spec.compile_stations import compile_stations
 from labos.spec.defaults import retry_of
 from labos.spec.dialects import workcell_form
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
-from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
+from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding, near
 from labos.spec.flaws import flaw_in
-from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_configured, missing_keys, why_not_reached
+from labos.spec.interfaces import NATIVE, PLANNED, REACHED, is_configured, list_missing_keys, why_not_reached
 from labos.spec.labware import load_packaged_labware, own_labware, spec_of
 from labos.spec.models import ANY, Amount, LabwareType, ModuleEntry, ShelfPoses, WorkcellFile
 from labos.spec.remarks import Remarks
@@ -56,7 +56,7 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
     """A workcell, what stands on it at first, the warnings of its file; the file with what was drafted."""
 
     workcell: Workcell
-    bench: Bench
+    bench: BenchFile
     findings: tuple[Finding, ...] = ()
     file: WorkcellFile | None = None
 
@@ -98,7 +98,7 @@ def compile_workcell(
     """Compile a workcell. The files that it names are looked for beside it, or among those ``sent`` if they
     are given: then no disk is read. What another lab's file does not say is drafted from the ``uses`` that
     workflows make of it, if they are given. Raises SpecError or SpecErrors."""
-    report = Report(source.file)
+    report = FindingList(source.file)
     form, dialect = workcell_form(source, report)
     file = validate(WorkcellFile, form, report)
     if file is None:
@@ -140,7 +140,7 @@ def _draft(
     own: Mapping[str, LabwareType],
 ) -> WorkcellFile:
     """Another lab's file with what the workflows show of its modules and places."""
-    aside = Remarks(form, Report(form.file))
+    aside = Remarks(form, FindingList(form.file))
     file = draft_modules(file, _Modules(file, descriptions, aside, True).drivers, uses, remarks)
     described = _Modules(file, descriptions, aside, True).drivers
     stations = compile_stations(file, described, aside, foreign=True, own=own)
@@ -155,7 +155,7 @@ def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, De
     except SpecErrors as errors:
         return list(errors.findings)
     except SpecError as error:
-        return [finding_of(error)]
+        return [make_finding(error)]
 
 
 class _Modules:
@@ -231,11 +231,11 @@ class _Modules:
             source = source_of(form.data["modules"][path[-1]]["config"][kind.key], form, self.sent)
         except SpecError as error:
             if error.line or error.file:
-                self.remarks.report.keep(finding_of(error))
+                self.remarks.report.keep(make_finding(error))
             else:
                 self.remarks.error(error.message, at, error.remedy)
             return None
-        report = Report(source.file)
+        report = FindingList(source.file)
         told = check_table(kind, source, report)
         self.remarks.report.take(report)
         if told is None:
@@ -256,7 +256,7 @@ class _Modules:
         why = why_not_reached(entry.interface)
         if why and entry.interface not in PLANNED and not self.foreign:
             self.remarks.error(why, at, near(entry.interface, (*REACHED, *PLANNED, "native"), "interface"))
-        for key in missing_keys(entry.interface, entry.config):
+        for key in list_missing_keys(entry.interface, entry.config):
             tell = self.remarks.warning if self.foreign else self.remarks.error
             tell(f"{entry.interface} needs `{key}`.", (*path, "config"), f"Write `{key}:` below `config:`.")
         if entry.interface in MAPPINGS:

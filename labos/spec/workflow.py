@@ -12,19 +12,19 @@ from labos.core.canonical import canonical
 from labos.core.ids import StationName
 from labos.core.model import Description, Plan, Workcell
 from labos.errors import SpecError
-from labos.spec.bench import DEFAULT_LABWARE, DEFAULT_LID, Bench
+from labos.spec.bench import DEFAULT_LABWARE, DEFAULT_LID, BenchFile
 from labos.spec.carriers import Carriers
 from labos.spec.choices import bind_modules
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import workflow_form
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import Finding, Report, SpecErrors, finding_of
+from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding
 from labos.spec.layout import Origin, UnrolledRemarks
 from labos.spec.models import WhenBroken, WorkflowFile
 from labos.spec.paper import Piece
 from labos.spec.payloads import refuse_unused
-from labos.spec.planner import Planner
+from labos.spec.planner import StepPlanner
 from labos.spec.remarks import Remarks
 from labos.spec.results import check_results
 from labos.spec.source import Source, parse, read
@@ -83,7 +83,7 @@ def compile_workflow(
     simulate: bool = False,
     files: Mapping[str, bytes] | None = None,
     search: Iterable[Path] = (),
-    bench: Bench | None = None,
+    bench: BenchFile | None = None,
     left_out: Mapping[str, str] | None = None,
 ) -> Compiled:
     """Compile a workflow.
@@ -96,7 +96,7 @@ def compile_workflow(
     Raises SpecError or SpecErrors.
     """
     source = source if isinstance(source, Source) else read_workflow(source)
-    report = Report(source.file)
+    report = FindingList(source.file)
     form, dialect = workflow_form(source, report)
     file = validate(WorkflowFile, form, report)
     if file is None:
@@ -108,7 +108,7 @@ def compile_workflow(
     for one in bound:
         given = Given(source, form, dialect != "labos", payload, workcell, descriptions, finder)
         try:
-            found.append(_compile(one.file, given, Report(source.file), simulate, bench, left_out or {}))
+            found.append(_compile(one.file, given, FindingList(source.file), simulate, bench, left_out or {}))
         except SpecErrors as errors:
             raise SpecErrors([_with_choice(each, one.chosen) for each in errors.findings]) from None
         for each in found[-1].findings:
@@ -143,7 +143,7 @@ def _with_choice(finding: Finding, chosen: Mapping[str, str]) -> Finding:
     return msgspec.structs.replace(finding, message=f"With {by}: {finding.message}")
 
 
-def _refuse_unlike(found: Sequence[Compiled], form: Source, report: Report) -> None:
+def _refuse_unlike(found: Sequence[Compiled], form: Source, report: FindingList) -> None:
     """Raises SpecErrors for plans that differ in more than who does the steps."""
     keys = [[(step.key, step.part) for step in each.plan.steps] for each in found]
     if any(other != keys[0] for other in keys):
@@ -159,9 +159,9 @@ def _refuse_unlike(found: Sequence[Compiled], form: Source, report: Report) -> N
 def _compile(
     file: WorkflowFile,
     given: Given,
-    report: Report,
+    report: FindingList,
     simulate: bool,
-    bench: Bench | None,
+    bench: BenchFile | None,
     left_out: Mapping[str, str],
 ) -> Compiled:
     """Compile a workflow in which each step has one module. Raises SpecErrors."""
@@ -170,7 +170,7 @@ def _compile(
     layout = unroller.unroll(file, form, _payload(file, payload), foreign=given.foreign)
     report.raise_if_failed()
     remarks = UnrolledRemarks(form, report, layout)
-    planner = Planner(
+    planner = StepPlanner(
         file=file,
         layout=layout,
         workcell=workcell,
@@ -190,9 +190,10 @@ def _compile(
     report.raise_if_failed()
     refuse_unused(payload, file, (given.source, form), finder, report)
     report.raise_if_failed()
-    brought = [_starting_labware(dry, *taken) for taken in dry.taken if not taken[1].fresh]
+    brought = [_make_starting_labware(dry, *taken) for taken in dry.taken if not taken[1].fresh]
     brought += [
-        _starting_labware(dry, stack, Piece(dry.stock.get(stack, ""), fresh=True)) for stack in dry.missing
+        _make_starting_labware(dry, stack, Piece(dry.stock.get(stack, ""), fresh=True))
+        for stack in dry.missing
     ]
     return Compiled(
         plan,
@@ -223,10 +224,10 @@ def validate_workflow(
     except SpecErrors as errors:
         return list(errors.findings)
     except SpecError as error:
-        return [finding_of(error)]
+        return [make_finding(error)]
 
 
-def _starting_labware(dry: DryRun, place: StationName, piece: Piece) -> StartingLabware:
+def _make_starting_labware(dry: DryRun, place: StationName, piece: Piece) -> StartingLabware:
     kind = piece.kind or (dry.stations[place].accepts or (DEFAULT_LABWARE,))[0]
     variables = dict(piece.at_first)
     is_lidded = variables.pop("lidded", False) and DEFAULT_LID in dry.labware

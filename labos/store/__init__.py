@@ -9,7 +9,7 @@ from labos.store._backup import Backup, Segment, backup, key_of, read_backup, re
 from labos.store._blobs import FolderBlobs
 from labos.store._detached import Detached, verify_detached
 from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
-from labos.store._errors import Door
+from labos.store._errors import TranslatedErrors
 from labos.store._event_store import SqlEventStore
 from labos.store._home import HomeFiles, KnownEnd, forget_end
 from labos.store._lease import database_bytes, database_file, lease_holder, show_url, silent_holder
@@ -18,7 +18,7 @@ from labos.store._objects import Blobs, ObjectBlobs, open_blobs
 from labos.store._open import open_store, scrub_words
 from labos.store._restore import leap_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
-from labos.store._segment import check_chain, line_of, read_segment, write_segment
+from labos.store._segment import check_chain, encode_record, read_segment, write_segment
 from labos.store._url import display_name, parse_url, sqlite_path
 from labos.store._verify import Damage, Progress, first_damage
 from labos.store._words import StoredWords
@@ -32,7 +32,6 @@ __all__ = [
     "Damage",
     "DatabaseStatus",
     "Detached",
-    "Door",
     "Erased",
     "FolderBlobs",
     "Holder",
@@ -44,6 +43,7 @@ __all__ = [
     "SqlAccounts",
     "SqlEventStore",
     "StoredWords",
+    "TranslatedErrors",
     "add_erasures",
     "backup",
     "check_chain",
@@ -53,6 +53,7 @@ __all__ = [
     "database_file",
     "database_status",
     "display_name",
+    "encode_record",
     "first_damage",
     "forget_end",
     "grant_writer",
@@ -60,7 +61,6 @@ __all__ = [
     "key_of",
     "leap_epoch",
     "lease_holder",
-    "line_of",
     "make_folder",
     "migrate",
     "migrations_folder",

@@ -12,7 +12,7 @@ from sqlalchemy.engine import URL
 from sqlalchemy.exc import SQLAlchemyError
 
 from labos.ports import Person, Session, Token
-from labos.store._errors import Door
+from labos.store._errors import TranslatedErrors
 from labos.store._tables import account_identity as identity_table
 from labos.store._tables import account_password as password_table
 from labos.store._tables import account_person as person_table
@@ -35,30 +35,30 @@ class SqlAccounts:
         self._writing.dispose()
 
     @contextmanager
-    def reading(self) -> Iterator[Connection]:
-        with Door(self._url), self._reading.connect() as connection:
+    def read(self) -> Iterator[Connection]:
+        with TranslatedErrors(self._url), self._reading.connect() as connection:
             yield connection
 
     @contextmanager
-    def changing(self) -> Iterator[Connection]:
-        with Door(self._url), self._writing.connect() as connection, connection.begin():
+    def change(self) -> Iterator[Connection]:
+        with TranslatedErrors(self._url), self._writing.connect() as connection, connection.begin():
             yield connection
 
     # -- people --------------------------------------------------------------------------------
 
     def people(self) -> dict[str, Person]:
         """Those of whom a name or an address is known."""
-        with self.reading() as connection:
+        with self.read() as connection:
             rows = connection.execute(select(person_table)).all()
         return {row.user_id: Person(row.user_id, row.name, row.mail) for row in rows}
 
     def set_person(self, person: Person) -> None:
-        with self.changing() as connection:
+        with self.change() as connection:
             _replace(connection, person_table, person.user, name=person.name, mail=person.mail)
 
     def erase(self, user: str) -> None:
         """Forget whoever a user is, with all that they sign in with."""
-        with self.changing() as connection:
+        with self.change() as connection:
             for table in _OF_A_USER:
                 connection.execute(delete(table).where(table.c.user_id == user))
         if self._writing.dialect.name == "sqlite":
@@ -75,14 +75,14 @@ class SqlAccounts:
         return str(self._value(select(password_table.c.hash).where(password_table.c.user_id == user)) or "")
 
     def set_password(self, user: str, hash_: str, now: int) -> None:
-        with self.changing() as connection:
+        with self.change() as connection:
             _replace(connection, password_table, user, hash=hash_, changed_at=now)
 
     # -- tokens --------------------------------------------------------------------------------
 
     def add_token(self, token: Token, digest: bytes) -> None:
         fields = {name: getattr(token, name) for name in Token.__struct_fields__ if name != "user"}
-        with self.changing() as connection:
+        with self.change() as connection:
             connection.execute(insert(token_table).values(digest=digest, user_id=token.user, **fields))
 
     def token(self, digest: bytes) -> Token | None:
@@ -94,17 +94,17 @@ class SqlAccounts:
 
     def _tokens(self, condition: Any) -> list[Token]:
         statement = select(token_table).order_by(token_table.c.created_at)
-        with self.reading() as connection:
+        with self.read() as connection:
             rows = connection.execute(statement if condition is None else statement.where(condition)).all()
         names = [name for name in Token.__struct_fields__ if name != "user"]
         return [Token(user=row.user_id, **{name: getattr(row, name) for name in names}) for row in rows]
 
     def use_token(self, id_: str, now: int) -> None:
-        with self.changing() as connection:
+        with self.change() as connection:
             connection.execute(update(token_table).where(token_table.c.id == id_).values(used_at=now))
 
     def revoke_token(self, id_: str, now: int) -> None:
-        with self.changing() as connection:
+        with self.change() as connection:
             connection.execute(
                 update(token_table)
                 .where(token_table.c.id == id_, token_table.c.revoked_at == 0)
@@ -115,7 +115,7 @@ class SqlAccounts:
 
     def add_session(self, session: Session, digest: bytes) -> None:
         """Sessions that are over go on this occasion."""
-        with self.changing() as connection:
+        with self.change() as connection:
             connection.execute(delete(session_table).where(session_table.c.expires_at <= session.created_at))
             connection.execute(
                 insert(session_table).values(
@@ -128,16 +128,16 @@ class SqlAccounts:
             )
 
     def session(self, digest: bytes) -> Session | None:
-        with self.reading() as connection:
+        with self.read() as connection:
             row = connection.execute(select(session_table).where(session_table.c.digest == digest)).first()
         return None if row is None else Session(row.user_id, row.how, row.created_at, row.expires_at)
 
     def end_session(self, digest: bytes) -> None:
-        with self.changing() as connection:
+        with self.change() as connection:
             connection.execute(delete(session_table).where(session_table.c.digest == digest))
 
     def end_sessions(self, user: str) -> None:
-        with self.changing() as connection:
+        with self.change() as connection:
             connection.execute(delete(session_table).where(session_table.c.user_id == user))
 
     # -- who an identity provider means ----------------------------------------------------------
@@ -150,12 +150,12 @@ class SqlAccounts:
 
     def link(self, issuer: str, subject: str, user: str) -> None:
         table = identity_table.c
-        with self.changing() as connection:
+        with self.change() as connection:
             connection.execute(delete(identity_table).where(table.issuer == issuer, table.subject == subject))
             connection.execute(insert(identity_table).values(issuer=issuer, subject=subject, user_id=user))
 
     def _value(self, statement: Any) -> Any:
-        with self.reading() as connection:
+        with self.read() as connection:
             return connection.execute(statement).scalar()
 
 

@@ -42,7 +42,7 @@ def copy_accounts(
     accounts: SqlAccounts, lab: str, folder: Path, now_ns: int, key: bytes = b""
 ) -> AccountsCopy:
     """Write the accounts as they are now into a backup's folder, in place of those before."""
-    with accounts.reading() as connection:
+    with accounts.read() as connection:
         tables = {
             table.name: [_plain(row._asdict()) for row in connection.execute(select(table))]
             for table in TABLES
@@ -84,7 +84,7 @@ _WITHOUT = "Move the file away to restore the log without accounts, then make ne
 
 def put_accounts_back(accounts: SqlAccounts, copied: AccountsCopy) -> None:
     """Put copied accounts into a database that has none, all or nothing."""
-    with accounts.changing() as connection:
+    with accounts.change() as connection:
         for table in TABLES:
             rows = [_decode_row(table, row) for row in copied.tables.get(table.name, ())]
             if rows:

@@ -40,7 +40,7 @@ MOVE_HEAD = (
 )
 
 
-def move(expected: Head, after: Head) -> Row:
+def make_head_row(expected: Head, after: Head) -> Row:
     """The parameters of ``MOVE_HEAD``."""
     return (
         after.position,
@@ -68,12 +68,12 @@ class Backend(Protocol):
     def occupy(self, owner: str) -> None:
         """Before a claim: take what only one kernel can hold. Raises Refused."""
 
-    def succeed(self, epoch: int, owner: str, remaining_ms: int) -> None:
+    def take_over(self, epoch: int, owner: str, remaining_ms: int) -> None:
         """Inside a claim, with the head row locked: make sure that the kernel of ``epoch`` is
         gone, and show that the kernel of ``epoch + 1`` lives. Raises Refused."""
 
     def vacate(self) -> None:
-        """Give back what ``occupy`` and ``succeed`` took."""
+        """Give back what ``occupy`` and ``take_over`` took."""
 
     def keep(self, epoch: int) -> None:
         """At every renewal: take again what a lost connection dropped."""
@@ -138,7 +138,7 @@ class Holder(msgspec.Struct, frozen=True):
         return bool(self.owner) and self.lease_left_s > 0 and self.locked
 
 
-def holder(backend: Backend) -> Holder:
+def find_holder(backend: Backend) -> Holder:
     """Asked by a reader: nobody waits for it."""
     with backend.reading.connect() as connection:
         left = (head.c.lease_until - backend.now_ms).label("left")

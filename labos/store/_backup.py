@@ -160,10 +160,10 @@ def read_backup(folder: Path) -> Backup:
 def records_of(folder: Path, found: Backup, archive: Path | None = None) -> Iterator[Record]:
     """The records of a backup, each checked against the chain and the manifests; segments that are not in its
     folder are read from the ``archive`` they were moved to. Raises LogDamaged."""
-    yield from stretch(folder, found.lab, found.segments, GENESIS, 0, archive)
+    yield from read_stretch(folder, found.lab, found.segments, GENESIS, 0, archive)
 
 
-def stretch(
+def read_stretch(
     folder: Path,
     lab: str,
     segments: Sequence[Segment],
@@ -280,12 +280,12 @@ def _refuse_other(known: Backup, store: SqlEventStore, lab: str, folder: Path) -
 def _write(path: Path, records: Iterator[Record]) -> tuple[Record, str]:
     last: list[Record] = []
 
-    def noting() -> Iterator[Record]:
+    def keep_last() -> Iterator[Record]:
         for record in records:
             last[:] = [record]
             yield record
 
-    digest = write_segment(path, noting())
+    digest = write_segment(path, keep_last())
     return last[0], digest
 
 

@@ -20,8 +20,8 @@ from labos.store._backup import (
     check_files,
     check_manifests,
     read_backup,
+    read_stretch,
     report_damage,
-    stretch,
 )
 from labos.store._blobs import FolderBlobs
 from labos.store._words_copy import WordsExpected
@@ -64,7 +64,7 @@ def verify_detached(folder: Path, *, key: bytes = b"") -> Detached:
     except ValueError:
         raise report_damage(segments[0], "names no hash that it rests on") from None
     words = WordsExpected(folder)
-    for record in stretch(folder, found.lab, segments, rests_on, after):
+    for record in read_stretch(folder, found.lab, segments, rests_on, after):
         words.take(record)
     words.end()
     check_files(folder, segments)

@@ -109,7 +109,7 @@ def _is_full(url: URL) -> bool:
         return False
 
 
-class Door:
+class TranslatedErrors:
     """Context in which a database's errors are translated."""
 
     __slots__ = ("_url",)

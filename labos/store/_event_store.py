@@ -16,11 +16,11 @@ from labos.core.envelope import Record
 from labos.core.ids import LabId
 from labos.errors import BadInput, Fenced, Refused, StoreError, StoreUnavailable
 from labos.ports import Head
-from labos.store._backend import Backend, Holder, Row, WordChanges, holder
+from labos.store._backend import Backend, Holder, Row, WordChanges, find_holder
 from labos.store._home import HomeFiles
 from labos.store._reader import HASH, LogReader
 from labos.store._tables import head, snapshot
-from labos.store._words import beside, read_erased, read_words
+from labos.store._words import make_changes, read_erased, read_words
 
 CLOSE_S = 2.0
 """How long a store that is to be closed waits for a write that is under way, before it breaks it off."""
@@ -98,11 +98,11 @@ class SqlEventStore(LogReader):
             _log.error("log_was_longer", position=head.position, known=known)
         return known
 
-    def holder(self) -> Holder:
+    def find_holder(self) -> Holder:
         """Who is the kernel, and whether it lives. Writes nothing and keeps nobody waiting. Raises
         StoreUnavailable."""
         with self._door:
-            return holder(self._backend)
+            return find_holder(self._backend)
 
     def stand_by(self, name: str) -> None:
         """Show to the kernel that somebody stands by; to be called again every few seconds. Raises
@@ -187,7 +187,7 @@ class SqlEventStore(LogReader):
                 head.c.lease_owner, (head.c.lease_until - now).label("remaining")
             ).with_for_update()
         ).one()
-        self._backend.succeed(row.epoch, row.lease_owner, row.remaining)
+        self._backend.take_over(row.epoch, row.lease_owner, row.remaining)
         kept = LabId(row.lab) if row.position else lab
         connection.execute(
             update(head).values(
@@ -230,7 +230,7 @@ class SqlEventStore(LogReader):
         """
         if not records:
             return expected
-        rows, words = rows_of(expected, records), beside(records)
+        rows, words = rows_of(expected, records), make_changes(records)
         last = records[-1]
         after = Head(expected.lab, last.head.position, last.hash, expected.epoch, last.head.recorded_at)
         if expected.epoch != self._epoch:

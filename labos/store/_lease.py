@@ -7,8 +7,8 @@ from pathlib import Path
 from sqlalchemy import select, text
 
 from labos.errors import StoreError
-from labos.store._backend import holder
-from labos.store._errors import Door
+from labos.store._backend import find_holder
+from labos.store._errors import TranslatedErrors
 from labos.store._open import backend_for
 from labos.store._tables import head
 from labos.store._url import parse_url, sqlite_path
@@ -25,7 +25,7 @@ def lease_holder(url: str) -> str:
         return ""
     backend = backend_for(parsed)
     try:
-        with Door(parsed), backend.reading.connect() as connection:
+        with TranslatedErrors(parsed), backend.reading.connect() as connection:
             lease = select(head.c.lease_owner, head.c.epoch).where(head.c.lease_until > backend.now_ms)
             row = connection.execute(lease).first()
             if row is None or not backend.is_locked(connection, row.epoch):
@@ -43,8 +43,8 @@ def silent_holder(url: str) -> str:
     parsed = parse_url(url)
     backend = backend_for(parsed)
     try:
-        with Door(parsed):
-            found = holder(backend)
+        with TranslatedErrors(parsed):
+            found = find_holder(backend)
             return "" if found.living else found.owner
     finally:
         backend.close()
@@ -59,7 +59,7 @@ def database_bytes(url: str) -> int:
     parsed = parse_url(url)
     backend = backend_for(parsed)
     try:
-        with Door(parsed), backend.reading.connect() as connection:
+        with TranslatedErrors(parsed), backend.reading.connect() as connection:
             return int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
     finally:
         backend.close()

@@ -16,7 +16,7 @@ from sqlalchemy.engine import URL
 
 from labos.errors import LogTooNew, StoreUnavailable
 from labos.private import make_folder
-from labos.store._errors import Door
+from labos.store._errors import TranslatedErrors
 from labos.store._tables import VERSION_TABLE
 from labos.store._url import display_name, parse_url, sqlite_path
 
@@ -52,7 +52,7 @@ def is_replica(url: str) -> bool:
 
     engine = small_engine(parsed)
     try:
-        with Door(parsed), engine.connect() as connection:
+        with TranslatedErrors(parsed), engine.connect() as connection:
             return bool(connection.execute(text("SELECT pg_is_in_recovery()")).scalar())
     finally:
         engine.dispose()
@@ -87,7 +87,7 @@ def migrate(url: str) -> str:
     StoreUnavailable if the database cannot be reached or written.
     """
     parsed = parse_url(url)
-    with Door(parsed):
+    with TranslatedErrors(parsed):
         if parsed.get_backend_name() == "sqlite":
             make_folder(sqlite_path(parsed).parent)
         status = _status(parsed)
@@ -100,7 +100,7 @@ def migrate(url: str) -> str:
 def database_status(url: str) -> DatabaseStatus:
     """What a database holds; nothing is created or changed. Raises StoreUnavailable."""
     parsed = parse_url(url)
-    with Door(parsed):
+    with TranslatedErrors(parsed):
         return _status(parsed)
 
 

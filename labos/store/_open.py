@@ -10,7 +10,7 @@ from labos.errors import StoreUnavailable
 from labos.private import tighten
 from labos.store import _migrate
 from labos.store._backend import Backend
-from labos.store._errors import Door
+from labos.store._errors import TranslatedErrors
 from labos.store._event_store import SqlEventStore
 from labos.store._sqlite import SqliteBackend
 from labos.store._url import parse_url, sqlite_path
@@ -33,7 +33,7 @@ def open_store(
         tighten(_own_files(parsed, home), "the lab's folder, key and database")
     else:
         _expect_current(_migrate.database_status(url))
-    with Door(parsed):
+    with TranslatedErrors(parsed):
         return SqlEventStore(parsed, backend_for(parsed), read_only=read_only, home=home)
 
 
@@ -44,7 +44,7 @@ def scrub_words(url: str) -> str:
     _expect_current(_migrate.database_status(url))
     backend = backend_for(parsed)
     try:
-        with Door(parsed):
+        with TranslatedErrors(parsed):
             return backend.scrub()
     finally:
         backend.close()

@@ -35,7 +35,7 @@ from labos.store._backend import (
     REWRITING,
     Row,
     WordChanges,
-    move,
+    make_head_row,
 )
 from labos.store._lines import Lines
 from labos.store._tables import event as event_table
@@ -158,7 +158,7 @@ class PostgresBackend:
                 return
             time.sleep(LOOK_S)
 
-    def succeed(self, epoch: int, owner: str, remaining_ms: int) -> None:
+    def take_over(self, epoch: int, owner: str, remaining_ms: int) -> None:
         keeper = self._open_keeper()
         predecessor_is_gone = _try_lock(keeper, epoch)
         if not predecessor_is_gone and remaining_ms > 0:
@@ -237,7 +237,7 @@ class PostgresBackend:
     ) -> bool:
         driver: Any = connection.connection.driver_connection
         with connection.begin() as transaction, driver.cursor() as cursor:
-            cursor.execute(_MOVE_HEAD, move(expected, after))
+            cursor.execute(_MOVE_HEAD, make_head_row(expected, after))
             if cursor.rowcount != 1:
                 transaction.rollback()
                 return False

@@ -17,7 +17,7 @@ from labos.ports import Head, LogQuery
 from labos.store import _checked
 from labos.store._backend import Backend, Row
 from labos.store._checked import CheckedRows, report_damage
-from labos.store._errors import Door
+from labos.store._errors import TranslatedErrors
 from labos.store._home import SEAL, HomeFiles
 from labos.store._select import positions_of_last, selection
 from labos.store._tables import event, head, snapshot
@@ -62,7 +62,7 @@ class LogReader:
         self._said_unused = False
         self.name = display_name(url)
         self._backend = backend
-        self._door = Door(url)
+        self._door = TranslatedErrors(url)
         self.answered = 0
         """Goes up while a ``replay`` gets on."""
 
@@ -124,7 +124,7 @@ class LogReader:
         with self._door:
             rows = self._backend.fetch(HASH, (position,))
         if not rows:
-            raise self._gap(position)
+            raise self._report_gap(position)
         hash_, envelope = rows[0]
         try:
             at = decode_folded(envelope)
@@ -147,13 +147,13 @@ class LogReader:
             if rows[-1][0] != after + len(rows):
                 missing = next(at for at, row in enumerate(rows, after + 1) if row[0] != at)
                 yield rows[: missing - after - 1]
-                raise self._gap(missing)
+                raise self._report_gap(missing)
             yield rows
             after += len(rows)
             if len(rows) < limit:
                 return
 
-    def _gap(self, missing: int) -> LogDamaged:
+    def _report_gap(self, missing: int) -> LogDamaged:
         return LogDamaged(
             f"The record at position {missing} is missing from the {self.name}.",
             position=missing,
@@ -226,10 +226,10 @@ class LogReader:
         found = self.read_snapshot_row()
         if found is None or not found.genuine:
             if found is not None:
-                self._say_unused(found.fault)
+                self._warn_unused(found.fault)
             return None
         if found.on_log is None:
-            self._say_unused(f"it is of position {found.position}, which the log does not reach")
+            self._warn_unused(f"it is of position {found.position}, which the log does not reach")
             return None
         if found.on_log != found.hash:
             fault = "its hash is not the one that the sealed snapshot of this position bears"
@@ -267,7 +267,7 @@ class LogReader:
         with self._door, self._backend.reading.connect() as connection:
             return self._backend.flaw(connection)
 
-    def _say_unused(self, why: str) -> None:
+    def _warn_unused(self, why: str) -> None:
         if not self._said_unused:
             self._said_unused = True
             _log.warning("snapshot_not_used", why=why, instead="the log is folded from its beginning")

@@ -18,14 +18,14 @@ from labos.core.lab import LEAP
 from labos.errors import Refused
 from labos.ports import Head
 from labos.store._backend import WordChanges
-from labos.store._errors import Door
+from labos.store._errors import TranslatedErrors
 from labos.store._event_store import rows_of
 from labos.store._lease import lease_holder
 from labos.store._migrate import database_status, migrate
 from labos.store._open import backend_for
 from labos.store._tables import head
 from labos.store._url import display_name, parse_url
-from labos.store._words import StoredWords, beside, row_of
+from labos.store._words import StoredWords, make_changes, row_of
 
 _CHUNK = 2000
 _BEGAN_S = 1_767_225_600
@@ -50,7 +50,7 @@ def restore_log(
     backend = backend_for(parsed)
     source = iter(records)
     end = Head(LabId(lab), 0, GENESIS, epoch)
-    with Door(parsed):
+    with TranslatedErrors(parsed):
         try:
             backend.occupy("labos restore")
             with backend.writing.connect() as connection, connection.begin():
@@ -62,7 +62,7 @@ def restore_log(
                     backend.insert(connection, (), WordChanges(list(map(row_of, some))))
                 while chunk := list(islice(source, _CHUNK)):
                     rows = rows_of(end, chunk)
-                    backend.insert(connection, rows, beside(chunk))
+                    backend.insert(connection, rows, make_changes(chunk))
                     last = chunk[-1]
                     end = Head(end.lab, last.head.position, last.hash, epoch, last.head.recorded_at)
                 connection.execute(
@@ -98,7 +98,7 @@ def refuse_to_overwrite(url: str) -> None:
     parsed = parse_url(url)
     backend = backend_for(parsed)
     try:
-        with Door(parsed), backend.reading.connect() as connection:
+        with TranslatedErrors(parsed), backend.reading.connect() as connection:
             position = connection.execute(select(head.c.position)).scalar_one()
     finally:
         backend.close()
@@ -118,7 +118,7 @@ def raise_epoch(url: str, now_ns: int) -> tuple[int, int]:
             remedy="Stop it first: Ctrl-C where labos up runs.",
         )
     backend = backend_for(parsed)
-    with Door(parsed):
+    with TranslatedErrors(parsed):
         try:
             backend.occupy("labos db restored")
             with backend.writing.connect() as connection, connection.begin():

@@ -11,7 +11,7 @@ from sqlalchemy import text
 
 from labos.errors import BadInput, NotFound, Refused
 from labos.store._backend import REWRITE_WORDS, REWRITING
-from labos.store._errors import Door
+from labos.store._errors import TranslatedErrors
 from labos.store._migrate import database_status, refuse_newer, schema_of_log
 from labos.store._open import backend_for
 from labos.store._tables import VERSION_TABLE, metadata
@@ -59,7 +59,7 @@ def grant_writer(url: str, role: str) -> None:
         raise Refused(f"The {status.name} is not ready.", remedy="Run first: labos db upgrade")
     backend = backend_for(parsed)
     try:
-        with Door(parsed), backend.writing.connect() as connection, connection.begin():
+        with TranslatedErrors(parsed), backend.writing.connect() as connection, connection.begin():
             found = connection.execute(_ROLE, {"role": role}).first()
             if found is None:
                 raise NotFound(

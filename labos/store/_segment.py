@@ -35,7 +35,7 @@ _line = msgspec.json.Decoder(_Line)
 _envelope = msgspec.json.Decoder(Envelope)
 
 
-def line_of(record: Record) -> bytes:
+def encode_record(record: Record) -> bytes:
     """A record as one line of JSON, its envelope and payload byte for byte."""
     return b'{"envelope":%b,"hash":"%b","payload":%b}' % (
         record.envelope,
@@ -44,7 +44,7 @@ def line_of(record: Record) -> bytes:
     )
 
 
-def record_of(line: bytes) -> Record:
+def decode_record(line: bytes) -> Record:
     """The record of a line. Raises msgspec.MsgspecError or ValueError for what is no such line."""
     found = _line.decode(line)
     envelope = bytes(found.envelope)
@@ -73,7 +73,7 @@ def write_segment(path: Path, records: Iterable[Record]) -> str:
 
 def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) -> None:
     for record in records:
-        write(line_of(record) + b"\n")
+        write(encode_record(record) + b"\n")
 
 
 def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
@@ -84,7 +84,7 @@ def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
         with _open_segment(path) as file:
             for number, line in enumerate(file, 1):
                 try:
-                    record = record_of(line)
+                    record = decode_record(line)
                 except (msgspec.MsgspecError, ValueError) as error:
                     raise LogDamaged(
                         f"{path}:{number}: this is no record of a log ({error}).",

@@ -29,7 +29,7 @@ from labos.errors import Refused, StoreUnavailable
 from labos.lockfile import FileLock
 from labos.ports import Head
 from labos.private import make_database_file
-from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Row, WordChanges, move
+from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Row, WordChanges, make_head_row
 from labos.store._url import sqlite_path
 
 BUSY_TIMEOUT_S = 5.0
@@ -62,7 +62,7 @@ class SqliteBackend:
                 remedy="Stop it first, or give this one a database of its own.",
             )
 
-    def succeed(self, epoch: int, owner: str, remaining_ms: int) -> None:
+    def take_over(self, epoch: int, owner: str, remaining_ms: int) -> None:
         # The file lock decides: it goes with its process, so a restart need not wait.
         pass
 
@@ -91,7 +91,7 @@ class SqliteBackend:
         driver: Any = connection.connection.driver_connection
         driver.execute("BEGIN IMMEDIATE")
         try:
-            moved: bool = driver.execute(MOVE_HEAD, move(expected, after)).rowcount == 1
+            moved: bool = driver.execute(MOVE_HEAD, make_head_row(expected, after)).rowcount == 1
             if moved:
                 _insert(driver, rows, beside)
             driver.execute("COMMIT" if moved else "ROLLBACK")

@@ -33,7 +33,7 @@ class StoredWords(msgspec.Struct, frozen=True):
 NOTHING = WordChanges()
 
 
-def beside(records: Sequence[Record]) -> WordChanges:
+def make_changes(records: Sequence[Record]) -> WordChanges:
     """What is to be written with records."""
     added = [
         (kept.reference, record.head.position, kept.salt, kept.text, 0)
@@ -68,7 +68,7 @@ def read_words(connection: Connection, references: Iterable[str]) -> dict[str, K
 def read_all_words(connection: Connection, after: str, limit: int) -> list[StoredWords]:
     """Some words in the order of their references, those behind one."""
     query = select(words).where(words.c.reference > after).order_by(words.c.reference).limit(limit)
-    return [_standing(row) for row in connection.execute(query)]
+    return [_make_stored(row) for row in connection.execute(query)]
 
 
 def read_words_by(connection: Connection, user: str) -> list[tuple[int, str]]:
@@ -94,7 +94,7 @@ def row_of(each: StoredWords) -> Row:
     return each.words.reference, each.position, each.words.salt, each.words.text, each.erased_at
 
 
-def _standing(row: Any) -> StoredWords:
+def _make_stored(row: Any) -> StoredWords:
     return StoredWords(_read_kept(row), row.position, row.erased_at)
 
 

@@ -25,7 +25,7 @@ def describe_process() -> str:
     return generate_latest(_collectors()).decode()
 
 
-class Readings(msgspec.Struct, frozen=True):
+class ProcessReadings(msgspec.Struct, frozen=True):
     """How the kernel's process stands. ``store_bytes`` is None where the database does not say cheaply.
     ``decided`` is the last position that was decided, ``durable`` the last one on disk; ``started_at`` in
     UTC s."""
@@ -119,7 +119,7 @@ class ProcessMetrics(MetricGroup):
         )
         self.build.set(1, (VERSION, platform.python_version()))
 
-    def update(self, now: Readings) -> None:
+    def update(self, now: ProcessReadings) -> None:
         bench = "simulated" if now.simulated else "real"
         self.lab.replace({(now.lab, now.name, bench): 1.0})
         self.pace.set(now.pace)

@@ -27,9 +27,9 @@ from labos.testing.faults import FaultRates, Faults
 from labos.testing.loop import Stalled
 from labos.testing.people import LOOK_S, People
 from labos.testing.processes import Conditions
-from labos.testing.stand import Job, Meddle, Stand, cancelling
+from labos.testing.stand import Job, Meddle, Stand, make_cancellers
 
-__all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "bare_rule", "cancelling"]
+__all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "bare_rule", "make_cancellers"]
 
 ALL_DAY_S = 14 * 24 * 3600.0
 """Virtual time after which a lab that has not finished is given up."""

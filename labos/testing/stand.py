@@ -55,6 +55,6 @@ class Meddle(msgspec.Struct, frozen=True):
     deeds: Callable[[RunId], Sequence[tuple[float, Command | str]]]
 
 
-def cancelling(cancels: Mapping[str, int]) -> list[Meddle]:
+def make_cancellers(cancels: Mapping[str, int]) -> list[Meddle]:
     """Users who cancel runs, each when the step named has begun."""
     return [Meddle(name, step, lambda run: [(0.0, CancelRun(run))]) for name, step in cancels.items()]

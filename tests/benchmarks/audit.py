@@ -14,7 +14,7 @@ from labos.audit.database import open_audit
 from labos.audit.difference import differences
 from labos.audit.projector import Projector
 from labos.audit.provenance import subject_of, trace
-from labos.audit.query import Asker, open_asker
+from labos.audit.query import ReadConnection, open_asker
 from labos.store import open_store
 from tests.benchmarks.figures import Figure, Report, milliseconds, scratch, spread, times
 from tests.benchmarks.replay import SEED, Pattern, Took, middle, raw, write_log
@@ -36,7 +36,7 @@ def project(path: Path) -> Took:
         store.close()
 
 
-def questions(asker: Asker, end: int) -> dict[str, Callable[[], object]]:
+def questions(asker: ReadConnection, end: int) -> dict[str, Callable[[], object]]:
     """What auditors ask, by what it is: each about the middle of the log."""
     at = end // 2
     (((plate, well),)) = asker.fetch(

@@ -8,7 +8,7 @@ import msgspec
 
 from labos.core.campaigns import Campaign, Campaigns, CampaignSubmitted, fold_campaign_submitted
 from labos.core.ids import CampaignId
-from labos.http.campaign_rows import Table
+from labos.http.campaign_rows import RowTable
 from tests.benchmarks.figures import Figure, Report
 
 MOST_MB = 20.0
@@ -30,7 +30,7 @@ def _measure(rows: int) -> Report:
     data = _table(rows)
     tracemalloc.start()
     before = tracemalloc.get_traced_memory()[0]
-    table = Table(data)
+    table = RowTable(data)
     index = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
     assert len(table) == rows

@@ -8,7 +8,7 @@ from typing import get_args
 
 import msgspec
 
-from labos.core.machines import MACHINES, Row, arrows
+from labos.core.machines import MACHINES, Transition, arrows
 from labos.core.reasons import AnyReason
 from labos.core.topics import AnyTopic
 from tests.support.topics import TOPICS
@@ -23,7 +23,7 @@ def machines() -> str:
     )
 
 
-def drawing(rows: tuple[Row, ...]) -> str:
+def drawing(rows: tuple[Transition, ...]) -> str:
     """Arrows between two statuses are one, named by all their events."""
     found: dict[tuple[str, str], list[str]] = {}
     for event, before, after in arrows(rows):

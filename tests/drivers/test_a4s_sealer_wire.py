@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from labos.errors import DeviceError, LinkLost, NoReply, NotConnected
-from labos.link import PtyEnd, read_transcript, recording
+from labos.link import PtyEnd, keep_transcript, read_transcript
 from labos.node import Setup, World
 from labos_drivers.a4s_sealer import A4sSealer, protocol
 from labos_drivers.a4s_sealer import driver as sealer_driver
@@ -62,7 +62,7 @@ def test_seals_a_plate(sealer: SealerOnWire, world: World, port: Path, tmp_path:
         assert await node.is_idle()
         await node.close()
 
-    with recording(tmp_path / "talk.txt"):
+    with keep_transcript(tmp_path / "talk.txt"):
         run(body)
     sent = b"".join(record.data for record in read_transcript(tmp_path / "talk.txt") if record.mark == ">")
     assert sent == b"*00DT=0025zz!*00DH=0170zz!*00GS=zz!"

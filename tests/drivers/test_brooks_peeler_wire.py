@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from labos.errors import DeviceError, Garbled, LinkLost, NotConnected, OutcomeUnknown
-from labos.link import Link, OffScript, ScriptedWire, Terminated, read_transcript, recording
+from labos.link import Link, OffScript, ScriptedWire, Terminated, keep_transcript, read_transcript
 from labos.node import Setup, World
 from labos.node.node import handle_keeper
 from labos_drivers.a4s_sealer.wire import SealerOnWire
@@ -52,7 +52,7 @@ def test_peels_a_plate(peeler: PeelerOnWire, world: World, port: Path, tmp_path:
         assert await node.is_idle()
         await node.close()
 
-    with recording(tmp_path / "talk.txt"):
+    with keep_transcript(tmp_path / "talk.txt"):
         run(body)
     sent = [record.data for record in read_transcript(tmp_path / "talk.txt") if record.mark == ">"]
     assert b"*xpeel:43\r\n" in sent

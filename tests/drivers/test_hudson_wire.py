@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from labos.errors import DeviceError, Garbled, LinkLost, NoReply, NotConnected, WrongDevice
-from labos.link import PtyEnd, read_transcript, recording
+from labos.link import PtyEnd, keep_transcript, read_transcript
 from labos.node import World
 from labos_drivers import _hudson
 from labos_drivers._hudson_device import HudsonOnWire
@@ -79,7 +79,7 @@ def test_plates_leave_a_stack_from_the_top(
             await node.transfer(NEST[kind], STACK[kind])
             assert await node.is_idle()
 
-    with recording(tmp_path / "talk.txt"):
+    with keep_transcript(tmp_path / "talk.txt"):
         run(body)
     assert world.at(place(kind, STACK[kind])) == plates
     assert world.crashes() == []

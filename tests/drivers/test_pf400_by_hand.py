@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from labos.errors import DeviceError
-from labos.link import read_transcript, recording
+from labos.link import keep_transcript, read_transcript
 from labos.node import Requires, Sets, World
 from labos_drivers.pf400 import PF400, protocol
 from labos_drivers.pf400 import driver as pf400_driver
@@ -70,7 +70,7 @@ def test_a_place_is_taught_by_hand(arm: PF400OnWire, world: World, tmp_path: Pat
         await node.transfer("sealer.default", "ot2.deck2")
         await node.close()
 
-    with recording(tmp_path / "talk.txt"):
+    with keep_transcript(tmp_path / "talk.txt"):
         run(body)
     sent = b"".join(record.data for record in read_transcript(tmp_path / "talk.txt") if record.mark == ">")
     freed = [line for line in sent.split(b"\n") if line.startswith(b"freemode")]

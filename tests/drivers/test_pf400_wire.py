@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from labos.errors import BadInput, DeviceError, Garbled, LinkLost, NotConnected, WrongDevice
-from labos.link import TcpEnd, read_transcript, recording
+from labos.link import TcpEnd, keep_transcript, read_transcript
 from labos.node import World
 from labos_drivers._wired import host_and_port
 from labos_drivers.pf400 import PF400, kinematics, protocol
@@ -76,7 +76,7 @@ def test_a_plate_is_carried(arm: PF400OnWire, world: World, tmp_path: Path) -> N
             assert await node.observe() == {"labware": {"gripper": False}}
             assert await node.is_idle()
 
-    with recording(tmp_path / "talk.txt"):
+    with keep_transcript(tmp_path / "talk.txt"):
         run(body)
     assert world.at("ot2.deck2") == [plate]
     assert world.crashes() == []
@@ -654,7 +654,7 @@ def test_a_shelf_is_reached_through_its_approach(world: World, tmp_path: Path, h
         through = {} if given else {"source_approach": "ot2.gate"}
         back = {} if given else {"target_approach": "ot2.gate"}
         async with drive(arm, **told, **given) as node:
-            with recording(tmp_path / "talk.txt"):
+            with keep_transcript(tmp_path / "talk.txt"):
                 await node.transfer("ot2.deck2", "sealer.default", "wide", "wide", **through)
             assert world.at("sealer.default") == [plate]
             await node.pick_plate("sealer.default", "wide")
@@ -666,7 +666,7 @@ def test_a_shelf_is_reached_through_its_approach(world: World, tmp_path: Path, h
                 await node.stop()
                 with pytest.raises(DeviceError, match="was stopped"):
                     await work
-                with recording(tmp_path / "reset.txt"):
+                with keep_transcript(tmp_path / "reset.txt"):
                     await node.reset()
 
     with power_on(PF400OnWire, "pf400", world, told=told, pace=60) as arm:

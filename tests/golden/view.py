@@ -117,7 +117,7 @@ def _run(state: LabState, run: RunState) -> dict[str, Any]:
         "why": run.why,
         "started_at": run.started_at,
         "steps": [_step(step, index in results) for index, step in enumerate(steps)],
-        "holds": [hold.module for hold in plan.holds if run.id in state.runs.holding(hold.module)],
+        "holds": [hold.module for hold in plan.holds if run.id in state.runs.list_holders(hold.module)],
     }
 
 

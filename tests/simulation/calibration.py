@@ -22,7 +22,7 @@ from labos.core.envelope import Record
 from labos.core.fold import evolve
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
 from labos.core.state import LabState, from_picture, picture
-from labos.planning.durations import quantile
+from labos.planner.lengths import quantile
 from labos.planning.hindsight import TARGET, Hindsight, PastForecast, TimeRange, foresee
 from labos.planning.virtual import Play, VirtualLab
 from labos.services.log import events
@@ -183,7 +183,7 @@ def figures(found: Sequence[PastForecast], what: str, kind: str = "usual") -> Fi
     scales: list[float] = []
     held = 0
     for past in found:
-        times, came = past.told(what, kind), past.came(what)
+        times, came = past.find_range(what, kind), past.find_actual(what)
         held += is_held(times, came)
         widths.append((times.latest_at - times.earliest_at) / SECOND)
         errors.append((came - times.expected_at) / SECOND)
@@ -222,7 +222,7 @@ def drawing(found: Sequence[PastForecast], kind: str) -> str:
     """Hours from submission to end, expected and come, as an SVG with the range of each forecast."""
     points: list[list[float]] = []
     for past in found:
-        times = past.told("ends", kind)
+        times = past.find_range("ends", kind)
         told = (times.earliest_at, times.expected_at, times.latest_at, past.ended)
         points.append([(ns - past.at) / 3600e9 for ns in told])
     most = max(max(hours) for hours in points) * 1.03
@@ -321,7 +321,7 @@ def reliability(labs: Sequence[Sequence[Heard]], kind: str) -> list[float]:
     for level in LEVELS:
         told = learn(labs, level)
         some = told if kind == "usual" else known(told)
-        held = [is_held(past.told("ends", kind), past.ended) for past in some]
+        held = [is_held(past.find_range("ends", kind), past.ended) for past in some]
         found.append(sum(held) / max(1, len(held)))
     return found
 

@@ -287,7 +287,7 @@ def careless() -> Scheduler:
 
 
 class _Careless(Reservations):
-    def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         return None
 
 
@@ -321,7 +321,7 @@ def one_by_one(instance: Instance) -> Life:
         life.submit_due()
         runs = [*lab.state.runs.active.values(), *lab.state.runs.queued.values()]
         keys, lab.keys = lab.keys, set()
-        lab.scheduler.heed(lab.state, keys)
+        lab.scheduler.note_changes(lab.state, keys)
         for command in lab.scheduler.deadlines.due(lab.state, lab.now):
             lab.do(command)
         waits: list[int] = []

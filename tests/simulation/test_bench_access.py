@@ -97,13 +97,13 @@ def test_nothing_moves_while_hands_are_inside(rates: FaultRates) -> None:
 @pytest.mark.slow
 def test_without_the_rule_hands_are_hurt(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rule forgets those who are inside."""
-    rule = rules.no_hands_inside
+    rule = rules.check_no_access
 
     def forgetful(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
         access = state.lab.access.get(CELL_NAME)
         return rule(state, run, step) if access is not None and not access.granted else None
 
-    monkeypatch.setattr(rules, "no_hands_inside", forgetful)
+    monkeypatch.setattr(rules, "check_no_access", forgetful)
     assert any(run_visit(seed, QUIET)[1] for seed in range(3))
 
 

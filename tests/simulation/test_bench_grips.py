@@ -12,7 +12,7 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
-from labos.spec.bench import Bench, Stock
+from labos.spec.bench import BenchFile, Stock
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES
@@ -53,7 +53,9 @@ steps:
 
 def job(name: str, after_s: float) -> Job:
     source = parse_workflow(READ, "grips.yaml")
-    compiled = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=Bench(STOCK))
+    compiled = compile_workflow(
+        source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=BenchFile(STOCK)
+    )
     return Job(name, "ada", (SubmitRun(compiled.plan, "ada"),), after_s=after_s)
 
 

@@ -15,7 +15,7 @@ from labos.core.ids import StationName
 from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
-from labos.spec.bench import Bench, Stock
+from labos.spec.bench import BenchFile, Stock
 from labos.testing.faults import QUIET, FaultRates
 from labos.testing.lab import Job, SimulatedLab, Stand, bare_rule
 from labos.testing.loop import Stalled
@@ -72,7 +72,9 @@ def job(name: str, text: str, after_s: float = 0.0) -> Job:
     from labos.core.decide.runs import SubmitRun
 
     source = parse_workflow(text, "lids.yaml")
-    compiled = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=Bench(STOCK))
+    compiled = compile_workflow(
+        source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=BenchFile(STOCK)
+    )
     return Job(name, "ada", (SubmitRun(compiled.plan, "ada"),), after_s=after_s)
 
 
@@ -126,18 +128,18 @@ def crashes(seed: int, plan_with: Callable[[], Scheduler] = Scheduler) -> list[s
 @pytest.mark.slow
 def test_without_the_rule_tips_are_driven_into_lids(monkeypatch: pytest.MonkeyPatch) -> None:
     assert crashes(0) == []
-    monkeypatch.setattr(binding.Start, "value", lambda *_: None)
+    monkeypatch.setattr(binding.StartCheck, "value", lambda *_: None)
     assert any("drives its tips into a lid" in crash for crash in crashes(0))
 
 
 def test_without_room_lids_are_put_on_lids(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = binding.Start.room
+    real = binding.StartCheck.room
 
-    def room_for_lids(self: binding.Start, what: Carrying, place: StationName) -> Wait | None:
+    def room_for_lids(self: binding.StartCheck, what: Carrying, place: StationName) -> Wait | None:
         item = self._item(what)
         return None if item is not None and item.type == "lid96" else real(self, what, place)
 
-    monkeypatch.setattr(binding.Start, "room", room_for_lids)
+    monkeypatch.setattr(binding.StartCheck, "room", room_for_lids)
     monkeypatch.setattr(effects.Unlid, "room", property(lambda what: (what.via,) if what.via else ()))
     found = (crash for seed in SEEDS for crash in crashes(seed, bare_rule))
     assert any("puts a plate on a plate at sciclops.lidnest1" in crash for crash in found)

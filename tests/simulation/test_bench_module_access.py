@@ -145,7 +145,7 @@ def has_crashed(what: str, words: str) -> bool:
 
 def test_without_claims_tips_go_into_somebody_elses_seal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holding, "find_other_claimant", lambda state, name, allowed: "")
-    monkeypatch.setattr("labos.planning.moves._claimable", lambda floor, actor, claim: True)
+    monkeypatch.setattr("labos.planning.moves._may_claim", lambda floor, actor, claim: True)
     assert has_crashed("deck", "drives its tips into a seal")
 
 

@@ -270,8 +270,8 @@ def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytes
 
 
 def test_without_asking_for_seals_tips_go_into_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding.Start, "value", lambda self, requires: None)
-    monkeypatch.setattr("labos.planning.stuck._unlike", lambda state, run: None)
+    monkeypatch.setattr(binding.StartCheck, "value", lambda self, requires: None)
+    monkeypatch.setattr("labos.planning.stuck._check_labware_ahead", lambda state, run: None)
     for seed in SEEDS:
         crashes, _ = CORNER.run_anyhow(WAITING["seal"], seed, plan_with=bare_rule)
         assert any("drives its tips into a seal" in crash for crash in crashes), f"seed {seed}"
@@ -292,7 +292,7 @@ def test_a_cycler_waits_for_its_lid() -> None:
 
 
 def test_without_asking_for_the_lid_the_cycler_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding.Start, "value", lambda self, requires: None)
+    monkeypatch.setattr(binding.StartCheck, "value", lambda self, requires: None)
     assert all(count_failed(seed) for seed in SEEDS)
 
 
@@ -304,7 +304,7 @@ def test_without_types_a_plate_is_crushed(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_without_setpoints_somebody_bakes_too_hot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding.Start, "setpoint", lambda self, claims: None)
+    monkeypatch.setattr(binding.StartCheck, "setpoint", lambda self, claims: None)
     found = (CORNER.run_anyhow(IN_THE_OVEN, seed, plan_with=bare_rule)[0] for seed in range(4))
     assert any("bakes at" in crash for crashes in found for crash in crashes)
 

@@ -13,7 +13,7 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import sentence
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow, validate_workflow
-from labos.spec.bench import Bench, Stock
+from labos.spec.bench import BenchFile, Stock
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES
@@ -63,7 +63,7 @@ FETCH = carry("in", "wc.parking", READER) + READ + AWAY
 
 def compile_run(text: str) -> SubmitRun:
     source = parse_workflow(f"labos: 1\nname: turn {len(text)}\nsteps:\n{text}", "turns.yaml")
-    found = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=Bench(STOCK))
+    found = compile_workflow(source, {}, CELL.workcell, DESCRIPTIONS, simulate=True, bench=BenchFile(STOCK))
     return SubmitRun(found.plan, "ada")
 
 
@@ -89,7 +89,7 @@ def test_the_log_knows_which_way_round_plates_lie(rates: FaultRates) -> None:
 
 def messages(text: str) -> list[str]:
     source = parse_workflow(f"labos: 1\nname: w\nsteps:\n{text}", "turns.yaml")
-    found = validate_workflow(source, {}, CELL.workcell, DESCRIPTIONS, bench=Bench(STOCK))
+    found = validate_workflow(source, {}, CELL.workcell, DESCRIPTIONS, bench=BenchFile(STOCK))
     return [finding.message for finding in found]
 
 

@@ -11,7 +11,7 @@ import pytest
 from labos.core.ids import local
 from labos.core.state import LabState
 from labos.testing.faults import QUIET, STORMY, FaultRates
-from labos.testing.lab import Job, SimulatedLab, cancelling
+from labos.testing.lab import Job, SimulatedLab, make_cancellers
 from tests.simulation.mixes import mix, pcr, stand
 
 STEPS = 14
@@ -22,7 +22,7 @@ def live_through(
     jobs: list[Job], seed: int, cancels: dict[str, int], rates: FaultRates = QUIET
 ) -> tuple[LabState, SimulatedLab]:
     """Runs are cancelled when the step named has begun; all others come to their ends."""
-    lab = SimulatedLab(stand(), seed, rates, meddles=cancelling(cancels))
+    lab = SimulatedLab(stand(), seed, rates, meddles=make_cancellers(cancels))
     try:
         state = lab.run(jobs, limit_s=4 * 24 * 3600.0)
         assert lab.differences(state) == [], f"seed {seed}, {cancels}"

@@ -10,7 +10,7 @@ from labos.core.ids import local
 from labos.core.runs import PENDING, RunSubmitted
 from labos.core.state import LabState
 from labos.runtime.ledger import fold
-from labos.services.inventory import Inventory, Shortfall, earliest, inventory
+from labos.services.inventory import Inventory, Shortfall, inventory, list_shortfalls
 from labos.services.log import events
 from labos.services.times import iso_time
 from labos.testing.faults import QUIET
@@ -83,7 +83,7 @@ def position(name: str) -> int:
 
 def first_short(found: Inventory) -> tuple[str, set[str]]:
     """The oldest run that is told to find too little, and of what."""
-    told: list[tuple[str, Shortfall]] = earliest(found)
+    told: list[tuple[str, Shortfall]] = list_shortfalls(found)
     if not told:
         return "", set()
     run = min((out.run for _, out in told), key=position)
@@ -107,7 +107,7 @@ def test_the_run_that_is_told_to_find_too_little_does(seed: int) -> None:
 def test_the_step_at_which_a_run_stops_half_way_is_told() -> None:
     corner = Corner(CORNER.format(foil=1, tape=5, plates=5))
     found, end, waits = compare_inventories(corner, ["twice"], 0)
-    ((name, out),) = earliest(found)
+    ((name, out),) = list_shortfalls(found)
     assert local(name) == "sealer:foil"
     (run,) = end.runs.active.values()
     step = end.runs.plan_of(run).steps[run.statuses.index(PENDING)]

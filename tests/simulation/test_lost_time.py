@@ -6,8 +6,8 @@ from collections import Counter
 
 import pytest
 
-from labos.services.losses import Account, Losses, account
-from labos.testing.lab import SimulatedLab, cancelling
+from labos.services.losses import LossAccount, Losses, account
+from labos.testing.lab import SimulatedLab, make_cancellers
 from labos.testing.loop import BASE_NS
 from tests.simulation.labour import MISHAPS, SECOND, Day, Witnessed, beside
 from tests.simulation.test_whole import STILL_S, WEEK_S, weather
@@ -29,7 +29,7 @@ def adds_up(found: Losses) -> None:
         assert each.clock_ns == clock.clock_ns, (each.kind, each.name)
 
 
-def list_charged(found: Account) -> dict[object, float]:
+def list_charged(found: LossAccount) -> dict[object, float]:
     return {loss.cause: loss.lost_ns / SECOND for loss in found.losses}
 
 
@@ -107,7 +107,7 @@ def soundly_charged(seed: int) -> Counter[str]:
     jobs = mix(seed)
     asked = cancels(seed, jobs)
     lab = Watched(
-        stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S, meddles=cancelling(asked)
+        stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S, meddles=make_cancellers(asked)
     )
     lab.refills, lab.late = True, 0.7
     for place, grip in FITS.items():

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from labos.core.ids import RunId
 from labos.core.runs import RunCompleted, RunState, RunSubmitted
 from labos.core.state import LabState
-from labos.planning.patience import Patience
+from labos.planning.patience import OvertakeCounts
 from labos.planning.scheduler import Scheduler
 from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE
@@ -21,7 +21,7 @@ from tests.simulation.mixes import compile_text, reading, stand
 YOUNGER = 20
 
 
-class _Endless(Patience):
+class _Endless(OvertakeCounts):
     """Nobody inside was ever overtaken too often."""
 
     def is_over(self, run: RunId) -> bool:

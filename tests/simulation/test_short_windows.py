@@ -72,7 +72,7 @@ def make_dosed(takes_s: float, within_s: float) -> Plan:
 
 
 def why(lab: Driver, run: str, index: int = 0) -> str:
-    wait = lab.scheduler.judge(lab.state, lab.run(run), index, lab.now, only_asking=True)
+    wait = lab.scheduler.check_start(lab.state, lab.run(run), index, lab.now, only_asking=True)
     return "" if wait is None else sentence(wait)
 
 

@@ -13,7 +13,6 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import RunId
 from labos.core.runs import RunCompleted, RunStarted
 from labos.core.state import from_picture, picture
-from labos.planning.durations import Durations
 from labos.planning.hindsight import ENOUGH, Hindsight, PastForecast
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.virtual import MOST_RUNS, Play, VirtualLab, keep_first
@@ -264,23 +263,6 @@ def test_of_ten_thousand_runs_that_wait_a_bounded_part_is_looked_at() -> None:
     told = VirtualLab(state, lab.now, lambda _, step: int(step.duration_s * SECOND), most_steps=20).go_on()
     assert told.cut
     assert told.steps == 20
-
-
-# -- durations -------------------------------------------------------------------------------------
-
-
-def test_a_drift_is_told_when_the_last_times_are_others() -> None:
-    lab = small()
-    durations = Durations()
-    idle = plan(step("dev", duration_s=1.0), name="idle")
-    for number in range(30):
-        action = lab.start(lab.submit(idle))
-        lab.wait(10.0 if number < 20 else 15.0)
-        lab.finish(action)
-    for entry in lab.log:
-        durations.learn(entry.event, entry.at)
-    (drift,) = durations.drifts()
-    assert (drift.module, drift.was_s, drift.is_s) == (f"{CELL}/dev", 10.0, 15.0)
 
 
 def test_a_rejected_row_is_no_reason_to_fail() -> None:

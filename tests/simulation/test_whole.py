@@ -16,7 +16,7 @@ from labos.core.state import LabState, state_hash
 from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
 from labos.testing.faults import QUIET, STORMY, FaultRates
-from labos.testing.lab import SimulatedLab, cancelling
+from labos.testing.lab import SimulatedLab, make_cancellers
 from tests.simulation.invariants import fold_again
 from tests.simulation.stops import causes
 from tests.simulation.whole import FITS, MORTAL, cancels, mix, stand
@@ -52,7 +52,7 @@ def live_through(seed: int) -> Counter[str]:
     jobs = mix(seed)
     asked = cancels(seed, jobs)
     lab = SimulatedLab(
-        stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S, meddles=cancelling(asked)
+        stand(), seed, rates, doomed=doomed, mended=mended, still_s=STILL_S, meddles=make_cancellers(asked)
     )
     lab.refills, lab.late = True, 0.7
     for place, grip in FITS.items():

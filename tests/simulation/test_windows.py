@@ -29,7 +29,7 @@ TWO_DAYS_S = 2 * 24 * 3600.0
 class _Careless(Reservations):
     """Leaves no room for anybody."""
 
-    def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         return None
 
 

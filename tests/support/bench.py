@@ -346,13 +346,13 @@ class Driver:
         run = self.run(name)
         return results_of(self.state.runs.plan_of(run), run)
 
-    def judge(self, run: str, index: int = 0) -> Wait | tuple[AnyEffect, ...]:
+    def check_start(self, run: str, index: int = 0) -> Wait | tuple[AnyEffect, ...]:
         """What the rules say about a step."""
         return examine(self.state, self.run(run), index, self.now)
 
     def code(self, run: str, index: int = 0) -> str:
         """The code of what a step waits for; empty if the rules allow it."""
-        found = self.judge(run, index)
+        found = self.check_start(run, index)
         return found.code if isinstance(found, Wait) else ""
 
     def questions(self, kind: str = "") -> list[Intervention]:
@@ -386,7 +386,7 @@ class Driver:
         while True:
             keys, self.keys = self.keys, set()
             before = len(self.log)
-            self.scheduler.heed(self.state, keys)
+            self.scheduler.note_changes(self.state, keys)
             for command in self.scheduler.due(self.state, self.now):
                 self.do(command)
             for start in self.scheduler.proposals(self.state, self.now):

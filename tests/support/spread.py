@@ -322,7 +322,7 @@ class Spread:
         """The host of the kernel, as the database has it."""
         store = open_store(self.database.url_here, create=False, read_only=True)
         try:
-            return store.holder().owner.rpartition(" ")[2]
+            return store.find_holder().owner.rpartition(" ")[2]
         finally:
             store.close()
 

@@ -6,12 +6,14 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 from click.testing import CliRunner, Result
 
 from labos.bootstrap import LabThread, descriptions
 from labos.cli.app import group
 from labos.client import LabClient
+from labos.core.lengths import find_drifts
 from labos.settings import Settings
 from labos.spec import load_workcell
 from tests.support.lab_process import until
@@ -158,5 +160,10 @@ def test_how_good_forecasts_were_is_learned_from_the_log_alone(tmp_path: Path) -
         assert "only 2 can be judged yet: how wide ranges are is partly assumed" in told
         carry_out(client, 0)
         assert client.forecast()["forecast"]["learned_from"] == 3, "only what came since is read"
+        state = running.runtime.kernel.state
+        drifts = client.forecast()["drifts"]
+        assert drifts == msgspec.to_builtins(find_drifts(state.lengths, state.lab.pace)), (
+            "as the doctor has them"
+        )
     with LabThread(settings, [cell], nodes="none") as again, LabClient(again.url) as client:
         assert client.forecast()["forecast"]["learned_from"] == 3, "it is read again"

@@ -13,7 +13,7 @@ from collections.abc import AsyncGenerator
 from pathlib import Path
 from typing import Any, Literal
 
-from labos.adapter._channels import missing_package
+from labos.adapter._channels import report_missing_package
 from labos.adapter._http import NoResponse
 from labos.adapter.sila.features import Basic, Command, Element, Feature, ListOf, Property, read_feature
 from labos.adapter.sila.messages import Messages
@@ -84,7 +84,7 @@ class Client:
             import grpc
             import grpc.aio
         except ImportError as error:
-            raise missing_package(error, "sila") from error
+            raise report_missing_package(error, "sila") from error
         self._grpc: Any = grpc
         self.address = address
         self.features: list[Feature] = []

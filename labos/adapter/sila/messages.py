@@ -11,7 +11,7 @@ import datetime
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from labos.adapter._channels import missing_package
+from labos.adapter._channels import report_missing_package
 from labos.adapter.sila.features import (
     Basic,
     Constrained,
@@ -84,7 +84,7 @@ class Messages:
         try:
             from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
         except ImportError as error:
-            raise missing_package(error, "sila") from error
+            raise report_missing_package(error, "sila") from error
         self._descriptors: Any = descriptor_pb2
         self._class_of: Callable[[Any], Any] = message_factory.GetMessageClass
         self._pool: Any = descriptor_pool.DescriptorPool()

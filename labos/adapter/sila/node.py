@@ -113,7 +113,7 @@ class SilaNode(ForeignNode):
         if not self.tells_busy:
             await self.client.alive()
             return await super().is_idle()
-        seen = [(told, await self._reading(told)) for told in self.mapping.state.busy]
+        seen = [(told, await self._read_value(told)) for told in self.mapping.state.busy]
         return not any(fits(told, now) or leaves_open(told, now) for told, now in seen)
 
     async def trouble(self) -> str:
@@ -144,7 +144,7 @@ class SilaNode(ForeignNode):
     def _absent_words(self) -> str:
         """What the server lacks of what was written for it, as a sentence."""
         features = self.client.features
-        if absent := self.missing(lambda name: find_command(features, name) is not None):
+        if absent := self.describe_missing(lambda name: find_command(features, name) is not None):
             return absent
         lacking = [name for name in sorted(self.mapping.properties) if find_property(features, name) is None]
         lacking += [
@@ -168,7 +168,7 @@ class SilaNode(ForeignNode):
         await self._learn()
         seen = {variable: await self._value(name) for variable, name in self.mapping.observe.items()}
         if self.mapping.labware:
-            told_of = [(at, told, await self._reading(told)) for at, told in self.mapping.labware.items()]
+            told_of = [(at, told, await self._read_value(told)) for at, told in self.mapping.labware.items()]
             seen["labware"] = {at: fits(told, now) for at, told, now in told_of if not leaves_open(told, now)}
         return seen
 
@@ -177,9 +177,9 @@ class SilaNode(ForeignNode):
         return {what: float(await self._value(name)) for what, name in self.mapping.resources.items()}
 
     async def _holds(self, condition: Condition) -> bool:
-        return fits(condition, await self._reading(condition))
+        return fits(condition, await self._read_value(condition))
 
-    async def _reading(self, condition: Condition) -> Reading:
+    async def _read_value(self, condition: Condition) -> Reading:
         return Reading(await self._value(condition.pv))
 
     async def _value(self, name: str) -> Any:

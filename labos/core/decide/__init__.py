@@ -10,7 +10,7 @@ from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejectio
 from labos.core.decide.limits import bare_report, cut_report, misfit
 from labos.core.decide.reactions import REACTIONS
 from labos.core.decide.rights import Denied, check_rights  # its table loads every command
-from labos.core.decide.submissions import attribute, hold_for_approval
+from labos.core.decide.submissions import hold_for_approval, name_both_actors
 from labos.core.decide.wording import refer_to_words
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -69,6 +69,6 @@ def decide(state: LabState, command: Command, actor: str, keep: Keep | None = No
 
 
 def _decide(state: LabState, command: Command, actor: str) -> Decision:
-    command = attribute(command, actor)
+    command = name_both_actors(command, actor)
     decision = hold_for_approval(state, command, DECIDERS[type(command)](state, command), actor)
     return decision if isinstance(decision, Rejection) else recordable(decision)

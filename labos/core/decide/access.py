@@ -23,7 +23,7 @@ from labos.core.state import LabState
 from labos.core.words import Words
 
 
-class Change(msgspec.Struct, frozen=True):
+class ReportedChange(msgspec.Struct, frozen=True):
     """What a person has found or made of a station: ``what`` is ``empty``, the id of labware that
     the log knows, or the type of fresh labware."""
 
@@ -56,7 +56,7 @@ class EndAccess(Command, frozen=True):
     workcell: str
     by: str
     note: Words = ""
-    changes: tuple[Change, ...] = ()
+    changes: tuple[ReportedChange, ...] = ()
 
 
 def in_motion(state: LabState, cell: str) -> list[str]:
@@ -146,7 +146,7 @@ def _apply_change(
     state: LabState,
     cell: str,
     by: str,
-    change: Change,
+    change: ReportedChange,
     left: dict[StationName, list[LabwareId]],
     fresh: int,
     kept: set[str],
@@ -194,7 +194,7 @@ def _apply_change(
 
 
 def _place_new(
-    state: LabState, change: Change, here: list[LabwareId], number: int
+    state: LabState, change: ReportedChange, here: list[LabwareId], number: int
 ) -> list[Event] | Rejection:
     """Labware that the log has not seen before."""
     spec = state.bench.stations[change.station].spec

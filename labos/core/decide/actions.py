@@ -23,7 +23,7 @@ from labos.core.actions import (
 )
 from labos.core.bench import parts
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides, recordable
-from labos.core.decide.barcodes import readings
+from labos.core.decide.barcodes import record_barcodes
 from labos.core.decide.choices import bind
 from labos.core.decide.endings import give_up
 from labos.core.decide.inputs import fill_inputs, name_returned_files
@@ -356,7 +356,7 @@ def finish(state: LabState, action: Action, command: FinishAction) -> Iterator[E
     )
     yield ActionSucceeded(*ids, command.result, ended_ns)
     yield from effect_events(state, action, "all", "", command.result)
-    yield from readings(state, action, command.result)
+    yield from record_barcodes(state, action, command.result)
     if recovered:
         yield NodeStateChanged(action.module, "IDLE")
 

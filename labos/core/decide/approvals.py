@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from labos.core.approvals import ApprovalGiven, RunApproved
 from labos.core.decide._base import Decision, Rejection
-from labos.core.decide.endings import ending
+from labos.core.decide.endings import record_end
 from labos.core.ids import RunId, local
 from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunSubmitted
@@ -24,7 +24,7 @@ def answer_approval(state: LabState, topic: SecondPerson, choice: str, by: str) 
     if run is None:
         return []
     if choice != "approve":
-        return ending(state, run, RunCancelled(run.id, f"{by} did not approve it"), "was not approved")
+        return record_end(state, run, RunCancelled(run.id, f"{by} did not approve it"), "was not approved")
     user = state.users.known.get(by)
     if person_of(by) == run.user:
         return Rejection(

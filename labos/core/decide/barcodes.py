@@ -28,7 +28,7 @@ def barcode_in(result: Any) -> str:
     return text if text.isprintable() and len(text) <= LONGEST_BARCODE else ""
 
 
-def readings(state: LabState, action: Action, result: Any, by: str = "") -> list[Event]:
+def record_barcodes(state: LabState, action: Action, result: Any, by: str = "") -> list[Event]:
     """What follows from the barcode that an action read. One that contradicts the log leaves it
     uncertain where the labware is, and what else bears that barcode: only what needs them waits.
     ``by`` is who says what was read, if it is not the module."""

@@ -18,7 +18,7 @@ from labos.core.bookings import (
     BookingMade,
     BookingNeared,
     BookingSkipped,
-    Span,
+    BookingSpan,
 )
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.limits import BAD_TEXT, fault_of
@@ -172,10 +172,10 @@ def end_booking(state: LabState, command: EndBooking) -> Decision:
     booking = state.bookings.open.get(command.booking)
     if booking is None or booking.change_due(command.now) != "end":
         return []
-    last = Span(booking.began, booking.until, booking.id)
+    last = BookingSpan(booking.began, booking.until, booking.id)
     if not booking.began:
         missed = [span for span in booking.spans(booking.handled, command.now) if span.ends <= command.now]
-        last = missed[-1] if missed else Span(booking.begins, booking.ends, booking.id)
+        last = missed[-1] if missed else BookingSpan(booking.begins, booking.ends, booking.id)
     over = booking.next_span(max(last.ends, booking.handled)) is None
     return [BookingEnded(booking.id, last.begins, last.ends, over)]
 
@@ -327,7 +327,7 @@ def _conflicts(
     return tuple(sorted(over))
 
 
-def _refuse(other: Booking, met: Span, *, force: bool) -> Rejection:
+def _refuse(other: Booking, met: BookingSpan, *, force: bool) -> Rejection:
     begins, ends = in_zone(met.begins, other.zone), in_zone(met.ends, other.zone)
     what = f"{local(other.target)} is booked for {other.whom} from {begins} until {ends}"
     remedy = f"Choose another time, or ask {other.by}. An admin can book over it: --force"
@@ -336,7 +336,7 @@ def _refuse(other: Booking, met: Span, *, force: bool) -> Rejection:
     return Rejection("booked", f"{what}: {other.id}.", remedy)
 
 
-def _first_overlap(ours: list[Span], others: list[Span]) -> Span | None:
+def _first_overlap(ours: list[BookingSpan], others: list[BookingSpan]) -> BookingSpan | None:
     """The first of the others' times that one of ours overlaps; both are in order."""
     index = 0
     for span in others:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.endings import ending, under_way
+from labos.core.decide.endings import record_end, under_way
 from labos.core.decide.runs import alive
 from labos.core.ids import RunId
-from labos.core.leaving import has_lost_labware, scene_of, steps_out, way_out, will_leave
+from labos.core.leaving import find_bench_of_run, has_lost_labware, steps_out, way_out, will_leave
 from labos.core.registry import Event
 from labos.core.repeated import record_repeat
 from labos.core.runs import RunCancelled, RunCancelling, RunLeaving, RunState, RunStatus
@@ -48,7 +48,7 @@ def cancel_run(state: LabState, command: CancelRun) -> Decision:
     leaves = run.status == RunStatus.ACTIVE and not command.stay and bool(steps_out(state.runs.plan_of(run)))
     if leaves or under_way(run):
         return [RunCancelling(command.run, stay=command.stay, reason=command.why)]
-    return ending(state, run, RunCancelled(command.run, command.why), "was cancelled")
+    return record_end(state, run, RunCancelled(command.run, command.why), "was cancelled")
 
 
 def cancel_all(
@@ -65,8 +65,16 @@ def take_way_out(state: LabState, command: TakeWayOut) -> Decision:
     run = state.runs.active.get(command.run)
     if run is None or under_way(run) or not will_leave(state.runs.plan_of(run), run):
         return []
-    steps = () if has_lost_labware(state, run) else way_out(state.runs.plan_of(run), scene_of(state, run))
-    return [RunLeaving(run.id, steps)] if steps else ending(state, run, RunCancelled(run.id), "was cancelled")
+    steps = (
+        ()
+        if has_lost_labware(state, run)
+        else way_out(state.runs.plan_of(run), find_bench_of_run(state, run))
+    )
+    return (
+        [RunLeaving(run.id, steps)]
+        if steps
+        else record_end(state, run, RunCancelled(run.id), "was cancelled")
+    )
 
 
 @decides(GiveUpWayOut)
@@ -74,4 +82,4 @@ def give_up_way_out(state: LabState, command: GiveUpWayOut) -> Decision:
     run = state.runs.active.get(command.run)
     if run is None or run.status != RunStatus.LEAVING or under_way(run):
         return []
-    return ending(state, run, RunCancelled(run.id), "was cancelled, and its way out is blocked")
+    return record_end(state, run, RunCancelled(run.id), "was cancelled, and its way out is blocked")

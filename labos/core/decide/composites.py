@@ -14,7 +14,13 @@ from labos.core.decide._base import Command, Decider, Decision, Rejection, decid
 from labos.core.decide.interventions import ResolveIntervention, resolve_intervention
 from labos.core.decide.lab import DeclareStation, declare_station
 from labos.core.decide.runs import SubmitRun, submit_run
-from labos.core.decide.shorter import ConfirmStations, SayContents, confirm_stations, say_contents, to_say
+from labos.core.decide.shorter import (
+    ConfirmStations,
+    SayContents,
+    confirm_stations,
+    list_to_say,
+    say_contents,
+)
 from labos.core.decide.stock import LoadStation, load_station
 from labos.core.ids import StationName, local
 from labos.core.labware import LabwarePlaced, StationLoaded
@@ -113,7 +119,7 @@ def _report_round(state: LabState, command: ReportRound) -> Iterator[Event]:
     for name in command.as_recorded:
         yield from _as_far_as_possible(confirm_stations(state, ConfirmStations((name,), command.by)))
     asked = state.interventions.open_about(ShorterLog)
-    if command.finish and asked and not to_say(state):
+    if command.finish and asked and not list_to_say(state):
         answer = ResolveIntervention(asked[0].id, "checked", command.by, "the bench was gone round")
         yield from _as_far_as_possible(resolve_intervention(state, answer))
 

@@ -94,18 +94,18 @@ def end_run(
     # From behind: what is to come stands there.
     if all(step.status in SETTLED for step in reversed(run.steps)):
         if run.status == RunStatus.LEAVING:
-            yield from ending(state, run, RunCancelled(run.id), "was cancelled")
+            yield from record_end(state, run, RunCancelled(run.id), "was cancelled")
         else:
-            yield from ending(state, run, RunCompleted(run.id, run.statuses.count(DONE)), "completed")
+            yield from record_end(state, run, RunCompleted(run.id, run.statuses.count(DONE)), "completed")
     elif (
         run.status == RunStatus.CANCELLING
         and not under_way(run)
         and not will_leave(state.runs.plan_of(run), run)
     ):
         if run.why:
-            yield from ending(state, run, RunFailed(run.id, run.why, "software"), f"failed: {run.why}")
+            yield from record_end(state, run, RunFailed(run.id, run.why, "software"), f"failed: {run.why}")
         else:
-            yield from ending(state, run, RunCancelled(run.id), "was cancelled")
+            yield from record_end(state, run, RunCancelled(run.id), "was cancelled")
 
 
 # -- endings -------------------------------------------------------------------------------------
@@ -117,7 +117,7 @@ def fail_run(state: LabState, run: RunState, why: str, kind: str = "software") -
         return  # its way out begins where this has left its labware
     if not under_way(run) and run.status == RunStatus.LEAVING:
         what = f"was cancelled, and its way out failed: {(run.why or why).rstrip('.')}"
-        yield from ending(state, run, RunCancelled(run.id), what)
+        yield from record_end(state, run, RunCancelled(run.id), what)
     else:
         yield from give_up(state, run, why, kind)
 
@@ -128,10 +128,10 @@ def give_up(state: LabState, run: RunState, why: str, kind: str = "experiment") 
         yield RunCancelling(run.id, why)
     else:
         why = run.why or why
-        yield from ending(state, run, RunFailed(run.id, why, kind), f"failed: {why}")
+        yield from record_end(state, run, RunFailed(run.id, why, kind), f"failed: {why}")
 
 
-def ending(
+def record_end(
     state: LabState, run: RunState, end: RunCompleted | RunFailed | RunCancelled, what: str
 ) -> Iterator[Event]:
     """The events that end a run: its labware goes to its experiment or user; what it leaves in

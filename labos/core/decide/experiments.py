@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
-from labos.core.decide.endings import ending
-from labos.core.decide.runs import flaw_in, plan_digest, record_plan
+from labos.core.decide.endings import record_end
+from labos.core.decide.runs import find_plan_flaw, plan_digest, record_plan
 from labos.core.decide.windows import outer_windows
 from labos.core.experiments import (
     ExperimentClosing,
@@ -111,7 +111,7 @@ def start_experiment(state: LabState, command: StartExperiment) -> Decision:
     events: list[Event] = []
     closing = ""
     if command.closing is not None:
-        flaw = flaw_in(state, command.closing)
+        flaw = find_plan_flaw(state, command.closing)
         if flaw:
             return flaw
         if outer_windows(command.closing):
@@ -231,7 +231,7 @@ def end_without_closing(state: LabState, name: RunId) -> Iterator[Event]:
     """An experiment ends without its closing workflow, which has not begun."""
     run = state.runs.queued.get(name)
     if run is not None:
-        yield from ending(state, run, RunCancelled(run.id), "was cancelled")
+        yield from record_end(state, run, RunCancelled(run.id), "was cancelled")
 
 
 def close_experiment(state: LabState, name: ExperimentId, why: str) -> list[Event]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
-from labos.core.bench import Station, arrival, parts, taking
+from labos.core.bench import Station, arrival, count_taking, parts
 from labos.core.decide._base import Command, Decision, Rejection, decides, many, recordable
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, places
@@ -248,7 +248,7 @@ def _refuse_occupied_or_doubtful(state: LabState, station: Station) -> Rejection
             "what is known is not overwritten.",
             "Move or remove that labware first.",
         )
-    if name in state.bench.haunted or taking(state.bench, name):
+    if name in state.bench.haunted or count_taking(state.bench, name):
         return Rejection(
             "uncertain",
             f"It is being found out what stands at {local(name)}.",

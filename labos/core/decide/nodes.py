@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import islice
 
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
-from labos.core.decide.shorter import Found, record_journal
+from labos.core.decide.shorter import FoundAction, record_journal
 from labos.core.decide.steps import doubt
 from labos.core.failures import since
 from labos.core.ids import ModuleName, local
@@ -40,7 +40,7 @@ class JoinNode(Report, frozen=True):
     about: str
     status: str
     simulated: bool = False
-    discovered: tuple[Found, ...] = ()
+    discovered: tuple[FoundAction, ...] = ()
     beyond: int = 0
 
 
@@ -65,7 +65,7 @@ class HearJournal(Report, frozen=True):
     """A module's journal holds actions that the log does not; ``beyond`` as of ``JoinNode``."""
 
     module: ModuleName
-    found: tuple[Found, ...] = ()
+    found: tuple[FoundAction, ...] = ()
     beyond: int = 0
 
 

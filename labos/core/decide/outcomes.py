@@ -14,7 +14,7 @@ from labos.core.actions import (
 )
 from labos.core.bench import a1_after, arrival, parts, removal
 from labos.core.canonical import canonical
-from labos.core.decide.barcodes import readings
+from labos.core.decide.barcodes import record_barcodes
 from labos.core.effects import (
     AnyEffect,
     Claims,
@@ -123,7 +123,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
     )
     if choice == "done":
         yield from effect_events(state, action, "all", "", result, looked=True)
-        yield from readings(state, action, result, by)
+        yield from record_barcodes(state, action, result, by)
         return
     for effect in action.effects:
         match effect:

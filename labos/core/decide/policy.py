@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.approvals import Demand, Why, alike_of
+from labos.core.approvals import Demand, Why, take_common_parts
 from labos.core.campaigns import Budget, Terms
 from labos.core.decide._base import Command, Rejection
 from labos.core.decide.campaigns import AmendCampaign, SubmitCampaign, consumption, module_time_s
@@ -121,7 +121,7 @@ def reasons_for(
     """Why a submission of ``actor`` waits for an approval; empty if it does not. ``parts`` of a run."""
     found = tuple(_reasons(state, asked, actor))
     experiment = parts.get("experiment", "") if parts is not None else ""
-    if parts is not None and alike_of(parts) in state.approvals.alike.get(experiment, {}):
+    if parts is not None and take_common_parts(parts) in state.approvals.alike.get(experiment, {}):
         found = tuple(why for why in found if why.code not in COVERED)
     known = state.experiments.open.get(ExperimentId(experiment))
     if known is not None and known.held:

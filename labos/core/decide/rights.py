@@ -98,7 +98,7 @@ def check_rights(state: LabState, command: Command, actor: str) -> Denied | None
     return next((wrong for part in command.parts() if (wrong := check_rights(state, part, actor))), None)
 
 
-def lacking(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> Denied | None:
+def check_role(state: LabState, actor: str, needs: Role, cell: str = ANYWHERE) -> Denied | None:
     """Why ``actor`` may not do what is no command and needs a role in a workcell (``*``: in the whole lab;
     empty: anywhere); None if they may."""
     if _is_free(state, actor):

@@ -62,7 +62,8 @@ class SubmitRun(Command, frozen=True):
     """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
     one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy.
     ``others`` are plans of the same steps on other modules, of which it may choose one in place of ``plan``
-    when it is let in. ``apart``: the campaign that shares its plans with nobody."""
+    when it is let in. ``apart``: the campaign that shares its plans with nobody. ``due_at`` is when it
+    should be over (UTC ns, 0: no such time)."""
 
     plan: Plan
     user: str
@@ -74,6 +75,7 @@ class SubmitRun(Command, frozen=True):
     propose: bool = False
     others: tuple[Plan, ...] = ()
     apart: CampaignId = NOBODYS
+    due_at: int = 0
 
     @property
     def plans(self) -> tuple[Plan, ...]:
@@ -138,7 +140,7 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: Campaign
     return events
 
 
-def flaw_in(state: LabState, plan: Plan) -> Rejection | None:
+def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
     """Why a plan could never be carried out in this lab."""
     if not plan.steps:
         return Rejection("empty", f"The workflow {plan.workflow!r} has no steps.", "Add a step.")
@@ -219,7 +221,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         return Rejection("unfit", f"This cannot be recorded: {str(error).rstrip('.')}.")
     name = next(iter(plans))
     for digest_, plan in plans.items():
-        flaw = None if digest_ in state.runs.plans else flaw_in(state, plan)
+        flaw = None if digest_ in state.runs.plans else find_plan_flaw(state, plan)
         flaw = flaw or (_parks_elsewhere(state, plan, experiment) if experiment is not None else None)
         if flaw:
             return flaw
@@ -244,6 +246,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             anchors=anchors,
             planned_by=state.runs.find_plan_stream(name),
             choices=tuple(plans) if len(plans) > 1 else (),
+            due_at=command.due_at,
         ),
     ]
     return events

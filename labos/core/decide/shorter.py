@@ -11,7 +11,7 @@ from labos.core.actions import Action, ActionDiscovered, ActionStatus
 from labos.core.bench import parts, removal
 from labos.core.decide._base import Command, Decision, Rejection, decides, many
 from labos.core.decide.contents import contents_events, list_recorded
-from labos.core.decide.endings import ending, under_way
+from labos.core.decide.endings import record_end, under_way
 from labos.core.effects import AnyEffect, Carrying, Needs, hand_of, list_carried, places
 from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import InterventionResolved
@@ -43,7 +43,7 @@ NAMED = 8
 """So many stations are named in a message."""
 
 
-class Found(msgspec.Struct, frozen=True):
+class FoundAction(msgspec.Struct, frozen=True):
     """An action in a node's journal that the log does not know. ``effects`` is null where the journal does
     not say what the action was to do."""
 
@@ -122,7 +122,9 @@ def report_shorter_log(state: LabState, command: ReportShorterLog) -> Decision:
     return record_shorter_log(state, command.evidence, knows, position, command.ended)
 
 
-def record_journal(state: LabState, module: ModuleName, found: Sequence[Found], beyond: int) -> list[Event]:
+def record_journal(
+    state: LabState, module: ModuleName, found: Sequence[FoundAction], beyond: int
+) -> list[Event]:
     """The events for what a module's journal knows and the log does not: actions, of which the labware is
     uncertain now, and that it was told of a log up to the position ``beyond`` (0: it was not)."""
     actions, doubted = state.actions, state.modules.by_name[module]
@@ -179,7 +181,7 @@ def _find_credible(state: LabState, effects: tuple[AnyEffect, ...] | None) -> tu
     return on_labware if places(on_labware) <= state.bench.stations.keys() else None
 
 
-def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[Found]) -> list[Event]:
+def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[FoundAction]) -> list[Event]:
     """Where labware may be by now that these actions may have moved: where it was, on the way, or gone."""
     maybe: dict[LabwareId, list[StationName]] = {}
     for entry in found:
@@ -202,7 +204,7 @@ def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[Found]) 
     return events
 
 
-def to_say(state: LabState) -> list[StationName]:
+def list_to_say(state: LabState) -> list[StationName]:
     """The stations of which a person has still to speak on the round; a hotel by its shelves."""
     shorter, bench = state.shorter, state.bench
     if not shorter.since:
@@ -210,7 +212,7 @@ def to_say(state: LabState) -> list[StationName]:
     return [name for name in bench.stations if name not in shorter.said and name not in bench.shelves]
 
 
-def must_be_said(state: LabState, name: StationName) -> bool:
+def must_say(state: LabState, name: StationName) -> bool:
     """Whether it is not enough to confirm that a station is as recorded."""
     station = state.bench.stations[name]
     doubtful = any(
@@ -258,7 +260,7 @@ def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
     for name in command.stations:
         if name not in state.bench.stations:
             wrong = wrong or Rejection("no_station", f"There is no station {local(name)}.")
-        elif must_be_said(state, name):
+        elif must_say(state, name):
             wrong = wrong or Rejection(
                 "touched",
                 f"At {local(name)} something may have been at work that this log does not know: it is not "
@@ -339,7 +341,7 @@ def strange_motion(state: LabState, cell: str) -> str:
 
 def finish_round(state: LabState, by: str, note: str) -> Decision:
     """What follows when a person says that all was said; refused, by name, while something was not."""
-    left = to_say(state)
+    left = list_to_say(state)
     if left:
         named = ", ".join(map(local, left[:NAMED])) + (
             f" and {len(left) - NAMED} more" if len(left) > NAMED else ""
@@ -375,7 +377,7 @@ def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
     for run in list(state.runs.active.values()):
         what = "was ended: what its steps did behind the end of a log that lost its tail is not known"
         if not under_way(run):
-            yield from ending(state, run, RunCancelled(run.id), what)
+            yield from record_end(state, run, RunCancelled(run.id), what)
         elif run.status != RunStatus.CANCELLING or not run.stay:
             yield RunCancelling(run.id, stay=True)
     for run in list(state.runs.queued.values()):

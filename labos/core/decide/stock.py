@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice
 
-from labos.core.bench import Station, arrival, parts, taking
+from labos.core.bench import Station, arrival, count_taking, parts
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import withdraw_answered
 from labos.core.effects import list_carried
@@ -274,7 +274,7 @@ def _expect_free_of_doubt(state: LabState, name: StationName) -> Station | Rejec
             f"It is being found out what stands at {local(name)}.",
             "Answer the open intervention first.",
         )
-    if station.expected or taking(state.bench, name):
+    if station.expected or count_taking(state.bench, name):
         return Rejection("in_motion", f"An arm is at work at {local(name)}.", "Wait until it has ended.")
     return station
 

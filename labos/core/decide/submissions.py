@@ -60,7 +60,7 @@ def apply_policy(state: LabState, command: ApplyPolicy) -> Decision:
     return [PolicyApplied(command.digest, command.policy)]
 
 
-def attribute(command: Command, actor: str) -> Command:
+def name_both_actors(command: Command, actor: str) -> Command:
     """The command as it is recorded: what a service account says for a person is put down to both, so that
     nobody takes it for the person's own word."""
     if ON_BEHALF not in actor:
@@ -71,9 +71,9 @@ def attribute(command: Command, actor: str) -> Command:
         if name == "by" and value == person_of(actor):
             changed[name] = actor
         elif isinstance(value, Command):
-            changed[name] = attribute(value, actor)
+            changed[name] = name_both_actors(value, actor)
         elif isinstance(value, tuple) and any(isinstance(part, Command) for part in value):
-            changed[name] = tuple(attribute(part, actor) for part in value)
+            changed[name] = tuple(name_both_actors(part, actor) for part in value)
     return msgspec.structs.replace(command, **changed) if changed else command
 
 

@@ -13,7 +13,7 @@ from labos.core.model import Plan, Window
 from labos.core.registry import Event
 from labos.core.runs import (
     Anchor,
-    Past,
+    EndTimes,
     RunCancelled,
     RunCompleted,
     RunFailed,
@@ -65,7 +65,7 @@ def anchors_of(state: LabState, plan: Plan, experiment: ExperimentId) -> tuple[A
     return tuple(found.values())
 
 
-def _choose_run(past: dict[RunId, Past], of: str) -> RunId | None:
+def _choose_run(past: dict[RunId, EndTimes], of: str) -> RunId | None:
     name = RunId(of)
     if name in past:
         return name

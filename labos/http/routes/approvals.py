@@ -89,7 +89,7 @@ class PolicyView(msgspec.Struct, frozen=True):
     policy: Policy
 
 
-class Approval(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+class ApprovalTerms(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """What is left out stays as it was asked for. The terms are those of campaigns and of their changes;
     the priority also that of a run or an experiment."""
 
@@ -153,7 +153,7 @@ async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     return msgspec.structs.replace(found, forecast=hide_others(found.forecast, call))
 
 
-async def approve_proposal(call: Call, path: OfProposal, body: Approval) -> ProposalAnswer:
+async def approve_proposal(call: Call, path: OfProposal, body: ApprovalTerms) -> ProposalAnswer:
     """Only what bears this digest can be approved: what was changed since it was looked at is refused. An
     operator approves, who is not the user unless the policy says so, and never a program."""
     proposal = _proposal(call, path)
@@ -172,7 +172,7 @@ async def approve_proposal(call: Call, path: OfProposal, body: Approval) -> Prop
     return ProposalAnswer(proposal.subject, digest)
 
 
-def _changes(call: Call, proposal: Proposal, body: Approval) -> tuple[int | None, Terms | None]:
+def _changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[int | None, Terms | None]:
     """What the operator wants otherwise than it was asked for. Raises BadInput."""
     if proposal.kind in ("run", "experiment") and (body.deadline, body.runs, body.lab_time_s) == (None,) * 3:
         return body.priority, None

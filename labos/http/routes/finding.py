@@ -6,7 +6,7 @@ from typing import Annotated
 
 import msgspec
 
-from labos.audit.find import MOST_FOUND, Found, Question
+from labos.audit.find import MOST_FOUND, SearchQuery, SearchResult
 from labos.errors import Refused
 from labos.http.limits import Line, Time, says
 from labos.http.method import Method
@@ -40,7 +40,7 @@ class FindQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     )
 
 
-async def find_entries(call: Call, query: FindQuery) -> Found:
+async def find_entries(call: Call, query: FindQuery) -> SearchResult:
     """Experiments, runs, samples, images, files, results and publications, by words and filters: first what
     bears the words as its name, then what is newest. A process of its own keeps the search index and answers
     from it; `behind` says how many of the last events it does not know yet."""
@@ -48,7 +48,7 @@ async def find_entries(call: Call, query: FindQuery) -> Found:
     if finder is None:
         raise Refused("This lab has no search index.", remedy="Ask in its folder: labos find")
     return await finder.find(
-        Question(
+        SearchQuery(
             words=query.words,
             kinds=tuple(query.kind),
             users=tuple(query.user),

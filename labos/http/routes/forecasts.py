@@ -7,6 +7,7 @@ import msgspec
 from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ExperimentId
+from labos.core.lengths import Drift, find_drifts
 from labos.core.users import person_of
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
@@ -14,13 +15,13 @@ from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
-from labos.planning.durations import Drift
 from labos.planning.lab_forecast import LabForecast
+from labos.services.times import parse_due
 from labos.spec.findings import Finding
 
 
 class Forecast(msgspec.Struct, frozen=True):
-    """What is expected of the lab. ``drifts`` are the actions that take longer or shorter than they did."""
+    """What is expected of the lab. ``drifts`` are the actions that take longer or shorter than planned."""
 
     forecast: LabForecast
     drifts: list[Drift]
@@ -44,8 +45,9 @@ async def get_forecast(call: Call) -> Forecast:
     """The lab is carried on in virtual time, with the durations that its log has taught: nothing fails, and
     nobody fills anything up. Ranges are as wide as earlier forecasts were off. The first 200 runs that wait
     are looked at."""
-    forecasts = call.service.forecasts
-    return Forecast(hide_others(await forecasts.queue(), call), await forecasts.drifts())
+    forecast = await call.service.forecasts.queue()
+    state = call.service.kernel.state
+    return Forecast(hide_others(forecast, call), find_drifts(state.lengths, state.lab.pace))
 
 
 async def forecast_run(call: Call, body: NewRun) -> RunForecast:
@@ -62,6 +64,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
         ExperimentId(body.experiment),
         body.priority,
         others=compiled.others,
+        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
     forecast = await service.forecasts.forecast_run(command, body.user)

@@ -23,6 +23,7 @@ from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
+from labos.services.times import parse_due
 from labos.spec.about import find_description
 from labos.spec.choices import list_choices
 from labos.spec.findings import Finding
@@ -54,7 +55,7 @@ class ActionView(msgspec.Struct, frozen=True):
     arguments: list[ArgumentView]
 
 
-class Actions(msgspec.Struct, frozen=True):
+class ActionList(msgspec.Struct, frozen=True):
     """What a module can do."""
 
     module: str
@@ -90,7 +91,7 @@ class CheckedRun(msgspec.Struct, frozen=True):
     warnings: tuple[Finding, ...]
 
 
-async def list_actions(call: Call, path: OfModule) -> Actions:
+async def list_actions(call: Call, path: OfModule) -> ActionList:
     """Its actions, with the arguments that a step of a workflow gives them."""
     name = call.service.module(path.module)
     spec = call.kernel.state.modules.by_name[name].spec
@@ -111,7 +112,7 @@ async def list_actions(call: Call, path: OfModule) -> Actions:
         )
         for action in sorted(found.actions, key=lambda action: not action.exclusive)
     ]
-    return Actions(name, spec.driver, found.description, actions)
+    return ActionList(name, spec.driver, found.description, actions)
 
 
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
@@ -131,6 +132,7 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         service.pins_of(body.workflow, *compiled.plans),
         propose=body.propose,
         others=compiled.others,
+        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
     )
     answer = decide(state, command, body.user)
     refusal = f"{answer.message} {answer.remedy}".strip() if isinstance(answer, Rejection) else ""
@@ -199,19 +201,19 @@ async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
     return SuggestedOrder(path.workcell, order.by, order.until, steps)
 
 
-class Taken(msgspec.Struct, frozen=True):
+class StepsLeft(msgspec.Struct, frozen=True):
     """How many of the suggested steps are still to start."""
 
     steps: int
 
 
-async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> Taken:
+async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> StepsLeft:
     """It replaces what was suggested before. Steps of runs that have ended are left out. What is suggested
     never makes a step start that could not start without it."""
     steps = tuple(Suggested(RunId(one.run), one.step, one.start) for one in body.steps)
     asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
     events = await call.kernel.execute(asked, body.by)
-    return Taken(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))
+    return StepsLeft(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))
 
 
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"

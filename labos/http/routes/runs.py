@@ -82,6 +82,7 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
         place=body.place,
         request=call.key,
         propose=body.propose,
+        due=body.due,
     )
     return RunSubmission(run, findings, sentence(call.kernel.state, run))
 

@@ -20,10 +20,10 @@ from labos.errors import NotFound, TooManyTries
 from labos.services.accounts.oidc import (
     TIMEOUT_S,
     AuthorizationRequest,
-    Claims,
-    Client,
     Provider,
-    Tokens,
+    ProviderClaims,
+    ProviderClient,
+    ProviderTokens,
     ask_provider,
     auth_of,
     wrong,
@@ -48,7 +48,7 @@ class Shown(msgspec.Struct, frozen=True):
     interval: float = 5.0
 
 
-class Device(msgspec.Struct):
+class DeviceSignIn(msgspec.Struct):
     """Somebody who types a code in. It is asked for again not before ``next`` (monotonic s)."""
 
     browser: str
@@ -58,7 +58,7 @@ class Device(msgspec.Struct):
     next: float
 
 
-class Wait(msgspec.Struct, frozen=True):
+class RetryAfter(msgspec.Struct, frozen=True):
     """Nobody has typed the code in yet: ask again after so many seconds."""
 
     seconds: float
@@ -69,7 +69,7 @@ class CommandLineSignIn:
 
     def __init__(self, provider: Provider) -> None:
         self.provider = provider
-        self._devices: dict[str, Device] = {}
+        self._devices: dict[str, DeviceSignIn] = {}
 
     @property
     def most_days(self) -> float:
@@ -77,7 +77,7 @@ class CommandLineSignIn:
         told = self.provider.told.command_line
         return told.days if told is not None else 0.0
 
-    def _client(self, port: int = 0) -> Client:
+    def _client(self, port: int = 0) -> ProviderClient:
         told = self.provider.told
         if told.command_line is None:
             raise NotFound(
@@ -85,7 +85,7 @@ class CommandLineSignIn:
                 remedy="Sign in with a password (labos login --user NAME), or let oidc.yaml name a "
                 "`command_line` client.",
             )
-        return Client(
+        return ProviderClient(
             told.command_line.client_id,
             told.secret_of_command_line,
             way_back_of(told.lab, port),
@@ -121,11 +121,11 @@ class CommandLineSignIn:
         state, browser = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         interval = max(shown.interval, 1.0)
         until = now + min(shown.expires_in, LONGEST_S)
-        self._devices[state] = Device(browser, shown, until, interval, now + interval)
+        self._devices[state] = DeviceSignIn(browser, shown, until, interval, now + interval)
         address = shown.verification_uri_complete or shown.verification_uri
         return AuthorizationRequest(address, state, browser), shown
 
-    async def finish(self, answer: Mapping[str, str], browser: str) -> Claims | Wait:
+    async def finish(self, answer: Mapping[str, str], browser: str) -> ProviderClaims | RetryAfter:
         """Who has signed in. Raises NotSignedIn."""
         device = self._devices.get(answer.get("state", ""))
         if device is None:
@@ -137,30 +137,30 @@ class CommandLineSignIn:
             del self._devices[answer["state"]]
             raise wrong("nobody has typed the code in")
         if now < device.next:
-            return Wait(device.next - now)
+            return RetryAfter(device.next - now)
         device.next = now + device.interval
         return await self._ask(answer["state"], device)
 
-    async def _ask(self, state: str, device: Device) -> Claims | Wait:
+    async def _ask(self, state: str, device: DeviceSignIn) -> ProviderClaims | RetryAfter:
         client, known = self._client(), await self.provider.discover()
         form = {"grant_type": GRANT, "device_code": device.shown.device_code, "client_id": client.id}
         async with httpx.AsyncClient(timeout=TIMEOUT_S, auth=auth_of(client)) as http:
             try:
                 found = await http.post(known.token_endpoint, data=form)
             except httpx.HTTPError:
-                return Wait(device.interval)  # RFC 8628, 3.5: it is asked again
+                return RetryAfter(device.interval)  # RFC 8628, 3.5: it is asked again
         if found.status_code == 400 and (error := _error_in(found.content)) in PENDING:
             if error == "slow_down":
                 device.interval += 5.0
                 device.next += 5.0
-            return Wait(device.interval)
+            return RetryAfter(device.interval)
         # From here on it is good no more: two command lines cannot get a token by one code.
         if self._devices.pop(state, None) is None:
             raise wrong("nobody went there from here, or too long ago")
         if found.status_code != 200:
             raise wrong(f"the provider says {_error_in(found.content)[:100]!r}")
         try:
-            tokens = msgspec.json.decode(found.content, type=Tokens)
+            tokens = msgspec.json.decode(found.content, type=ProviderTokens)
         except (msgspec.MsgspecError, UnicodeDecodeError):
             raise wrong("it gives no id token") from None
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:

@@ -50,7 +50,7 @@ _log = structlog.get_logger(__name__)
 T = TypeVar("T")
 
 
-class Client(msgspec.Struct, frozen=True):
+class ProviderClient(msgspec.Struct, frozen=True):
     """As what a lab is known to the provider, and where that sends people back to."""
 
     id: str
@@ -66,10 +66,10 @@ class Pending(msgspec.Struct, frozen=True):
     nonce: str
     verifier: str
     since: float
-    client: Client
+    client: ProviderClient
 
 
-class Claims(msgspec.Struct, frozen=True):
+class ProviderClaims(msgspec.Struct, frozen=True):
     """What a provider says of somebody."""
 
     subject: str
@@ -78,7 +78,7 @@ class Claims(msgspec.Struct, frozen=True):
     groups: tuple[str, ...] = ()
 
 
-class Discovery(msgspec.Struct, frozen=True):
+class ProviderMetadata(msgspec.Struct, frozen=True):
     """What is needed of what a provider says of itself."""
 
     issuer: str
@@ -99,7 +99,7 @@ class AuthorizationRequest(msgspec.Struct, frozen=True):
     browser: str
 
 
-class Tokens(msgspec.Struct, frozen=True):
+class ProviderTokens(msgspec.Struct, frozen=True):
     """What a provider gives for a code."""
 
     id_token: str
@@ -118,12 +118,12 @@ class Provider:
                 remedy='Run: pip install "labos-sdl[oidc]"',
             ) from None
         self.told, self.clock = told, clock
-        self._browsers = Client(told.client_id, told.secret, told.lab.rstrip("/") + way_back)
+        self._browsers = ProviderClient(told.client_id, told.secret, told.lab.rstrip("/") + way_back)
         self._pending: dict[str, Pending] = {}
-        self._known: tuple[Discovery, float] | None = None
+        self._known: tuple[ProviderMetadata, float] | None = None
         self._keys: KeySet | None = None
 
-    async def begin(self, client: Client | None = None) -> AuthorizationRequest:
+    async def begin(self, client: ProviderClient | None = None) -> AuthorizationRequest:
         """Send somebody to the provider: a browser, or as another ``client``. Raises NotSignedIn if the
         provider does not answer."""
         client = client or self._browsers
@@ -149,7 +149,7 @@ class Provider:
 
     async def finish(
         self, answer: Mapping[str, str], browser: str, *, by_command_line: bool = False
-    ) -> Claims:
+    ) -> ProviderClaims:
         """Whom the provider has sent back. What came with the browser is good once, and on the way only on
         which it was sent. Raises NotSignedIn."""
         pending = self._pending.pop(answer.get("state", ""), None)
@@ -170,29 +170,34 @@ class Provider:
             return await self.claims_of(http, known, tokens, pending.client, pending.nonce)
 
     async def claims_of(
-        self, http: httpx.AsyncClient, known: Discovery, tokens: Tokens, client: Client, nonce: str = ""
-    ) -> Claims:
+        self,
+        http: httpx.AsyncClient,
+        known: ProviderMetadata,
+        tokens: ProviderTokens,
+        client: ProviderClient,
+        nonce: str = "",
+    ) -> ProviderClaims:
         """Whom the tokens mean that the provider has given to ``client``. Raises NotSignedIn."""
         claims = await self._verify(http, known, tokens.id_token, client.id, nonce)
         return await self._with_user_info(http, known, tokens, claims)
 
     # -- the provider ------------------------------------------------------------------------------
 
-    async def discover(self) -> Discovery:
+    async def discover(self) -> ProviderMetadata:
         now = self.clock.monotonic()
         if self._known is not None and now < self._known[1]:
             return self._known[0]
         address = self.told.issuer.rstrip("/") + "/.well-known/openid-configuration"
         async with httpx.AsyncClient(timeout=TIMEOUT_S) as http:
-            found = await ask_provider(http, "GET", address, Discovery)
+            found = await ask_provider(http, "GET", address, ProviderMetadata)
         if found.issuer != self.told.issuer:
             raise wrong(f"{address} is of {found.issuer[:100]!r}, not of {self.told.issuer!r}")
         self._known, self._keys = (found, now + KNOWN_S), None
         return found
 
     async def _exchange(
-        self, http: httpx.AsyncClient, known: Discovery, code: str, pending: Pending
-    ) -> Tokens:
+        self, http: httpx.AsyncClient, known: ProviderMetadata, code: str, pending: Pending
+    ) -> ProviderTokens:
         client = pending.client
         form = {
             "grant_type": "authorization_code",
@@ -201,9 +206,11 @@ class Provider:
             "client_id": client.id,
             "code_verifier": pending.verifier,
         }
-        return await ask_provider(http, "POST", known.token_endpoint, Tokens, data=form, auth=auth_of(client))
+        return await ask_provider(
+            http, "POST", known.token_endpoint, ProviderTokens, data=form, auth=auth_of(client)
+        )
 
-    async def _keys_of(self, http: httpx.AsyncClient, known: Discovery) -> KeySet:
+    async def _keys_of(self, http: httpx.AsyncClient, known: ProviderMetadata) -> KeySet:
         from joserfc.errors import JoseError
         from joserfc.jwk import KeySet
 
@@ -216,7 +223,7 @@ class Provider:
         return self._keys
 
     async def _verify(
-        self, http: httpx.AsyncClient, known: Discovery, token: str, client: str, nonce: str
+        self, http: httpx.AsyncClient, known: ProviderMetadata, token: str, client: str, nonce: str
     ) -> dict[str, Any]:
         """The claims of an id token, checked as OpenID Connect Core 1.0, 3.1.3.7 says; one that no browser
         has asked for bears no ``nonce``."""
@@ -252,8 +259,8 @@ class Provider:
         return claims
 
     async def _with_user_info(
-        self, http: httpx.AsyncClient, known: Discovery, tokens: Tokens, claims: dict[str, Any]
-    ) -> Claims:
+        self, http: httpx.AsyncClient, known: ProviderMetadata, tokens: ProviderTokens, claims: dict[str, Any]
+    ) -> ProviderClaims:
         """Name and groups, which some providers tell only who asks for them."""
         if known.userinfo_endpoint and self.told.groups_claim not in claims:
             shown = {"authorization": f"Bearer {tokens.access_token}"}
@@ -262,7 +269,7 @@ class Provider:
                 raise wrong("it tells of somebody else")
             claims = {**more, **claims}
         groups = claims.get(self.told.groups_claim, [])
-        return Claims(
+        return ProviderClaims(
             str(claims["sub"])[:500],
             str(claims.get("name", ""))[:500] if self.told.keep_names else "",
             str(claims.get("email", ""))[:254] if self.told.keep_names else "",
@@ -288,7 +295,7 @@ async def ask_provider(http: httpx.AsyncClient, method: str, url: str, kind: typ
         raise wrong(f"{url} answers something else") from None
 
 
-def auth_of(client: Client) -> httpx.BasicAuth | None:
+def auth_of(client: ProviderClient) -> httpx.BasicAuth | None:
     """How a client that has a secret shows it."""
     return httpx.BasicAuth(client.id, client.secret) if client.secret else None
 

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field
 
 from labos.errors import BadInput, Undelivered
 from labos.services.notify.contacts import LOOPBACK, Secret
-from labos.spec.findings import Report, SpecErrors
+from labos.spec.findings import FindingList, SpecErrors
 from labos.spec.parts import Part
 from labos.spec.source import Source, read
 from labos.spec.validation import validate
@@ -83,7 +83,7 @@ def _value_of(secret: Secret | None) -> str:
 def load_provider(source: Source | str | Path) -> ProviderFile:
     """Read the file. Raises SpecError or SpecErrors with line and column."""
     source = source if isinstance(source, Source) else read(source)
-    report = Report(source.file)
+    report = FindingList(source.file)
     found = validate(ProviderFile, source, report)
     if found is None or report.errors:
         raise SpecErrors(report.sort_findings())

@@ -43,7 +43,7 @@ def _open_parsl(configuration: Any) -> Executor:
     try:
         from parsl.concurrent import ParslPoolExecutor
     except ImportError:
-        raise _missing("parsl", "parsl") from None
+        raise _report_missing("parsl", "parsl") from None
     if configuration is None:
         raise BadInput("Parsl needs to be told where to compute.", remedy="Give a parsl.config.Config.")
     opened: Executor = ParslPoolExecutor(configuration)
@@ -55,7 +55,7 @@ def _open_dask(configuration: Any) -> Executor:
     try:
         from distributed import Client
     except ImportError:
-        raise _missing("Dask", "dask") from None
+        raise _report_missing("Dask", "dask") from None
     if not isinstance(configuration, Client):
         raise BadInput("Dask needs to be told where to compute.", remedy="Give a distributed.Client.")
     # pure: two calls with the same arguments are two computations.
@@ -94,5 +94,5 @@ def open_place(where: str, configuration: Any = None) -> Executor:
     return PLACES[where](configuration)
 
 
-def _missing(name: str, extra: str) -> BadInput:
+def _report_missing(name: str, extra: str) -> BadInput:
     return BadInput(f"{name} is not installed.", remedy=f'pip install "labos-sdl[{extra}]"')

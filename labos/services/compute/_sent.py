@@ -24,12 +24,12 @@ class SendingRecord(Protocol):
     @property
     def of(self) -> str: ...
 
-    def known(self, name: str) -> Mapping[str, Any] | None: ...
+    def find_own(self, name: str) -> Mapping[str, Any] | None: ...
 
     def keep(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
         """Write it down, once; returns what is written down."""
 
-    def shared(self, name: str) -> Mapping[str, Any] | None:
+    def find_shared(self, name: str) -> Mapping[str, Any] | None:
         """The same for all computations of the experiment."""
 
     def keep_shared(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]: ...
@@ -45,13 +45,13 @@ class MemoryRecord:
         self._kept: dict[str, dict[str, Any]] = {}
         self.mark, self.of = f"forgotten {id(self)}", ""
 
-    def known(self, name: str) -> Mapping[str, Any] | None:
+    def find_own(self, name: str) -> Mapping[str, Any] | None:
         return self._kept.get(name)
 
     def keep(self, name: str, facts: Mapping[str, Any]) -> dict[str, Any]:
         return self._kept.setdefault(name, dict(facts))
 
-    shared, keep_shared = known, keep
+    find_shared, keep_shared = find_own, keep
 
     def all_known(self, fact: str) -> set[str]:
         return {str(facts[fact]) for facts in self._kept.values() if fact in facts}

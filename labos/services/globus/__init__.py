@@ -9,8 +9,8 @@ from labos.services.globus._asking import (
     GlobusError,
     GlobusFailed,
     GlobusRefused,
+    GlobusTimes,
     GlobusUnreachable,
-    Patience,
 )
 from labos.services.globus._compute import GlobusEndpoint
 from labos.services.globus._flows import GlobusFlow, GlobusRun, run_once
@@ -28,9 +28,9 @@ __all__ = [
     "GlobusPlace",
     "GlobusRefused",
     "GlobusRun",
+    "GlobusTimes",
     "GlobusUnreachable",
     "Moved",
-    "Patience",
     "ingest_once",
     "run_once",
     "transfer_once",

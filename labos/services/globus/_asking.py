@@ -18,7 +18,7 @@ TOO_MANY = 429
 NOT_LET_IN = (401, 403)
 
 
-class Patience(msgspec.Struct, frozen=True):
+class GlobusTimes(msgspec.Struct, frozen=True):
     """How long Globus is waited for. It is asked every ``first_s`` seconds, then more seldom, every
     ``longest_s`` at the most. When it has not answered for ``silence_s``, it is given up. When an answer was
     lost, it is asked ``settle_s`` later what has arrived."""
@@ -103,7 +103,7 @@ def ask(what: str, call: Callable[[], T]) -> T:
 _LATER = "Start the program again later: it goes on where it was, and sends nothing twice."
 
 
-def wait_for(what: str, patience: Patience, look: Callable[[], T | None]) -> T:
+def wait_for(what: str, patience: GlobusTimes, look: Callable[[], T | None]) -> T:
     """What ``look`` finds, sooner or later. Raises GlobusRefused, and GlobusUnreachable after a long
     silence."""
     pause, heard = patience.first_s, time.monotonic()
@@ -122,7 +122,7 @@ def wait_for(what: str, patience: Patience, look: Callable[[], T | None]) -> T:
 
 
 def send_once(
-    what: str, client: Any, patience: Patience, send: Callable[[], T], find: Callable[[], T | None]
+    what: str, client: Any, patience: GlobusTimes, send: Callable[[], T], find: Callable[[], T | None]
 ) -> T:
     """Send something that Globus would do twice if it came twice. The SDK's own repetitions are off. When no
     answer comes, ``find`` says what has arrived; only if nothing has, it is sent again. Raises GlobusRefused,
@@ -144,7 +144,7 @@ def send_once(
                 found = wait_for(what, patience, lambda: (find(),))[0]
                 if found is not None:
                     return found
-            time.sleep(max(pause, _asked_pause(cause)))
+            time.sleep(max(pause, _find_pause(cause)))
             pause = min(pause * 2, patience.longest_s)
 
 
@@ -159,7 +159,7 @@ def _without_repetitions(client: Any) -> Iterator[None]:
         config.max_retries = before
 
 
-def _asked_pause(cause: BaseException | None) -> float:
+def _find_pause(cause: BaseException | None) -> float:
     """Seconds that an answer with status 429 or 503 asks for."""
     headers = getattr(cause, "headers", None) or {}
     told = str(headers.get("Retry-After", ""))

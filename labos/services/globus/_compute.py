@@ -25,7 +25,7 @@ from labos.services.compute import (
 from labos.services.globus._asking import (
     GlobusAccess,
     GlobusFailed,
-    Patience,
+    GlobusTimes,
     report_missing_sdk,
     send_once,
     wait_for,
@@ -52,10 +52,10 @@ class GlobusEndpoint:
         app: Any = None,
         authorizer: Any = None,
         base_url: str | None = None,
-        patience: Patience | None = None,
+        patience: GlobusTimes | None = None,
     ) -> None:
         self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
-        self.endpoint, self.patience = endpoint, patience or Patience()
+        self.endpoint, self.patience = endpoint, patience or GlobusTimes()
 
     def open(self) -> GlobusExecutor:
         """Raises BadInput if the SDK is not installed."""
@@ -70,7 +70,7 @@ class GlobusEndpoint:
 class GlobusExecutor(ComputesOnce, Executor):
     """Computes at an endpoint. For many threads."""
 
-    def __init__(self, endpoint: str, asked: Any, sending: Any, forms: Any, patience: Patience) -> None:
+    def __init__(self, endpoint: str, asked: Any, sending: Any, forms: Any, patience: GlobusTimes) -> None:
         self._endpoint, self._asked, self._sending = endpoint, asked, sending
         self._forms, self._patience = forms, patience
         self._lock = threading.Lock()
@@ -89,11 +89,11 @@ class GlobusExecutor(ComputesOnce, Executor):
         self, sent: SendingRecord, function: Callable[..., Any], args: tuple[Any, ...], named: dict[str, Any]
     ) -> Any:
         """What a function returns. Raises its error, WorkerLost, GlobusError."""
-        known = sent.known("sent")
+        known = sent.find_own("sent")
         if known is None:
-            task = self._task_in_doubt(sent) if sent.known("sending") is not None else ""
+            task = self._task_in_doubt(sent) if sent.find_own("sending") is not None else ""
             with self._lock:
-                known = sent.known("sent")  # another thread may have sent it meanwhile
+                known = sent.find_own("sent")  # another thread may have sent it meanwhile
                 if known is None:
                     known = self._adopt(sent, task) if task else self._send(sent, function, args, named)
         mark, returned = self._result(known["task"])
@@ -145,7 +145,7 @@ class GlobusExecutor(ComputesOnce, Executor):
         if (group := self._groups.get(sent.of)) is not None:
             return group
         name = f"task group at {self._endpoint}"
-        known = sent.shared(name)
+        known = sent.find_shared(name)
         if known is None:
             batch = self._batch(do_nothing)
             answer = wait_for(SERVICE, self._patience, lambda: self._sending.submit(self._endpoint, batch))

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from labos.services.compute import SendingRecord
-from labos.services.globus._asking import GlobusAccess, GlobusRefused, Patience, ask, send_once, wait_for
+from labos.services.globus._asking import GlobusAccess, GlobusRefused, GlobusTimes, ask, send_once, wait_for
 
 SERVICE = "Globus Flows"
 MOST_RUNS = 500
@@ -32,11 +32,11 @@ class GlobusFlow:
         app: Any = None,
         authorizer: Any = None,
         base_url: str | None = None,
-        patience: Patience | None = None,
+        patience: GlobusTimes | None = None,
     ) -> None:
         self.name, self.flow, self.attempts = name, flow, max(attempts, 1)
         self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
-        self.patience = patience or Patience()
+        self.patience = patience or GlobusTimes()
 
     def __str__(self) -> str:
         return self.name
@@ -67,9 +67,9 @@ def run_once(flow: GlobusFlow, sent: SendingRecord, given: Mapping[str, Any]) ->
     """Start a flow, or find the run that was started before; wait for its end. The run bears a tag of ours,
     by which it is found if the answer was lost. Raises GlobusRefused, GlobusUnreachable."""
     tag = f"labos-{hashlib.sha256(sent.mark.encode()).hexdigest()[:32]}"
-    known = sent.known("sent")
+    known = sent.find_own("sent")
     if known is None:
-        run = _find(flow, tag) if sent.known("sending") is not None else None
+        run = _find(flow, tag) if sent.find_own("sending") is not None else None
         if run is None:
             sent.keep("sending", {"globus_flow": flow.flow, "tag": tag})
             run = send_once(
@@ -107,7 +107,7 @@ def _wait(flow: GlobusFlow, run: str) -> GlobusRun:
     details = ended.get("details") or {}
     if ended["status"] not in ENDS:
         raise GlobusRefused(
-            f"The run {run} of {flow.name} stands still ({ended['status']}): {_told(details)}.",
+            f"The run {run} of {flow.name} stands still ({ended['status']}): {_describe_failure(details)}.",
             remedy="Look at it in Globus, and resume it there; then start the program again.",
         )
     states = [
@@ -117,10 +117,10 @@ def _wait(flow: GlobusFlow, run: str) -> GlobusRun:
     ]
     if ended["status"] == "SUCCEEDED":
         return GlobusRun(run, ended["status"], states, details.get("output"))
-    return GlobusRun(run, ended["status"], states, why=_told(details))
+    return GlobusRun(run, ended["status"], states, why=_describe_failure(details))
 
 
-def _told(details: Mapping[str, Any]) -> str:
+def _describe_failure(details: Mapping[str, Any]) -> str:
     return (
         f"{details.get('code', '')}: {details.get('description', '')}".strip(": ")[:300]
         or "no reason is given"

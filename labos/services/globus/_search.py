@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.errors import BadInput
 from labos.services.compute import SendingRecord
-from labos.services.globus._asking import GlobusAccess, GlobusFailed, Patience, wait_for
+from labos.services.globus._asking import GlobusAccess, GlobusFailed, GlobusTimes, wait_for
 
 SERVICE = "Globus Search"
 
@@ -25,7 +25,7 @@ class GlobusIndex:
         app: Any = None,
         authorizer: Any = None,
         base_url: str | None = None,
-        patience: Patience | None = None,
+        patience: GlobusTimes | None = None,
     ) -> None:
         if not visible_to or isinstance(visible_to, str):
             raise BadInput(
@@ -33,7 +33,7 @@ class GlobusIndex:
             )
         self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
         self.index, self.visible_to = index, list(visible_to)
-        self.patience = patience or Patience()
+        self.patience = patience or GlobusTimes()
 
     @cached_property
     def client(self) -> Any:
@@ -45,7 +45,7 @@ def ingest_once(index: GlobusIndex, sent: SendingRecord, subject: str, content: 
     """Put an entry into the index and wait until it can be found; returns the task. Its subject is the same
     whenever it is sent, so an entry that comes twice takes its own place. Raises GlobusFailed,
     GlobusRefused, GlobusUnreachable."""
-    known = sent.known("sent")
+    known = sent.find_own("sent")
     if known is None:
         entry = {"subject": subject, "visible_to": index.visible_to, "content": dict(content)}
         document = {"ingest_type": "GMetaEntry", "ingest_data": entry}

@@ -14,7 +14,7 @@ from labos.services.globus._asking import (
     GlobusAccess,
     GlobusFailed,
     GlobusRefused,
-    Patience,
+    GlobusTimes,
     ask,
     report_missing_sdk,
     wait_for,
@@ -51,10 +51,10 @@ class GlobusCarrier:
         app: Any = None,
         authorizer: Any = None,
         base_url: str | None = None,
-        patience: Patience | None = None,
+        patience: GlobusTimes | None = None,
     ) -> None:
         self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
-        self.patience = patience or Patience()
+        self.patience = patience or GlobusTimes()
 
     @cached_property
     def client(self) -> Any:
@@ -86,9 +86,9 @@ def transfer_once(
     except ImportError:
         raise report_missing_sdk() from None
     client, patience = carrier.client, carrier.patience
-    known = sent.known("sent")
+    known = sent.find_own("sent")
     if known is None:
-        submission = sent.known("sending")
+        submission = sent.find_own("sending")
         if submission is None:
             id_ = wait_for(SERVICE, patience, lambda: str(client.get_submission_id()["value"]))
             submission = sent.keep("sending", {"submission": id_})
@@ -110,7 +110,7 @@ def transfer_once(
     return _wait(client, str(known["task"]), sha256, patience)
 
 
-def _wait(client: Any, task: str, sha256: str, patience: Patience) -> Moved:
+def _wait(client: Any, task: str, sha256: str, patience: GlobusTimes) -> Moved:
     def look() -> dict[str, Any] | None:
         found: dict[str, Any] = client.get_task(task).data
         return None if found["status"] == "ACTIVE" else found

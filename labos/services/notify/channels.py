@@ -18,7 +18,7 @@ from labos.services.notify.notices import Notice
 TIMEOUT_S = 10.0
 
 
-class Message(msgspec.Struct, frozen=True):
+class Notification(msgspec.Struct, frozen=True):
     """``id`` is the same at every attempt: by it a receiver knows a second copy."""
 
     id: str
@@ -33,7 +33,7 @@ class Message(msgspec.Struct, frozen=True):
         return " ".join(f"[{self.lab_name}] {self.notice.title}{again}".split())
 
 
-def send(book: Book, contact: Contact, message: Message) -> None:
+def send(book: Book, contact: Contact, message: Notification) -> None:
     """Send a message to a contact. Raises Undelivered."""
     if contact.email:
         assert book.smtp is not None
@@ -47,7 +47,7 @@ def way(contact: Contact) -> str:
     return contact.webhook or "smtp"
 
 
-def mail(smtp: Smtp, address: str, message: Message) -> EmailMessage:
+def mail(smtp: Smtp, address: str, message: Notification) -> EmailMessage:
     """The message as e-mail (RFC 5322), with a Message-ID that stays the same."""
     letter = EmailMessage()
     letter["From"] = smtp.sender
@@ -64,7 +64,7 @@ def mail(smtp: Smtp, address: str, message: Message) -> EmailMessage:
     return letter
 
 
-def body(message: Message) -> dict[str, Any]:
+def body(message: Notification) -> dict[str, Any]:
     """The message as a webhook's JSON."""
     notice = message.notice
     return {
@@ -83,7 +83,7 @@ def body(message: Message) -> dict[str, Any]:
     }
 
 
-def _mail(smtp: Smtp, address: str, message: Message) -> None:
+def _mail(smtp: Smtp, address: str, message: Notification) -> None:
     letter = mail(smtp, address, message)
     name = f"The mail server {smtp.host}:{smtp.port}"
     try:
@@ -122,7 +122,7 @@ def _server_error(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
-def _post(contact: Contact, message: Message) -> None:
+def _post(contact: Contact, message: Notification) -> None:
     import httpx
 
     headers = {"Idempotency-Key": message.id, "User-Agent": "labos"}

@@ -16,7 +16,7 @@ from zoneinfo import ZoneInfo
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from labos.errors import Undelivered
-from labos.spec.findings import Report, SpecErrors, near
+from labos.spec.findings import FindingList, SpecErrors, near
 from labos.spec.parts import Part, Seconds
 from labos.spec.source import Path_, Source, read
 from labos.spec.validation import validate
@@ -153,7 +153,7 @@ class Book(Part):
 def load_contacts(source: Source | str | Path) -> Book:
     """Read a contacts file. Raises SpecError or SpecErrors with line and column."""
     source = source if isinstance(source, Source) else read(source)
-    report = Report(source.file)
+    report = FindingList(source.file)
     book = validate(Book, source, report)
     if book is not None:
         _check(book, source, report)
@@ -162,7 +162,7 @@ def load_contacts(source: Source | str | Path) -> Book:
     return book
 
 
-def _check(book: Book, source: Source, report: Report) -> None:
+def _check(book: Book, source: Source, report: FindingList) -> None:
     """What no single value shows."""
 
     def error(message: str, path: Path_, remedy: str) -> None:

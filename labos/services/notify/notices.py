@@ -59,7 +59,7 @@ class Notice(msgspec.Struct, frozen=True):
     urgent: bool = False
 
 
-class Answer(msgspec.Struct, frozen=True):
+class SettledNotice(msgspec.Struct, frozen=True):
     """What a notice told of is settled: nobody else need hear of it. ``all``: so is everything
     whose key begins with this one; ``quietly``: only if nobody has heard of it so far."""
 
@@ -69,13 +69,13 @@ class Answer(msgspec.Struct, frozen=True):
     quietly: bool = False
 
 
-def read_event(event: Event, head: Envelope) -> Notice | Answer | None:
+def read_event(event: Event, head: Envelope) -> Notice | SettledNotice | None:
     """The notice that follows from an event, or what it settles."""
     match event:
         case InterventionRequested():
             return _question(event, head)
         case InterventionResolved():
-            return Answer(intervention_key(event.intervention), describe(event, head))
+            return SettledNotice(intervention_key(event.intervention), describe(event, head))
         case InterventionOverdue():
             key, title = intervention_key(event.intervention), f"{event.intervention}: work is overdue"
             return _make_notice(event, head, "interventions", key, title, urgent=True)
@@ -87,7 +87,7 @@ def read_event(event: Event, head: Envelope) -> Notice | Answer | None:
             key, title = quarantine_key(event.module), f"{local(event.module)} is quarantined"
             return _make_notice(event, head, "modules", key, title, urgent=True)
         case ModulePutBack():
-            return Answer(quarantine_key(event.module), describe(event, head))
+            return SettledNotice(quarantine_key(event.module), describe(event, head))
         case NodeLeft() if not event.stopped:
             return _make_notice(
                 event, head, "modules", module_key(event.module), f"{local(event.module)} is gone"
@@ -96,7 +96,7 @@ def read_event(event: Event, head: Envelope) -> Notice | Answer | None:
             if event.status == "ERROR":
                 title = f"{local(event.module)} reports an error"
                 return _make_notice(event, head, "modules", module_key(event.module), title)
-            return Answer(module_key(event.module), describe(event, head))
+            return SettledNotice(module_key(event.module), describe(event, head))
     return None
 
 
@@ -112,7 +112,7 @@ def quarantine_key(module: str) -> str:
     return f"quarantine:{module}"
 
 
-def kernel_died(event: str, position: int, at: int, why: str) -> Notice:
+def report_kernel_death(event: str, position: int, at: int, why: str) -> Notice:
     """The kernel has stopped by itself; ``event`` is that of its start."""
     text = (
         f"The kernel has stopped: {why}\n\nNo step starts until it runs again. "
@@ -121,7 +121,7 @@ def kernel_died(event: str, position: int, at: int, why: str) -> Notice:
     return Notice(f"{event}.stopped", position, at, "kernel", KERNEL, "the kernel has stopped", text, True)
 
 
-def kernel_was_gone(head: Envelope, before: int, epoch: int) -> Notice:
+def report_kernel_gone(head: Envelope, before: int, epoch: int) -> Notice:
     """A kernel has started after one that did not end in order."""
     text = (
         f"The kernel (epoch {before}) ended without closing the lab. Another one (epoch {epoch}) has "

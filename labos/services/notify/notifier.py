@@ -20,12 +20,12 @@ from labos.services.notify.contacts import Book
 from labos.services.notify.notices import (
     KERNEL,
     TYPES,
-    Answer,
     Notice,
-    kernel_died,
-    kernel_was_gone,
+    SettledNotice,
     module_key,
     read_event,
+    report_kernel_death,
+    report_kernel_gone,
 )
 from labos.services.notify.outbox import Delivery, Outbox
 from labos.services.notify.schedule import SECOND, Due, plan
@@ -38,7 +38,7 @@ GIVEN_UP_S = 3 * 86_400
 IDLE_S = 60.0
 """Without any sign, the log is looked at so often."""
 
-Told = tuple[Notice, Sequence[Due]] | Answer
+Told = tuple[Notice, Sequence[Due]] | SettledNotice
 
 _log = structlog.get_logger(__name__)
 
@@ -93,7 +93,9 @@ class Notifier:
         """The kernel has ended in order, its nodes with it."""
         self._dead = ""
         now = self.clock.now_ns()
-        self.outbox.take_in([Answer(module_key(""), "the lab was closed", all=True, quietly=True)], now)
+        self.outbox.take_in(
+            [SettledNotice(module_key(""), "the lab was closed", all=True, quietly=True)], now
+        )
         self._note_closed()
 
     def kernel_lives(self) -> None:
@@ -184,7 +186,7 @@ class Notifier:
             if isinstance(event, KernelStarted):
                 epoch = event.epoch
             item = read_event(event, record.head)
-            if isinstance(item, Answer):
+            if isinstance(item, SettledNotice):
                 waiting.pop(item.key, None)
             elif item is not None and item.key:
                 waiting.setdefault(item.key, item)
@@ -204,7 +206,7 @@ class Notifier:
             self.outbox.take_in(told, now, position=head.position, epoch=event.epoch)
             return
         item = read_event(event, head)
-        if isinstance(item, Answer) and self.outbox.is_open(item.key):
+        if isinstance(item, SettledNotice) and self.outbox.is_open(item.key):
             self.outbox.take_in([item], now, position=head.position)
         elif isinstance(item, Notice) and not self._is_known(item):
             self.outbox.take_in([(item, plan(self.book, item, now))], now, position=head.position)
@@ -218,19 +220,19 @@ class Notifier:
     def _tell_restart(self, event: KernelStarted, head: Envelope, now: int) -> list[Told]:
         """A new kernel finds out by itself which nodes live; and it is one that runs."""
         told: list[Told] = [
-            Answer(module_key(""), "a new kernel looks for its nodes", all=True, quietly=True)
+            SettledNotice(module_key(""), "a new kernel looks for its nodes", all=True, quietly=True)
         ]
         before = self.outbox.note("epoch") or 0
         if before and self.outbox.note("closed") != before and not self.outbox.is_open(KERNEL):
-            notice = kernel_was_gone(head, before, event.epoch)
+            notice = report_kernel_gone(head, before, event.epoch)
             told.append((notice, plan(self.book, notice, now)))
-        return [*told, Answer(KERNEL, "the kernel runs again")]
+        return [*told, SettledNotice(KERNEL, "the kernel runs again")]
 
     def _tell_of_death(self) -> None:
         """The kernel has stopped; told once for each of its starts, also if nothing can be written
         any more: a full disk may be why it stopped."""
         now = self.clock.now_ns()
-        notice = kernel_died(*self._started, now, self._dead)
+        notice = report_kernel_death(*self._started, now, self._dead)
         dues = plan(self.book, notice, now)
         try:
             self.outbox.take_in([(notice, dues)], now)
@@ -285,14 +287,14 @@ class Notifier:
         self.outbox.mark_sent(delivery, self.clock.now_ns())
         self._sent.discard(delivery.id)
 
-    def _message(self, delivery: Delivery) -> channels.Message:
+    def _message(self, delivery: Delivery) -> channels.Notification:
         """The message with people's words put in; the outbox has references, as they may be erased."""
         notice = delivery.notice
         try:
             notice = show_struct(self.log, notice)
         except StoreError as error:
             _log.warning("words_not_read", why=str(error))
-        return channels.Message(delivery.id, *self._names, notice, delivery.level)
+        return channels.Notification(delivery.id, *self._names, notice, delivery.level)
 
     def _put_off(self, delivery: Delivery, why: str) -> None:
         now = self.clock.now_ns()
@@ -307,9 +309,9 @@ def pause_ns(failures: int) -> int:
     return min(doubled, LONGEST_PAUSE_S) * SECOND
 
 
-def test_message(lab: str, contact: str, clock: Clock) -> channels.Message:
+def test_message(lab: str, contact: str, clock: Clock) -> channels.Notification:
     """A message by which a contact is tried."""
     now = clock.now_ns()
     text = "This is a test of LabOS' notifications. Nothing is the matter."
     notice = Notice(f"test-{now}", 0, now, "test", "", "a test message", text)
-    return channels.Message(f"test-{now}.{contact}.0", lab, "lab", notice, 0)
+    return channels.Notification(f"test-{now}.{contact}.0", lab, "lab", notice, 0)

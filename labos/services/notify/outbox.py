@@ -18,7 +18,7 @@ from typing import Any, Literal
 import msgspec
 
 from labos.errors import StoreUnavailable
-from labos.services.notify.notices import Answer, Notice
+from labos.services.notify.notices import Notice, SettledNotice
 from labos.services.notify.schedule import Due
 
 KEPT_NS = 90 * 86_400 * 1_000_000_000
@@ -89,14 +89,16 @@ class Outbox:
         return int(rows[0][0]) if rows else None
 
     def keep(self, **notes: int) -> None:
-        with self._writing():
+        with self._write_transaction():
             self._keep(notes)
 
-    def take_in(self, told: Sequence[tuple[Notice, Sequence[Due]] | Answer], now: int, **notes: int) -> None:
+    def take_in(
+        self, told: Sequence[tuple[Notice, Sequence[Due]] | SettledNotice], now: int, **notes: int
+    ) -> None:
         """Keep notices with all their messages, and settle what is answered; all or nothing."""
-        with self._writing():
+        with self._write_transaction():
             for item in told:
-                if isinstance(item, Answer):
+                if isinstance(item, SettledNotice):
                     self._settle(item, now)
                 else:
                     self._add(*item)
@@ -119,7 +121,7 @@ class Outbox:
             [(notice.event, due.contact, due.level, due.at, due.at) for due in dues],
         )
 
-    def _settle(self, answer: Answer, now: int) -> None:
+    def _settle(self, answer: SettledNotice, now: int) -> None:
         match = "substr(key, 1, length(?)) = ?" if answer.all else "? = key AND key = ?"
         about = f"SELECT event FROM notice WHERE {match} AND settled IS NULL"
         if answer.quietly:
@@ -159,7 +161,7 @@ class Outbox:
         self, delivery: Delivery, state: State, attempts: int, done_at: int, try_at: int, error: str
     ) -> None:
         which = (delivery.notice.event, delivery.contact, delivery.level)
-        with self._writing():
+        with self._write_transaction():
             # What was withdrawn while it was being sent has been heard all the same.
             self._db.execute(
                 "UPDATE delivery SET state = ?, attempts = ?, done_at = ?, try_at = ?, error = ?"
@@ -184,7 +186,7 @@ class Outbox:
 
     def forget(self, now: int) -> None:
         """Drop what has been over for long."""
-        with self._writing():
+        with self._write_transaction():
             over = (now - KEPT_NS,)
             self._db.execute("DELETE FROM delivery WHERE state != 'waiting' AND done_at < ?", over)
             self._db.execute(
@@ -215,7 +217,7 @@ class Outbox:
             self._db.execute("INSERT OR REPLACE INTO note VALUES (?, ?)", (name, value))
 
     @contextmanager
-    def _writing(self) -> Iterator[None]:
+    def _write_transaction(self) -> Iterator[None]:
         with self._turn:
             try:
                 self._db.execute("BEGIN IMMEDIATE")

@@ -34,7 +34,7 @@ def plan(book: Book, notice: Notice, now: int) -> list[Due]:
         base += 0 if notice.key == KERNEL else int(level.after * SECOND)
         caring = [name for name in dict.fromkeys(level.notify) if notice.topic in book.contacts[name].about]
         told = [
-            Due(name, number, audible(book, book.contacts[name], base, urgent=notice.urgent))
+            Due(name, number, find_audible_time(book, book.contacts[name], base, urgent=notice.urgent))
             for name in caring
         ]
         found += told
@@ -45,7 +45,7 @@ def plan(book: Book, notice: Notice, now: int) -> list[Due]:
     return found
 
 
-def audible(book: Book, contact: Contact, at: int, *, urgent: bool) -> int:
+def find_audible_time(book: Book, contact: Contact, at: int, *, urgent: bool) -> int:
     """The first moment from ``at`` on at which a contact may be told."""
     quiet = contact.quiet
     if quiet is None or (urgent and quiet.urgent == "pass"):

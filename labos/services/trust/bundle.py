@@ -54,7 +54,7 @@ WORDS = "words.jsonl"
 BLOBS = "blobs/"
 
 
-class About(msgspec.Struct, frozen=True):
+class AboutBundle(msgspec.Struct, frozen=True):
     """What a bundle says of itself. ``subject`` is what it is of, and ``kind`` what that is; ``runs`` are the
     runs of an experiment or a campaign. One of a run names its ``run``, as the first bundles did."""
 
@@ -111,7 +111,7 @@ class Attachments(msgspec.Struct, frozen=True):
     words: bool = True
 
 
-def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -> tuple[bytes, About]:
+def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -> tuple[bytes, AboutBundle]:
     """The bundle of a run, an experiment or a campaign that had ended at a checkpoint. Raises NotFound for an
     unknown one or a blob that is not there, Refused if it had not ended, LogDamaged if the log is not the one
     of the checkpoint."""
@@ -141,7 +141,7 @@ def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -
         lines.append(msgspec.json.encode(line) + b"\n")
         digests.update(dict.fromkeys(find_needed_blobs(record.head.type, record.payload)))
     words = _words(log, records) if beside.words else b""
-    about = About(
+    about = AboutBundle(
         WITH_WORDS if words else FORMAT if kind == "run" else FORMAT_OF_SEVERAL,
         records[0].head.lab,
         head.size,

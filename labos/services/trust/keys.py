@@ -38,7 +38,7 @@ spaces."""
 _BETWEEN = b"\n---\n"
 
 
-class Keys:
+class SigningKeys:
     """The keys in one lab's folder."""
 
     def __init__(self, home: Path) -> None:
@@ -59,7 +59,7 @@ class Keys:
             replace_file(self.folder / PUBLIC_FILE, key.public.text.encode() + b"\n")
         return key.public
 
-    def signing(self, *, witness: bool = False) -> SigningKey:
+    def read_signing_key(self, *, witness: bool = False) -> SigningKey:
         """The private key. Raises NotFound if there is none, BadInput if it cannot be read."""
         path = self._file(witness)
         made = "labos key create --witness" if witness else "labos key create"
@@ -85,7 +85,7 @@ class Keys:
     def rotate(self, size: int, time: str) -> Note:
         """Put a new key in the place of the present one, which is destroyed: it signs nothing more behind
         ``size``. Returns the note that both have signed. Raises NotFound, BadInput."""
-        old = self.signing()
+        old = self.read_signing_key()
         fresh = make_key(old.name, SIGNS, secrets.token_bytes(32))
         text = f"{ROTATION}\n{size}\n{old.public.text}\n{fresh.public.text}\n{time}\n"
         note = Note(text, (old.sign(text), fresh.sign(text)))

@@ -79,20 +79,20 @@ class SigningKey(msgspec.Struct, frozen=True):
         """As it is kept in a file."""
         return f"{_PRIVATE}{self.name}+{self.public.id.hex()}+{_base64(bytes([self.kind]) + self.seed)}"
 
-    def sign(self, text: str, time_s: int = 0) -> Signature:
+    def sign(self, text: str, time_s: int = 0) -> NoteSignature:
         """Sign a text; ``time_s`` (UTC, since 1970) is for a cosignature."""
         said = text.encode()
         if self.kind == COSIGNS:
             signature = time_s.to_bytes(8) + self._key().sign(_encode_cosigned(said, time_s))
         else:
             signature = self._key().sign(said)
-        return Signature(self.name, self.public.id, signature)
+        return NoteSignature(self.name, self.public.id, signature)
 
     def _key(self) -> Ed25519PrivateKey:
         return Ed25519PrivateKey.from_private_bytes(self.seed)
 
 
-class Signature(msgspec.Struct, frozen=True):
+class NoteSignature(msgspec.Struct, frozen=True):
     """A line that signs. Of a cosignature the first 8 bytes are its time."""
 
     name: str
@@ -116,12 +116,12 @@ class Note(msgspec.Struct, frozen=True):
     """A text, which ends in a newline, and its signatures."""
 
     text: str
-    signatures: tuple[Signature, ...] = ()
+    signatures: tuple[NoteSignature, ...] = ()
 
     def encode(self) -> bytes:
         return (self.text + "\n" + "".join(each.line for each in self.signatures)).encode()
 
-    def with_signatures(self, more: Iterable[Signature]) -> Note:
+    def with_signatures(self, more: Iterable[NoteSignature]) -> Note:
         """The same note with more of them; of each key the newer one counts."""
         by_key = {(each.name, each.key_id): each for each in (*self.signatures, *more)}
         return Note(self.text, tuple(by_key.values()))
@@ -187,7 +187,7 @@ def parse_note(data: bytes) -> Note:
         ) from None
 
 
-def parse_signatures(lines: str) -> tuple[Signature, ...]:
+def parse_signatures(lines: str) -> tuple[NoteSignature, ...]:
     """Lines that sign. Raises ValueError."""
     found = []
     for line in lines.splitlines():
@@ -195,7 +195,7 @@ def parse_signatures(lines: str) -> tuple[Signature, ...]:
         raw = base64.b64decode(value, validate=True)
         if not line.startswith(_DASH) or not space or len(raw) < 5:
             raise ValueError("a line of its signatures cannot be read")
-        found.append(Signature(name, raw[:4], raw[4:]))
+        found.append(NoteSignature(name, raw[:4], raw[4:]))
     if not 1 <= len(found) <= MOST_SIGNATURES:
         raise ValueError(f"it has {len(found)} signatures")
     return tuple(found)

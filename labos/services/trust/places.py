@@ -13,7 +13,7 @@ from labos.private import make_folder, replace_file
 TIMEOUT_S = 10.0
 
 
-class Place(Protocol):
+class PublishPlace(Protocol):
     """``put`` keeps a small file under a name, durably as far as the place can tell. Raises SystemFailed."""
 
     def put(self, name: str, data: bytes) -> None: ...
@@ -37,7 +37,7 @@ class Folder:
             ) from None
 
 
-class Http:
+class HttpPlace:
     """``PUT url/name``, as WebDAV and many object stores take it."""
 
     def __init__(self, url: str) -> None:
@@ -61,10 +61,10 @@ class Http:
             )
 
 
-def place_of(said: str) -> Place:
+def place_of(said: str) -> PublishPlace:
     """A folder, or an ``http(s)`` URL. Raises BadInput for another kind of URL."""
     if said.startswith(("http://", "https://")):
-        return Http(said)
+        return HttpPlace(said)
     if "://" in said:
         raise BadInput(
             f"Checkpoints cannot be kept at {said}.", remedy="Name a folder, or a URL with http(s)."

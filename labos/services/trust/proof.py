@@ -31,7 +31,7 @@ from labos.services.trust.bundle import (
     STAMP,
     WITH_WORDS,
     WORDS,
-    About,
+    AboutBundle,
     ProvenEvent,
     ToldWords,
     belongs_to,
@@ -42,7 +42,7 @@ from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import TrustedKeys, parse_rotations
 from labos.services.trust.notes import Note, PublicKey, parse_note
 from labos.services.trust.timestamp import read_stamp_time
-from labos.services.verification import Part, find_needed_blobs
+from labos.services.verification import VerifiedPart, find_needed_blobs
 
 LARGEST = 4 << 30
 """Bytes that a bundle may unpack to."""
@@ -50,7 +50,7 @@ LARGEST = 4 << 30
 _line = msgspec.json.Decoder(ProvenEvent)
 _envelope = msgspec.json.Decoder(Envelope)
 _told_words = msgspec.json.Decoder(ToldWords)
-_about = msgspec.json.Decoder(About)
+_about = msgspec.json.Decoder(AboutBundle)
 
 
 class Trust(msgspec.Struct, frozen=True):
@@ -62,7 +62,7 @@ class Trust(msgspec.Struct, frozen=True):
     authorities: Path | None = None
 
 
-class Proof(msgspec.Struct, frozen=True):
+class BundleProof(msgspec.Struct, frozen=True):
     """What was found of a bundle, part by part. ``subject`` (a run, experiment or campaign: ``kind``) and
     ``lab`` are those of the events that are proven; ``run`` is the same for a run, else empty."""
 
@@ -72,7 +72,7 @@ class Proof(msgspec.Struct, frozen=True):
     lab: str
     size: int
     signed_by: str
-    parts: tuple[Part, ...]
+    parts: tuple[VerifiedPart, ...]
 
     @property
     def faults(self) -> list[str]:
@@ -85,7 +85,7 @@ class _Event(msgspec.Struct, frozen=True):
     envelope: bytes
 
 
-def prove_bundle(path: Path, trust: Trust) -> Proof:
+def prove_bundle(path: Path, trust: Trust) -> BundleProof:
     """Check a bundle. Raises BadInput for a file that is none."""
     files = _unpack(path)
     about = _read_about(files, path)
@@ -103,7 +103,7 @@ def prove_bundle(path: Path, trust: Trust) -> Proof:
         _check_blobs(files, events),
     ]
     lab = events[0].head.lab if events else ""
-    return Proof(about.run, about.kind, about.of, lab, head.size, signer, tuple(parts))
+    return BundleProof(about.run, about.kind, about.of, lab, head.size, signer, tuple(parts))
 
 
 def _unpack(path: Path) -> dict[str, bytes]:
@@ -121,7 +121,7 @@ def _unpack(path: Path) -> dict[str, bytes]:
         raise _no_bundle(path, f"it cannot be unpacked ({error})") from None
 
 
-def _read_about(files: dict[str, bytes], path: Path) -> About:
+def _read_about(files: dict[str, bytes], path: Path) -> AboutBundle:
     missing = [name for name in (ABOUT, NOTE, EVENTS) if name not in files]
     if missing:
         raise _no_bundle(path, f"it holds no {', '.join(missing)}")
@@ -142,26 +142,28 @@ def _checkpoint(files: dict[str, bytes]) -> tuple[Note, TreeHead]:
     return note, parse_tree_head(note.text)
 
 
-def _check_signature(files: dict[str, bytes], note: Note, head: TreeHead, trust: Trust) -> tuple[Part, str]:
+def _check_signature(
+    files: dict[str, bytes], note: Note, head: TreeHead, trust: Trust
+) -> tuple[VerifiedPart, str]:
     try:
         known = TrustedKeys(trust.keys, parse_rotations(files.get(ROTATIONS, b"")))
         signers = known.signers(note, head)
     except BadInput as error:
-        return Part("signature", 1, error.message, (str(error),)), ""
+        return VerifiedPart("signature", 1, error.message, (str(error),)), ""
     if not known.list_for(head.origin):
         fault = f"The checkpoint is of {head.origin}, and no key was given that bears this name."
-        return Part("signature", 1, fault, (fault,)), ""
+        return VerifiedPart("signature", 1, fault, (fault,)), ""
     if not signers:
         by = ", ".join(f"{each.name} ({each.key_id.hex()})" for each in note.signatures)
         fault = f"No key that was given has signed the checkpoint; it is signed by {by}."
-        return Part("signature", 1, fault, (fault,)), ""
+        return VerifiedPart("signature", 1, fault, (fault,)), ""
     signer = signers[-1]
     by_way = "" if signer in trust.keys else ", the successor of the key that was given"
     told = f"The checkpoint of size {head.size} is signed by {signer.name} ({signer.id.hex()}){by_way}."
-    return Part("signature", 1, told), signer.text
+    return VerifiedPart("signature", 1, told), signer.text
 
 
-def _check_witnesses(note: Note, trust: Trust) -> Iterator[Part]:
+def _check_witnesses(note: Note, trust: Trust) -> Iterator[VerifiedPart]:
     for key in trust.witnesses:
         try:
             cosigned = bool(note.signers([key]))
@@ -169,29 +171,31 @@ def _check_witnesses(note: Note, trust: Trust) -> Iterator[Part]:
             cosigned = False
         if cosigned:
             at = next(each.time_s for each in note.signatures if each.is_by(key))
-            yield Part("witness", 1, f"The witness {key.name} cosigned it at {iso_time(at * 10**9)}.")
+            yield VerifiedPart("witness", 1, f"The witness {key.name} cosigned it at {iso_time(at * 10**9)}.")
         else:
             fault = f"The witness {key.name} has not cosigned the checkpoint."
-            yield Part("witness", 1, fault, (fault,))
+            yield VerifiedPart("witness", 1, fault, (fault,))
 
 
-def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[Part]:
+def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[VerifiedPart]:
     stamp = files.get(STAMP)
     if trust.authorities is None:
         if stamp is not None:
-            yield Part("time stamp", 0, "There is a time stamp; it was not checked (--tsa FILE).")
+            yield VerifiedPart("time stamp", 0, "There is a time stamp; it was not checked (--tsa FILE).")
     elif stamp is None:
         fault = "The checkpoint bears no time stamp."
-        yield Part("time stamp", 0, fault, (fault,))
+        yield VerifiedPart("time stamp", 0, fault, (fault,))
     else:
         try:
             at = read_stamp_time(stamp, note.text.encode(), trust.authorities)
-            yield Part("time stamp", 1, f"The checkpoint existed at {at.isoformat()}, says its time stamp.")
+            yield VerifiedPart(
+                "time stamp", 1, f"The checkpoint existed at {at.isoformat()}, says its time stamp."
+            )
         except BadInput as error:
-            yield Part("time stamp", 1, error.message, (str(error),))
+            yield VerifiedPart("time stamp", 1, error.message, (str(error),))
 
 
-def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[Part, list[_Event]]:
+def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart, list[_Event]]:
     """Whether each event is in the tree, with its payload. Those that are not are left out of what
     follows."""
     good: list[_Event] = []
@@ -219,10 +223,10 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[Part, list[_
         else:
             good.append(event)
     told = f"{len(good)} of {len(lines)} events are in the log that was signed."
-    return Part("events", len(lines), told, tuple(faults), tuple(positions)), good
+    return VerifiedPart("events", len(lines), told, tuple(faults), tuple(positions)), good
 
 
-def _check_story(about: About, events: Sequence[_Event]) -> Part:
+def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
     """Whether these are all events of what the bundle is of, and of its runs, each from its beginning to its
     end."""
     streams = {about.of: about.kind, **dict.fromkeys(about.runs, "run")}
@@ -249,11 +253,13 @@ def _check_story(about: About, events: Sequence[_Event]) -> Part:
         faults.append(f"Position {event.head.position}: {event.head.type} does not belong to {about.of}.")
         positions.append(event.head.position)
     if about.kind == "campaign":
-        faults += _missing_rows(about, by_stream[about.of])
-    return Part(about.kind, len(own), _story(about, len(own)), tuple(faults), tuple(positions))
+        faults += _find_missing_rows(about, by_stream[about.of])
+    return VerifiedPart(
+        about.kind, len(own), _describe_story(about, len(own)), tuple(faults), tuple(positions)
+    )
 
 
-def _story(about: About, own: int) -> str:
+def _describe_story(about: AboutBundle, own: int) -> str:
     if about.kind == "run":
         return f"The run {about.of} is whole: {own} events of its own, from its submission to its end."
     runs = f"{len(about.runs)} run{'' if len(about.runs) == 1 else 's'}"
@@ -282,7 +288,7 @@ def _submits(event: _Event, subject: str) -> bool:
     return event.head.type == RunSubmitted.TYPE and belongs_to(event.payload, subject)
 
 
-def _missing_rows(about: About, own: Sequence[_Event]) -> Iterator[str]:
+def _find_missing_rows(about: AboutBundle, own: Sequence[_Event]) -> Iterator[str]:
     """A campaign says at its end how many runs it had."""
     for event in own:
         if event.head.type == CampaignCompleted.TYPE:
@@ -292,7 +298,7 @@ def _missing_rows(about: About, own: Sequence[_Event]) -> Iterator[str]:
                 yield f"{about.of} had {told} runs, and {len(about.runs)} are here."
 
 
-def _check_signatures(about: About, events: Sequence[_Event]) -> Iterator[Part]:
+def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[VerifiedPart]:
     """Whether people's signatures under all this are under these records."""
     signed, faults, positions = [], [], []
     names = (about.of, *about.runs)
@@ -314,10 +320,10 @@ def _check_signatures(about: About, events: Sequence[_Event]) -> Iterator[Part]:
             positions.append(event.head.position)
     if signed:
         told = f"{about.of} is signed by {', '.join(signed)}."
-        yield Part("signed by", len(signed), told, tuple(faults), tuple(positions))
+        yield VerifiedPart("signed by", len(signed), told, tuple(faults), tuple(positions))
 
 
-def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[Part]:
+def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[VerifiedPart]:
     """Whether the texts are those that people wrote into the events. One that is not in the bundle was
     erased, or left out: that is no fault."""
     named: dict[str, int] = {}
@@ -347,10 +353,10 @@ def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[
     left_out = len(named) - len(found)
     told_of = f"{len(found)} of {len(named)} texts of people are there, as they were written"
     told_of += f"; {left_out} were erased or left out." if left_out else "."
-    yield Part("words", len(named), told_of, tuple(faults), tuple(positions))
+    yield VerifiedPart("words", len(named), told_of, tuple(faults), tuple(positions))
 
 
-def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> Part:
+def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> VerifiedPart:
     named: dict[str, int] = {}
     for event in events:
         for each in find_needed_blobs(event.head.type, event.payload):
@@ -370,7 +376,7 @@ def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> Part:
         f"The bundle holds {name!r}, which nothing vouches for." for name in files if name not in known
     ]
     told = f"{len(named)} files that the events name are there and whole."
-    return Part("files", len(named), told, tuple(faults), tuple(positions))
+    return VerifiedPart("files", len(named), told, tuple(faults), tuple(positions))
 
 
 def _no_bundle(path: Path, why: str) -> BadInput:

@@ -11,8 +11,8 @@ from labos.core.merkle import Tree, consistency_ranges, growth_proof, proof_of
 from labos.errors import BadInput, LabosError, LogDamaged, Refused
 from labos.services.log import Log
 from labos.services.trust.checkpoints import TreeHead, leaves, parse_tree_head, roots_at, sign_tree
-from labos.services.trust.keys import Keys
-from labos.services.trust.notes import Note, PublicKey, Signature, parse_note
+from labos.services.trust.keys import SigningKeys
+from labos.services.trust.notes import Note, NoteSignature, PublicKey, parse_note
 from labos.services.trust.places import Folder, name_of, newest_in, place_of
 from labos.services.trust.timestamp import request_stamp
 from labos.services.trust.tree import Growth, grow, read_tree, store_tree
@@ -47,7 +47,7 @@ def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
     """Sign the log's end and bring it to all targets; one that fails keeps the others from nothing. Raises
     LogDamaged if the log is not the one that was signed before, NotFound without a key, BadInput,
     Refused for an empty log, StoreUnavailable."""
-    key = Keys(home).signing()
+    key = SigningKeys(home).read_signing_key()
     places = [Folder(home / FOLDER), *(place_of(each) for each in targets.places)]
     kept = read_tree(home)
     growth = grow(log, kept)
@@ -108,7 +108,7 @@ def _check_newest(log: Log, home: Path) -> None:
 
 def _cosignatures(
     url: str, log: Log, note: Note, growth: Growth, keys: Sequence[PublicKey]
-) -> list[Signature]:
+) -> list[NoteSignature]:
     def proof(old: int) -> list[bytes]:
         if old == growth.before.size:
             return growth_proof(growth.before, growth.added) if old else []

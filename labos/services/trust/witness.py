@@ -22,8 +22,8 @@ from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.notes import (
     SIGNS,
     Note,
+    NoteSignature,
     PublicKey,
-    Signature,
     SigningKey,
     parse_note,
     parse_signatures,
@@ -37,7 +37,7 @@ Proof = Callable[[int], Sequence[bytes]]
 """The consistency proof from a size to the checkpoint's."""
 
 
-class Reply(msgspec.Struct, frozen=True):
+class WitnessReply(msgspec.Struct, frozen=True):
     """A witness' answer: an HTTP status, a text and its type."""
 
     status: int
@@ -53,41 +53,45 @@ class Witness:
         self._folder, self._key, self._keys = folder, key, keys
         self._one = threading.Lock()
 
-    def add(self, body: bytes, now_s: int) -> Reply:
+    def add(self, body: bytes, now_s: int) -> WitnessReply:
         """Answer ``add-checkpoint``."""
         try:
             old, proof, note = parse_request(body)
             head = parse_tree_head(note.text)
         except BadInput as error:
-            return Reply(400, f"{error.message}\n")
+            return WitnessReply(400, f"{error.message}\n")
         known = [key for key in self._keys if key.name == head.origin and key.kind == SIGNS]
         if not known:
-            return Reply(404, f"No lab {head.origin} is known here.\n")
+            return WitnessReply(404, f"No lab {head.origin} is known here.\n")
         try:
             signed = note.signers(known)
         except BadInput:
             signed = []
         if not signed:
-            return Reply(403, "No key that is known here has signed this.\n")
+            return WitnessReply(403, "No key that is known here has signed this.\n")
         if old > head.size:
-            return Reply(400, "The old size is larger than the new one.\n")
+            return WitnessReply(400, "The old size is larger than the new one.\n")
         with self._one:  # nobody else moves the size between the look and the note
             return self._judge(old, proof, note, head, now_s)
 
-    def _judge(self, old: int, proof: Sequence[bytes], note: Note, head: TreeHead, now_s: int) -> Reply:
+    def _judge(
+        self, old: int, proof: Sequence[bytes], note: Note, head: TreeHead, now_s: int
+    ) -> WitnessReply:
         try:
             seen = self._last_checkpoint(head.origin)
         except LabosError as error:
-            return Reply(500, f"{error}\n")
+            return WitnessReply(500, f"{error}\n")
         if old != seen.size or (old == head.size and seen.root != head.root):
-            return Reply(409, f"{seen.size}\n", SIZE_TYPE)
+            return WitnessReply(409, f"{seen.size}\n", SIZE_TYPE)
         if not is_consistent(old, seen.root, head.size, head.root, proof):
-            return Reply(422, "The proof does not show that this tree continues the one that was seen.\n")
+            return WitnessReply(
+                422, "The proof does not show that this tree continues the one that was seen.\n"
+            )
         try:
             Folder(self._folder).put(_file_of(head.origin), note.encode())
         except SystemFailed as error:
-            return Reply(500, f"{error}\n")
-        return Reply(200, self._key.sign(note.text, now_s).line)
+            return WitnessReply(500, f"{error}\n")
+        return WitnessReply(200, self._key.sign(note.text, now_s).line)
 
     def _last_checkpoint(self, origin: str) -> TreeHead:
         path = self._folder / _file_of(origin)
@@ -124,7 +128,7 @@ def encode_request(old: int, proof: Sequence[bytes], note: Note) -> bytes:
     return "\n".join(lines).encode() + b"\n\n" + note.encode()
 
 
-def ask_witness(url: str, note: Note, old: int, proof: Proof) -> tuple[Signature, ...]:
+def ask_witness(url: str, note: Note, old: int, proof: Proof) -> tuple[NoteSignature, ...]:
     """Ask a witness to cosign. ``old`` is the size that it is thought to have seen; it says so if it was
     another one. Raises SystemFailed if it cannot be reached or does not agree."""
     target = url.rstrip("/") + "/add-checkpoint"

@@ -11,7 +11,7 @@ from typing import Literal
 from labos.errors import SpecError
 from labos.spec.dialects import madsci, opentrons, wei
 from labos.spec.dialects.wei import NOBODYS as NOBODYS
-from labos.spec.findings import Report
+from labos.spec.findings import FindingList
 from labos.spec.source import Place, Source
 
 Dialect = Literal["labos", "wei", "madsci", "opentrons"]
@@ -73,7 +73,7 @@ def no_spec(source: Source) -> SpecError:
     return source.error(f"This is neither a workcell, a workflow nor labware; it holds {keys}.", remedy=why)
 
 
-def workcell_form(source: Source, report: Report) -> tuple[Source, Dialect]:
+def workcell_form(source: Source, report: FindingList) -> tuple[Source, Dialect]:
     """A workcell file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     data = source.data
     if "labos" in data or OWN_KEYS & data.keys():
@@ -84,7 +84,7 @@ def workcell_form(source: Source, report: Report) -> tuple[Source, Dialect]:
     return wei.workcell(source, report), "wei"
 
 
-def workflow_form(source: Source, report: Report) -> tuple[Source, Dialect]:
+def workflow_form(source: Source, report: FindingList) -> tuple[Source, Dialect]:
     """A workflow file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     data = source.data
     if "labos" not in data and "flowdef" in data:
@@ -96,7 +96,7 @@ def workflow_form(source: Source, report: Report) -> tuple[Source, Dialect]:
     return _own(source), "labos"
 
 
-def labware_form(source: Source, report: Report) -> tuple[Source, Dialect]:
+def labware_form(source: Source, report: FindingList) -> tuple[Source, Dialect]:
     """A labware file in LabOS' own form, and the dialect it was written in. Raises SpecError."""
     if opentrons.is_labware(source):
         return opentrons.labware(source, report), "opentrons"
@@ -110,7 +110,7 @@ def _own(source: Source) -> Source:
     return source
 
 
-def _doubles(source: Source, report: Report) -> None:
+def _doubles(source: Source, report: FindingList) -> None:
     """Foreign programs read with PyYAML, which lets the last one of equal keys win."""
     for double in source.doubles:
         report.warning(

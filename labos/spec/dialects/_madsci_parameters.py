@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from labos.spec.dialects._reader import Reader
-from labos.spec.source import Path_, Table
+from labos.spec.source import Path_, SourceMapping
 
 ALIASES = ("parameters", "params", "workflow_params", "workflow_parameters")
 SECTIONS = {
@@ -27,19 +27,19 @@ class Parameters:
 
     def __init__(self, reader: Reader) -> None:
         self.reader = reader
-        self.inputs: dict[str, Table] = {}
+        self.inputs: dict[str, SourceMapping] = {}
         self.files: set[str] = set()
-        self.forward: dict[str, tuple[Table, Path_]] = {}
+        self.forward: dict[str, tuple[SourceMapping, Path_]] = {}
         for name in ALIASES:
             if reader.source.data.get(name) is not None:
                 self._read(reader.source.data[name], (name,))
                 break
 
-    def form(self, at: Any) -> Table:
+    def form(self, at: Any) -> SourceMapping:
         """As LabOS declares them; those that earlier steps return are none."""
-        out = Table(at)
+        out = SourceMapping(at)
         for name, entry in self.inputs.items():
-            parameter = Table(entry.at)
+            parameter = SourceMapping(entry.at)
             if entry.get("default") is not None and name not in self.files:
                 parameter.take(entry, "default")
             else:
@@ -52,7 +52,7 @@ class Parameters:
             out.put(name, parameter, entry.at, entry.at)
         return out
 
-    def declare(self, entry: Table, path: Path_, kind: str = "") -> str:
+    def declare(self, entry: SourceMapping, path: Path_, kind: str = "") -> str:
         """Add a parameter; its key."""
         kind = str(entry.get("parameter_type") or kind)
         if not kind:
@@ -81,7 +81,7 @@ class Parameters:
         return None if entry is None else entry.get("default")
 
     def _read(self, value: Any, path: Path_) -> None:
-        if not isinstance(value, Table):
+        if not isinstance(value, SourceMapping):
             for index, entry in enumerate(self.reader.sequence(value, path, "the parameters")):
                 at = (*path, index)
                 self.declare(self.reader.table(entry, at, "A parameter"), at)

@@ -11,22 +11,24 @@ from collections.abc import Mapping
 from typing import Any
 
 from labos.spec.dialects._reader import Reader, is_number
-from labos.spec.source import Path_, Row, Table
+from labos.spec.source import Path_, SourceList, SourceMapping
 
 KEYS = ("location_transfer_capabilities", "transfer_capabilities")
 OVERRIDES = "override_transfer_templates"
 OF_TARGETS = ("target_overrides", "destination_overrides")
 
 
-class Transfers:
+class TransferTemplates:
     """Reads the ways; ``modules`` are the nodes by the names that MADSci knows, ``places`` the stations by
     the names and ids of locations."""
 
-    def __init__(self, reader: Reader, modules: Mapping[str, Table], places: Mapping[str, str]) -> None:
+    def __init__(
+        self, reader: Reader, modules: Mapping[str, SourceMapping], places: Mapping[str, str]
+    ) -> None:
         self.reader, self.modules, self.places = reader, modules, places
-        self.found = Row(reader.source.data.at)
+        self.found = SourceList(reader.source.data.at)
 
-    def read(self) -> Row:
+    def read(self) -> SourceList:
         """The ways, in the order of the file."""
         data = self.reader.source.data
         for key in KEYS:
@@ -41,7 +43,7 @@ class Transfers:
                     self.reader.ignore((key, name))
         return self.found
 
-    def _overrides(self, told: Table, path: Path_) -> None:
+    def _overrides(self, told: SourceMapping, path: Path_) -> None:
         overrides = self.reader.table(told.get(OVERRIDES), path, f"`{OVERRIDES}`")
         entries = self.reader.entries
         for source, rows, at in entries(
@@ -75,7 +77,7 @@ class Transfers:
             template = self.reader.table(row, (*path, index), "A template")
             self._template(template, (*path, index), ends)
 
-    def _template(self, template: Table, path: Path_, ends: Mapping[str, str]) -> None:
+    def _template(self, template: SourceMapping, path: Path_, ends: Mapping[str, str]) -> None:
         at = self.reader.source.place(path)
         node = template.get("node_name")
         if not isinstance(node, str) or not isinstance(template.get("action"), str):
@@ -84,7 +86,7 @@ class Transfers:
                 path,
                 remedy="Write `node_name:` and `action:`.",
             )
-        way = Table(at)
+        way = SourceMapping(at)
         way.put("module", self.modules[node]["name"] if node in self.modules else node, at, at)
         way.put("action", template["action"], at, at)
         for end in ("source", "target"):
@@ -98,7 +100,7 @@ class Transfers:
                 (*path, "cost_weight"),
                 remedy="Write a number above 0, or leave it out (1).",
             )
-        args = Table(at)
+        args = SourceMapping(at)
         for key in ("additional_args", "additional_location_args"):
             for name, value, _ in self.reader.entries(template.get(key), (*path, key), f"`{key}`"):
                 args.put(
@@ -111,12 +113,12 @@ class Transfers:
             way.put("args", args, at, at)
         for end, location in ends.items():
             if location:
-                place = Row(at)
+                place = SourceList(at)
                 place.put(self.places[location], at)
                 way.put(end, place, at, at)
         self.found.put(way, at)
 
-    def _capacity(self, told: Table, path: Path_) -> None:
+    def _capacity(self, told: SourceMapping, path: Path_) -> None:
         config = self.reader.table(told.get("capacity_cost_config"), path, "`capacity_cost_config`")
         if config.get("enabled"):
             self.reader.assume(

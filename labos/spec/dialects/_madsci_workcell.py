@@ -6,10 +6,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-from labos.spec.dialects._madsci_transfers import KEYS, Transfers
+from labos.spec.dialects._madsci_transfers import KEYS, TransferTemplates
 from labos.spec.dialects._reader import Reader, is_number
-from labos.spec.findings import Report
-from labos.spec.source import Path_, Place, Row, Source, Table, field_name, plain, read
+from labos.spec.findings import FindingList
+from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, field_name, plain, read
 
 INTERFACES = {"http": "madsci_rest_node", "https": "madsci_rest_node", "sila": "madsci_sila_node"}
 LOCATIONS_FILE = "locations.yaml"
@@ -40,25 +40,25 @@ def is_workcell(source: Source) -> bool:
     )
 
 
-def workcell(source: Source, report: Report) -> Source:
+def workcell(source: Source, report: FindingList) -> Source:
     """Rewrite a workcell file. Raises SpecError where its shape is not understood."""
     return _Workcell(source, report).form()
 
 
 class _Workcell:
-    def __init__(self, source: Source, report: Report) -> None:
+    def __init__(self, source: Source, report: FindingList) -> None:
         self.reader = Reader(source, report)
         self.source, self.data = source, source.data
-        self.modules: dict[str, Table] = {}
-        self.taught: dict[str, Table] = {}
-        self.stations = Table(source.data.at)
+        self.modules: dict[str, SourceMapping] = {}
+        self.taught: dict[str, SourceMapping] = {}
+        self.stations = SourceMapping(source.data.at)
         self.places: dict[str, str] = {}
         """Stations by the names and ids of their locations."""
         self.moved: dict[str, str] = {}
 
     def form(self) -> Source:
         data, at = self.data, self.data.at
-        out = Table(at)
+        out = SourceMapping(at)
         self._name(out)
         for key in ("workcell_manager_description", "workcell_description", "description"):
             if isinstance(data.get(key), str) and "description" not in out:
@@ -66,19 +66,19 @@ class _Workcell:
         nodes = "workcell_nodes" if "workcell_nodes" in data else "nodes"
         for name, url, path in self.reader.entries(data[nodes], (nodes,), f"`{nodes}`"):
             self._node(name, url, path)
-        modules = Row(self.source.place((nodes,)))
+        modules = SourceList(self.source.place((nodes,)))
         for module in self.modules.values():
             modules.put(module, module.at)
         out.put("modules", modules, modules.at, modules.at)
         self._own_locations()
         self._locations_beside()
-        locations = Table(at)
+        locations = SourceMapping(at)
         for name, places in self.taught.items():
             locations.put(name, places, places.at, places.at)
         out.put("locations", locations, at, at)
         out.put("stations", self.stations, at, at)
-        out.put("stock", Table(at), at, at)  # MADSci's locations are empty at first
-        ways = Transfers(self.reader, self.modules, self.places).read()
+        out.put("stock", SourceMapping(at), at, at)  # MADSci's locations are empty at first
+        ways = TransferTemplates(self.reader, self.modules, self.places).read()
         if ways:
             out.put("transfers", ways, at, at)
         self._tell_unused(nodes)
@@ -86,13 +86,13 @@ class _Workcell:
         done.moved = self.moved
         return done
 
-    def _name(self, out: Table) -> None:
+    def _name(self, out: SourceMapping) -> None:
         for key in ("workcell_manager_name", "workcell_name", "manager_name", "name"):
             if isinstance(self.data.get(key), str):
                 out.take(self.data, key, "name")
                 break
         else:
-            self.reader.name(out, Table())
+            self.reader.name(out, SourceMapping())
         if _BAD.search(out["name"]):
             out["name"] = _BAD.sub("_", out["name"])
             self.reader.assume((), f"The workcell is called {out['name']!r} here.", "Give it another name.")
@@ -105,7 +105,7 @@ class _Workcell:
                 remedy="Write http://host:port or sila://host:port.",
             )
         at = self.source.place(path)
-        module, config = Table(at), Table(at)
+        module, config = SourceMapping(at), SourceMapping(at)
         scheme = url.partition("://")[0].lower()
         if scheme not in INTERFACES:
             self.reader.assume(
@@ -124,12 +124,12 @@ class _Workcell:
     # -- locations ---------------------------------------------------------------------------
 
     def _own_locations(self) -> None:
-        written = Table(self.data.at)
+        written = SourceMapping(self.data.at)
         for key in ("locations", "location_templates", "representation_templates"):
             for name in (f"location_{key}", key):
                 if name in self.data and key not in written:
                     written.take(self.data, name, key)
-        templates: dict[str, Table] = {}
+        templates: dict[str, SourceMapping] = {}
         for key in ("resource_default_templates", "default_templates"):
             templates |= self._by_name(Reader(self.source, self.reader.report), self.data, key)
         self._add(self.reader, written, templates, None)
@@ -144,11 +144,13 @@ class _Workcell:
         if not path.is_relative_to(folder.resolve()) or not path.is_file():
             return
         beside = read(Path(self.source.file).parent / name, last_wins=True)
-        report = Report(beside.file)
+        report = FindingList(beside.file)
         self._add(Reader(beside, report), beside.data, {}, self.data.at)
         self.reader.report.take(report)
 
-    def _add(self, reader: Reader, data: Table, resources: dict[str, Table], at: Place | None) -> None:
+    def _add(
+        self, reader: Reader, data: SourceMapping, resources: dict[str, SourceMapping], at: Place | None
+    ) -> None:
         templates = self._by_name(reader, data, "location_templates")
         ways = self._by_name(reader, data, "representation_templates")
         if data.get("locations") is None:
@@ -161,7 +163,7 @@ class _Workcell:
             self._place(location, at or reader.source.place(path))
 
     @staticmethod
-    def _by_name(reader: Reader, data: Table, key: str) -> dict[str, Table]:
+    def _by_name(reader: Reader, data: SourceMapping, key: str) -> dict[str, SourceMapping]:
         if data.get(key) is None:
             return {}
         rows = reader.sequence(data[key], (key,), "the templates")
@@ -176,11 +178,11 @@ class _Workcell:
             raise location.reader.source.error(
                 f"The location {location.name!r} stands here twice.", location.path, remedy="Remove one."
             )
-        station = Table(at)
+        station = SourceMapping(at)
         station.put("kind", location.kind, at, at)
         station.put("capacity", location.capacity, at, at)
         self.places[location.name] = place
-        aliases = Row(at)
+        aliases = SourceList(at)
         for alias in (location.name, location.id):
             if alias and alias != place:
                 self.places[alias] = place
@@ -204,20 +206,20 @@ class _Workcell:
     def _teach(self, node: str, place: str, value: Any, at: Place, *, own: bool) -> None:
         """What a node is told of a place: joints if it is a list of numbers; anything else goes to
         its configuration, as ``representations``."""
-        joints = Row(at)
+        joints = SourceList(at)
         if isinstance(value, list) and value and all(is_number(joint) for joint in value):
             for joint in value:
                 joints.put(joint, at)
         elif value is not None:
             self._configure(node, "representations", place, value, at)
         if not own:
-            self.taught.setdefault(node, Table(at)).put(place, joints, at, at)
+            self.taught.setdefault(node, SourceMapping(at)).put(place, joints, at, at)
 
     def _configure(self, node: str, table: str, place: str, value: Any, at: Place) -> None:
         """What a node's configuration says of a place."""
         config = self.modules[node]["config"]
         if table not in config:
-            config.put(table, Table(at), at, at)
+            config.put(table, SourceMapping(at), at, at)
         config[table].put(place, value, at, at)
 
     def _tell_unused(self, nodes: str) -> None:
@@ -230,7 +232,7 @@ class _Workcell:
 class _Location:
     """One location, with its templates laid under it."""
 
-    def __init__(self, reader: Reader, written: Table, path: Path_) -> None:
+    def __init__(self, reader: Reader, written: SourceMapping, path: Path_) -> None:
         self.reader, self.written, self.path = reader, written, path
         name = written.get("location_name") or written.get("name")
         if not isinstance(name, str) or "/" in name:
@@ -246,7 +248,12 @@ class _Location:
     def warn(self, message: str, remedy: str = "Check the name.") -> None:
         self.reader.assume(self.path, message, remedy)
 
-    def read(self, templates: dict[str, Table], ways: dict[str, Table], resources: dict[str, Table]) -> None:
+    def read(
+        self,
+        templates: dict[str, SourceMapping],
+        ways: dict[str, SourceMapping],
+        resources: dict[str, SourceMapping],
+    ) -> None:
         for key in ("representations", "references", "lookup"):
             if key in self.written:
                 table = self.reader.table(self.written[key], (*self.path, key), f"`{key}`")
@@ -259,14 +266,14 @@ class _Location:
         found = self._find(resources, resource, "resource template")
         self._hold([found.get("base_resource") if found else None, self.written.get("resource_definition")])
 
-    def _find(self, known: dict[str, Table], name: Any, what: str) -> Table | None:
+    def _find(self, known: dict[str, SourceMapping], name: Any, what: str) -> SourceMapping | None:
         if name is None:
             return None
         if str(name) not in known:
             self.warn(f"The {what} {name!r} is not in this file; {self.name!r} is taken for a nest.")
         return known.get(str(name))
 
-    def _bind(self, template: Table, ways: dict[str, Table]) -> None:
+    def _bind(self, template: SourceMapping, ways: dict[str, SourceMapping]) -> None:
         """Which node sees the location how: the roles' defaults, and over them what is written."""
         bound = self._table(self.written, "node_bindings")
         over = self._table(self.written, "representation_overrides")
@@ -278,19 +285,19 @@ class _Location:
                     (*self.path, "node_bindings"),
                     remedy=f"Write `{role}: …` below `node_bindings:`.",
                 )
-            defaults = self._find(ways, name, "representation template") or Table()
+            defaults = self._find(ways, name, "representation template") or SourceMapping()
             own = over.get(role)
             self.ways[node] = {
                 **plain(defaults.get("default_values") or {}),
-                **plain(own if isinstance(own, Table) else {}),
+                **plain(own if isinstance(own, SourceMapping) else {}),
             }
 
-    def _table(self, written: Table, key: str) -> Table:
+    def _table(self, written: SourceMapping, key: str) -> SourceMapping:
         return self.reader.table(written.get(key), (*self.path, key), f"`{key}`")
 
     def _hold(self, resources: list[Any]) -> None:
         for resource in (*resources, self.written.get("resource_template_overrides")):
-            if isinstance(resource, Table):
+            if isinstance(resource, SourceMapping):
                 self.kind = KINDS.get(str(resource.get("base_type", "")), self.kind)
                 if isinstance(resource.get("capacity"), int) and resource["capacity"] >= 1:
                     self.capacity = resource["capacity"]

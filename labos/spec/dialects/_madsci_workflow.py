@@ -8,8 +8,8 @@ from typing import Any
 from labos.spec.carriers import TRANSFER
 from labos.spec.dialects._madsci_parameters import ALIASES, Parameters
 from labos.spec.dialects._reader import Reader, is_number, places
-from labos.spec.findings import Report, near
-from labos.spec.source import Path_, Row, Source, Table
+from labos.spec.findings import FindingList, near
+from labos.spec.source import Path_, Source, SourceList, SourceMapping
 
 METADATA = ("definition_metadata", "metadata")
 ARGUMENTS = ("args", "arguments")
@@ -29,19 +29,19 @@ _FIELD = re.compile(r"[\w\-]+")
 def is_workflow(source: Source) -> bool:
     """Whether the file's steps are MADSci's: none of them names a module, or another file."""
     steps = source.data.get("steps")
-    if "labos" in source.data or not isinstance(steps, Row):
+    if "labos" in source.data or not isinstance(steps, SourceList):
         return False
-    tables = [step for step in steps if isinstance(step, Table)]
+    tables = [step for step in steps if isinstance(step, SourceMapping)]
     return bool(tables) and not any("module" in step or "use" in step for step in tables)
 
 
-def workflow(source: Source, report: Report) -> Source:
+def workflow(source: Source, report: FindingList) -> Source:
     """Rewrite a workflow file. Raises SpecError where its shape is not understood."""
     return _Workflow(source, report).form()
 
 
 class _Workflow:
-    def __init__(self, source: Source, report: Report) -> None:
+    def __init__(self, source: Source, report: FindingList) -> None:
         self.reader = reader = Reader(source, report)
         self.source, self.data = source, source.data
         self.parameters = Parameters(reader)
@@ -53,8 +53,8 @@ class _Workflow:
 
     def form(self) -> Source:
         data = self.data
-        out = Table(data.at)
-        metadata = Table(data.at)
+        out = SourceMapping(data.at)
+        metadata = SourceMapping(data.at)
         for key in METADATA:
             if data.get(key) is not None:
                 metadata = self.reader.table(data[key], (key,), f"`{key}`")
@@ -63,7 +63,7 @@ class _Workflow:
             out.take(data, "description")
         out.put("metadata", metadata, metadata.at, metadata.at)
         at = self.source.place(("steps",))
-        steps = Row(at)
+        steps = SourceList(at)
         last: int | None = None
         moved: dict[str, str] = {}
         for index, step in enumerate(self.steps):
@@ -99,7 +99,7 @@ class _Workflow:
         ]
 
     @staticmethod
-    def _name(step: Table, index: int) -> str:
+    def _name(step: SourceMapping, index: int) -> str:
         for key in ("name", "key", "step_key", "action"):
             if isinstance(step.get(key), str) and step[key]:
                 return str(step[key])
@@ -107,7 +107,7 @@ class _Workflow:
 
     # -- a step ------------------------------------------------------------------------------
 
-    def _step(self, index: int, step: Table, last: int | None) -> Table | None:
+    def _step(self, index: int, step: SourceMapping, last: int | None) -> SourceMapping | None:
         path: Path_ = ("steps", index)
         used_key = next((key for key in USED if step.get(key) is not None), "")
         used = self.reader.table(step.get(used_key), (*path, used_key), f"`{used_key}`")
@@ -123,7 +123,7 @@ class _Workflow:
         elif node is None:
             self._wait(action[0], arguments, path, last)
             return None
-        out = Table(step.at)
+        out = SourceMapping(step.at)
         name_at = places(step, "name")
         out.put("name", self._name(step, index), *name_at)
         if node is not None:
@@ -135,19 +135,21 @@ class _Workflow:
                 out.take(step, key, "comment")
         if self.pause is not None:
             seconds, after = self.pause
-            wait = Table(step.at)
+            wait = SourceMapping(step.at)
             wait.put("after", self.names[after], step.at, step.at)
             wait.put("at_least", seconds, step.at, step.at)
             out.put("wait", wait, step.at, step.at)
             self.pause = None
         return out
 
-    def _find_named(self, step: Table, used: Table, key: str, path: Path_) -> tuple[str, Any] | None:
+    def _find_named(
+        self, step: SourceMapping, used: SourceMapping, key: str, path: Path_
+    ) -> tuple[str, Any] | None:
         """The node or action with its places; a parameter that decides it stands in the payload."""
         if used.get(key) is None:
             return None if step.get(key) is None else (str(step[key]), places(step, key))
         parameter = used[key]
-        if isinstance(parameter, Table):
+        if isinstance(parameter, SourceMapping):
             parameter = self.parameters.declare(parameter, (*path, key))
         if str(parameter) in self.parameters.forward:
             raise self.source.error(
@@ -157,9 +159,11 @@ class _Workflow:
             )
         return self._value(0, parameter, (*path, key)), places(used, key)
 
-    def _arguments(self, index: int, step: Table, used: Table, used_key: str) -> Table:
+    def _arguments(
+        self, index: int, step: SourceMapping, used: SourceMapping, used_key: str
+    ) -> SourceMapping:
         path: Path_ = ("steps", index)
-        out = Table(step.at)
+        out = SourceMapping(step.at)
         for key in ARGUMENTS:
             for name, value, at in self.reader.entries(step.get(key), (*path, key), f"`{key}`"):
                 if value is not None:
@@ -177,7 +181,7 @@ class _Workflow:
                 self._put(out, name, self._value(index, value, at), at)
         return out
 
-    def _put(self, out: Table, name: str, value: Any, path: Path_) -> None:
+    def _put(self, out: SourceMapping, name: str, value: Any, path: Path_) -> None:
         if name in out:
             raise self.source.error(
                 f"The argument {name!r} is given twice.", path, key=True, remedy="Remove one of them."
@@ -191,7 +195,7 @@ class _Workflow:
         return value
 
     def _location(self, value: Any, path: Path_) -> str:
-        if isinstance(value, Table):
+        if isinstance(value, SourceMapping):
             value = value.get("location_name")
         if not isinstance(value, str):
             raise self.source.error(
@@ -203,7 +207,7 @@ class _Workflow:
 
     def _value(self, index: int, parameter: Any, path: Path_) -> str:
         """What an argument refers to: the payload, or what an earlier step returned."""
-        if isinstance(parameter, Table):
+        if isinstance(parameter, SourceMapping):
             parameter = self.parameters.declare(parameter, path)
         key = str(parameter).removeprefix("$")
         if key in self.parameters.inputs:
@@ -215,7 +219,7 @@ class _Workflow:
             f"The parameter {key!r} is not declared.", path, remedy=near(key, known, "parameter")
         )
 
-    def _read_source(self, index: int, entry: Table, path: Path_) -> str:
+    def _read_source(self, index: int, entry: SourceMapping, path: Path_) -> str:
         step, label = entry.get("step"), entry.get("label")
         found = self._find_labelled(index, label) if step is None else self._find_step(step)
         if found is None or not self._has_node(found):
@@ -225,7 +229,7 @@ class _Workflow:
                 remedy="Name an earlier step's key under `step:`.",
             )
         labels = self.steps[found].get("data_labels")
-        if isinstance(labels, Table):
+        if isinstance(labels, SourceMapping):
             label = next((output for output, name in labels.items() if name == label), label)
         result = f"steps.{self.names[found]}.result"
         if entry.get("parameter_type") == "feed_forward_file":
@@ -241,14 +245,14 @@ class _Workflow:
     def _has_node(self, index: int) -> bool:
         """Whether a node does the step: only then does it return anything."""
         step = self.steps[index]
-        used = [step[key] for key in USED if isinstance(step.get(key), Table)]
+        used = [step[key] for key in USED if isinstance(step.get(key), SourceMapping)]
         return step.get("node") is not None or any("node" in table for table in used)
 
     def _find_labelled(self, index: int, label: Any) -> int | None:
         """The last step before this one that labels a result so."""
         for number in reversed(range(index)):
             labels = self.steps[number].get("data_labels")
-            if isinstance(labels, Table) and label in labels.values():
+            if isinstance(labels, SourceMapping) and label in labels.values():
                 return number
         return None
 
@@ -263,7 +267,7 @@ class _Workflow:
 
     # -- what LabOS does otherwise -----------------------------------------------------------
 
-    def _transfer(self, action: str, arguments: Table, path: Path_) -> Table:
+    def _transfer(self, action: str, arguments: SourceMapping, path: Path_) -> SourceMapping:
         """The arguments of a transfer that names no node, as LabOS writes them."""
         if action == TRANSFER_RESOURCE:
             target = arguments.get("destination_location_id", "where it goes")
@@ -273,7 +277,7 @@ class _Workflow:
                 remedy=f"Write `action: transfer`, and as arguments `source:` with the location where it "
                 f"stands then, and `target: {target}`.",
             )
-        out = Table(arguments.at)
+        out = SourceMapping(arguments.at)
         for name, value in arguments.items():
             if name == "await_completion":
                 if value is False:
@@ -292,7 +296,7 @@ class _Workflow:
             )
         return out
 
-    def _wait(self, action: str, arguments: Table, path: Path_, last: int | None) -> None:
+    def _wait(self, action: str, arguments: SourceMapping, path: Path_, last: int | None) -> None:
         """A step of the workcell itself: waiting goes to the step after it; others are refused."""
         if action != "wait":
             raise self.source.error(
@@ -311,7 +315,7 @@ class _Workflow:
             return
         self.pause = (seconds + (self.pause[0] if self.pause else 0), last)
 
-    def _tell_unused(self, step: Table, used: Table, path: Path_, used_key: str) -> None:
+    def _tell_unused(self, step: SourceMapping, used: SourceMapping, path: Path_, used_key: str) -> None:
         known = {
             "name",
             "key",

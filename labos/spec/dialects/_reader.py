@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from pathlib import PurePath
 from typing import Any
 
-from labos.spec.findings import Report
-from labos.spec.source import Path_, Place, Row, Source, Table, field_name
+from labos.spec.findings import FindingList
+from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, field_name
 
 
 class Reader:
     """One file on its way into LabOS' form."""
 
-    def __init__(self, source: Source, report: Report) -> None:
+    def __init__(self, source: Source, report: FindingList) -> None:
         self.source, self.report = source, report
 
     def ignore(self, path: Path_, why: str = "is not used by LabOS") -> None:
@@ -24,25 +24,25 @@ class Reader:
             remedy="It is ignored; remove it if you can.",
         )
 
-    def table(self, value: Any, path: Path_, what: str) -> Table:
+    def table(self, value: Any, path: Path_, what: str) -> SourceMapping:
         """The value as a table; nothing written counts as an empty one."""
-        if isinstance(value, Table):
+        if isinstance(value, SourceMapping):
             return value
         if value is None:
-            return Table(self.source.place(path))
+            return SourceMapping(self.source.place(path))
         raise self.source.error(
             f"{what} must be a table of keys and values.", path, remedy="Write `key: value`."
         )
 
-    def row(self, key: str, what: str) -> Row:
+    def row(self, key: str, what: str) -> SourceList:
         """A list at the top level, which must be there."""
         if key not in self.source.data:
             raise self.source.error(f"`{key}` is missing.", (key,), remedy=f"Write `{key}:` and {what}.")
         return self.sequence(self.source.data[key], (key,), what)
 
-    def sequence(self, value: Any, path: Path_, what: str) -> Row:
+    def sequence(self, value: Any, path: Path_, what: str) -> SourceList:
         """The value as a list."""
-        if isinstance(value, Row):
+        if isinstance(value, SourceList):
             return value
         remedy = f"Write {what} below it, each with a dash."
         raise self.source.error(f"`{path[-1]}` must be a list.", path, remedy=remedy)
@@ -52,7 +52,7 @@ class Reader:
         place = self.source.place(path, key=key)
         self.report.warning(message, place, field=field_name(path), remedy=remedy)
 
-    def name(self, out: Table, metadata: Table) -> None:
+    def name(self, out: SourceMapping, metadata: SourceMapping) -> None:
         """The name stands at the root, in the metadata, or is the file's."""
         if isinstance(self.source.data.get("name"), str):
             out.take(self.source.data, "name")
@@ -68,11 +68,11 @@ class Reader:
         for key, item in self.table(value, path, what).items():
             yield key, item, (*path, key)
 
-    def finish(self, out: Table) -> Source:
+    def finish(self, out: SourceMapping) -> Source:
         return Source(self.source.file, out, self.source.digest, self.source.folder)
 
 
-def places(table: Table, key: str) -> tuple[Place, Place]:
+def places(table: SourceMapping, key: str) -> tuple[Place, Place]:
     """Where a key and its value stand; where the table does, if it has none."""
     return table.keys_at.get(key, table.at), table.values_at.get(key, table.at)
 

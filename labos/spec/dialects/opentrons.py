@@ -10,8 +10,8 @@ import re
 from typing import Any
 
 from labos.spec.dialects._reader import Reader, is_number
-from labos.spec.findings import Report
-from labos.spec.source import Row, Source, Table
+from labos.spec.findings import FindingList
+from labos.spec.source import Source, SourceList, SourceMapping
 
 TOLERANCE_MM = 0.05
 
@@ -21,7 +21,7 @@ def is_labware(source: Source) -> bool:
     return "labos" not in source.data and {"dimensions", "ordering", "wells"} <= source.data.keys()
 
 
-def labware(source: Source, report: Report) -> Source:
+def labware(source: Source, report: FindingList) -> Source:
     """Rewrite a labware definition. Raises SpecError where its shape is not understood."""
     reader = Reader(source, report)
     data, at = source.data, source.data.at
@@ -29,7 +29,7 @@ def labware(source: Source, report: Report) -> Source:
     metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
     written = str(parameters.get("loadName") or "labware")
     name = re.sub(r"[^A-Za-z0-9_ ()\-]", "_", written)
-    kind = Table(at)
+    kind = SourceMapping(at)
     if isinstance(metadata.get("displayName"), str):
         kind.take(metadata, "displayName", "description")
     kind.put("footprint", _footprint(reader), *_spot(source, "dimensions"))
@@ -38,9 +38,9 @@ def labware(source: Source, report: Report) -> Source:
         kind.put("wells", wells, *_spot(source, "wells"))
     version = data.get("version")
     kind.put("source", f"Opentrons, {data.get('namespace', 'unknown')}/{written}, version {version}", at, at)
-    types = Table(at)
+    types = SourceMapping(at)
     types.put(name, kind, at, at)
-    out = Table(at)
+    out = SourceMapping(at)
     out.put("labware", types, at, at)
     return reader.finish(out)
 
@@ -49,17 +49,17 @@ def _spot(source: Source, key: str) -> tuple[Any, Any]:
     return source.place((key,), key=True), source.place((key,))
 
 
-def _number(reader: Reader, table: Table, key: str, path: tuple[str, ...]) -> float:
+def _number(reader: Reader, table: SourceMapping, key: str, path: tuple[str, ...]) -> float:
     value = table.get(key)
     if not is_number(value):
         raise reader.source.error(f"`{key}` is no number.", (*path, key), remedy="Write it in mm or µL.")
     return float(value)  # type: ignore[arg-type]
 
 
-def _footprint(reader: Reader) -> Table:
+def _footprint(reader: Reader) -> SourceMapping:
     path = ("dimensions",)
     written = reader.table(reader.source.data["dimensions"], path, "`dimensions`")
-    out = Table(written.at)
+    out = SourceMapping(written.at)
     for key, name in (
         ("xDimension", "length_mm"),
         ("yDimension", "width_mm"),
@@ -69,15 +69,15 @@ def _footprint(reader: Reader) -> Table:
     return out
 
 
-def _wells(reader: Reader, footprint: Table) -> Table | None:
+def _wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | None:
     """The grid of wells; None, with a warning, where they stand in no grid with one pitch."""
     columns = reader.row("ordering", "the columns")
     written = reader.table(reader.source.data["wells"], ("wells",), "`wells`")
-    names = [[str(name) for name in column] if isinstance(column, Row) else [] for column in columns]
+    names = [[str(name) for name in column] if isinstance(column, SourceList) else [] for column in columns]
     spots = {
         name: (_number(reader, well, "x", ("wells", name)), _number(reader, well, "y", ("wells", name)))
         for name, well in written.items()
-        if isinstance(well, Table)
+        if isinstance(well, SourceMapping)
     }
     pitch = _pitch(names, spots, footprint["length_mm"])
     volume = 0.0
@@ -99,7 +99,7 @@ def _wells(reader: Reader, footprint: Table) -> Table | None:
         "a1_y_mm": round(footprint["width_mm"] - y, 3),
         "volume_ul": volume,
     }
-    out = Table(written.at)
+    out = SourceMapping(written.at)
     for key, value in grid.items():
         out.put(key, value, written.at, written.at)
     return out

@@ -11,8 +11,8 @@ import re
 from typing import Any
 
 from labos.spec.dialects._reader import Reader, is_number, places
-from labos.spec.findings import Report
-from labos.spec.source import Path_, Row, Source, Table, field_name
+from labos.spec.findings import FindingList
+from labos.spec.source import Path_, Source, SourceList, SourceMapping, field_name
 
 WORKCELL_KEYS = {"name", "metadata", "config", "modules", "locations"}
 MODULE_KEYS = {"name", "model", "interface", "config", "active"}
@@ -32,16 +32,16 @@ STEP_KEYS = {"name", "module", "action", "comment"}
 _PARAMETER = re.compile(r"\$(?:([\w\-]+)|\{([\w\-]+)\})")
 
 
-def workcell(source: Source, report: Report) -> Source:
+def workcell(source: Source, report: FindingList) -> Source:
     """Rewrite a workcell file. Raises SpecError where its shape is not understood."""
     reader = Reader(source, report)
     data = source.data
-    out = Table(data.at)
+    out = SourceMapping(data.at)
     config = reader.table(data.get("config"), ("config",), "`config`")
-    reader.name(out, Table())
+    reader.name(out, SourceMapping())
     out.put("config", config, *places(data, "config"))
     locations, others = _locations(reader)
-    modules = Row(source.place(("modules",)))
+    modules = SourceList(source.place(("modules",)))
     for index, entry in enumerate(reader.row("modules", "the modules")):
         path = ("modules", index)
         module = reader.table(entry, path, "A module")
@@ -53,7 +53,7 @@ def workcell(source: Source, report: Report) -> Source:
     names = {str(module["name"]) for module in modules}
     nobodys = {owner: told for owner, told in others.items() if owner not in names and owner != "workcell"}
     if nobodys:
-        left = Table(locations.at)
+        left = SourceMapping(locations.at)
         for owner, told in nobodys.items():
             left.put(owner, told, told.at, told.at)
         config.put(NOBODYS, left, left.at, left.at)
@@ -69,10 +69,10 @@ def workcell(source: Source, report: Report) -> Source:
     return reader.finish(out)
 
 
-def _module(reader: Reader, module: Table, path: Path_, locations: Table) -> Table:
+def _module(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> SourceMapping:
     if not module.get("name"):
         raise reader.source.error("A module has no name.", (*path, "name"), remedy="Write `- name: …`.")
-    out = Table(module.at)
+    out = SourceMapping(module.at)
     config = reader.table(module.get("config"), (*path, "config"), "`config`")
     for key, value in module.items():
         at = (*path, key)
@@ -98,7 +98,7 @@ def _module(reader: Reader, module: Table, path: Path_, locations: Table) -> Tab
     return out
 
 
-def _coordinates(reader: Reader, out: Table, module: Table, key: str, path: Path_) -> None:
+def _coordinates(reader: Reader, out: SourceMapping, module: SourceMapping, key: str, path: Path_) -> None:
     value = module[key]
     if isinstance(value, list) and len(value) == 7:
         out.take(module, key, "coordinates")
@@ -112,35 +112,35 @@ def _coordinates(reader: Reader, out: Table, module: Table, key: str, path: Path
     )
 
 
-def _positions(reader: Reader, module: Table, path: Path_, locations: Table) -> None:
+def _positions(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> None:
     """``positions`` name a module's places without saying whose joints they are."""
     written = reader.table(module["positions"], path, "`positions`")
     owner = locations.get("workcell")
     if owner is None:
-        owner = Table(written.at)
+        owner = SourceMapping(written.at)
         locations.put("workcell", owner, written.at, written.at)
     for name in written:
         place = f"{module.get('name')}.{name}"
         at = written.keys_at[name]
         if place not in owner and f"{module.get('name')}" != "None":
-            owner.put(place, Row(at), at, at)
+            owner.put(place, SourceList(at), at, at)
 
 
-def _tell_positions(reader: Reader, modules: Row, locations: Table) -> None:
+def _tell_positions(reader: Reader, modules: SourceList, locations: SourceMapping) -> None:
     """The joints of ``positions`` are those of whatever module a step sends there: its node is told them, as
     WEI did, and not our name for the place. What the module has of its own goes before them, and nothing but
     zeros was never taught."""
-    taught = Table(modules.at)
+    taught = SourceMapping(modules.at)
     for index, module in enumerate(reader.row("modules", "the modules")):
-        written = module.get("positions") if isinstance(module, Table) else None
-        for name, joints in written.items() if isinstance(written, Table) else ():
+        written = module.get("positions") if isinstance(module, SourceMapping) else None
+        for name, joints in written.items() if isinstance(written, SourceMapping) else ():
             if isinstance(joints, list) and any(joints) and all(map(is_number, joints)):
                 at = reader.source.place(("modules", index, "positions", name))
                 taught.put(f"{modules[index]['name']}.{name}", joints, at, at)
     for module in modules if taught else ():
         config = module["config"]
         own = locations.get(str(module["name"])) or {}
-        told = Table(taught.at)
+        told = SourceMapping(taught.at)
         ways = {place: way for place, way in taught.items() if not own.get(place)}
         for place, way in {**ways, **(config.get("representations") or {})}.items():
             told.put(place, way, taught.at, taught.at)
@@ -148,36 +148,36 @@ def _tell_positions(reader: Reader, modules: Row, locations: Table) -> None:
             config.put("representations", told, told.at, told.at)
 
 
-def _locations(reader: Reader) -> tuple[Table, dict[str, Table]]:
+def _locations(reader: Reader) -> tuple[SourceMapping, dict[str, SourceMapping]]:
     """Joint values by owner and place; and what is written instead of joint values, which the
     module itself may understand: it is told as ``representations``."""
     source = reader.source
     written = reader.table(source.data.get("locations"), ("locations",), "`locations`")
-    out = Table(written.at)
-    others: dict[str, Table] = {}
+    out = SourceMapping(written.at)
+    others: dict[str, SourceMapping] = {}
     for owner, value in written.items():
         path = ("locations", owner)
-        kept = Table(source.place(path))
+        kept = SourceMapping(source.place(path))
         for place, joints in reader.table(value, path, "A manipulator's locations").items():
             if isinstance(joints, list) and all(is_number(joint) for joint in joints):
                 kept.take(value, place)
                 continue
             at = places(value, place)
-            kept.put(place, Row(at[1]), *at)
+            kept.put(place, SourceList(at[1]), *at)
             if joints is not None:
-                others.setdefault(owner, Table(at[0])).put(place, joints, *at)
+                others.setdefault(owner, SourceMapping(at[0])).put(place, joints, *at)
         out.put(owner, kept, *places(written, owner))
     return out, others
 
 
-def workflow(source: Source, report: Report) -> Source:
+def workflow(source: Source, report: FindingList) -> Source:
     """Rewrite a workflow file. Raises SpecError where its shape is not understood."""
     reader = Reader(source, report)
     data = source.data
-    out = Table(data.at)
+    out = SourceMapping(data.at)
     metadata = reader.table(data.get("metadata"), ("metadata",), "`metadata`")
     reader.name(out, metadata)
-    about = Table(metadata.at)
+    about = SourceMapping(metadata.at)
     for key in metadata:
         about.take(metadata, key)
     for key in ABOUT:
@@ -191,7 +191,7 @@ def workflow(source: Source, report: Report) -> Source:
     parameters = _parameters(reader)
     if parameters:
         out.put("parameters", parameters, *places(data, "parameters"))
-    steps = Row(source.place(("flowdef",)))
+    steps = SourceList(source.place(("flowdef",)))
     for index, entry in enumerate(reader.row("flowdef", "the steps")):
         path = ("flowdef", index)
         step = _Step(reader, reader.table(entry, path, "A step"), path, parameters)
@@ -207,24 +207,24 @@ def workflow(source: Source, report: Report) -> Source:
     return form
 
 
-def _module_names(reader: Reader) -> Row:
+def _module_names(reader: Reader) -> SourceList:
     written = reader.row("modules", "the modules")
-    names = Row(written.at)
+    names = SourceList(written.at)
     for index, entry in enumerate(written):
         path = ("modules", index)
         if isinstance(entry, str):
             names.put(entry, reader.source.place(path))
-        elif isinstance(entry, Table) and isinstance(entry.get("name"), str):
+        elif isinstance(entry, SourceMapping) and isinstance(entry.get("name"), str):
             names.put(entry["name"], reader.source.place((*path, "name")))
         else:
             raise reader.source.error("A module has no name.", path, remedy="Write `- name: …`.")
     return names
 
 
-def _parameters(reader: Reader) -> Table:
+def _parameters(reader: Reader) -> SourceMapping:
     """WEI 0.7: ``parameters: [{name, default}]``."""
     value = reader.source.data.get("parameters")
-    out = Table(reader.source.place(("parameters",)))
+    out = SourceMapping(reader.source.place(("parameters",)))
     if value is None:
         return out
     for index, entry in enumerate(reader.row("parameters", "the parameters")):
@@ -232,7 +232,7 @@ def _parameters(reader: Reader) -> Table:
         entry = reader.table(entry, path, "A parameter")
         if not isinstance(entry.get("name"), str):
             raise reader.source.error("A parameter has no name.", path, remedy="Write `- name: …`.")
-        parameter = Table(entry.at)
+        parameter = SourceMapping(entry.at)
         if entry.get("default") is not None:
             parameter.take(entry, "default")
         else:
@@ -244,12 +244,12 @@ def _parameters(reader: Reader) -> Table:
 class _Step:
     """One step on its way into LabOS' form."""
 
-    def __init__(self, reader: Reader, step: Table, path: Path_, parameters: Table) -> None:
+    def __init__(self, reader: Reader, step: SourceMapping, path: Path_, parameters: SourceMapping) -> None:
         self.reader, self.step, self.path, self.parameters = reader, step, path, parameters
-        self.out = Table(step.at)
-        self.arguments = Table(places(step, "args")[1])
+        self.out = SourceMapping(step.at)
+        self.arguments = SourceMapping(places(step, "args")[1])
 
-    def form(self) -> Table:
+    def form(self) -> SourceMapping:
         step, out = self.step, self.out
         for key, value in step.items():
             self._entry(key, value, (*self.path, key))
@@ -271,7 +271,7 @@ class _Step:
             return
         elif key in STEP_KEYS:
             out.take(step, key)
-        elif key == "command" and isinstance(value, Table):
+        elif key == "command" and isinstance(value, SourceMapping):
             self._take_command(value, at)
         elif key == "command" and "action" not in step:
             out.take(step, key, "action")
@@ -291,7 +291,7 @@ class _Step:
         else:
             reader.ignore(at)
 
-    def _take_command(self, command: Table, at: Path_) -> None:
+    def _take_command(self, command: SourceMapping, at: Path_) -> None:
         """The oldest files: ``command: {instruction, args, checks, comment}``."""
         for key, value in command.items():
             if key == "instruction" and value is not None:
@@ -315,10 +315,10 @@ class _Step:
 
     def _fill(self, value: Any) -> Any:
         """WEI's ``$x`` and ``${x}`` for declared parameters become ``payload.x``, at any depth."""
-        if isinstance(value, Table):
+        if isinstance(value, SourceMapping):
             for key in value:
                 value[key] = self._fill(value[key])
-        elif isinstance(value, Row):
+        elif isinstance(value, SourceList):
             value[:] = [self._fill(item) for item in value]
         elif isinstance(value, str) and "$" in value:
             whole = _PARAMETER.fullmatch(value)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from plate_reading import Color
 
 from labos.client import Experiment
-from labos.client.report import Report, write_report
+from labos.client.report import ReportPage, write_report
 
 
 class Sample(NamedTuple):
@@ -28,7 +28,7 @@ class Sample(NamedTuple):
 
 def write_picker_report(
     experiment: Experiment, folder: Path | None, samples: Sequence[Sample], target: Color, picture: bytes
-) -> Report:
+) -> ReportPage:
     """Plots, table and page; the last picture of the plate is among them."""
     nearest = min(samples, key=lambda sample: sample.distance)
     a, b, c = nearest.mixture

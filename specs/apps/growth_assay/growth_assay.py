@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from labos.client import Experiment, LabClient, LabUnreachable, RunResult
-from labos.client.report import Report, parser_for, run_program
+from labos.client.report import ReportPage, parser_for, run_program
 from labos.errors import BadInput, LabosError
 
 HERE = Path(__file__).resolve().parent
@@ -40,7 +40,7 @@ class Outcome(NamedTuple):
     curve: Curve
     plates: int
     bad: list[str]
-    report: Report
+    report: ReportPage
 
 
 def assay(

@@ -11,7 +11,7 @@ from growth_layout import DRUG
 from matplotlib.figure import Figure
 
 from labos.client import Experiment
-from labos.client.report import Report, write_report
+from labos.client.report import ReportPage, write_report
 
 NO_DOSE = 0.03
 """Where wells without a drug are drawn: a logarithmic axis has no zero (mg/L)."""
@@ -68,7 +68,7 @@ def write_growth_report(
     first: Sequence[Mapping[str, float]],
     last: Sequence[Mapping[str, float]],
     curve: Curve,
-) -> Report:
+) -> ReportPage:
     """The picture, the fit, and a table of the doses (means and standard errors)."""
     columns = zip(_over_plates(first), _over_plates(last), strict=True)
     return write_report(

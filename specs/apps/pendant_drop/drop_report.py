@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from labos.client import Experiment
-from labos.client.report import Report, write_report
+from labos.client.report import ReportPage, write_report
 
 
 class Drop(NamedTuple):
@@ -47,7 +47,7 @@ def summary_of(drops: Sequence[Drop], viscosity: float) -> Summary:
 
 def write_drop_report(
     experiment: Experiment, folder: Path | None, drops: Sequence[Drop], viscosity: float
-) -> Report:
+) -> ReportPage:
     """Plots, table and page."""
     found = summary_of(drops, viscosity)
     return write_report(

@@ -12,7 +12,7 @@ from polymer_colours import Lab, rgb_of
 from polymer_recommender import Recipe
 
 from labos.client import Experiment
-from labos.client.report import Report, write_report
+from labos.client.report import ReportPage, write_report
 
 
 class Sample(NamedTuple):
@@ -30,7 +30,7 @@ class Sample(NamedTuple):
 
 def write_polymer_report(
     experiment: Experiment, folder: Path | None, samples: Sequence[Sample], target: Lab, tolerance: float
-) -> Report:
+) -> ReportPage:
     """Plots, table and page."""
     nearest = min(samples, key=lambda sample: sample.difference)
     a, b, c, length = nearest.recipe

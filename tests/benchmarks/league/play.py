@@ -29,7 +29,7 @@ from labos.core.registry import Event
 from labos.core.runs import RunCompleted, RunSubmitted
 from labos.core.steps import WindowBreached
 from labos.planner.planner import Planner
-from labos.planner.watch import Watch, waiting_in
+from labos.planner.watch import CellWatch, list_waiting
 from labos.planning.scheduler import Scheduler
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
@@ -90,7 +90,7 @@ class Player:
         self.clock = VirtualClock(self.loop)
         self._plan_with = plan_with
         self.planner = planner
-        self.watch = Watch() if jitter else None
+        self.watch = CellWatch() if jitter else None
         self._asked = False
         self._seen: set[RunId] = set()
         self._ended = 0
@@ -181,7 +181,7 @@ class Player:
         self._asked = False
         assert self.planner is not None
         state, now = self.kernel.state, self.clock.now_ns()
-        waiting = waiting_in(state, self.cell.name)
+        waiting = list_waiting(state, self.cell.name)
         if self.watch is not None and not self.watch.is_due(state, self.cell.name, waiting, now):
             return
         found = self.planner.suggest(state, self.cell.name, waiting, now)

@@ -14,7 +14,7 @@ import pytest
 
 from labos.adapter import _http
 from labos.adapter._decode import LARGEST_JSON, read_json_text
-from labos.adapter._http import Http, NoResponse, read_json
+from labos.adapter._http import HttpClient, NoResponse, read_json
 from labos.adapter.protobuf import _from_json
 from labos.adapter.ros import _table
 from labos.adapter.sila.features import Named, read_feature, unwrap
@@ -34,7 +34,7 @@ def make_response(body: bytes, headers: dict[str, str] | None = None, status: in
 
 def with_server(
     replies: list[bytes],
-    use: Callable[[Http], Awaitable[None]],
+    use: Callable[[HttpClient], Awaitable[None]],
     headers: bytes = b"",
     status: bytes = b"200 OK",
 ) -> None:
@@ -58,7 +58,7 @@ def with_server(
 
         server = await asyncio.start_server(answer, "127.0.0.1", 0)
         port = server.sockets[0].getsockname()[1]
-        http = Http(f"http://127.0.0.1:{port}", patience_s=5.0)
+        http = HttpClient(f"http://127.0.0.1:{port}", patience_s=5.0)
         try:
             await use(http)
         finally:
@@ -77,7 +77,7 @@ def test_what_cannot_be_read_is_a_value_error(text: bytes) -> None:
 
 
 def test_an_http_answer_that_cannot_be_read_is_an_error_of_the_device() -> None:
-    async def use(http: Http) -> None:
+    async def use(http: HttpClient) -> None:
         for _ in ABSURD:
             with pytest.raises(DeviceError) as caught:
                 await http.ask("/state")
@@ -94,7 +94,7 @@ def test_an_http_answer_that_cannot_be_read_is_an_error_of_the_device() -> None:
 def test_an_http_answer_without_an_end_is_not_kept_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_http, "LARGEST_ANSWER", 1_000_000)
 
-    async def use(http: Http) -> None:
+    async def use(http: HttpClient) -> None:
         with pytest.raises(NoResponse, match="more than 1000000 bytes came"):
             await http.send("POST", "/action")
         with pytest.raises(DeviceError, match="more than 1000000 bytes came") as caught:
@@ -108,7 +108,7 @@ def test_an_http_answer_without_an_end_is_not_kept_in_memory(monkeypatch: pytest
 
 
 def test_a_packed_answer_is_read_as_before() -> None:
-    async def use(http: Http) -> None:
+    async def use(http: HttpClient) -> None:
         assert await http.ask("/state") == {"status": "idle"}
 
     with_server([gzip.compress(b'{"status":"idle"}')], use, headers=b"Content-Encoding: gzip\r\n")

@@ -11,7 +11,7 @@ import pytest
 
 from labos.audit import projector
 from labos.audit.database import audit_file, open_audit
-from labos.audit.find import Found, Question, find
+from labos.audit.find import SearchQuery, SearchResult, find
 from labos.audit.query import open_asker
 from labos.audit.words import all_words, words_of
 from labos.cli.app import main
@@ -23,9 +23,9 @@ from tests.support.published import PICTURE, TITLE, publish_lab
 from tests.unit.services.logbook import START_NS
 
 
-def ask(url: str, words: str = "", **filters: Any) -> Found:
+def ask(url: str, words: str = "", **filters: Any) -> SearchResult:
     with open_asker(url) as asker:
-        return find(asker, Question(words, **filters))
+        return find(asker, SearchQuery(words, **filters))
 
 
 def names(url: str, words: str = "", **filters: Any) -> list[str]:

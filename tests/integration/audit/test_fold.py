@@ -15,7 +15,7 @@ from labos.audit import projector
 from labos.audit._rows import seconds
 from labos.audit._work import NUMBERS
 from labos.audit.database import open_audit
-from labos.audit.query import Asker, open_asker
+from labos.audit.query import ReadConnection, open_asker
 from labos.core.branches import MAIN
 from labos.core.envelope import Record
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN
@@ -95,7 +95,7 @@ def test_the_tables_agree_with_the_fold(
             compare(asker, state)
 
 
-def compare(asker: Asker, state: LabState) -> None:
+def compare(asker: ReadConnection, state: LabState) -> None:
     _same_bench(asker, state)
     _same_runs(asker, state)
     _same_levels(asker, state)
@@ -105,12 +105,12 @@ def compare(asker: Asker, state: LabState) -> None:
     assert count == state.position
 
 
-def rows(asker: Asker, query: str) -> list[dict[str, Any]]:
+def rows(asker: ReadConnection, query: str) -> list[dict[str, Any]]:
     answer = asker.ask(query)
     return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
 
 
-def _same_bench(asker: Asker, state: LabState) -> None:
+def _same_bench(asker: ReadConnection, state: LabState) -> None:
     told = {row["labware"]: row for row in rows(asker, "SELECT * FROM labware WHERE gone_at_s IS NULL")}
     assert told.keys() == state.bench.labware.keys()
     for name, item in state.bench.labware.items():
@@ -133,7 +133,7 @@ def _same_bench(asker: Asker, state: LabState) -> None:
             assert levels[name] == pytest.approx(item.volumes_ul), name
 
 
-def _same_runs(asker: Asker, state: LabState) -> None:
+def _same_runs(asker: ReadConnection, state: LabState) -> None:
     alive = {**{run.id: run for run in state.runs.active.values()}}
     told = {row["run"]: row for row in rows(asker, "SELECT * FROM runs WHERE ended_at_s IS NULL")}
     assert told.keys() == {*alive, *state.runs.queued}
@@ -151,7 +151,7 @@ def _same_runs(asker: Asker, state: LabState) -> None:
     }
 
 
-def _same_levels(asker: Asker, state: LabState) -> None:
+def _same_levels(asker: ReadConnection, state: LabState) -> None:
     told = {f"{row['module']}:{row['resource']}": row for row in rows(asker, "SELECT * FROM resources")}
     for key, level in state.resources.levels.items():
         assert told[key]["level"] == pytest.approx(level.level), key
@@ -160,12 +160,12 @@ def _same_levels(asker: Asker, state: LabState) -> None:
         assert lots == [(lot.name, lot.left) for lot in level.lots]
 
 
-def _same_questions(asker: Asker, state: LabState) -> None:
+def _same_questions(asker: ReadConnection, state: LabState) -> None:
     told = rows(asker, "SELECT intervention FROM interventions WHERE resolved_at_s IS NULL")
     assert {row["intervention"] for row in told} == state.interventions.open.keys()
 
 
-def _same_campaigns(asker: Asker, state: LabState) -> None:
+def _same_campaigns(asker: ReadConnection, state: LabState) -> None:
     told = {row["campaign"]: row for row in rows(asker, "SELECT * FROM campaigns WHERE ended_at_s IS NULL")}
     assert told.keys() == state.campaigns.open.keys()
     for name, campaign in state.campaigns.open.items():

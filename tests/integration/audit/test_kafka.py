@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from labos.audit.cloudevents import cloudevent
-from labos.audit.kafka import KafkaSink, Topic, read_settings
+from labos.audit.kafka import KafkaSink, KafkaTopic, read_settings
 from labos.cli.app import main
 from labos.core.envelope import Record
 from labos.core.ids import LabId
@@ -38,7 +38,9 @@ def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[KafkaBroker]:
 
 def sink(broker: KafkaBroker, topic: str, folder: Path, **more: float) -> KafkaSink:
     patience_s = more.get("patience_s", 120.0)
-    return KafkaSink(Topic(broker.address, topic), LAB, folder / f"{topic}.json", {}, patience_s=patience_s)
+    return KafkaSink(
+        KafkaTopic(broker.address, topic), LAB, folder / f"{topic}.json", {}, patience_s=patience_s
+    )
 
 
 def grow(book: Logbook, home: Path) -> None:
@@ -97,7 +99,7 @@ def test_what_the_topic_says_goes_before_what_is_kept(broker: KafkaBroker, tmp_p
     with pytest.raises(BadInput, match="Remove it"):
         sink(broker, "kept", tmp_path)
     elsewhere = KafkaSink(
-        Topic(broker.address, "kept"), "another-lab", tmp_path / "other.json", {}, patience_s=60
+        KafkaTopic(broker.address, "kept"), "another-lab", tmp_path / "other.json", {}, patience_s=60
     )
     assert elsewhere.position == 0, "what another lab sent is not ours"
     elsewhere.close()
@@ -187,7 +189,7 @@ def test_kills_at_any_moment_leave_nothing_out(tmp_path: Path, seed: int) -> Non
 
 def test_a_broker_that_is_not_there_is_given_up_in_time(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        topic = Topic(f"127.0.0.1:{silent.getsockname()[1]}", "lab")
+        topic = KafkaTopic(f"127.0.0.1:{silent.getsockname()[1]}", "lab")
         with pytest.raises(SystemFailed, match="no answer in"):
             KafkaSink(topic, LAB, tmp_path / "kafka.json", {}, patience_s=0.5)
 
@@ -197,7 +199,7 @@ def test_bad_targets_and_settings_are_told(
 ) -> None:
     for url in ("kafka://broker", "kafka://broker:1/a/b", "kafka://ada:secret@broker:1/lab"):
         with pytest.raises(BadInput, match="BROKER:9092") as refused:
-            Topic.parse(url)
+            KafkaTopic.parse(url)
         assert "secret" not in str(refused.value)
     file = tmp_path / "kafka.properties"
     file.write_text("# of the broker\n\nsasl.username = labos\nsasl.password=a=b\n")
@@ -208,7 +210,7 @@ def test_bad_targets_and_settings_are_told(
             read_settings(file)
     file.write_text("no.such.setting=1")
     with pytest.raises(BadInput, match=r"no\.such\.setting"):
-        KafkaSink(Topic("127.0.0.1:1", "lab"), LAB, tmp_path / "k.json", read_settings(file))
+        KafkaSink(KafkaTopic("127.0.0.1:1", "lab"), LAB, tmp_path / "k.json", read_settings(file))
     monkeypatch.setenv("LABOS_HOME", str(tmp_path))
     audit_lab().save(tmp_path)
     for words, said in (

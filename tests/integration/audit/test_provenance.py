@@ -17,7 +17,7 @@ from labos.audit.formats import as_dot, as_prov
 from labos.audit.graph import Entity
 from labos.audit.liquids import contents
 from labos.audit.provenance import plain, subject_of, trace
-from labos.audit.query import Asker, open_asker
+from labos.audit.query import ReadConnection, open_asker
 from labos.core.labware import LabwareMoved, LiquidDrawn, LiquidTransferred, Sample, SamplesRegistered
 from labos.core.registry import Event, decode
 from labos.core.state import LabState
@@ -34,7 +34,7 @@ def end() -> int:
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Asker]:
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReadConnection]:
     url = f"sqlite:///{tmp_path_factory.mktemp('audited') / 'labos.db'}"
     database = open_audit(url)
     project(GrowingLog(audit_lab().records), database)
@@ -43,7 +43,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Asker]:
         yield asker
 
 
-def names(asker: Asker, subject: str, end: int, direction: str, kind: str) -> set[str]:
+def names(asker: ReadConnection, subject: str, end: int, direction: str, kind: str) -> set[str]:
     graph = trace(asker, subject_of(asker, subject, end), end, direction)  # type: ignore[arg-type]
     things = [link.cause if direction == "up" else link.effect for link in graph.links]
     return {thing.name for thing in things if thing.kind == kind}
@@ -57,7 +57,7 @@ def position_of(kind: str, number: int = 0) -> int:
 # -- liquids -----------------------------------------------------------------------------------
 
 
-def test_a_pooled_well_holds_shares_of_what_its_sources_held(lab: Asker, end: int) -> None:
+def test_a_pooled_well_holds_shares_of_what_its_sources_held(lab: ReadConnection, end: int) -> None:
     parts = {part.origin.name: part for part in contents(lab, "P1", "B7", end)}
     # 20 µL of A1 (10 A, 30 B, 7 C) and 10 µL of A2 (20 A, 5 B, 7 C) on 70 µL of water.
     wanted = {
@@ -71,14 +71,14 @@ def test_a_pooled_well_holds_shares_of_what_its_sources_held(lab: Asker, end: in
     assert parts["water"].origin.kind == "sample"
 
 
-def test_before_it_was_pooled_it_held_what_the_sheet_said(lab: Asker) -> None:
+def test_before_it_was_pooled_it_held_what_the_sheet_said(lab: ReadConnection) -> None:
     assert [(p.origin.name, p.volume_ul) for p in contents(lab, "P1", "B7", before_the_pool())] == [
         ("water", 70.0)
     ]
     assert contents(lab, "P1", "B7", 1) == []
 
 
-Mixed = Callable[..., Asker]
+Mixed = Callable[..., ReadConnection]
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def mixed(tmp_path: Path) -> Iterator[Mixed]:
     """Makes the tables of a log that has these events and no others."""
     with ExitStack() as stack:
 
-        def mix(*events: Event) -> Asker:
+        def mix(*events: Event) -> ReadConnection:
             url = f"sqlite:///{tmp_path / 'labos.db'}"
             database = open_audit(url)
             project(
@@ -148,7 +148,7 @@ def test_wells_that_fill_each_other_do_not_hang_the_answer(mixed: Mixed) -> None
 # -- up and down -------------------------------------------------------------------------------
 
 
-def test_a_recall_finds_every_result_of_a_lot_and_no_other(lab: Asker, end: int) -> None:
+def test_a_recall_finds_every_result_of_a_lot_and_no_other(lab: ReadConnection, end: int) -> None:
     picture = subject_of(lab, "R2#3", end)
     assert picture.kind == "result"
     assert names(lab, "A-17", end, "down", "result") == {picture.name}
@@ -156,7 +156,7 @@ def test_a_recall_finds_every_result_of_a_lot_and_no_other(lab: Asker, end: int)
     assert names(lab, "A-17", position_of("labware.samples_registered"), "down", "result") == set()
 
 
-def test_a_result_hangs_on_everything_before_it_and_nothing_after(lab: Asker, end: int) -> None:
+def test_a_result_hangs_on_everything_before_it_and_nothing_after(lab: ReadConnection, end: int) -> None:
     assert names(lab, "R2#3", end, "up", "lot") == {"A-17", "B-03", "C-99"}
     assert names(lab, "R2#3", end, "up", "user") == {"ada"}
     assert names(lab, "R2#3", end, "up", "sample") == {"water"}
@@ -172,7 +172,7 @@ def test_a_result_hangs_on_everything_before_it_and_nothing_after(lab: Asker, en
     assert wells == [], "B7 was pooled after it was read"
 
 
-def test_a_subject_is_found_by_what_people_call_it(lab: Asker, end: int) -> None:
+def test_a_subject_is_found_by_what_people_call_it(lab: ReadConnection, end: int) -> None:
     wanted = {
         "P1": "labware",
         "P1/b7": "well",
@@ -193,13 +193,13 @@ def test_a_subject_is_found_by_what_people_call_it(lab: Asker, end: int) -> None
         subject_of(lab, "P1", 50)  # it was not there yet
 
 
-def test_a_long_answer_ends_and_says_so(lab: Asker, end: int) -> None:
+def test_a_long_answer_ends_and_says_so(lab: ReadConnection, end: int) -> None:
     graph = trace(lab, Entity("user", "ada"), end, "down", most=10)
     assert len(graph.links) == 10
     assert not graph.whole
 
 
-def test_other_programs_read_it(lab: Asker, end: int) -> None:
+def test_other_programs_read_it(lab: ReadConnection, end: int) -> None:
     from prov.model import ProvDocument
 
     graph = trace(lab, subject_of(lab, "R2#3", end), end, "up")
@@ -216,7 +216,7 @@ def test_other_programs_read_it(lab: Asker, end: int) -> None:
 # -- the lab at a moment -----------------------------------------------------------------------
 
 
-def lab_at(asker: Asker, position: int) -> dict[str, Any]:
+def lab_at(asker: ReadConnection, position: int) -> dict[str, Any]:
     """Where everything was, which runs there were, what was left, what was asked, which drivers answered."""
     runs = {
         f"{run} ({workflow}, {user})": difference._run_at(status, positions, position)
@@ -232,7 +232,7 @@ def lab_at(asker: Asker, position: int) -> dict[str, Any]:
     }
 
 
-def test_the_lab_at_every_moment_is_the_folded_one(lab: Asker, end: int) -> None:
+def test_the_lab_at_every_moment_is_the_folded_one(lab: ReadConnection, end: int) -> None:
     state, records = LabState(), audit_lab().records
     for position in range(0, end, 7):
         fold(state, records[state.position : position])
@@ -245,7 +245,7 @@ def test_the_lab_at_every_moment_is_the_folded_one(lab: Asker, end: int) -> None
         }
 
 
-def test_differences_are_what_happened_in_between(lab: Asker, end: int) -> None:
+def test_differences_are_what_happened_in_between(lab: ReadConnection, end: int) -> None:
     moves = [
         decode(r.head.type, r.head.schema, r.payload)
         for r in audit_lab().records
@@ -263,12 +263,12 @@ def test_differences_are_what_happened_in_between(lab: Asker, end: int) -> None:
 
 
 @pytest.mark.postgres
-def test_postgres_gives_the_same_answers(lab: Asker, end: int, postgres_url: str) -> None:
+def test_postgres_gives_the_same_answers(lab: ReadConnection, end: int, postgres_url: str) -> None:
     database = open_audit(postgres_url)
     project(GrowingLog(audit_lab().records), database)
     database.close()
 
-    def describe_graphs(asker: Asker) -> str:
+    def describe_graphs(asker: ReadConnection) -> str:
         subjects = ("P1", "P1/B7", "R2", "R2#3", "R2#0", "R2#1", "water", "A-17", "user:ada")
         graphs = [
             plain(trace(asker, subject_of(asker, subject, at), at, direction))

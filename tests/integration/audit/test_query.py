@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from labos.audit.database import open_audit
-from labos.audit.query import Asker, open_asker
+from labos.audit.query import ReadConnection, open_asker
 from labos.audit.tables import VIEWS, view_columns
 from labos.errors import BadInput, StoreUnavailable
 from tests.integration.audit.logs import GrowingLog, golden, project
@@ -63,18 +63,18 @@ def fill(url: str) -> str:
 
 
 @pytest.fixture
-def lite(tmp_path: Path) -> Iterator[Asker]:
+def lite(tmp_path: Path) -> Iterator[ReadConnection]:
     with open_asker(fill(f"sqlite:///{tmp_path / 'labos.db'}")) as asker:
         yield asker
 
 
 @pytest.fixture
-def server(postgres_url: str) -> Iterator[Asker]:
+def server(postgres_url: str) -> Iterator[ReadConnection]:
     with open_asker(fill(postgres_url)) as asker:
         yield asker
 
 
-def refuses_all(asker: Asker, statements: tuple[str, ...]) -> None:
+def refuses_all(asker: ReadConnection, statements: tuple[str, ...]) -> None:
     def count() -> object:
         return next(asker.ask("SELECT count(*), min(status) FROM labos.runs").rows)
 
@@ -85,7 +85,7 @@ def refuses_all(asker: Asker, statements: tuple[str, ...]) -> None:
         assert count() == before, statement
 
 
-def answers(asker: Asker) -> None:
+def answers(asker: ReadConnection) -> None:
     """Every column of every view can be named without quotes, and says what it is called."""
     for table in VIEWS:
         names = [column.name for column in view_columns(table)]
@@ -99,11 +99,11 @@ def answers(asker: Asker) -> None:
     assert next(asker.ask(hot).rows)[0] > 0
 
 
-def test_sqlite_answers(lite: Asker) -> None:
+def test_sqlite_answers(lite: ReadConnection) -> None:
     answers(lite)
 
 
-def test_sqlite_changes_nothing(lite: Asker, tmp_path: Path) -> None:
+def test_sqlite_changes_nothing(lite: ReadConnection, tmp_path: Path) -> None:
     refuses_all(lite, NO_QUESTIONS + ONLY_SQLITE)
     assert not list(tmp_path.glob("elsewhere*"))
 
@@ -127,12 +127,12 @@ def test_there_has_to_be_something_to_ask(tmp_path: Path) -> None:
 
 
 @pytest.mark.postgres
-def test_postgres_answers(server: Asker) -> None:
+def test_postgres_answers(server: ReadConnection) -> None:
     answers(server)
 
 
 @pytest.mark.postgres
-def test_postgres_changes_nothing(server: Asker) -> None:
+def test_postgres_changes_nothing(server: ReadConnection) -> None:
     refuses_all(server, NO_QUESTIONS + ONLY_POSTGRES)
 
 

@@ -27,8 +27,8 @@ from labos.services.globus import (
     GlobusFlow,
     GlobusIndex,
     GlobusRefused,
+    GlobusTimes,
     GlobusUnreachable,
-    Patience,
 )
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
@@ -42,8 +42,8 @@ pytestmark = pytest.mark.slow  # the gate installs the SDK for these
 ENDPOINT, FLOW, INDEX, HERE, THERE = (
     f"{digit}0000000-0000-4000-8000-000000000000" for digit in ("1", "2", "3", "4", "5")
 )
-SOON = Patience(first_s=0.02, longest_s=0.1, silence_s=20.0, settle_s=0.05)
-BRIEF = Patience(first_s=0.02, longest_s=0.05, silence_s=0.2, settle_s=0.02)
+SOON = GlobusTimes(first_s=0.02, longest_s=0.1, silence_s=20.0, settle_s=0.05)
+BRIEF = GlobusTimes(first_s=0.02, longest_s=0.05, silence_s=0.2, settle_s=0.02)
 CONTENT = b"well,value\nA1,0.5\n"
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 
@@ -74,11 +74,11 @@ class Fake:
     def __init__(self, globus: Globus, url: str) -> None:
         self.globus, self.url = globus, url
 
-    def access(self, patience: Patience = SOON) -> dict[str, Any]:
+    def access(self, patience: GlobusTimes = SOON) -> dict[str, Any]:
         authorizer = sdk.AccessTokenAuthorizer(TOKEN)
         return {"authorizer": authorizer, "base_url": self.url, "patience": patience}
 
-    def endpoint(self, patience: Patience = SOON) -> GlobusEndpoint:
+    def endpoint(self, patience: GlobusTimes = SOON) -> GlobusEndpoint:
         return GlobusEndpoint(ENDPOINT, **self.access(patience))
 
     def flow(self, attempts: int = 1) -> GlobusFlow:
@@ -87,13 +87,13 @@ class Fake:
     def index(self) -> GlobusIndex:
         return GlobusIndex(INDEX, visible_to=["public"], **self.access())
 
-    def carrier(self, patience: Patience = SOON) -> GlobusCarrier:
+    def carrier(self, patience: GlobusTimes = SOON) -> GlobusCarrier:
         return GlobusCarrier(**self.access(patience))
 
 
 @contextlib.contextmanager
 def program(
-    lab: LabClient, fake: Fake, *, resume: str = "", patience: Patience = SOON
+    lab: LabClient, fake: Fake, *, resume: str = "", patience: GlobusTimes = SOON
 ) -> Iterator[Experiment]:
     with Experiment(lab, "far away", "ada", resume=resume, keep_open=True) as experiment:
         experiment.configure_compute(globus=fake.endpoint(patience), attempts=Attempts(after_death=2))

@@ -94,7 +94,7 @@ def test_actions_that_take_longer_than_planned() -> None:
     slow = [Drift(ModuleName(f"rpl/m{n}"), "transfer", 14.0, 10.0) for n in range(7)]
     found = check_durations(slow)
     assert found.state == "warning"
-    assert found.told.startswith("m0.transfer takes 14 s, planned 10 s; ")
+    assert found.told.startswith("rpl/m0.transfer takes 14 s, planned 10 s; ")
     assert "2 more" in found.told
     assert check_durations([]).state == "ok"
 

@@ -20,7 +20,7 @@ from labos.clock import SystemClock
 from labos.core.decide.users import DisableUser, EnableUser
 from labos.errors import BadInput, BusError, NotFound, Unreadable
 from labos.http.identity import Who
-from labos.http.letters import Answer, Hello, Letters, Recall, SentOn, Welcome
+from labos.http.letters import Hello, KernelAnswer, Letters, Recall, SentOn, Welcome
 from labos.node.protocol import Keys
 from labos.services.accounts import Credential
 from labos.settings import Settings
@@ -382,7 +382,7 @@ def test_even_with_the_key_only_users_of_the_lab_may_act(lab: LabThread, who: Wh
     )
     (answer,) = asyncio.run(ask_as_stranger(lab, [payload]))
     reply = letters.read_reply(answer or b"", nonce)
-    assert isinstance(reply, Answer)
+    assert isinstance(reply, KernelAnswer)
     assert reply.status in (401, 403), reply.body
     assert "evil" not in lab.runtime.kernel.state.shares.groups
 
@@ -393,11 +393,11 @@ def test_nothing_but_operations_is_carried_out_for_others(lab: LabThread, path: 
     payload, nonce = letters.ask(SentOn("GET", path, b"", (), b"", ADMIN))
     (answer,) = asyncio.run(ask_as_stranger(lab, [payload]))
     reply = letters.read_reply(answer or b"", nonce)
-    assert isinstance(reply, Answer)
+    assert isinstance(reply, KernelAnswer)
     assert reply.status == 503
     payload, nonce = letters.ask(Recall("/api/v1/groups", "never", "", "ada"))
     (answer,) = asyncio.run(ask_as_stranger(lab, [payload]))
-    assert letters.read_reply(answer or b"", nonce) == Answer(0)
+    assert letters.read_reply(answer or b"", nonce) == KernelAnswer(0)
 
 
 # -- what it cannot serve --------------------------------------------------------------------------

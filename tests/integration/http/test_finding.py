@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.audit.find import Question
+from labos.audit.find import SearchQuery
 from labos.errors import Refused
 from labos.http.finding import Finder
 from tests.integration.bus.contract import until
@@ -20,7 +20,7 @@ def test_a_lab_that_is_closed_leaves_no_search_behind(tmp_path: Path) -> None:
 
     async def body() -> None:
         finder = Finder(f"sqlite:///{tmp_path / 'labos.db'}", tmp_path / "blobs", tmp_path)
-        asked = asyncio.create_task(finder.find(Question()))
+        asked = asyncio.create_task(finder.find(SearchQuery()))
         await until(lambda: finder._process is not None, 30.0)
         process = finder._process
         assert process is not None
@@ -28,7 +28,7 @@ def test_a_lab_that_is_closed_leaves_no_search_behind(tmp_path: Path) -> None:
         with pytest.raises(Refused):
             await asked
         with pytest.raises(Refused, match="being closed"):
-            await finder.find(Question())
+            await finder.find(SearchQuery())
         await finder.wait_closed()
         assert process.returncode is not None
         assert finder._process is None

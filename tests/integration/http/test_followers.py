@@ -21,7 +21,7 @@ from labos.client._lab import API
 from labos.core.envelope import Envelope, Record
 from labos.http import tail as tails
 from labos.http.shared import Shared
-from labos.http.tail import Filter, Tail
+from labos.http.tail import StreamFilter, Tail
 from labos.ports import LogQuery
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
@@ -337,8 +337,8 @@ def test_what_is_kept_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_filter_without_words_takes_everything() -> None:
     line = tails._line(record(1))
-    assert Filter().takes(line)
-    assert not Filter(types=("action",)).takes(line)
+    assert StreamFilter().takes(line)
+    assert not StreamFilter(types=("action",)).takes(line)
 
 
 # -- answers for many --------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from labos.client import LabClient
 from labos.client._lab import API
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
-from labos.spec.findings import Report
+from labos.spec.findings import FindingList
 from labos.spec.sheet import MOST_FAULTS, MOST_ROWS, read_sheet
 
 ODD_SHEETS: dict[str, Callable[[int], str]] = {
@@ -41,7 +41,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabThread]:
 def work_of(text: str) -> float:
     """Processor time that reading takes, in seconds."""
     began = time.thread_time()
-    read_sheet(text, Report("sheet"))
+    read_sheet(text, FindingList("sheet"))
     return time.thread_time() - began
 
 
@@ -55,10 +55,10 @@ def test_a_sheet_is_read_in_linear_time(kind: str) -> None:
 
 
 def test_a_sheet_has_an_end() -> None:
-    report = Report("sheet")
+    report = FindingList("sheet")
     assert read_sheet("well,sample\n" + "A1,x\n" * (MOST_ROWS + 1), report) == []
     assert "Divide it." in str(report.sort_findings())
-    report = Report("sheet")
+    report = FindingList("sheet")
     read_sheet("well,sample\n" + "??,x\n" * 30_000, report)
     assert report.errors <= MOST_FAULTS + 1
 

@@ -13,7 +13,7 @@ import canopen
 import pytest
 
 from labos.errors import DeviceError, LinkLost, NoReply, NotConnected, WrongDevice
-from labos.link import CanLink, CanMessage, PtyEnd, SdoLink, read_transcript, recording
+from labos.link import CanLink, CanMessage, PtyEnd, SdoLink, keep_transcript, read_transcript
 
 CHANNELS = itertools.count(1)
 
@@ -43,7 +43,7 @@ def node(channel: str) -> Iterator[Any]:
 
 def test_objects_are_read_and_written(channel: str, node: Any, tmp_path: Path) -> None:
     link = SdoLink(5, interface="virtual", channel=channel)
-    with recording(tmp_path / "talk.txt"):
+    with keep_transcript(tmp_path / "talk.txt"):
         link.download(0x607A, 0, (1234).to_bytes(4, "little", signed=True))
         assert int.from_bytes(link.upload(0x607A), "little") == 1234
         link.close()

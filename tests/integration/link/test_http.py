@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from labos.errors import Garbled, HalfReply, LinkLost, NoReply, NotConnected, WrongDevice
-from labos.link import HttpLink, ScriptedHttp, recording
+from labos.link import HttpLink, ScriptedHttp, keep_transcript
 
 asked: list[str] = []
 go_on = threading.Event()
@@ -150,7 +150,7 @@ def test_a_stop_does_not_wait_for_a_long_question(link: HttpLink) -> None:
 
 def test_a_transcript_replays(link: HttpLink, tmp_path: Path) -> None:
     path = tmp_path / "talk.txt"
-    with recording(path):
+    with keep_transcript(path):
         link.get("/t")
         link.post("/runs", json={"a": 1})
         with pytest.raises(NoReply):

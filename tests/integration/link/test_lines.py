@@ -33,8 +33,8 @@ from labos.link import (
     TcpWire,
     Terminated,
     Wire,
+    keep_transcript,
     read_transcript,
-    recording,
     replay,
 )
 from tests.integration.link.far import answering
@@ -213,7 +213,7 @@ def test_messages_with_a_length_may_hold_anything(tmp_path: Path) -> None:
 
 def test_a_transcript_holds_every_byte_and_replays(link: Link, end: FarEnd, tmp_path: Path) -> None:
     path = tmp_path / "talk.txt"
-    with recording(path), answering(end, {b"A\t": b"\\ \x00\xff\r\n", b"B": b"no end"}):
+    with keep_transcript(path), answering(end, {b"A\t": b"\\ \x00\xff\r\n", b"B": b"no end"}):
         assert link.exchange(b"A\t") == b"\\ \x00\xff"
         with pytest.raises(HalfReply):
             link.exchange(b"B", 0.1)
@@ -234,7 +234,7 @@ def test_a_transcript_holds_every_byte_and_replays(link: Link, end: FarEnd, tmp_
 
 def test_a_transcript_replays_over_a_real_wire(link: Link, end: FarEnd, tmp_path: Path) -> None:
     path = tmp_path / "talk.txt"
-    with recording(path), answering(end, {b"A": b"1\r\n", b"B": b"2\r\n"}):
+    with keep_transcript(path), answering(end, {b"A": b"1\r\n", b"B": b"2\r\n"}):
         assert [link.exchange(b"A"), link.exchange(b"B")] == [b"1", b"2"]
         link.close()
     stage = PtyEnd()

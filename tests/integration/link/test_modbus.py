@@ -11,7 +11,7 @@ from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from labos.errors import DeviceError, Garbled, HalfReply, LinkLost, NoReply, NotConnected, StrayReply
-from labos.link import ModbusLink, PtyEnd, TcpEnd, read_transcript, recording
+from labos.link import ModbusLink, PtyEnd, TcpEnd, keep_transcript, read_transcript
 from labos.link.modbus import crc16
 from labos.settings import free_port
 
@@ -169,7 +169,7 @@ def test_what_comes_over_a_serial_line_is_checked(answer: bytes, kind: type[Exce
 
 def test_bytes_are_traced(link: ModbusLink, tmp_path: object) -> None:
     path = f"{tmp_path}/talk.txt"
-    with recording(path):
+    with keep_transcript(path):
         link.inputs(0, 2)
     marks = [(record.mark, record.data) for record in read_transcript(path) if record.mark in "<>"]
     assert marks[0][0] == ">"

@@ -280,7 +280,7 @@ def test_actions_that_ended_long_ago_are_no_discovery(tmp_path: Path) -> None:
                 Unacknowledged("lie 2", 1, "act", "finished", "", 2**62),
                 Unacknowledged("lie 3", 1, "act", "finished", "", -1),
             ]
-            strange = await lab.registry._discovery.strange(OTHER, [entry, *lies])
+            strange = await lab.registry._discovery.find_unlogged(OTHER, [entry, *lies])
             assert [entry.action for entry in strange] == ["lie", "lie 2", "lie 3"]
 
     asyncio.run(main())

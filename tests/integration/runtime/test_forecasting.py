@@ -10,12 +10,12 @@ from labos.core.state import LabState, picture
 from labos.errors import Refused
 from labos.planning.hindsight import LookBack
 from labos.planning.lab_forecast import ForecastRequest
-from labos.runtime.forecasting import ForecastProcess, Question
+from labos.runtime.forecasting import ForecastJob, ForecastProcess
 from tests.integration.bus.contract import until
 
 
-async def ask() -> Question:
-    return Question(ForecastRequest(picture(LabState()), 1), LookBack())
+async def ask() -> ForecastJob:
+    return ForecastJob(ForecastRequest(picture(LabState()), 1), LookBack())
 
 
 @pytest.mark.slow

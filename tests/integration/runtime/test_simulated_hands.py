@@ -11,7 +11,7 @@ import pytest
 
 from labos.bootstrap._hands import SimulatedHands
 from labos.clock import SystemClock, Uuid7Ids
-from labos.core.decide.access import Change, EndAccess, RequestAccess
+from labos.core.decide.access import EndAccess, ReportedChange, RequestAccess
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
@@ -191,7 +191,7 @@ def test_what_somebody_who_reaches_in_has_changed_is_changed(tmp_path: Path) -> 
     async def work(kernel: Kernel, world: World, store: Flaky) -> None:
         await kernel.execute(LoadStation(A, "plate", 1), "ada")
         await kernel.execute(RequestAccess("cell", "ada"), "ada")
-        changes = (Change(B, "P1"), Change(A, "tube"))
+        changes = (ReportedChange(B, "P1"), ReportedChange(A, "tube"))
         await kernel.execute(EndAccess("cell", "ada", "", changes), "ada")
         assert world.places() == {"a": ["plate4"], "b": ["plate3"], "stack": ["plate1", "plate2"]}
 

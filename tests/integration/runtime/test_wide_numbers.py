@@ -67,7 +67,7 @@ def test_a_lab_with_a_wide_number_closes_and_is_backed_up(tmp_path: Path) -> Non
 
     asyncio.run(live())
     store = open_store(url, home=home)
-    assert store.holder().owner == "", "the lease was given back"
+    assert store.find_holder().owner == "", "the lease was given back"
     state, folded = load(store, end=store.head())
     assert folded == 0, "the snapshot was kept and is used"
     made = backup(store, FolderBlobs(home / "blobs"), tmp_path / "safe")

@@ -163,15 +163,15 @@ class TestKilledKernel:
             process.send_signal(signal.SIGKILL)
             process.wait()
         eventually(lambda: _expect(lease_holder(store_url) == ""), AssertionError)
-        left = store.holder()
+        left = store.find_holder()
         assert (left.owner, left.living, left.lease_left_s > 0) == ("the writer", False, True)
         first = store.claim(LAB, "next", LEASE_S)
         assert first.epoch == 2
         assert lease_holder(store_url) == "next"
-        assert store.holder().living
+        assert store.find_holder().living
         store.release(first.epoch)
         assert lease_holder(store_url) == ""
-        assert store.holder().owner == "", "it was given back"
+        assert store.find_holder().owner == "", "it was given back"
 
     def test_who_asks_keeps_nobody_from_starting(self, store: SqlEventStore, store_url: str) -> None:
         over = threading.Event()
@@ -232,7 +232,7 @@ class TestLease:
         frozen, successor = opened(postgres_url), opened(postgres_url)
         old = frozen.claim(LAB, "frozen", 0.1)
         with standing_still(postgres_url, where):
-            eventually(lambda: _expect(successor.holder().lease_left_s <= 0), AssertionError)
+            eventually(lambda: _expect(successor.find_holder().lease_left_s <= 0), AssertionError)
             assert successor.claim(LAB, "successor", LEASE_S).epoch == old.epoch + 1
         with pytest.raises(Fenced):
             frozen.append(old, batch(old))

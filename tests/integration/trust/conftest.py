@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from labos.core.canonical import digest
 from labos.core.envelope import GENESIS, Record, seal
 from labos.errors import LabosError
-from labos.services.trust.keys import Keys
+from labos.services.trust.keys import SigningKeys
 from labos.services.trust.publish import PublishResult, Targets, publish
 from labos.store import open_store
 from tests.unit.cli_queries.conftest import command_of
@@ -72,7 +72,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     records = two_users().records
     made = Lab(tmp_path_factory.mktemp("kept") / "lab")
     made.write(records[: len(records) // 2])
-    made.public.write_text(Keys(made.home).create(NAME).text)
+    made.public.write_text(SigningKeys(made.home).create(NAME).text)
     made.publish()
     made.write(records)
     made.publish()

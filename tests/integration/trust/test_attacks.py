@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from labos.core.envelope import Record
 from labos.core.runs import RunCompleted
 from labos.services.trust.checkpoints import parse_tree_head, sign_tree
-from labos.services.trust.keys import Keys
+from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import SIGNS, make_key, parse_note
 from labos.services.trust.places import name_of, newest_in
 from labos.services.trust.tree import TREE_FILE
@@ -225,7 +225,7 @@ def test_a_bundle_of_a_lab_whose_key_was_swapped(lab: Lab) -> None:
     shutil.rmtree(lab.home / "checkpoints")
     (lab.home / TREE_FILE).unlink()
     lab.write(alter(END - 2))
-    Keys(lab.home).create(NAME)
+    SigningKeys(lab.home).create(NAME)
     lab.publish()
     said = lab.ask("verify", "--bundle", str(lab.bundle()), "--public-key", str(lab.public), code=1)
     assert "No key that was given has signed the checkpoint" in said
@@ -233,7 +233,7 @@ def test_a_bundle_of_a_lab_whose_key_was_swapped(lab: Lab) -> None:
 
 def test_a_bundle_after_a_change_of_the_key(lab: Lab) -> None:
     (lab.home / "checkpoints" / name_of(END)).unlink()
-    Keys(lab.home).rotate(HALF, "2026-05-04T10:00:00Z")
+    SigningKeys(lab.home).rotate(HALF, "2026-05-04T10:00:00Z")
     lab.publish()
     path = lab.bundle()
     said = lab.ask("verify", "--bundle", str(path), "--public-key", str(lab.public))

@@ -21,7 +21,7 @@ from labos.core.merkle import Edge, leaf_hash
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.http.witness import serve_witness
 from labos.services.trust.compare import CheckpointComparison, compare
-from labos.services.trust.keys import Keys
+from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import make_key, parse_note
 from labos.services.trust.places import name_of
 from labos.services.trust.publish import Targets, publish
@@ -39,10 +39,10 @@ END = len(RECORDS)
 @contextmanager
 def witnessing(lab: Lab, folder: Path) -> Iterator[str]:
     """A witness that serves HTTP, in a thread."""
-    keys = Keys(folder)
+    keys = SigningKeys(folder)
     if not (folder / "keys").exists():
         keys.create("other.example.org/witness", witness=True)
-    witness = Witness(folder / "witness", keys.signing(witness=True), Keys(lab.home).public())
+    witness = Witness(folder / "witness", keys.read_signing_key(witness=True), SigningKeys(lab.home).public())
     loop = asyncio.new_event_loop()
     ready = threading.Event()
     urls: list[str] = []
@@ -109,7 +109,7 @@ def test_without_a_key_or_a_log_nothing_is_signed(tmp_path: Path) -> None:
     lab.write(RECORDS[:3])
     with pytest.raises(NotFound, match="has no key"):
         lab.publish()
-    Keys(lab.home).create(NAME)
+    SigningKeys(lab.home).create(NAME)
     open_store(f"sqlite:///{lab.home / 'x.db'}").close()
     empty = open_store(f"sqlite:///{lab.home / 'x.db'}", create=False, read_only=True)
     try:
@@ -150,7 +150,7 @@ def test_a_damaged_record_is_not_signed(lab: Lab) -> None:
 @pytest.mark.postgres
 def test_a_log_on_postgres_is_signed_as_well(tmp_path: Path, postgres_url: str) -> None:
     home = tmp_path / "lab"
-    Keys(home).create(NAME)
+    SigningKeys(home).create(NAME)
     store = open_store(postgres_url, home=home)
     try:
         head = store.claim(LabId("lab-1"), "test", 30.0)
@@ -179,7 +179,7 @@ def test_a_witness_cosigns_what_continues(lab: Lab, tmp_path: Path) -> None:
         lab.write(RECORDS)
         last = lab.publish(url)
         again = lab.publish(url)
-    witness = Keys(tmp_path / "other").signing(witness=True).public
+    witness = SigningKeys(tmp_path / "other").read_signing_key(witness=True).public
     assert len(lab.publish().note.signatures) == 2, "what was cosigned stays so"
     for made in (first, last, again):
         assert made.faults == ()
@@ -212,7 +212,7 @@ def test_a_witness_does_not_cosign_another_story(lab: Lab, tmp_path: Path) -> No
 def test_what_a_witness_answers(lab: Lab, tmp_path: Path) -> None:
     """By the words of C2SP tlog-witness."""
     other = make_key("w.example.org", 4, bytes(32))
-    witness = Witness(tmp_path / "w", other, Keys(lab.home).public())
+    witness = Witness(tmp_path / "w", other, SigningKeys(lab.home).public())
     note = lab.publish().note
     whole = encode_request(0, [], note)
     assert parse_request(whole) == (0, [], note)
@@ -238,7 +238,7 @@ def test_what_a_witness_answers(lab: Lab, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_witness_runs_as_a_command(lab: Lab, tmp_path: Path) -> None:
     home = tmp_path / "other"
-    key = Keys(home).create("w.example.org", witness=True)
+    key = SigningKeys(home).create("w.example.org", witness=True)
     argv = [
         sys.executable,
         "-m",

@@ -6,7 +6,7 @@ import random
 from functools import cache
 
 from labos.core.decide.runs import SubmitRun
-from labos.testing.lab import Job, Meddle, cancelling
+from labos.testing.lab import Job, Meddle, make_cancellers
 from tests.simulation.corners import Corner
 
 TOP = """
@@ -109,4 +109,4 @@ def jobs(rng: random.Random, kind: str) -> list[Job]:
 def meddles(rng: random.Random, work: list[Job]) -> list[Meddle]:
     """Now and then somebody cancels a run when one of its steps has begun."""
     chosen = [job for job in work if rng.random() < 0.25]
-    return cancelling({f"{job.name}/0": rng.randrange(len(job.runs[0].plan.steps)) for job in chosen})
+    return make_cancellers({f"{job.name}/0": rng.randrange(len(job.runs[0].plan.steps)) for job in chosen})

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from labos.core.decide.access import Change, EndAccess, RequestAccess
+from labos.core.decide.access import EndAccess, ReportedChange, RequestAccess
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName
 from tests.support.bench import CELL, Driver, full, plan, route, small, step
 
 
 def inside(lab: Driver, *changes: tuple[str, str]) -> EndAccess:
-    return EndAccess(CELL, "ada", "", tuple(Change(StationName(full(s)), what) for s, what in changes))
+    return EndAccess(
+        CELL, "ada", "", tuple(ReportedChange(StationName(full(s)), what) for s, what in changes)
+    )
 
 
 def make_held() -> Driver:

@@ -21,7 +21,7 @@ from labos.core.decide.lab import DeclareStation
 from labos.core.decide.nodes import HearJournal, LoseNode, PutBack, RecordStops, ReportState, TakeOut
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
-from labos.core.decide.shorter import ConfirmStations, Found, SayContents, to_say
+from labos.core.decide.shorter import ConfirmStations, FoundAction, SayContents, list_to_say
 from labos.core.effects import Move, Needs, Take
 from labos.core.ids import ActionId, LabwareId, Owner, StationName
 from labos.core.model import Plan, Window
@@ -155,19 +155,19 @@ class Chaos:
         if lab.state.modules.by_name[name].status == "GONE":
             lab.join(name)
 
-    def strange(self) -> Found:
+    def strange(self) -> FoundAction:
         """An action that the log lost, of which the journal may not say what it moved."""
         lab, rng = self.lab, self.rng
         known = [LabwareId("P99"), *lab.state.bench.labware]
         source, target = (StationName(f"cell/{place}") for place in rng.sample([*PLACES, "trash"], 2))
         moved = (Move(source, target, labware=rng.choice(known)), Needs(target, rng.choice(known)))
         effects = rng.choice([None, moved, (Take(StationName("cell/stack"), target),), ()])
-        return Found(ActionId(f"X{rng.randint(0, 9)}"), "act", "finished", rng.randint(0, 999), effects)
+        return FoundAction(ActionId(f"X{rng.randint(0, 9)}"), "act", "finished", rng.randint(0, 999), effects)
 
     def round(self) -> None:
         """Somebody goes round a bench of which the log has lost sight, and finds some things elsewhere."""
         lab, rng = self.lab, self.rng
-        for name in to_say(lab.state):
+        for name in list_to_say(lab.state):
             found = list_recorded(lab.state, name)
             what = rng.choice(
                 [
@@ -179,7 +179,7 @@ class Chaos:
                 ]
             )
             lab.ask(SayContents(name, "ada", tuple(what)))
-        lab.ask(ConfirmStations(tuple(to_say(lab.state)), "ada"))
+        lab.ask(ConfirmStations(tuple(list_to_say(lab.state)), "ada"))
         for question in lab.questions("log_shorter"):
             lab.ask(ResolveIntervention(question.id, "checked", "ada"))
 
@@ -229,7 +229,7 @@ class Chaos:
                 lab.do(CancelRun(run))
             for action in list(lab.state.actions.open):
                 lab.finish(action)
-            for name in to_say(lab.state):
+            for name in list_to_say(lab.state):
                 lab.ask(SayContents(name, "x"))
             for question in lab.questions():
                 names = [c.name for c in question.choices]

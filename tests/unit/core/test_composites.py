@@ -13,7 +13,7 @@ from labos.core.decide.composites import DeclareStations, ReportRound, SubmitWit
 from labos.core.decide.lab import ApplyWorkcell, CreateLab, DeclareStation, StartKernel
 from labos.core.decide.nodes import RecordStops
 from labos.core.decide.runs import SubmitRun
-from labos.core.decide.shorter import ReportShorterLog, SayContents, to_say
+from labos.core.decide.shorter import ReportShorterLog, SayContents, list_to_say
 from labos.core.decide.stock import LoadStation
 from labos.core.decide.users import AddUser, GrantRole
 from labos.core.ids import LabId, ModuleName, StationName
@@ -161,11 +161,11 @@ def test_a_round_is_recorded_as_far_as_possible_and_finished() -> None:
     events = lab.do(ReportRound("ada", stations, (place("c"),), finish=True))
     assert not any(event.TYPE == "intervention.resolved" for event in events)
     assert (lab.at("a"), lab.at("b")) == (["P1"], [])
-    assert place("b") in to_say(lab.state)
-    left = tuple(to_say(lab.state))
+    assert place("b") in list_to_say(lab.state)
+    left = tuple(list_to_say(lab.state))
     events = lab.do(ReportRound("ada", (), left, finish=True))
     assert any(event.TYPE == "log.bench_compared" for event in events)
-    assert to_say(lab.state) == []
+    assert list_to_say(lab.state) == []
     lab.check_log()
 
 

@@ -43,7 +43,7 @@ def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
     run = sealing(lab)
     lab.step(run)
     lab.wait(DAY_S)
-    found = lab.judge(run, 1)
+    found = lab.check_start(run, 1)
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("expired", True)
     assert sentence(found) == f"foil of dev is past its date (lot A was good until {today(lab, -1)})"
@@ -57,8 +57,8 @@ def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
 
 def test_a_run_is_not_let_in_that_would_come_to_an_old_pack_half_way() -> None:
     lab = make_stocked(("A", 3, 30), ("B", 10, -1))
-    assert isinstance(lab.judge(sealing(lab, 1)), tuple), "the fresh one is enough"
-    found = lab.judge(sealing(lab, 2))
+    assert isinstance(lab.check_start(sealing(lab, 1)), tuple), "the fresh one is enough"
+    found = lab.check_start(sealing(lab, 2))
     assert isinstance(found, Wait)
     assert (found.code, found.names[2]) == ("expired", "B")
 
@@ -66,11 +66,11 @@ def test_a_run_is_not_let_in_that_would_come_to_an_old_pack_half_way() -> None:
 def test_a_workcell_may_let_them_be_used() -> None:
     lab = make_stocked(("A", 10, -1))
     run = sealing(lab)
-    assert isinstance(lab.judge(run), Wait)
+    assert isinstance(lab.check_start(run), Wait)
     cell = small_cell()
     modules = tuple(msgspec.structs.replace(module, expired="warn") for module in cell.modules)
     lab.do(ApplyWorkcell(msgspec.structs.replace(cell, digest="lenient", modules=modules)))
-    assert isinstance(lab.judge(run), tuple)
+    assert isinstance(lab.check_start(run), tuple)
 
 
 def test_who_waits_for_a_fresh_pack_is_named() -> None:
@@ -99,7 +99,7 @@ def test_what_a_person_replaces_is_full(choice: str) -> None:
     by_hand = PlanStep("new roll", full("arm"), "replace", effects=(Replaces(full("dev"), "foil", "B"),))  # type: ignore[arg-type]
     by_hand = msgspec.structs.replace(by_hand, by_person=True)
     run = lab.submit(plan(by_hand, step("dev", consumes("foil", 5))))
-    assert isinstance(lab.judge(run), tuple), "it fills up itself what it uses"
+    assert isinstance(lab.check_start(run), tuple), "it fills up itself what it uses"
     lab.start(run)
     lab.do(ResolveIntervention(InterventionId("I1"), choice, "ada"))
     level = lab.state.resources.levels[f"{DEV}:foil"]

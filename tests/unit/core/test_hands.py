@@ -37,10 +37,10 @@ def test_while_its_hand_is_full_an_arm_only_puts_that_down() -> None:
     assert lab.at(HAND) == ["P1"]
     for other in (route("stack", "c"), plan(step("arm", move("c", HAND)))):
         run = lab.submit(other)
-        found = lab.judge(run)
+        found = lab.check_start(run)
         assert isinstance(found, Wait)
         assert found.code in ("hand_full", "nothing_there")
-    assert sentence(lab.judge("R2")) == "the hand of arm holds P1"  # type: ignore[arg-type]
+    assert sentence(lab.check_start("R2")) == "the hand of arm holds P1"  # type: ignore[arg-type]
     assert lab.code(lab.submit(plan(step("arm")))) == "", "what carries nothing needs no hand"
     assert lab.code(lab.submit(route("stack", "c", arm="arm2"))) == "", "other hands are free"
     lab.step(held, 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.decide.access import Change, EndAccess, GrantAccess, RequestAccess
+from labos.core.decide.access import EndAccess, GrantAccess, ReportedChange, RequestAccess
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.observation import ObserveStation
@@ -117,7 +117,7 @@ def test_what_somebody_who_reached_in_put_elsewhere_is_no_riddle(station: str, w
     lab = in_the_hand()
     lab.do(RequestAccess("cell", "ada"))
     lab.do(GrantAccess("cell"))
-    lab.do(EndAccess("cell", "ada", "", (Change(StationName(f"cell/{station}"), what),)))
+    lab.do(EndAccess("cell", "ada", "", (ReportedChange(StationName(f"cell/{station}"), what),)))
     assert len(lab.questions("lost_labware")) == (what == "plate"), "that is another one"
     lab.check_log()
 

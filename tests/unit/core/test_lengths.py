@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.lengths import ENOUGH, KEPT, drifts
+from labos.core.lengths import ENOUGH, KEPT, find_drifts
 from labos.core.model import Plan
 from labos.planning.forecast import MARGIN, length, spread, usual
 from tests.support.bench import SECOND, Driver, full, module, plan, refold, station, step, workcell
@@ -82,5 +82,5 @@ def test_an_action_that_takes_longer_than_planned_is_told() -> None:
     for _ in range(ENOUGH):
         carry_out(lab, work(10.0), 14.0)
         carry_out(lab, plan(step("cam", duration_s=10.0)), 10.5)
-    [found] = drifts(lab.state.lengths, 1.0)
+    [found] = find_drifts(lab.state.lengths, 1.0)
     assert (found.module, found.action, found.takes_s, found.planned_s) == (full("dev"), "act", 14.0, 10.0)

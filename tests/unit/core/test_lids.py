@@ -93,7 +93,7 @@ def test_what_needs_an_open_plate_waits_for_the_lid_to_come_off() -> None:
     )
     run = lab.submit(plan(*steps))
     lab.step(run, 0)
-    found = lab.judge(run, 2)
+    found = lab.check_start(run, 2)
     assert found == Wait(reasons.Requires("P1", "lidded", "False"), ("station:cell/dev.n",))
     action = lab.start(run, 1)
     lab.keys.clear()
@@ -112,7 +112,7 @@ def test_no_second_lid_no_missing_lid_no_plate_in_a_lid_nest() -> None:
     assert lab.code(other, 1) == "occupied"
     bare = lab.submit(plan(step("arm", unlid("a", "nest"))))
     lab.write(LabwareHandedOver(LabwareId("P1"), "", Owner("shared")))
-    found = lab.judge(bare)
+    found = lab.check_start(bare)
     assert isinstance(found, Wait)
     assert found.names == ("P1", "lidded", "True")
     wrong = lab.submit(plan(step("arm", move("a", "nest"))))
@@ -120,7 +120,7 @@ def test_no_second_lid_no_missing_lid_no_plate_in_a_lid_nest() -> None:
     lab.write(LabwareHandedOver(LabwareId("P2"), "", Owner("shared")))
     lab.write(LabwareHandedOver(LabwareId("P3"), "", Owner("shared")))
     twice = lab.submit(plan(step("arm", relid("nest", "b"))))
-    found = lab.judge(twice)
+    found = lab.check_start(twice)
     assert isinstance(found, Wait)
     assert found.names == ("P3", "lidded", "False")
 

@@ -30,7 +30,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shares import ApplyShares
 from labos.core.decide.shorter import SayContents
 from labos.core.decide.stock import LoadStation
-from labos.core.decide.submissions import ApplyPolicy, allows_more, attribute
+from labos.core.decide.submissions import ApplyPolicy, allows_more, name_both_actors
 from labos.core.decide.users import GrantRole
 from labos.core.ids import CampaignId, ExperimentId, LabwareId, RunId, StationName, experiment_owner
 from labos.core.labware import LabwarePlaced
@@ -99,7 +99,7 @@ def test_what_a_program_submits_waits_unless_the_policy_says_otherwise(actor: st
     assert lab.pump() == []
     assert feed(lab) == []
     assert [codes(lab, name) for name in ("R1", "E1", "C1")] == [["program"]] * 3
-    assert lab.judge("R1").reason.sentence == (  # type: ignore[union-attr]
+    assert lab.check_start("R1").reason.sentence == (  # type: ignore[union-attr]
         "run R1 waits for approval, because it was made by a program (robot)"
     )
     assert len(lab.questions("approval")) == 3
@@ -126,10 +126,10 @@ def test_a_run_that_comes_with_labware_waits_too() -> None:
 def test_what_a_program_says_for_a_person_is_put_down_to_both_in_each_part() -> None:
     a = StationName(full("a"))
     report = ReportRound("ada", (SayContents(a, "ada", ("empty",)),), (a,))
-    told = attribute(report, ROBOT)
+    told = name_both_actors(report, ROBOT)
     assert isinstance(told, ReportRound)
     assert (told.by, told.stations[0].by) == (ROBOT, ROBOT)
-    assert attribute(report, "ada") is report
+    assert name_both_actors(report, "ada") is report
 
 
 def test_trusted_programs_and_people_do_not_wait() -> None:

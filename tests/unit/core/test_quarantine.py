@@ -45,7 +45,7 @@ def test_three_failures_are_too_many() -> None:
     assert dev(lab).out_of_service == "quarantined: it has failed 3 times in 600 s, at last: no foil"
     assert judge(lab) == [], "it is out already"
     waiting = lab.submit(plan(step("dev")))
-    wait = lab.judge(waiting)
+    wait = lab.check_start(waiting)
     assert lab.code(waiting) == "out_of_service"
     assert "at last: no foil" in sentence(wait)  # type: ignore[arg-type]
     assert "labos in-service dev" in remedy(wait)  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ def test_a_step_that_did_nothing_is_done_again_after_its_delay() -> None:
     assert lab.run(run).steps[0].status == PENDING
     assert lab.run(run).steps[0].retries == 1
     assert lab.pump() == []
-    wait = lab.judge(run)
+    wait = lab.check_start(run)
     assert (wait.code, wait.until) == ("retry_later", lab.now + 30 * SECOND)  # type: ignore[union-attr]
     assert lab.scheduler.next_deadline(lab.state) == lab.now + 30 * SECOND
     lab.wait(30.0)

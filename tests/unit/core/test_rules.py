@@ -45,7 +45,7 @@ def place_owned(lab: Driver, place: str, owner: str, labware: str = "plate") -> 
 
 
 def wait(lab: Driver, run: str, index: int = 0) -> Wait:
-    found = lab.judge(run, index)
+    found = lab.check_start(run, index)
     assert isinstance(found, Wait)
     return found
 
@@ -444,7 +444,7 @@ def test_labware_without_a_named_place_is_looked_for_at_the_module() -> None:
     run = lab.submit(plan(step("arm", take("stack", "dev.n2")), step("dev", needs())))
     assert lab.code(run, 0) == ""
     lab.step(run)
-    assert lab.judge(run, 1)[0].labware == "P1"  # type: ignore[index,union-attr]
+    assert lab.check_start(run, 1)[0].labware == "P1"  # type: ignore[index,union-attr]
     alone = lab.submit(plan(step("arm", needs())))
     assert wait(lab, alone).names == ("cell/arm",)
 

@@ -312,7 +312,7 @@ def test_a_step_waits_its_time_in_lab_seconds() -> None:
     run = lab.submit(make_windowed("continue", wait=4.0))
     assert lab.code(run, 2) == "after"
     lab.step(run)
-    wait = lab.judge(run, 2)
+    wait = lab.check_start(run, 2)
     assert wait.code == "too_early"  # type: ignore[union-attr]
     assert wait.until == lab.now + 2_000_000_000  # type: ignore[union-attr]
     lab.wait(2.0)

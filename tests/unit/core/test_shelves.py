@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from labos.core.actions import ActionRequested
-from labos.core.decide.access import Change, EndAccess, RequestAccess
+from labos.core.decide.access import EndAccess, ReportedChange, RequestAccess
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.decide.observation import ObserveStation
 from labos.core.decide.stock import LoadStation, UnloadStation
@@ -232,9 +232,9 @@ def test_a_hotel_is_not_one_place(command: Any) -> None:
 def test_nor_is_it_for_somebody_who_reached_in() -> None:
     made = lab()
     made.do(RequestAccess(CELL, "ada", "oil"))
-    refusal = made.reject(EndAccess(CELL, "ada", "", (Change(HOTEL, "plate"),)))
+    refusal = made.reject(EndAccess(CELL, "ada", "", (ReportedChange(HOTEL, "plate"),)))
     assert refusal.code == "many_shelves"
-    made.do(EndAccess(CELL, "ada", "", (Change(shelf(2), "plate"),)))
+    made.do(EndAccess(CELL, "ada", "", (ReportedChange(shelf(2), "plate"),)))
     assert made.at("hotel") == made.at("hotel.2") == ["P1"]
 
 

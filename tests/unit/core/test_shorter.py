@@ -15,11 +15,11 @@ from labos.core.decide.observation import ObserveStation
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shorter import (
     ConfirmStations,
-    Found,
+    FoundAction,
     ReportShorterLog,
     SayContents,
-    must_be_said,
-    to_say,
+    list_to_say,
+    must_say,
 )
 from labos.core.decide.stock import LoadStation
 from labos.core.effects import AnyEffect, Move, Needs, Take
@@ -43,11 +43,11 @@ def make_move(labware: str, source: str, target: str) -> Move:
     return Move(place(source), place(target), labware=LabwareId(labware))
 
 
-def make_found(name: str, *effects: AnyEffect, position: int = 900) -> Found:
-    return Found(ActionId(name), "transfer", "finished", position, effects)
+def make_found(name: str, *effects: AnyEffect, position: int = 900) -> FoundAction:
+    return FoundAction(ActionId(name), "transfer", "finished", position, effects)
 
 
-def hears(module: ModuleName, entry: Found) -> HearJournal:
+def hears(module: ModuleName, entry: FoundAction) -> HearJournal:
     return HearJournal(module, (entry,))
 
 
@@ -67,7 +67,7 @@ def say(lab: Driver, **stations: str) -> None:
 
 
 def confirm_rest(lab: Driver) -> None:
-    lab.do(ConfirmStations(tuple(n for n in to_say(lab.state) if not must_be_said(lab.state, n)), "ada"))
+    lab.do(ConfirmStations(tuple(n for n in list_to_say(lab.state) if not must_say(lab.state, n)), "ada"))
 
 
 def answer(lab: Driver) -> None:
@@ -80,7 +80,7 @@ def test_nothing_starts_and_checked_is_no_answer_until_all_was_said() -> None:
     other = lab.submit(plan(step("cam")))
     assert lab.pump() == []
     assert lab.code(run, 1) == lab.code(other) == "log_shorter"
-    wait = lab.judge(other)
+    wait = lab.check_start(other)
     assert isinstance(wait, Wait)
     assert sentence(wait) == (
         f"this log ends at {lab.state.shorter.ended} and arm knows more: "
@@ -94,8 +94,8 @@ def test_nothing_starts_and_checked_is_no_answer_until_all_was_said() -> None:
     say(lab, a="", dev__n1="P1")
     assert lab.reject(ResolveIntervention(question.id, "checked", "ada")).code == "unsaid"
     confirm_rest(lab)
-    if to_say(lab.state):
-        say(lab, **{name.partition("/")[2].replace(".", "__"): "" for name in to_say(lab.state)})
+    if list_to_say(lab.state):
+        say(lab, **{name.partition("/")[2].replace(".", "__"): "" for name in list_to_say(lab.state)})
     answer(lab)
     assert lab.where("P1") == "dev.n1"
     assert lab.state.shorter.since == 0
@@ -110,8 +110,8 @@ def test_labware_that_a_discovered_action_touched_may_be_anywhere_on_its_way() -
     item = lab.state.bench.labware[LabwareId("P1")]
     assert item.station == ""
     assert item.maybe == (place("a"), place("arm.gripper"), place("dev.n1"), "")
-    assert all(must_be_said(lab.state, place(name)) for name in ("a", "dev.n1"))
-    assert not must_be_said(lab.state, place("c"))
+    assert all(must_say(lab.state, place(name)) for name in ("a", "dev.n1"))
+    assert not must_say(lab.state, place("c"))
     # Another one took it further; both ways count.
     lab.do(hears(ARM, make_found("X2", make_move("P1", "dev.n1", "b"))))
     assert place("b") in lab.state.bench.labware[LabwareId("P1")].maybe
@@ -124,17 +124,17 @@ def test_what_is_touched_cannot_be_confirmed_in_passing() -> None:
     lab = make_carried()
     refusal = lab.reject(ConfirmStations((place("c"), place("a")), "ada"))
     assert (refusal.code, "a" in refusal.message) == ("touched", True)
-    assert place("c") in to_say(lab.state), "all of it or nothing"
+    assert place("c") in list_to_say(lab.state), "all of it or nothing"
 
 
 def test_a_journal_that_does_not_say_what_was_moved_puts_its_workcell_in_doubt() -> None:
     lab = small(stock=3)
-    lab.do(hears(DEV, Found(ActionId("X1"), "spin", "finished")))
-    assert all(must_be_said(lab.state, name) for name in to_say(lab.state))
-    strange = Found(ActionId("X2"), "spin", "finished", 1, (make_move("P1", "a", "nowhere"),))
+    lab.do(hears(DEV, FoundAction(ActionId("X1"), "spin", "finished")))
+    assert all(must_say(lab.state, name) for name in list_to_say(lab.state))
+    strange = FoundAction(ActionId("X2"), "spin", "finished", 1, (make_move("P1", "a", "nowhere"),))
     other = small(stock=3)
     other.do(hears(DEV, strange))
-    assert all(must_be_said(other.state, name) for name in to_say(other.state)), "an unknown station too"
+    assert all(must_say(other.state, name) for name in list_to_say(other.state)), "an unknown station too"
 
 
 def test_a_module_that_was_told_of_more_has_forgotten_what_it_did() -> None:
@@ -144,7 +144,7 @@ def test_a_module_that_was_told_of_more_has_forgotten_what_it_did() -> None:
     events = lab.do(JoinNode(DEV, "j", "i2", "driver", "1", "d", "IDLE", beyond=10**6))
     assert lab.pump() == []
     assert lab.code(run) == "log_shorter"
-    assert all(must_be_said(lab.state, name) for name in to_say(lab.state))
+    assert all(must_say(lab.state, name) for name in list_to_say(lab.state))
     (asked,) = [event for event in events if isinstance(event, InterventionRequested)]
     assert "position 1000000" in asked.text
     assert lab.state.shorter.known == 10**6
@@ -161,7 +161,7 @@ def test_lids_and_doors_of_a_module_that_knows_more_are_not_known() -> None:
 def test_a_position_that_no_log_can_have_come_to_is_not_believed() -> None:
     lab = small()
     lab.do(LoseNode(DEV, "i1", "restarted"))
-    strange = Found(ActionId("X1"), "spin", "finished", 2**70, (make_move("P" + "9" * 40, "a", "b"),))
+    strange = FoundAction(ActionId("X1"), "spin", "finished", 2**70, (make_move("P" + "9" * 40, "a", "b"),))
     lab.do(JoinNode(DEV, "j", "i2", "driver", "1", "d", "IDLE", discovered=(strange,), beyond=2**62))
     assert lab.state.shorter.known == 0
     assert lab.state.bench.named < 10**6
@@ -208,7 +208,7 @@ def test_questions_of_earlier_versions_become_one_round() -> None:
     lab.do(StartKernel(2, "0"))
     assert [question.kind for question in lab.questions()] == ["log_shorter"]
     assert not any(module.out_of_service for module in lab.state.modules.by_name.values())
-    assert all(must_be_said(lab.state, name) for name in to_say(lab.state))
+    assert all(must_say(lab.state, name) for name in list_to_say(lab.state))
     lab.check_log()
 
 
@@ -263,7 +263,7 @@ def test_what_a_node_never_began_is_not_sent_again_on_a_bench_that_nobody_has_se
 def test_another_attempt_at_an_action_that_the_log_holds_is_evidence_too() -> None:
     lab = small(stock=3)
     action = lab.start(lab.submit(plan(step("dev"))))
-    events = lab.do(hears(DEV, Found(action, "act", "running", 900)))
+    events = lab.do(hears(DEV, FoundAction(action, "act", "running", 900)))
     assert lab.state.shorter.known == 900
     assert "once more" in lab.question("log_shorter").text
     assert not any(event.TYPE == "action.discovered" for event in events)
@@ -276,7 +276,7 @@ def test_labware_that_is_worked_on_is_not_given_up() -> None:
     lab.step(run)
     action = lab.start(run, 1)
     lab.do(hears(ARM, make_found("X1", make_move("P1", "dev.n1", "a"))))
-    for name in to_say(lab.state):
+    for name in list_to_say(lab.state):
         lab.ask(SayContents(name, "ada", ("plate",) * 2 if name == place("stack") else ()))
     refusal = lab.reject(ResolveIntervention(lab.question("log_shorter").id, "checked", "ada"))
     assert (refusal.code, "P1" in refusal.message) == ("in_motion", True)
@@ -320,11 +320,11 @@ def test_evidence_that_comes_later_takes_back_what_was_said_there() -> None:
     lab = make_carried()
     say(lab, a="", dev__n1="P1")
     lab.do(hears(ARM, make_found("X2", make_move("P1", "dev.n1", "b"))))
-    assert place("dev.n1") in to_say(lab.state)
-    assert place("a") not in to_say(lab.state)
+    assert place("dev.n1") in list_to_say(lab.state)
+    assert place("a") not in list_to_say(lab.state)
     lab.do(LoseNode(DEV, "i1", "restarted"))
     lab.do(JoinNode(DEV, "j", "i2", "driver", "1", "d", "IDLE", beyond=10**6))
-    assert place("a") in to_say(lab.state)
+    assert place("a") in list_to_say(lab.state)
 
 
 def test_the_round_when_nobody_asked_for_it() -> None:
@@ -347,7 +347,7 @@ def test_labware_that_is_found_elsewhere_keeps_its_name_and_what_is_found_nowher
     assert lab.where("P1") == "hotel"
     say(lab, hotel="plate")
     assert lab.at("hotel") == ["P2"]
-    for name in to_say(lab.state):
+    for name in list_to_say(lab.state):
         lab.do(SayContents(name, "ada", ("plate",) * 3 if name == place("stack") else ()))
     answer(lab)
     assert list(lab.state.bench.labware) == ["P2"]
@@ -402,7 +402,7 @@ def test_evidence_that_a_round_has_answered_is_not_asked_about_again() -> None:
     """A node that stays away is heard of at each start, by its journal."""
     lab = small(stock=3)
     lab.do(HearJournal(ARM, (), 10**6))
-    for name in to_say(lab.state):
+    for name in list_to_say(lab.state):
         stock = ("plate",) * 3 if name.endswith("stack") else ()
         lab.do(SayContents(name, "ada", stock))
     answer(lab)

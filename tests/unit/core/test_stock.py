@@ -111,7 +111,7 @@ def test_an_empty_resource_waits_for_a_person_and_a_refill_wakes_it() -> None:
     lab = dry(1)
     run = lab.submit(plan(step("dev", consumes("foil", 2))))
     assert lab.pump() == []
-    wait = lab.judge(run)
+    wait = lab.check_start(run)
     assert isinstance(wait, Wait)
     assert (wait.code, wait.names, wait.blocked) == ("used_up", (DEV, "foil"), True)
     lab.do(refill(5, "new"))

@@ -22,7 +22,7 @@ def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
     run = lab.submit(route("stack", "a", "trash"))
     lab.step(run)
     fill(lab, 4)
-    found = lab.judge(run, 1)
+    found = lab.check_start(run, 1)
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("waste_full", True)
     assert sentence(found) == "the waste trash is full"

@@ -32,7 +32,7 @@ def test_a_clock_starts_when_the_device_was_done_not_when_it_was_heard_of() -> N
     lab.wait(100.0)
     finish_at(lab, action, lab.now - 50 * SECOND)
     assert lab.run(run).steps[0].ended_at == lab.now - 50 * SECOND
-    assert lab.judge(run, 1).until == lab.now + 10 * SECOND  # type: ignore[union-attr]
+    assert lab.check_start(run, 1).until == lab.now + 10 * SECOND  # type: ignore[union-attr]
     lab.check_log()
 
 
@@ -80,7 +80,7 @@ def test_a_run_may_be_timed_from_a_step_of_a_run_before_it() -> None:
     run = lab.submit(read(), experiment=experiment)
     (anchor,) = lab.run(run).anchors
     assert (anchor.of, anchor.step, anchor.run, anchor.ended_at) == ("incubate", "put in", "R1", ended)
-    wait = lab.judge(run)
+    wait = lab.check_start(run)
     assert (wait.code, wait.until) == ("too_early", ended + 60 * SECOND)  # type: ignore[union-attr]
     assert lab.pump() == []
     lab.wait(30.0)

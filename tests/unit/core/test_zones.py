@@ -30,7 +30,7 @@ def shared() -> Driver:
 
 
 def wait(lab: Driver, run: str, index: int = 0) -> Wait:
-    found = lab.judge(run, index)
+    found = lab.check_start(run, index)
     assert isinstance(found, Wait), found
     return found
 

@@ -8,7 +8,7 @@ import pytest
 
 from labos.core.model import ActionSpec, Arg
 from labos.errors import ActionInvalid
-from labos.node.arguments import Problem, bind, problems
+from labos.node.arguments import ArgumentProblem, bind, problems
 
 SEAL = ActionSpec(
     "seal",
@@ -84,7 +84,7 @@ def test_bad_arguments_are_told_in_one_sentence(args: dict[str, Any], sentence: 
 def test_all_problems_are_found_with_the_name_as_it_was_written() -> None:
     found = problems(SEAL, {"seconds": "3", "speed": 1, "extra": 0})
     assert [problem.argument for problem in found] == ["seconds", "speed", "extra"]
-    assert all(isinstance(problem, Problem) for problem in found)
+    assert all(isinstance(problem, ArgumentProblem) for problem in found)
 
 
 def test_an_action_without_arguments() -> None:

@@ -171,7 +171,7 @@ class Explored:
             steps = ready(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
             for index in steps:
                 kept = [h.module for h in lab.state.runs.plan_of(run).holds if h.first == index]
-                others = [who for name in kept for who in lab.state.runs.holding(name) if who != run.id]
+                others = [who for name in kept for who in lab.state.runs.list_holders(name) if who != run.id]
                 if not others and not isinstance(examine(lab.state, run, index, lab.now), Wait):
                     yield run.id, index
 

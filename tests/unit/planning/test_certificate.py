@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from labos.core.model import Plan, PlanStep, Window
-from labos.planning.certificate import Taken, certify
+from labos.planning.certificate import StepTime, certify
 from tests.support.bench import plan, step
 from tests.unit.planning.window_game import OPEN, Game, State
 
@@ -29,7 +29,7 @@ def test_a_window_breaks_where_what_comes_between_takes_too_long() -> None:
     assert (kept.is_kept, kept.path) == (True, ())
     [broken] = certify(what).windows
     assert (broken.step, broken.anchor, broken.breaks_by_s) == (what.steps[2].key, what.steps[0].key, 1.0)
-    assert broken.path == (Taken(what.steps[1].key, 33.0),)
+    assert broken.path == (StepTime(what.steps[1].key, 33.0),)
 
 
 def test_a_clock_is_started_late_enough_for_what_is_beside_it() -> None:

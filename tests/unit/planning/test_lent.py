@@ -121,7 +121,7 @@ def test_who_needs_what_is_lent_waits_for_the_end_of_that_run_and_for_nobody() -
     lab = lab_with()
     first, second = lab.submit(look_at()), lab.submit(look_at(), user="bob")
     lab.step(first)
-    found = lab.judge(second)
+    found = lab.check_start(second)
     assert isinstance(found, Wait)
     assert found.reason == reasons.InUse("P1", "cell/a", f"run:{first}")
     assert not found.blocked
@@ -282,7 +282,7 @@ def test_who_does_not_look_at_what_modules_are_set_to_traps_runs(monkeypatch: py
 def test_who_lets_runs_in_to_labware_that_is_not_as_they_need_it_traps_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("labos.planning.stuck._unlike", lambda *_: None)
+    monkeypatch.setattr("labos.planning.stuck._check_labware_ahead", lambda *_: None)
     assert find_all_trapped((0, 206, 214, 484))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.decide.runs import PauseRun, SubmitRun
 from labos.core.ids import RunId
-from labos.planning.touch import everything_in, near_key
+from labos.planning.touch import every_wait_key, near_key
 from labos.planning.waiting import PATIENCE
 from tests.support.bench import (
     Driver,
@@ -80,7 +80,7 @@ def test_who_is_let_in_meanwhile_is_told_for_whom_it_waits() -> None:
     wait = lab.scheduler.patience.keeps_out(lab.state, lab.run(young), lab.scheduler.sleepers)
     assert wait == old
     beside = lab.submit(plan(step("arm")), user="bob")
-    assert lab.scheduler.judge(lab.state, lab.run(beside), 0, lab.now) is None, (
+    assert lab.scheduler.check_start(lab.state, lab.run(beside), 0, lab.now) is None, (
         "it needs nothing of the old's"
     )
 
@@ -174,7 +174,7 @@ def test_what_happens_in_one_workcell_is_looked_at_in_no_other() -> None:
         lab.finish("A1")
         assert {key for key in lab.keys if key.startswith(("*", "near:"))} == {near_key("cell")}
         lab.pump()
-        assert everything_in("cell") not in lab.keys
+        assert every_wait_key("cell") not in lab.keys
         return lab.scheduler.evaluations - before
 
     assert count_looks(5) == count_looks(1)

@@ -5,15 +5,15 @@ from __future__ import annotations
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.suggestions import Suggested
 from labos.planner.problem import problem_of
-from labos.planner.watch import DRIFT_S, MOST_DOUBLINGS, Watch, waiting_in
+from labos.planner.watch import DRIFT_S, MOST_DOUBLINGS, CellWatch, list_waiting
 from tests.support.bench import Driver
 from tests.unit.planning.test_suggested import make_lab, visit
 
 
-def look(watch: Watch, lab: Driver, *, finds: bool = True) -> bool:
+def look(watch: CellWatch, lab: Driver, *, finds: bool = True) -> bool:
     """Whether it looks now; what it then suggests, if it ``finds`` anything, is that everybody starts at
     once."""
-    waiting = waiting_in(lab.state, "cell")
+    waiting = list_waiting(lab.state, "cell")
     if not watch.is_due(lab.state, "cell", waiting, lab.now):
         return False
     steps = tuple(Suggested(run.id, 0, lab.now) for run in waiting)
@@ -24,7 +24,7 @@ def look(watch: Watch, lab: Driver, *, finds: bool = True) -> bool:
 
 def test_it_looks_when_runs_come_and_not_without_a_reason() -> None:
     lab, _ = make_lab(visit("dev"), visit("other"))
-    watch = Watch()
+    watch = CellWatch()
     assert look(watch, lab)
     assert not look(watch, lab)
     lab.submit(visit("dev"))
@@ -33,7 +33,7 @@ def test_it_looks_when_runs_come_and_not_without_a_reason() -> None:
 
 def test_what_stands_still_over_night_is_looked_at_ever_more_seldom() -> None:
     lab, _ = make_lab(visit("dev"), visit("other"))
-    watch = Watch()
+    watch = CellWatch()
     looks = 0
     for _ in range(12 * 3600 // 30):
         looks += look(watch, lab)
@@ -47,7 +47,7 @@ def test_what_stands_still_over_night_is_looked_at_ever_more_seldom() -> None:
 def test_a_search_that_found_nothing_is_repeated() -> None:
     """As on a busy computer."""
     lab, _ = make_lab(visit("dev"), visit("other"))
-    watch = Watch()
+    watch = CellWatch()
     assert look(watch, lab, finds=False)
     assert not look(watch, lab)
     lab.wait(DRIFT_S + 1)
@@ -60,7 +60,7 @@ def test_a_search_that_found_nothing_is_repeated() -> None:
 
 def test_a_problem_has_the_steps_to_come_with_what_they_take() -> None:
     lab, (first, second) = make_lab(visit("dev"), visit("other"))
-    problem = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    problem = problem_of(lab.state, "cell", list_waiting(lab.state, "cell"), lab.now)
     steps = [(task.run, task.step) for task in problem.tasks]
     assert steps[1:] == [(run, step) for run in (first, second) for step in range(4)]
     assert problem.tasks[0].runs, "the clock ticks"
@@ -68,5 +68,5 @@ def test_a_problem_has_the_steps_to_come_with_what_they_take() -> None:
     assert [key.rpartition(".")[2].rpartition("/")[2] for key in reaches.takes] == ["arm", "dev"]
     assert reaches.duration_s == 10.0
     lab.wait(5.0)
-    again = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    again = problem_of(lab.state, "cell", list_waiting(lab.state, "cell"), lab.now)
     assert again.tasks[0].duration_s == problem.tasks[0].duration_s - 5.0

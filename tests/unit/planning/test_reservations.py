@@ -64,7 +64,7 @@ def waiting(lab: Driver, what: Plan | None = None, **more: float) -> str:
 
 
 def why(lab: Driver, run: str, index: int = 0) -> Wait | None:
-    return lab.scheduler.judge(lab.state, lab.state.runs.get(run), index, lab.now, only_asking=True)
+    return lab.scheduler.check_start(lab.state, lab.state.runs.get(run), index, lab.now, only_asking=True)
 
 
 def code(lab: Driver, run: str, index: int = 0) -> str:

@@ -15,7 +15,7 @@ from labos.core.model import Plan, Window
 from labos.core.shares import Usage
 from labos.planning.explain import sentence
 from labos.planning.scheduler import Scheduler
-from labos.planning.touch import everything_in
+from labos.planning.touch import every_wait_key
 from labos.planning.waiting import PATIENCE, PRIORITY_WEIGHT, head_of
 from tests.support.bench import (
     SECOND,
@@ -318,10 +318,10 @@ def test_others_are_told_for_whom_they_wait() -> None:
     lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE)
     free = lab.submit(plan(step("cam")), user="ada")
     lab.finish("A1")
-    wait = lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now)
+    wait = lab.scheduler.check_start(lab.state, lab.run(young), 0, lab.now)
     assert wait is not None
     assert (wait.code, wait.names) == ("after_elder", (elder,))
-    assert lab.scheduler.judge(lab.state, lab.run(free), 0, lab.now) is None
+    assert lab.scheduler.check_start(lab.state, lab.run(free), 0, lab.now) is None
 
 
 @pytest.mark.parametrize("why", ["paused", "waits for a person"])
@@ -335,9 +335,9 @@ def test_nobody_waits_for_an_elder_who_cannot_start_anyway(why: str) -> None:
         lab.do(PauseRun(elder))
     lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE + 1)
     young = lab.submit(plan(step("dev"), step("cam")), user="ada")
-    assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
+    assert lab.scheduler.check_start(lab.state, lab.run(young), 0, lab.now) is None
     lab.do(CancelRun(elder))
-    assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
+    assert lab.scheduler.check_start(lab.state, lab.run(young), 0, lab.now) is None
     assert elder not in lab.scheduler.room._passed_over["cell"]
 
 
@@ -348,8 +348,8 @@ def test_nobody_waits_for_an_elder_whose_later_step_needs_a_dead_module() -> Non
     elder = lab.submit(plan(step("dev"), step("cam")), user="bob")
     lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE + 1)
     young = lab.submit(plan(step("dev")), user="ada")
-    assert lab.scheduler.judge(lab.state, lab.run(young), 0, lab.now) is None
-    wait = lab.scheduler.judge(lab.state, lab.run(elder), 0, lab.now)
+    assert lab.scheduler.check_start(lab.state, lab.run(young), 0, lab.now) is None
+    wait = lab.scheduler.check_start(lab.state, lab.run(elder), 0, lab.now)
     assert wait is not None
     assert (wait.code, wait.blocked) == ("module_down", True)
     assert sentence(wait) == "cam is GONE (silence)"
@@ -425,11 +425,11 @@ def test_a_new_scheduler_looks_at_everything_once() -> None:
 
 def test_a_run_that_has_ended_in_between_waits_for_nothing() -> None:
     lab = small()
-    wait = lab.scheduler.judge(lab.state, None, 0, lab.now)
+    wait = lab.scheduler.check_start(lab.state, None, 0, lab.now)
     assert wait is not None
     assert wait.code == "gone"
     for _ in range(2):
-        lab.scheduler.heed(lab.state, ("run:R9",))
+        lab.scheduler.note_changes(lab.state, ("run:R9",))
         assert list(lab.scheduler.proposals(lab.state, lab.now)) == []
 
 
@@ -465,7 +465,7 @@ def test_who_waits_for_the_place_of_an_open_experiment_is_woken_when_it_closes()
     assert lab.code(other) == ""  # nothing forbids it but safety
     lab.end(experiment)
     assert (
-        everything_in("cell") in lab.keys
+        every_wait_key("cell") in lab.keys
     )  # its closing workflow may wait for the very one that has to be woken
     lab.pump()
     assert lab.work(random.Random(1))

@@ -20,7 +20,7 @@ from labos.errors import BadInput, LogDamaged, NotFound
 from labos.runtime.ledger import fold
 from labos.services.catalogue import catalogue_of
 from labos.services.describe import describe
-from labos.services.filters import Filter, Sieve
+from labos.services.filters import FilteredLog, LogFilter
 from labos.services.history import position_at, state_at
 from labos.services.labware import fold_histories, labware_histories, labware_history
 from labos.services.log import events
@@ -140,11 +140,11 @@ def test_sentences_bear_the_names_of_steps(log: SqlEventStore) -> None:
 
 
 def find_events(log: SqlEventStore, **wanted: Any) -> list[Event]:
-    return [event for event, _ in Sieve(log, Filter(**wanted)).matching_events()]
+    return [event for event, _ in FilteredLog(log, LogFilter(**wanted)).read_matching()]
 
 
 def positions(log: SqlEventStore, **wanted: Any) -> list[int]:
-    return [record.head.position for _, record in Sieve(log, Filter(**wanted)).matching_events()]
+    return [record.head.position for _, record in FilteredLog(log, LogFilter(**wanted)).read_matching()]
 
 
 def test_no_filter_shows_everything_in_order(log: SqlEventStore) -> None:
@@ -213,7 +213,7 @@ def test_users_and_times(log: SqlEventStore) -> None:
     since, until = START_NS + 300 * SECOND, START_NS + 320 * SECOND
     shown = [
         record.head.recorded_at
-        for _, record in Sieve(log, Filter(since_ns=since, until_ns=until)).matching_events()
+        for _, record in FilteredLog(log, LogFilter(since_ns=since, until_ns=until)).read_matching()
     ]
     assert shown
     assert min(shown) >= since
@@ -222,10 +222,10 @@ def test_users_and_times(log: SqlEventStore) -> None:
 
 def test_later_events_pass_the_same_sieve(log: SqlEventStore) -> None:
     every = positions(log, run="R2", types=("action",))
-    sieve = Sieve(log, Filter(run="R2", types=("action",)))
+    sieve = FilteredLog(log, LogFilter(run="R2", types=("action",)))
     half = every[len(every) // 2]
-    first = [record.head.position for _, record in sieve.matching_events(half)]
-    assert first + [record.head.position for _, record in sieve.later(half)] == every
+    first = [record.head.position for _, record in sieve.read_matching(half)]
+    assert first + [record.head.position for _, record in sieve.read_later(half)] == every
 
 
 # -- plates and runs ------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
 from labos.core.ids import ModuleName, StationName
 from labos.core.resources import LevelSet
-from labos.services.inventory import Contents, LotLeft, earliest, inventory
+from labos.services.inventory import Contents, LotLeft, inventory, list_shortfalls
 from tests.support.bench import SECOND, Driver, consumes, full, plan, route, small, step
 
 DEV = ModuleName(full("dev"))
@@ -33,7 +33,7 @@ def test_the_run_that_finds_too_little_is_named_with_its_time() -> None:
     assert (foil.runs_out.run, foil.runs_out.step) == (runs[2], "s0")
     assert foil.runs_out.at == lab.now + 20 * SECOND, "two others go first on the same device"
     assert found.runs_looked_at == 4
-    assert [name for name, _ in earliest(found)] == [f"{DEV}:foil"]
+    assert [name for name, _ in list_shortfalls(found)] == [f"{DEV}:foil"]
 
 
 def test_who_has_priority_uses_it_first() -> None:

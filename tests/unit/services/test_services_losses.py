@@ -9,7 +9,7 @@ from labos.core.decide.stock import Replenish
 from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.resources import LevelSet
 from labos.services.inventory import inventory
-from labos.services.losses import Account, account
+from labos.services.losses import LossAccount, account
 from labos.services.next_touch import next_touches
 from labos.services.standstill import Cause
 from tests.unit.services.logbook import SECOND, Logbook
@@ -26,7 +26,7 @@ def book() -> Logbook:
     return found
 
 
-def seconds(found: Account) -> dict[str, float]:
+def seconds(found: LossAccount) -> dict[str, float]:
     return {f"{loss.cause.kind} {loss.cause.what}": loss.lost_ns / SECOND for loss in found.losses}
 
 

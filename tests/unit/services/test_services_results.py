@@ -7,21 +7,21 @@ from typing import Any
 import msgspec
 import pytest
 
-from labos.services.results import COLUMNS, Reading, Table, tables
+from labos.services.results import COLUMNS, Reading, ValueTable, tables
 from tests.docs.markdown import REFERENCE, blocks
 
 
 @pytest.mark.parametrize(
     ("result", "found"),
     [
-        ({"wells": {"A1": 0.5}, "quantity": "OD600", "unit": "OD"}, [Table("OD600", "OD", {"A1": 0.5})]),
-        ({"a01": 1, "B2": 2}, [Table("value", "", {"A1": 1, "B2": 2})]),
+        ({"wells": {"A1": 0.5}, "quantity": "OD600", "unit": "OD"}, [ValueTable("OD600", "OD", {"A1": 0.5})]),
+        ({"a01": 1, "B2": 2}, [ValueTable("value", "", {"A1": 1, "B2": 2})]),
         (
             {"wells": {"A1": {"red": 3, "green": 4}}, "units": {"red": "1"}},
-            [Table("red", "1", {"A1": 3}), Table("green", "", {"A1": 4})],
+            [ValueTable("red", "1", {"A1": 3}), ValueTable("green", "", {"A1": 4})],
         ),
-        ([{"wells": {"A1": True}}], [Table("value", "", {"A1": True})]),
-        ({"tables": [{"wells": {"A1": "clear"}}]}, [Table("value", "", {"A1": "clear"})]),
+        ([{"wells": {"A1": True}}], [ValueTable("value", "", {"A1": True})]),
+        ({"tables": [{"wells": {"A1": "clear"}}]}, [ValueTable("value", "", {"A1": "clear"})]),
         ({"wells": {"A1": None, "rest": 1}}, []),
         ("OD_0001.csv", []),
         ({"$too_large": 70000}, []),
@@ -30,7 +30,7 @@ from tests.docs.markdown import REFERENCE, blocks
         ([1, 2], []),
     ],
 )
-def test_tables(result: Any, found: list[Table]) -> None:
+def test_tables(result: Any, found: list[ValueTable]) -> None:
     assert list(tables(result)) == found
 
 

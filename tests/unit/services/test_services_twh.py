@@ -27,7 +27,7 @@ from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
 from labos.core.topics import Choice
 from labos.services.log import events
-from labos.services.twh import Meter, Report, Twh, measure
+from labos.services.twh import Meter, Twh, TwhReport, measure
 from tests.simulation import mixes
 from tests.unit.services.logbook import SECOND, START_NS, Logbook, seal_records
 
@@ -104,7 +104,7 @@ def figures(twh: Twh) -> list[str]:
     ]
 
 
-def scope(report: Report, name: str) -> Twh:
+def scope(report: TwhReport, name: str) -> Twh:
     kind, _, which = name.partition(" ")
     if kind == "lab":
         return report.lab
@@ -129,7 +129,7 @@ def minutes(stretch_ns: int) -> float:
     return stretch_ns / SECOND / MINUTE
 
 
-def working(*more: tuple[float, str, Event], until: float | None = None) -> Report:
+def working(*more: tuple[float, str, Event], until: float | None = None) -> TwhReport:
     """R1 runs from minute 0; ``more`` happens at its minutes."""
     told = [*preface(), (0.0, "ada", make_submitted("R1")), (0.0, "labos", RunStarted(RunId("R1")))]
     told += [(minute * MINUTE, actor, event) for minute, actor, event in more]

@@ -11,7 +11,13 @@ import pytest
 from labos.core.merkle import EMPTY_ROOT
 from labos.errors import BadInput, Refused
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head, sign_tree
-from labos.services.trust.keys import Keys, TrustedKeys, encode_rotations, parse_rotations, read_given_keys
+from labos.services.trust.keys import (
+    SigningKeys,
+    TrustedKeys,
+    encode_rotations,
+    parse_rotations,
+    read_given_keys,
+)
 from labos.services.trust.notes import (
     COSIGNS,
     SIGNS,
@@ -126,25 +132,25 @@ def test_a_private_key_does_not_show_itself() -> None:
 
 
 def test_a_key_is_made_once_and_is_private(tmp_path: Path) -> None:
-    keys = Keys(tmp_path)
+    keys = SigningKeys(tmp_path)
     public = keys.create("example.org/lab")
-    assert keys.signing().public == public == keys.public()[-1]
+    assert keys.read_signing_key().public == public == keys.public()[-1]
     if os.name != "nt":
         modes = [path.stat().st_mode & 0o777 for path in (keys.folder, *keys.folder.iterdir())]
         assert modes == [0o700, 0o600, 0o600]
     with pytest.raises(Refused, match="has a key already"):
         keys.create("example.org/lab")
     with pytest.raises(BadInput, match="cannot be the name"):
-        Keys(tmp_path / "other").create("a lab")
+        SigningKeys(tmp_path / "other").create("a lab")
 
 
 def test_who_trusts_an_old_key_goes_on_with_its_successors(tmp_path: Path) -> None:
-    keys = Keys(tmp_path)
+    keys = SigningKeys(tmp_path)
     first = keys.create("example.org/lab")
-    old = keys.signing()
+    old = keys.read_signing_key()
     keys.rotate(10, "2026-05-04T10:00:00Z")
     keys.rotate(20, "2026-05-05T10:00:00Z")
-    third = keys.signing()
+    third = keys.read_signing_key()
     rotations = parse_rotations(encode_rotations(keys.rotations()))
     assert rotations == keys.rotations()
     assert len(rotations) == 2
@@ -159,7 +165,7 @@ def test_who_trusts_an_old_key_goes_on_with_its_successors(tmp_path: Path) -> No
 
 
 def test_nobody_else_names_a_successor(tmp_path: Path) -> None:
-    keys = Keys(tmp_path)
+    keys = SigningKeys(tmp_path)
     first = keys.create("example.org/lab")
     note = keys.rotate(10, "2026-05-04T10:00:00Z")
     only_new = Note(note.text, note.signatures[1:])

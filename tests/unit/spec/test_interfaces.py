@@ -9,7 +9,7 @@ import pytest
 
 from labos.adapter import describe_foreign
 from labos.errors import BadInput, DeviceError
-from labos.spec.interfaces import config_at, missing_keys
+from labos.spec.interfaces import config_at, list_missing_keys
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ from labos.spec.interfaces import config_at, missing_keys
 )
 def test_an_address_is_what_the_adapter_wants(interface: str, address: str, config: dict[str, Any]) -> None:
     assert config_at(interface, address) == config
-    assert set(missing_keys(interface, config)) <= {"opcua", "epics"}
+    assert set(list_missing_keys(interface, config)) <= {"opcua", "epics"}
 
 
 @pytest.mark.parametrize("address", ["reader", "reader:", "reader:http"])

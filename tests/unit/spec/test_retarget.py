@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from labos.cli.app import main
-from labos.spec.retarget import differing, rename
+from labos.spec.retarget import compare_lines, rename
 from tests.apps.growth import APP
 from tests.support.corpus import corpus
 from tests.unit.cli_files.calls import call
@@ -48,7 +48,7 @@ def test_the_growth_assay_differs_in_names_of_modules_only(
     assert written == new.read_text()
     assert (told["fits"], told["misfits"]) == (True, [])
     names = {"ot2_growth_beta": "solo", "pf400": "platecrane"}
-    lines = differing(old.read_text(), written)[2:]
+    lines = compare_lines(old.read_text(), written)[2:]
     if flow == "create_plate":
         assert "\n".join(["```diff", *lines, "```"]) in (APP / "README.md").read_text()
     gone = [line[1:] for line in lines if line.startswith("-")]
@@ -199,6 +199,6 @@ def test_workflows_that_were_written_for_bio_elsewhere_are_retargeted(
         assert all(
             "Did you mean" in each["remedy"] for each in told["findings"] if each["message"] in strange
         )
-        lines = differing(file.read_text(), written.read_text())[2:]
+        lines = compare_lines(file.read_text(), written.read_text())[2:]
         assert "+workcell: /home/rpl/workspace/rpl_workcell/bio_workcell/bio.yaml" in lines
         assert all("platecrane" in line for line in lines if line[0] == "+" and "workcell:" not in line)

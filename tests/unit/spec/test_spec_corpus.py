@@ -17,7 +17,7 @@ from labos.errors import SpecError
 from labos.spec import Finding, SpecErrors, compile_workcell, compile_workflow, find_spec, load_workcell
 from labos.spec.comments import read_comments
 from labos.spec.dialects import find_kind, no_spec, workcell_form, workflow_form
-from labos.spec.findings import Report, finding_of
+from labos.spec.findings import FindingList, make_finding
 from labos.spec.importing import complete, import_spec
 from labos.spec.models import WorkcellFile, WorkflowFile
 from labos.spec.source import Source, parse, read
@@ -63,14 +63,14 @@ def load(path: Path) -> tuple[str, list[Finding]]:
         source = read(path, last_wins=True)
         found = find_kind(source)
         if found is None:
-            return "", [finding_of(no_spec(source))]
+            return "", [make_finding(no_spec(source))]
         text = import_spec(source, drivers()).text
         kept = Counter(comment.text for comment in read_comments(text))
         assert not Counter(comment.text for comment in read_comments(source.text)) - kept, path
     except SpecErrors as errors:
         return "", [finding for finding in errors.findings if finding.severity == "error"]
     except SpecError as error:
-        return "", [finding_of(error)]
+        return "", [make_finding(error)]
     return f"{found[0]} ({found[1]})", []
 
 
@@ -108,15 +108,15 @@ def test_a_key_that_stands_twice_is_told() -> None:
 def check_round_trip(source: Source) -> None:
     found = import_spec(source, drivers())
     again = parse(found.text, "again.yaml")
-    report = Report("again.yaml")
+    report = FindingList("again.yaml")
     if found.kind == "workflow":
-        form, _ = workflow_form(source, Report(source.file))
+        form, _ = workflow_form(source, FindingList(source.file))
         written, dialect = workflow_form(again, report)
         assert dialect == "labos"
         assert validate(WorkflowFile, written, report) == validate(WorkflowFile, form, report)
         assert report.sort_findings() == ()
         return
-    form, _ = workcell_form(source, Report(source.file))
+    form, _ = workcell_form(source, FindingList(source.file))
     written, dialect = workcell_form(again, report)
     assert dialect == "labos"
     file = validate(WorkcellFile, form, report)

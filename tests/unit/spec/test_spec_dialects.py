@@ -20,7 +20,7 @@ from labos.spec import (
     validate_workflow,
 )
 from labos.spec.dialects import workflow_form
-from labos.spec.findings import Report
+from labos.spec.findings import FindingList
 from labos.spec.models import WorkflowFile
 from labos.spec.validation import validate
 from tests.unit.spec.spec_bench import BENCH, DESCRIPTIONS, PAPER, where
@@ -131,7 +131,7 @@ flowdef:
     args: {a: [$n-1, {b: "x${n-1}y"}], c: "$other", d: "at $n-1 h", foo: 2.0}
 """
     source = parse_workflow(text, "wei.yaml")
-    report = Report("wei.yaml")
+    report = FindingList("wei.yaml")
     file = validate(WorkflowFile, workflow_form(source, report)[0], report)
     assert file is not None
     [step] = file.steps

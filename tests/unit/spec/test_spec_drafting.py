@@ -10,7 +10,14 @@ import pytest
 from labos.bootstrap import descriptions as installed
 from labos.core.effects import Move
 from labos.core.model import Description, Plan
-from labos.spec import Bench, CompiledWorkcell, SpecErrors, compile_workcell, compile_workflow, parse_workflow
+from labos.spec import (
+    BenchFile,
+    CompiledWorkcell,
+    SpecErrors,
+    compile_workcell,
+    compile_workflow,
+    parse_workflow,
+)
 from labos.spec.importing import import_spec
 from labos.spec.serving import drivers_of, suggest_driver
 from labos.spec.source import parse
@@ -50,7 +57,7 @@ def cell_for(flow: str = FLOW, cell: str = CELL) -> CompiledWorkcell:
 
 def plan_of(flow: str = FLOW, cell: str = CELL) -> Plan:
     compiled = cell_for(flow, cell)
-    bench: Bench = compiled.bench
+    bench: BenchFile = compiled.bench
     return compile_workflow(
         parse_workflow(flow, "bake.yaml"), {}, compiled.workcell, drivers(), simulate=True, bench=bench
     ).plan

@@ -10,7 +10,7 @@ from labos.bootstrap import descriptions
 from labos.core.ids import StationName
 from labos.core.model import Description
 from labos.spec import find_spec, parse_workcell, parse_workflow, validate_workflow
-from labos.spec.bench import Bench, Stock
+from labos.spec.bench import BenchFile, Stock
 
 GET = "- {name: get, module: sciclops, action: get_plate, args: {loc: tower1}}"
 UNCOVER = "- {name: uncover, module: sciclops, action: remove_lid}"
@@ -38,7 +38,7 @@ def list_findings(*steps: str, item: str = "plate96+lid96", cell: str = "") -> l
         .read_text(encoding="utf-8")
         .replace("stations:\n", f"stations:\n{cell}", 1)
     )
-    bench = Bench((Stock(StationName("rpl/sciclops.tower1"), item, 20),))
+    bench = BenchFile((Stock(StationName("rpl/sciclops.tower1"), item, 20),))
     source = parse_workflow("labos: 1\nname: w\nsteps:\n" + "\n".join(steps), "w.yaml")
     workcell = parse_workcell(text, drivers()).workcell
     return [finding.message for finding in validate_workflow(source, {}, workcell, drivers(), bench=bench)]

@@ -18,7 +18,7 @@ from labos.spec import (
     validate_workflow,
 )
 from labos.spec.dialects import kind_of, workcell_form, workflow_form
-from labos.spec.findings import Finding, Report
+from labos.spec.findings import Finding, FindingList
 from labos.spec.importing import import_spec
 from labos.spec.models import WorkcellFile, WorkflowFile
 from labos.spec.validation import validate
@@ -54,7 +54,7 @@ location_transfer_capabilities: {transfer_templates: []}
 
 def workcell(text: str, folder: Path | None = None) -> tuple[WorkcellFile, tuple[Finding, ...]]:
     source = parse_source(text, str(folder / "settings.yaml") if folder else "settings.yaml", folder)
-    report = Report(source.file)
+    report = FindingList(source.file)
     assert kind_of(source) == ("workcell", "madsci")
     form, dialect = workcell_form(source, report)
     assert dialect == "madsci"
@@ -198,7 +198,7 @@ steps:
 
 def workflow(text: str) -> tuple[WorkflowFile, tuple[Finding, ...]]:
     source = parse_workflow(text, "flow.yaml")
-    report = Report(source.file)
+    report = FindingList(source.file)
     assert kind_of(source) == ("workflow", "madsci")
     form, dialect = workflow_form(source, report)
     assert dialect == "madsci"

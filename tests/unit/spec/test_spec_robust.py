@@ -22,7 +22,7 @@ from labos.spec import (
     validate_workcell,
     validate_workflow,
 )
-from labos.spec.findings import finding_of
+from labos.spec.findings import make_finding
 from labos.spec.importing import import_spec
 
 ODD = ["", "~", "5", "-1", "[]", "{}", "true", "x", "{a: {b: []}}", "[[1]]", "payload.x", "steps.a.result"]
@@ -56,7 +56,7 @@ def judge(text: str, payload: dict[str, Any]) -> list[Finding]:
     try:
         source = parse_workflow(text, "f.yaml")
     except SpecError as error:
-        return [finding_of(error)]
+        return [make_finding(error)]
     found = validate_workflow(source, payload, BENCH.workcell, DESCRIPTIONS)
     found += validate_workcell(source, DESCRIPTIONS)
     try:
@@ -64,7 +64,7 @@ def judge(text: str, payload: dict[str, Any]) -> list[Finding]:
     except SpecErrors as errors:
         found += errors.findings
     except SpecError as error:
-        found.append(finding_of(error))
+        found.append(make_finding(error))
     with contextlib.suppress(SpecError, SpecErrors):
         load_labware(source)
     return found

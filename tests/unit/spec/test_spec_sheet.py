@@ -6,23 +6,23 @@ import pytest
 
 from labos.core.labware import Sample
 from labos.core.wells import well_index, well_name
-from labos.spec.findings import Report
+from labos.spec.findings import FindingList
 from labos.spec.labware import load_packaged_labware
-from labos.spec.sheet import COLUMNS, Line, check_wells, read_sheet
+from labos.spec.sheet import COLUMNS, SheetLine, check_wells, read_sheet
 from tests.docs.markdown import REFERENCE, blocks, first_codes, section
 
 PLATE = load_packaged_labware()["plate96"].wells
 
 
-def lines(text: str) -> list[Line]:
-    report = Report("sheet.csv")
+def lines(text: str) -> list[SheetLine]:
+    report = FindingList("sheet.csv")
     found = read_sheet(text, report)
     assert report.findings == []
     return found
 
 
 def faults(text: str) -> list[str]:
-    report = Report("sheet.csv")
+    report = FindingList("sheet.csv")
     check_wells(read_sheet(text, report), "plate96", PLATE, report)
     return [str(finding.as_error()) for finding in report.sort_findings()]
 
@@ -90,7 +90,7 @@ def test_wells_of_large_plates() -> None:
 
 
 def test_what_has_no_wells() -> None:
-    report = Report("sheet.csv")
+    report = FindingList("sheet.csv")
     check_wells(read_sheet("well,sample\nA1,x\n", report), "lid", None, report)
     assert report.errors == 1
 
