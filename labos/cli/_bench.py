@@ -6,14 +6,15 @@ import click
 
 from labos.cli._complete import completes
 from labos.cli._options import (
+    Asker,
+    asker_options,
     find_user,
     home_option,
-    json_option,
     json_option_saying,
     user_option,
     why_option,
 )
-from labos.cli._out import show_json, tell
+from labos.cli._out import show_json
 
 
 @click.command("observe")
@@ -71,19 +72,8 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
 @click.argument("name", required=False, default="")
 @click.option("--force", is_flag=True, help="For operators: give labware that is not yours; needs --why.")
 @why_option("A note for the log.")
-@user_option
-@home_option
-@json_option
-def give(
-    labware: str,
-    to: str,
-    name: str,
-    force: bool,
-    why: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
-) -> None:
+@asker_options
+def give(labware: str, to: str, name: str, force: bool, why: str, asker: Asker) -> None:
     """Give LABWARE to a new owner. From then on the new owner's runs may use it, and yours may not.
 
     The command is refused if the labware is not yours, if a run uses it, or if an action on it is in
@@ -95,12 +85,10 @@ def give(
     labos give P7 --to shared
     labos give P7 --to user bob --force --why "ada has left"
     """
-    from labos.cli._lab import need_lab
-
     if (to == "shared") == bool(name):
         raise click.UsageError("Say --to user NAME, --to experiment ID, or --to shared.")
-    with need_lab(home) as client:
+    with asker.lab() as client:
         owner = f"{to}:{name}" if name else to
-        client.give(labware, owner, find_user(user), force=force, note=why)
+        client.give(labware, owner, asker.user, force=force, note=why)
     told = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
-    tell(told, {"labware": labware, "owner": owner}, as_json=as_json)
+    asker.tell(told, {"labware": labware, "owner": owner})

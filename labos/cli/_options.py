@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+import msgspec
 from click.core import ParameterSource
 
 from labos.cli._remote import folder_if_needed
 from labos.errors import BadInput
+
+if TYPE_CHECKING:
+    from labos.client import LabClient
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -98,6 +103,42 @@ user_option = click.option(
     metavar="NAME",
     help="The requesting user (LABOS_USER; your login if not given).",
 )
+
+
+class Asker(msgspec.Struct, frozen=True):
+    """Who asks which lab, and whether the answer is to be JSON: the options ``--user``, ``--home`` and
+    ``--json``, as they were given."""
+
+    name: str | None
+    home: str | None
+    as_json: bool
+
+    @property
+    def user(self) -> str:
+        """The user's name."""
+        return find_user(self.name)
+
+    def lab(self) -> LabClient:
+        """The lab that is asked. Raises NotFound if none runs."""
+        from labos.cli._lab import need_lab
+
+        return need_lab(self.home)
+
+    def tell(self, sentence: str, facts: Any) -> None:
+        """What a command has done."""
+        from labos.cli._out import tell
+
+        tell(sentence, facts, as_json=self.as_json)
+
+
+def asker_options(command: F) -> F:
+    """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
+
+    @wraps(command)
+    def wrap(*args: Any, user: str | None, home: str | None, as_json: bool, **options: Any) -> Any:
+        return command(*args, asker=Asker(user, home, as_json), **options)
+
+    return user_option(home_option(json_option(wrap)))  # type: ignore[return-value]
 
 
 def lab_options(command: F) -> F:

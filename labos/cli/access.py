@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, user_option, why_option
-from labos.cli._out import tell
+from labos.cli._options import Asker, asker_options, why_option
 from labos.errors import BadInput, NotFound, Refused
 
 if TYPE_CHECKING:
@@ -42,9 +41,7 @@ LOOK_S = 0.2
 @click.option(
     "--unchanged", is_flag=True, help="With --done: report that nothing was changed, without questions."
 )
-@json_option
-@user_option
-@home_option
+@asker_options
 def command(
     workcell: str,
     why: str,
@@ -53,9 +50,7 @@ def command(
     done: bool,
     changed: tuple[str, ...],
     unchanged: bool,
-    as_json: bool,
-    user: str | None,
-    home: str | None,
+    asker: Asker,
 ) -> None:
     """Request access, to reach into WORKCELL. No new action starts there, actions in progress end, and arms
     with a home position move to it. Then the command reports that nothing moves. Runs wait until you report
@@ -70,33 +65,31 @@ def command(
     labos access rpl --done
     labos access rpl --done --changed sealer.default=empty --changed camera_module.plate_station=P7
     """
-    from labos.cli._lab import need_lab
-
     if (changed or unchanged) and not done:
         raise click.UsageError("--changed and --unchanged go with --done.")
     if changed and unchanged:
         raise click.UsageError("Say either what was --changed, or that all is --unchanged.")
-    with need_lab(home) as client:
+    with asker.lab() as client:
         if done:
             told = [_change(text) for text in changed]
-            if not (changed or unchanged or as_json) and sys.stdin.isatty() and sys.stdout.isatty():
-                _leave_asked(client, workcell, find_user(user), why)
+            if not (changed or unchanged or asker.as_json) and sys.stdin.isatty() and sys.stdout.isatty():
+                _leave_asked(client, workcell, asker.user, why)
                 return
-            client.leave(workcell, find_user(user), told, why)
+            client.leave(workcell, asker.user, told, why)
             changes = [{"station": station, "what": what} for station, what in told]
             facts = {"workcell": workcell, "granted": False, "changed": changes}
-            tell(_goes_on(workcell, told), facts, as_json=as_json)
+            asker.tell(_goes_on(workcell, told), facts)
             return
-        parking = client.enter(workcell, find_user(user), why, park=not no_park)
-        if not as_json:
+        parking = client.enter(workcell, asker.user, why, park=not no_park)
+        if not asker.as_json:
             click.echo(f"Nothing more starts in {workcell}.")
             if parking:
-                click.echo(f"Arms go home: {', '.join(parking)}.")
+                click.echo(f"Arms go asker.home: {', '.join(parking)}.")
         _until_granted(client, workcell, timeout)
         state = client.state(waits=False)
     access = state["lab"]["access"].get(workcell)
     doubtful = access["perhaps_moving"] if access is not None else []
-    if as_json:
+    if asker.as_json:
         from labos.cli._out import show_json
 
         show_json(

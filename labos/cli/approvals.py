@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import find_user, home_option, json_option, user_option, why_option
-from labos.cli._out import show_json, show_table, tell
+from labos.cli._options import Asker, asker_options, home_option, json_option, why_option
+from labos.cli._out import show_json, show_table
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
 
@@ -160,9 +160,7 @@ def _plain(text: str) -> str:
 )
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @why_option("A comment, for the log.")
-@user_option
-@home_option
-@json_option
+@asker_options
 def approve(
     subject: str,
     digest: str | None,
@@ -171,9 +169,7 @@ def approve(
     alike: bool,
     yes: bool,
     why: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    asker: Asker,
     **changes: Any,
 ) -> None:
     """Approve the run, campaign or experiment ID: as it was proposed, or with changes.
@@ -184,7 +180,6 @@ def approve(
     labos approve R7 --why "looked at the protocol"
     labos approve C3 --runs 20 --lab-time "10 h"
     """
-    from labos.cli._lab import need_lab
     from labos.cli._terms import amount_of, seconds_of
 
     wanted = {name: value for name, value in changes.items() if value is not None}
@@ -194,34 +189,30 @@ def approve(
         wanted["consumables"] = dict(map(amount_of, consumables))
     if alike:
         wanted["alike"] = True
-    with need_lab(home) as client:
+    with asker.lab() as client:
         if digest is None:
             told = client.approval_of(subject)
             digest = str(told["proposal"]["digest"])
-            if not as_json:
+            if not asker.as_json:
                 _show(told)
             if not yes and sys.stdin.isatty():
                 click.confirm(f"Approve {subject}?", abort=True)
-        approved = client.approve(subject, find_user(user), digest, comment=why, **wanted)
+        approved = client.approve(subject, asker.user, digest, comment=why, **wanted)
     facts = {"subject": subject, "approved": True, "digest": approved}
-    tell(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts, as_json=as_json)
+    asker.tell(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts)
 
 
 @click.command("refuse")
 @_subject
 @why_option("A comment, for the log and for the requester.")
-@user_option
-@home_option
-@json_option
-def refuse(subject: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def refuse(subject: str, why: str, asker: Asker) -> None:
     """Refuse the run, campaign or experiment ID: it is cancelled. If ID is a change of a campaign, the
     campaign continues without the change."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        refused = client.refuse(subject, find_user(user), comment=why)
+    with asker.lab() as client:
+        refused = client.refuse(subject, asker.user, comment=why)
     facts = {"subject": subject, "approved": False, "digest": refused}
-    tell(f"{subject} is refused.", facts, as_json=as_json)
+    asker.tell(f"{subject} is refused.", facts)
 
 
 def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, find_user, json_option, user_option
 from labos.cli._query import Where, log_options, open_database, open_log
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
@@ -25,12 +25,8 @@ def command() -> None:
 @click.argument("stations", nargs=-1, metavar="[FILE | STATION=TYPE]...")
 @click.option("--empty", is_flag=True, help="Declare all stations that were not declared yet as empty.")
 @click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
-@json_option
-@user_option
-@home_option
-def declare(
-    stations: tuple[str, ...], empty: bool, workcell: str, as_json: bool, user: str | None, home: str | None
-) -> None:
+@asker_options
+def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker) -> None:
     """Declare what stands at stations. A station that was never declared is unknown, not empty. Runs that
     would put something there wait (`labos explain`).
 
@@ -44,7 +40,6 @@ def declare(
     labos bench declare sciclops.tower1=20xplate96
     labos bench declare bench.yaml --empty
     """
-    from labos.cli._lab import need_lab
     from labos.cli._out import show_json
 
     told: dict[str, list[str]] = {}
@@ -55,9 +50,9 @@ def declare(
             told[name] = types
     if not told and not empty:
         raise click.UsageError("Name stations (STATION=TYPE), a file, or say --empty.")
-    with need_lab(home) as client:
-        found = client.declare(told, find_user(user), workcell=workcell, empty=empty)
-    if as_json:
+    with asker.lab() as client:
+        found = client.declare(told, asker.user, workcell=workcell, empty=empty)
+    if asker.as_json:
         show_json(found)
         return
     for name, types in found.items():

@@ -10,7 +10,7 @@ import click
 from labos.cli._bookings import in_words, show_bookings
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput
 
@@ -178,12 +178,8 @@ def change(
 @_booking
 @click.option("--on", metavar="DAY", help="Cancel only the time that begins on this day.")
 @_why
-@user_option
-@home_option
-@json_option
-def cancel(
-    booking: str, on: str | None, why: str | None, user: str | None, home: str | None, as_json: bool
-) -> None:
+@asker_options
+def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
     """Cancel BOOKING: all users can use the time again. For a repeated booking, this cancels all future
     times, or with --on one time.
 
@@ -191,13 +187,11 @@ def cancel(
     labos book cancel B3
     labos book cancel B3 --on 2026-12-24 --why holiday
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         begins_at = _time_on(client, booking, on) if on else 0
-        client.cancel_booking(booking, find_user(user), begins_at=begins_at, why=why or "")
+        client.cancel_booking(booking, asker.user, begins_at=begins_at, why=why or "")
     told = f"{booking} is cancelled{f' on {on}' if on else ''}."
-    tell(told, {"booking": booking, "begins_at": begins_at, "cancelled": True}, as_json=as_json)
+    asker.tell(told, {"booking": booking, "begins_at": begins_at, "cancelled": True})
 
 
 @command.command("show")

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, user_option, why_option
+from labos.cli._options import Asker, asker_options, why_option
 from labos.errors import BadInput
 
 
@@ -29,19 +29,9 @@ from labos.errors import BadInput
 )
 @click.option("--until", default="", metavar="DATE", help="The last day on which it is valid: 2027-01-01.")
 @why_option()
-@user_option
-@home_option
-@json_option
+@asker_options
 def command(
-    module: str,
-    what: str,
-    certificate: str,
-    report: Path | None,
-    until: str,
-    why: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    module: str, what: str, certificate: str, report: Path | None, until: str, why: str, asker: Asker
 ) -> None:
     """Record that MODULE was calibrated. `labos provenance` shows this calibration for all later actions. It
     replaces the earlier calibration with the same `--what`.
@@ -54,14 +44,12 @@ def command(
     labos calibrate ot2_cp_gamma --what volume --certificate K-2041 --until 2027-01-01
     labos calibrate hidex --file report.pdf --why "new lamp"
     """
-    from labos.cli._lab import need_lab
-    from labos.cli._out import tell
 
     content = b"" if report is None else _read(report)
-    with need_lab(home) as client:
+    with asker.lab() as client:
         told = client.calibrate(
             module,
-            find_user(user),
+            asker.user,
             what=what,
             certificate=certificate,
             report=content,
@@ -71,7 +59,7 @@ def command(
     of = f"{told['module']} ({what})" if what else told["module"]
     valid = f", valid until {until}" if until else ""
     kept = f" Its report is kept as {told['file']}." if told["file"] else ""
-    tell(f"The calibration of {of} is recorded{valid}.{kept}", told, as_json=as_json)
+    asker.tell(f"The calibration of {of} is recorded{valid}.{kept}", told)
 
 
 def _read(report: Path) -> bytes:

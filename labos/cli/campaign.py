@@ -13,15 +13,14 @@ from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
 from labos.cli._options import (
     ENDED_SHOWN,
+    Asker,
     all_option,
-    find_user,
-    home_option,
+    asker_options,
     json_option,
     propose_option,
-    user_option,
     why_option,
 )
-from labos.cli._out import show_json, show_table, tell
+from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.cli._terms import terms_options
 from labos.core.viewer import Visibility
@@ -52,7 +51,6 @@ def command() -> None:
 
 @command.command("submit")
 @click.argument("file")
-@user_option
 @click.option(
     "--request",
     default="",
@@ -60,16 +58,13 @@ def command() -> None:
     help="A key of the request: two requests with the same key create one campaign.",
 )
 @propose_option
-@home_option
-@json_option
-def submit(file: str, user: str | None, request: str, propose: bool, home: str | None, as_json: bool) -> None:
+@asker_options
+def submit(file: str, asker: Asker, request: str, propose: bool) -> None:
     """Check the campaign FILE, row by row, submit it, and print its id. If a row has errors, nothing is
     submitted."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        told = client.submit_campaign(file, user=find_user(user), request=request, propose=propose)
-    if as_json:
+    with asker.lab() as client:
+        told = client.submit_campaign(file, user=asker.user, request=request, propose=propose)
+    if asker.as_json:
         show_json(told)
         return
     if told["approval"]:
@@ -79,10 +74,8 @@ def submit(file: str, user: str | None, request: str, propose: bool, home: str |
 
 @command.command("plan")
 @click.argument("file")
-@user_option
-@home_option
-@json_option
-def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def plan(file: str, asker: Asker) -> None:
     """Check the campaign FILE, row by row, and estimate which resources and how much time it needs. Forecast
     when it starts and ends, which runs it delays, and when a person is needed. Nothing is submitted.
 
@@ -90,12 +83,11 @@ def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
     The forecast simulates the lab from its present state, with the campaign and without it.
     """
     from labos.cli._forecast import show_campaign, show_change
-    from labos.cli._lab import need_lab
 
-    with need_lab(home) as client:
-        answer = client.forecast_campaign(file, user=find_user(user))
+    with asker.lab() as client:
+        answer = client.forecast_campaign(file, user=asker.user)
     told, forecast = answer["estimate"], answer["forecast"]
-    if as_json:
+    if asker.as_json:
         show_json({**told, "forecast": forecast})
         return
     checked = "" if told["checked"] == told["rows"] else f" ({told['checked']} of them were checked)"
@@ -208,90 +200,67 @@ def report(where: Where, campaign: str, as_csv: bool, as_json: bool) -> None:
 
 @command.command("pause")
 @_campaign
-@user_option
 @why_option()
-@home_option
-@json_option
-def pause(campaign: str, user: str | None, why: str, home: str | None, as_json: bool) -> None:
+@asker_options
+def pause(campaign: str, asker: Asker, why: str) -> None:
     """Pause a campaign: submit no further row, and start none of its waiting runs. Active runs continue."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.pause_campaign(campaign, find_user(user), why=why)
-    tell(f"{campaign} is paused.", {"campaign": campaign, "paused": True}, as_json=as_json)
+    with asker.lab() as client:
+        client.pause_campaign(campaign, asker.user, why=why)
+    asker.tell(f"{campaign} is paused.", {"campaign": campaign, "paused": True})
 
 
 @command.command("resume")
 @_campaign
-@user_option
-@home_option
-@json_option
-def resume(campaign: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def resume(campaign: str, asker: Asker) -> None:
     """Resume a paused campaign."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.resume_campaign(campaign, find_user(user))
-    tell(f"{campaign} goes on.", {"campaign": campaign, "paused": False}, as_json=as_json)
+    with asker.lab() as client:
+        client.resume_campaign(campaign, asker.user)
+    asker.tell(f"{campaign} goes on.", {"campaign": campaign, "paused": False})
 
 
 @command.command("archive")
 @_campaign
-@user_option
 @click.option("--undo", is_flag=True, help="Show it in lists again.")
-@home_option
-@json_option
-def archive(campaign: str, user: str | None, undo: bool, home: str | None, as_json: bool) -> None:
+@asker_options
+def archive(campaign: str, asker: Asker, undo: bool) -> None:
     """Hide an ended campaign in lists. Nothing is deleted: `labos campaign list --archived` still shows it,
     and all other commands accept its id."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.archive_campaign(campaign, find_user(user), undo=undo)
+    with asker.lab() as client:
+        client.archive_campaign(campaign, asker.user, undo=undo)
     told = f"{campaign} stands in lists again." if undo else f"{campaign} is archived."
-    tell(told, {"campaign": campaign, "archived": not undo}, as_json=as_json)
+    asker.tell(told, {"campaign": campaign, "archived": not undo})
 
 
 @command.command("cancel")
 @_campaign
-@user_option
 @why_option()
 @click.option("--stay", is_flag=True, help="Leave the labware of its runs where it is.")
-@home_option
-@json_option
-def cancel(campaign: str, user: str | None, why: str, stay: bool, home: str | None, as_json: bool) -> None:
+@asker_options
+def cancel(campaign: str, asker: Asker, why: str, stay: bool) -> None:
     """Cancel a campaign: submit no further row, and cancel its runs."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.cancel_campaign(campaign, find_user(user), why=why, stay=stay)
-    tell(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True}, as_json=as_json)
+    with asker.lab() as client:
+        client.cancel_campaign(campaign, asker.user, why=why, stay=stay)
+    asker.tell(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True})
 
 
 @command.command("amend")
 @_campaign
-@user_option
 @terms_options
-@home_option
-@json_option
-def amend(
-    campaign: str, user: str | None, home: str | None, as_json: bool, terms_wanted: dict[str, Any]
-) -> None:
+@asker_options
+def amend(campaign: str, asker: Asker, terms_wanted: dict[str, Any]) -> None:
     """Change the terms of a campaign: priority, deadline, budget, stop rule, tags. Terms without an option
     stay as they are."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        terms = client.amend_campaign(campaign, find_user(user), **terms_wanted)
+    with asker.lab() as client:
+        terms = client.amend_campaign(campaign, asker.user, **terms_wanted)
         if client.approval:
             click.echo(f"labos: {client.approval}", err=True)
-    if as_json:
+    if asker.as_json:
         show_json(terms)
 
 
 @command.command("clone")
 @_campaign
-@user_option
 @click.option(
     "--name",
     default="",
@@ -312,18 +281,15 @@ def amend(
     help="A key of the request: two requests with the same key create one campaign.",
 )
 @propose_option
-@home_option
-@json_option
+@asker_options
 def clone(
     campaign: str,
-    user: str | None,
+    asker: Asker,
     name: str,
     visibility: str | None,
     dry_run: bool,
     request: str,
     propose: bool,
-    home: str | None,
-    as_json: bool,
     terms_wanted: dict[str, Any],
 ) -> None:
     """Submit a campaign again, and print the id of the new campaign. The first campaign may have ended. The
@@ -334,12 +300,10 @@ def clone(
     labos campaign clone C1 --priority 2 --deadline 36h
     labos campaign clone C1 --dry-run
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         told = client.clone_campaign(
             campaign,
-            find_user(user),
+            asker.user,
             request=request,
             name=name,
             visibility=visibility,
@@ -347,7 +311,7 @@ def clone(
             propose=propose,
             **terms_wanted,
         )
-    if as_json:
+    if asker.as_json:
         show_json(told)
         return
     if told["approval"]:

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from labos.cli._options import find_user, home_option, json_option, user_option
-from labos.cli._out import show_json, show_table, tell
+from labos.cli._options import Asker, asker_options
+from labos.cli._out import show_json, show_table
 from labos.cli._query import Where
 from labos.cli._remote import lab_of
 from labos.core.erasure import REASONS
@@ -23,18 +23,14 @@ from labos.settings import Settings
 )
 @click.option("--approve", metavar="ID", help="Approve a request, as the second person.")
 @click.option("--refuse", metavar="ID", help="Refuse a request that waits.")
-@user_option
-@home_option
-@json_option
+@asker_options
 def command(
     records: tuple[int, ...],
     author: str | None,
     because: str | None,
     approve: str | None,
     refuse: str | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    asker: Asker,
 ) -> None:
     """Erase the texts of the events at these positions of the log, or all texts of a user. The events stay in
     the log, with `(erased)` in place of the texts. The log, its checkpoints and bundles verify as before. An
@@ -57,29 +53,28 @@ def command(
     (`labos audit project`).
     """
     from labos.cli._audit import forget_erased
-    from labos.cli._lab import need_lab
 
     asks = bool(records) + bool(author) + bool(approve) + bool(refuse)
     if asks > 1:
         raise click.UsageError("Name positions, or --for, or --approve, or --refuse: one of them.")
     if bool(because) != bool(records or author):
         raise click.UsageError("--because CODE belongs to positions or to --for USER, which need it.")
-    with need_lab(home) as client:
+    with asker.lab() as client:
         if refuse:
-            client.refuse_erasure(refuse, find_user(user))
-            tell(f"{refuse} is not done.", {"erasure": refuse}, as_json=as_json)
+            client.refuse_erasure(refuse, asker.user)
+            asker.tell(f"{refuse} is not done.", {"erasure": refuse})
             return
         if not asks:
-            _show(client.erasures(), as_json=as_json)
+            _show(client.erasures(), as_json=asker.as_json)
             return
         if approve:
-            done = client.approve_erasure(approve, find_user(user))
+            done = client.approve_erasure(approve, asker.user)
         else:
             assert because is not None
-            done = client.erase_words(because, find_user(user), records=list(records), user=author or "")
-    if done["erased"] and not lab_of(home):
-        forget_erased(Where(Settings.make(home).home))
-    tell(_sentence(done), done, as_json=as_json)
+            done = client.erase_words(because, asker.user, records=list(records), user=author or "")
+    if done["erased"] and not lab_of(asker.home):
+        forget_erased(Where(Settings.make(asker.home).home))
+    asker.tell(_sentence(done), done)
 
 
 def _sentence(done: dict[str, Any]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import cert_option, find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, cert_option
 
 PATIENCE_S = 2.0
 """How long a kernel may take to be found before the nodes are told without it."""
@@ -28,17 +28,9 @@ PATIENCE_S = 2.0
     help="Send the stop directly over this bus, not to the kernel.",
 )
 @cert_option
-@user_option
-@home_option
-@json_option
+@asker_options
 def command(
-    target: str | None,
-    everything: bool,
-    connect: tuple[str, ...],
-    cert: Path | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    target: str | None, everything: bool, connect: tuple[str, ...], cert: Path | None, asker: Asker
 ) -> None:
     """Stop a MODULE, a WORKCELL or everything at once, in an emergency.
 
@@ -58,9 +50,9 @@ def command(
 
     if (target is None) is not everything:
         raise click.UsageError("Name one module or workcell, or say --all.")
-    report = _stop(target or "*", connect, cert, find_user(user), home)
+    report = _stop(target or "*", connect, cert, asker.user, asker.home)
     stopped, silent = sorted(report["stopped"]), report["silent"]
-    if as_json:
+    if asker.as_json:
         show_json(report)
     else:
         for module in stopped:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, home_option, json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._people import in_words, lab_at
 
@@ -31,26 +31,22 @@ def command() -> None:
 
 @command.command("add")
 @_name
-@user_option
-@home_option
-@json_option
-def add(name: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def add(name: str, asker: Asker) -> None:
     """Add a group with weight 1 and without members."""
-    with lab_at(home) as client:
-        client.add_group(name, find_user(user))
-        _tell(client.groups(), name, as_json)
+    with lab_at(asker.home) as client:
+        client.add_group(name, asker.user)
+        _tell(client.groups(), name, asker.as_json)
 
 
 @command.command("remove")
 @_name
-@user_option
-@home_option
-@json_option
-def remove(name: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def remove(name: str, asker: Asker) -> None:
     """Remove a group and its roles. Its members are then in no group."""
-    with lab_at(home) as client:
-        client.remove_group(name, find_user(user))
-    if as_json:
+    with lab_at(asker.home) as client:
+        client.remove_group(name, asker.user)
+    if asker.as_json:
         show_json({"group": name, "removed": True})
 
 
@@ -84,27 +80,23 @@ def members() -> None:
 @members.command("add")
 @_name
 @_member
-@user_option
-@home_option
-@json_option
-def add_member(name: str, member: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def add_member(name: str, member: str, asker: Asker) -> None:
     """Add a user to a group. The user gets the group's share of the lab and its roles."""
-    with lab_at(home) as client:
-        client.add_member(name, member, find_user(user))
-        _tell(client.groups(), name, as_json)
+    with lab_at(asker.home) as client:
+        client.add_member(name, member, asker.user)
+        _tell(client.groups(), name, asker.as_json)
 
 
 @members.command("remove")
 @_name
 @_member
-@user_option
-@home_option
-@json_option
-def remove_member(name: str, member: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def remove_member(name: str, member: str, asker: Asker) -> None:
     """Remove a user from a group."""
-    with lab_at(home) as client:
-        client.remove_member(name, member, find_user(user))
-        _tell(client.groups(), name, as_json)
+    with lab_at(asker.home) as client:
+        client.remove_member(name, member, asker.user)
+        _tell(client.groups(), name, asker.as_json)
 
 
 def _tell(groups: list[dict[str, Any]], name: str, as_json: bool) -> None:

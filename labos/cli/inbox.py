@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, read_result, user_option, why_option
+from labos.cli._options import Asker, asker_options, json_option, read_result, why_option
 from labos.cli._query import Where, log_options, open_log
 from labos.core.topics import PlannedWork
 
@@ -89,18 +89,8 @@ def _as_json(story: InterventionHistory) -> dict[str, Any]:
 )
 @why_option("A note for the log.")
 @click.option("--result", metavar="JSON", help="The result of the work, if later steps read it.")
-@user_option
-@home_option
-@json_option
-def confirm(
-    intervention: str,
-    not_done: bool,
-    why: str,
-    result: str | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
-) -> None:
+@asker_options
+def confirm(intervention: str, not_done: bool, why: str, result: str | None, asker: Asker) -> None:
     """Confirm that the planned work INTERVENTION is done. LabOS logs it with its effects on the bench.
 
     \b
@@ -108,11 +98,9 @@ def confirm(
     labos confirm I7 --result '{"colour": "red"}' --why "a little spilt"
     labos confirm I7 --not-done --why "there is no foil left"
     """
-    from labos.cli._lab import need_lab
-    from labos.cli._out import tell
     from labos.errors import BadInput
 
-    with need_lab(home) as client:
+    with asker.lab() as client:
         questions = {q["id"]: q for q in client.state(waits=False)["interventions"]}
         asked = questions.get(intervention)
         if asked is not None and asked["kind"] != PlannedWork.KIND:
@@ -121,6 +109,6 @@ def confirm(
                 remedy=f"Answer it with `labos resolve {intervention} CHOICE`.",
             )
         choice = "not_done" if not_done else "done"
-        client.resolve(intervention, choice, find_user(user), why, read_result(result))
+        client.resolve(intervention, choice, asker.user, why, read_result(result))
     told = f"{intervention} is confirmed{' as not done' if not_done else ''}."
-    tell(told, {"id": intervention, "choice": choice}, as_json=as_json)
+    asker.tell(told, {"id": intervention, "choice": choice})

@@ -13,7 +13,7 @@ import click
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
-from labos.cli._options import cert_option, find_user, home_option, json_option, user_option, why_option
+from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
@@ -132,18 +132,8 @@ def _expect_home(settings: Settings, named: str | None) -> None:
 @click.option("--epoch", type=int, help="The epoch of the lab's kernel, as `labos db status` shows it.")
 @click.option("--position", type=int, help="The end of the lab's log, as `labos db status` shows it.")
 @why_option("The reason, for the journal.", required=True)
-@user_option
-@home_option
-@json_option
-def reset_epoch(
-    module: str,
-    epoch: int | None,
-    position: int | None,
-    why: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
-) -> None:
+@asker_options
+def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, asker: Asker) -> None:
     """Correct a wrong number in MODULE's journal: an epoch that no kernel of the lab ever had, or an
     acknowledged position that the lab's log never reached.
 
@@ -160,21 +150,19 @@ def reset_epoch(
 
     if epoch is None and position is None:
         raise click.UsageError("Say what is wrong: --epoch, --position or both.")
-    path = Settings.make(home).journal(module)
+    path = Settings.make(asker.home).journal(module)
     if not path.exists():
-        raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    was, now = asyncio.run(_correct(path, epoch, position, cut_name(find_user(user)), cut(why)))
+        raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --asker.home.")
+    was, now = asyncio.run(_correct(path, epoch, position, cut_name(asker.user), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
-    tell(f"{path}: {now} (it was {was}).", facts, as_json=as_json)
+    asker.tell(f"{path}: {now} (it was {was}).", facts)
 
 
 @command.command("trace")
 @click.argument("module", shell_complete=completes("module"))
 @click.option("--off", is_flag=True, help="Stop recording.")
-@user_option
-@home_option
-@json_option
-def trace_command(module: str, off: bool, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def trace_command(module: str, off: bool, asker: Asker) -> None:
     """Record every byte on the wires of MODULE's device. The file is on the computer of its node.
 
     \b
@@ -182,12 +170,10 @@ def trace_command(module: str, off: bool, user: str | None, home: str | None, as
     labos node trace sealer --off
     labos up … --trace               all modules, from their start
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        file = client.trace(module, find_user(user), on=not off)
+    with asker.lab() as client:
+        file = client.trace(module, asker.user, on=not off)
     told = f"{module}: {'written to' if not off else 'no more is written to'} {file}"
-    tell(told, {"module": module, "file": file, "on": not off}, as_json=as_json)
+    asker.tell(told, {"module": module, "file": file, "on": not off})
 
 
 @command.command("accept-unit")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, home_option, json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._people import lab_at, role_choice, scope_of, subject_of, workcell_option
 from labos.core.lab import WHOLE_LAB
@@ -36,30 +36,24 @@ def command() -> None:
 @_subject
 @click.argument("role", type=role_choice)
 @workcell_option
-@user_option
-@home_option
-@json_option
-def grant(
-    subject: str, role: str, workcell: str | None, user: str | None, home: str | None, as_json: bool
-) -> None:
+@asker_options
+def grant(subject: str, role: str, workcell: str | None, asker: Asker) -> None:
     """Grant a role to a user or a group. It replaces their present role there."""
-    with lab_at(home) as client:
-        client.grant_role(subject_of(subject), role, find_user(user), scope=scope_of(workcell))
-    if as_json:
+    with lab_at(asker.home) as client:
+        client.grant_role(subject_of(subject), role, asker.user, scope=scope_of(workcell))
+    if asker.as_json:
         show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": role})
 
 
 @command.command("revoke")
 @_subject
 @workcell_option
-@user_option
-@home_option
-@json_option
-def revoke(subject: str, workcell: str | None, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def revoke(subject: str, workcell: str | None, asker: Asker) -> None:
     """Revoke a granted role, in a workcell or in the whole lab."""
-    with lab_at(home) as client:
-        client.revoke_role(subject_of(subject), find_user(user), scope=scope_of(workcell))
-    if as_json:
+    with lab_at(asker.home) as client:
+        client.revoke_role(subject_of(subject), asker.user, scope=scope_of(workcell))
+    if asker.as_json:
         show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": ""})
 
 

@@ -11,7 +11,7 @@ import click
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
-from labos.cli._options import find_user, home_option, user_option
+from labos.cli._options import Asker, asker_options
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
 from labos.core.wells import well_index
@@ -49,12 +49,8 @@ def command() -> None:
     help="The station of the plate, if the sheet does not name it.",
 )
 @click.option("--replace", is_flag=True, help="Replace an earlier sheet.")
-@user_option
-@home_option
-@json_option
-def load(
-    sheet: Path, plate: str, station: str, replace: bool, user: str | None, home: str | None, as_json: bool
-) -> None:
+@asker_options
+def load(sheet: Path, plate: str, station: str, replace: bool, asker: Asker) -> None:
     """Register the samples of SHEET in the running lab. If the sheet has errors, no sample is registered;
     each error is reported with its line and column.
 
@@ -63,11 +59,9 @@ def load(
     labos samples load sheet.csv --plate P7
     labos samples load sheet.csv --station ot2_pcr_alpha.deck1_cooler
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        found = client.load_samples(sheet, find_user(user), labware=plate, station=station, replace=replace)
-    if as_json:
+    with asker.lab() as client:
+        found = client.load_samples(sheet, asker.user, labware=plate, station=station, replace=replace)
+    if asker.as_json:
         show_json(found)
         return
     for name, count in found.items():

@@ -5,9 +5,8 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, user_option
+from labos.cli._options import Asker, asker_options
 from labos.cli._out import show_json
-from labos.cli._query import json_option
 
 
 @click.command("load")
@@ -17,12 +16,8 @@ from labos.cli._query import json_option
     "--count", type=click.IntRange(min=1), default=1, show_default=True, help="The number of pieces."
 )
 @click.option("--lot", default="", help="The lot; each piece keeps it as its variable `lot`.")
-@json_option
-@user_option
-@home_option
-def load(
-    station: str, labware: str, count: int, lot: str, as_json: bool, user: str | None, home: str | None
-) -> None:
+@asker_options
+def load(station: str, labware: str, count: int, lot: str, asker: Asker) -> None:
     """Report that you put labware on a stack, or on the lowest free shelves of a hotel.
 
     On a stack, new pieces are on top. A piece gets its id when it is taken from the stack. The command is
@@ -31,12 +26,12 @@ def load(
     \b
     labos load sciclops.tower1 --type pcr96 --count 20 --lot L2093
     """
-    from labos.cli._lab import need_lab, stands_at
+    from labos.cli._lab import stands_at
 
-    with need_lab(home) as client:
-        names = client.load(station, labware, find_user(user), count=count, lot=lot)
+    with asker.lab() as client:
+        names = client.load(station, labware, asker.user, count=count, lot=lot)
         where = stands_at(client, names)
-    if as_json:
+    if asker.as_json:
         show_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
         return
     of_lot = f" of lot {lot}" if lot else ""
@@ -50,18 +45,8 @@ def load(
 @click.argument("labware", shell_complete=completes("labware"), required=False)
 @click.option("--count", type=click.IntRange(min=1), help="The number of pieces, from the top.")
 @click.option("--all", "everything", is_flag=True, help="Unload everything that stands there.")
-@json_option
-@user_option
-@home_option
-def unload(
-    station: str,
-    labware: str | None,
-    count: int | None,
-    everything: bool,
-    as_json: bool,
-    user: str | None,
-    home: str | None,
-) -> None:
+@asker_options
+def unload(station: str, labware: str | None, count: int | None, everything: bool, asker: Asker) -> None:
     """Report that you took labware away from STATION: it has left the bench.
 
     Give the id of one piece, a number of pieces from the top, or --all. The command is refused if a run or
@@ -72,13 +57,11 @@ def unload(
     labos unload sciclops.tower1 --count 5
     labos unload wc.trash --all
     """
-    from labos.cli._lab import need_lab
-
     if sum((labware is not None, count is not None, everything)) != 1:
         raise click.UsageError("Name one piece of labware, or --count N, or --all.")
-    with need_lab(home) as client:
-        gone = client.unload(station, find_user(user), labware=labware or "", count=count)
-    if as_json:
+    with asker.lab() as client:
+        gone = client.unload(station, asker.user, labware=labware or "", count=count)
+    if asker.as_json:
         show_json({"station": station, **gone})
         return
     parts = [", ".join(gone["labware"])] if gone["labware"] else []
@@ -93,19 +76,9 @@ def unload(
 @click.option("--lot", required=True, help="The lot of the new pack.")
 @click.option("--expires", default="", metavar="DATE", help="The expiry date: 2027-05-31.")
 @click.option("--instead", is_flag=True, help="The old pack was removed, with its remaining content.")
-@json_option
-@user_option
-@home_option
+@asker_options
 def replenish(
-    module: str,
-    resource: str,
-    amount: str | None,
-    lot: str,
-    expires: str,
-    instead: bool,
-    as_json: bool,
-    user: str | None,
-    home: str | None,
+    module: str, resource: str, amount: str | None, lot: str, expires: str, instead: bool, asker: Asker
 ) -> None:
     """Report that you refilled RESOURCE in MODULE. Runs that wait for it continue.
 
@@ -118,13 +91,11 @@ def replenish(
     labos replenish sealer foil --lot F12                until it is full
     labos replenish sealer foil --lot F12 --instead      a new roll for the old one
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         number, unit = _amount(amount)
         pack = {"amount": number, "unit": unit, "lot": lot, "expires": expires, "instead": instead}
-        added = client.replenish(module, resource, find_user(user), **pack)  # type: ignore[arg-type]
-    if as_json:
+        added = client.replenish(module, resource, asker.user, **pack)  # type: ignore[arg-type]
+    if asker.as_json:
         show_json({"module": module, "resource": resource, "amount": added, "lot": lot, "expires": expires})
         return
     click.echo(f"{added:g} of {resource} put into {module} (lot {lot}).")

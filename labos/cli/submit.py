@@ -5,14 +5,13 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, propose_option, user_option, wait_option
+from labos.cli._options import Asker, asker_options, propose_option, wait_option
 from labos.cli._payload import payload_option
 
 
 @click.command("submit")
 @click.argument("workflow", shell_complete=completes("workflow"))
 @payload_option
-@user_option
 @click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
 @click.option(
     "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
@@ -40,12 +39,11 @@ from labos.cli._payload import payload_option
 )
 @propose_option
 @wait_option("Wait for the end of the run; exit code 1 if it does not complete.", default=False)
-@home_option
-@json_option
+@asker_options
 def command(
     workflow: str,
     payloads: tuple[str, ...],
-    user: str | None,
+    asker: Asker,
     workcell: str,
     priority: int,
     experiment: str,
@@ -53,8 +51,6 @@ def command(
     request: str,
     propose: bool,
     wait: bool,
-    home: str | None,
-    as_json: bool,
 ) -> None:
     """Queue WORKFLOW, a file or a packaged workflow, and print the run's id.
 
@@ -63,16 +59,15 @@ def command(
     labos submit my_workflow.yaml --payload values.yaml --payload seal.time=4 --wait
     labos submit pcr --due 12h
     """
-    from labos.cli._lab import need_lab
     from labos.cli._payload import read_payload
     from labos.cli.run import show_warnings
 
     values = read_payload(payloads)
-    with need_lab(home) as client:
+    with asker.lab() as client:
         run = client.submit(
             workflow,
             values,
-            user=find_user(user),
+            user=asker.user,
             workcell=workcell,
             priority=priority,
             experiment=experiment,
@@ -82,8 +77,8 @@ def command(
         )
         show_warnings(client)
         if not wait:
-            click.echo(f'{{"run": "{run}"}}' if as_json else run)
+            click.echo(f'{{"run": "{run}"}}' if asker.as_json else run)
             return
         from labos.cli.run import show_result
 
-        show_result(client.wait(run), as_json=as_json)
+        show_result(client.wait(run), as_json=asker.as_json)

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, home_option, json_option
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._people import in_words, lab_at, lab_or_its_folder, role_choice, scope_of, workcell_option
 from labos.services.times import show_time
@@ -42,9 +42,7 @@ def command() -> None:
 )
 @click.option("--mail", metavar="ADDRESS", help="The mail address; stored outside the log, can be erased.")
 @workcell_option
-@user_option
-@home_option
-@json_option
+@asker_options
 def add(
     name: str,
     service: bool,
@@ -52,15 +50,13 @@ def add(
     person: str | None,
     mail: str | None,
     workcell: str | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    asker: Asker,
 ) -> None:
     """Add a person or a program as a user of the lab."""
     if workcell and not role:
         raise click.UsageError("--workcell says where a --role counts.")
-    with lab_or_its_folder(home) as client:
-        by = find_user(user)
+    with lab_or_its_folder(asker.home) as client:
+        by = asker.user
         is_first = not client.users()
         client.add_user(
             name, by, kind="service" if service else "person", role=role, scope=scope_of(workcell)
@@ -68,7 +64,7 @@ def add(
         if person or mail:
             client.set_person(name, name=person, mail=mail)
         found = client.user(name)
-    if as_json:
+    if asker.as_json:
         show_json(found)
         return
     if is_first:
@@ -122,30 +118,26 @@ def show(name: str, home: str | None, as_json: bool) -> None:
 
 @command.command("disable")
 @_id
-@user_option
-@home_option
-@json_option
-def disable(name: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def disable(name: str, asker: Asker) -> None:
     """Disable a user: withdraw all rights. The user's active and waiting runs continue, campaigns are paused.
     Users are never removed, because the log refers to them."""
-    with lab_at(home) as client:
-        client.disable_user(name, find_user(user))
-        found = client.user(name) if as_json else {}
-    if as_json:
+    with lab_at(asker.home) as client:
+        client.disable_user(name, asker.user)
+        found = client.user(name) if asker.as_json else {}
+    if asker.as_json:
         show_json(found)
 
 
 @command.command("enable")
 @_id
-@user_option
-@home_option
-@json_option
-def enable(name: str, user: str | None, home: str | None, as_json: bool) -> None:
+@asker_options
+def enable(name: str, asker: Asker) -> None:
     """Enable a disabled user again."""
-    with lab_at(home) as client:
-        client.enable_user(name, find_user(user))
-        found = client.user(name) if as_json else {}
-    if as_json:
+    with lab_at(asker.home) as client:
+        client.enable_user(name, asker.user)
+        found = client.user(name) if asker.as_json else {}
+    if asker.as_json:
         show_json(found)
 
 

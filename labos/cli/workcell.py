@@ -10,7 +10,7 @@ import msgspec
 
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options
 from labos.spec import Finding
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
@@ -25,10 +25,8 @@ def command() -> None:
 @click.argument("file", shell_complete=completes("workcell file"))
 @click.option("--dry-run", is_flag=True, help="Only show what would change, and what prevents it.")
 @click.option("--yes", is_flag=True, help="Do not ask first.")
-@json_option
-@user_option
-@home_option
-def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, home: str | None) -> None:
+@asker_options
+def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
     """Apply the present content of FILE to a workcell of the running lab.
 
     The command shows additions (+), removals (-) and changes (~), also of labware types. It refuses to
@@ -41,7 +39,7 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
     labos workcell apply rpl.yaml --yes
     """
     from labos.bootstrap import descriptions
-    from labos.cli._lab import need_lab, workcell_file
+    from labos.cli._lab import workcell_file
     from labos.cli._out import show_json
     from labos.spec.labware import labware_files
     from labos.spec.source import read
@@ -49,21 +47,19 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
 
     path = Path(workcell_file(file))
     text = path.read_text(encoding="utf-8-sig")
-    with need_lab(home) as client:
+    with asker.lab() as client:
         source = read(path, last_wins=True)
         labware, files = labware_files(source), table_files(source, descriptions())
-        found = client.apply_workcell(
-            text, str(path), find_user(user), dry_run=True, labware=labware, files=files
-        )
-        if not as_json:
+        found = client.apply_workcell(text, str(path), asker.user, dry_run=True, labware=labware, files=files)
+        if not asker.as_json:
             _show(found)
         if not dry_run and _changes(found):
-            if not (yes or as_json or found["blockers"]):
+            if not (yes or asker.as_json or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
-            found = client.apply_workcell(text, str(path), find_user(user), labware=labware, files=files)
-            if not as_json:
+            found = client.apply_workcell(text, str(path), asker.user, labware=labware, files=files)
+            if not asker.as_json:
                 click.echo(f"{found['workcell']} is changed.")
-    if as_json:
+    if asker.as_json:
         show_json(found)
 
 

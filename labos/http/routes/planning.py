@@ -220,8 +220,7 @@ _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, acti
 
 OPERATIONS = (
     Operation(
-        method="GET",
-        path="/modules/{module}/actions",
+        route="GET /modules/{module}/actions",
         handler=list_actions,
         client=Method("actions"),
         summary="What a module can do",
@@ -229,8 +228,7 @@ OPERATIONS = (
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/workcells/{workcell}/order",
+        route="GET /workcells/{workcell}/order",
         handler=show_order,
         client=Method("suggested_order"),
         summary="In which order a planner suggests that the next steps of a workcell start",
@@ -239,8 +237,7 @@ OPERATIONS = (
         problems=("not_found",),
     ),
     Operation(
-        method="POST",
-        path="/workcells/{workcell}/order",
+        route="POST /workcells/{workcell}/order",
         handler=suggest_order,
         client=Method("suggest_order", "workcell, steps, until, position", take="steps", repeat=True),
         summary="Suggest in which order the next steps of a workcell start",
@@ -255,8 +252,7 @@ OPERATIONS = (
         example_answer={"steps": 1},
     ),
     Operation(
-        method="POST",
-        path="/runs/check",
+        route="POST /runs/check",
         handler=check_run,
         client=Method("_check_run", "workflow, user=''", repeat=True),
         summary="What a run of a workflow would be, without submitting it",
