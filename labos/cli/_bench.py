@@ -57,7 +57,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
         for offered in asked["choices"]:
             click.echo(f"      labos resolve {asked['id']} {offered['name']}   {offered['consequence']}")
     if not any(follows[name] for name in ("found", "gone", "uncertain", "answered", "asked")):
-        click.echo(f"Noted: {local(follows['station'])}, {what or 'something stands there'}.")
+        click.echo(f"Recorded: {local(follows['station'])}, {what or 'something stands there'}.")
 
 
 @click.command("give")
@@ -98,7 +98,7 @@ def give(
     from labos.cli._lab import need_lab
 
     if (to == "shared") == bool(name):
-        raise click.UsageError("Say --to user NAME, --to experiment ID, or --to shared.")
+        raise click.UsageError("Give --to user NAME, --to experiment ID, or --to shared.")
     with need_lab(home) as client:
         owner = f"{to}:{name}" if name else to
         client.give(labware, owner, find_user(user), force=force, note=why)

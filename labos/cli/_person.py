@@ -62,7 +62,7 @@ def cancel(
             return
         if done["already"]:
             is_one = done["kind"] in ("run", "experiment")
-            what = "is being cancelled already" if is_one else "has nothing to cancel"
+            what = "is already being cancelled" if is_one else "has nothing to cancel"
             click.echo(f"{_capital(_target_name(done))} {what}.{_describe_reason(done)}")
         elif done["kind"] != "run":
             click.echo(f"{_target_name(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
@@ -82,7 +82,7 @@ def _describe_end(result: RunResult, *, stay: bool) -> str:
         if step.state in ("in flight", "unknown")
     ]
     first = f"as soon as {' and '.join(flying)} has ended" if flying else "next"
-    ends = "it goes its way out" if _has_way_out(result) and not stay else "it ends"
+    ends = "it clears its labware away" if _has_way_out(result) and not stay else "it ends"
     return f"{result.id} is {result.status}: {ends} {first}. Wait for it: labos runs {result.id}"
 
 
@@ -193,7 +193,7 @@ def resolve(
         show_json(questions)
         return
     if not questions:
-        click.echo("The lab asks nothing.")
+        click.echo("No question is open.")
     for question in questions:
         click.echo(f"{question['id']}  {question['text']}")
         if question["now"] and question["now"] not in question["text"]:
@@ -242,7 +242,7 @@ def barcode(
 
     with need_lab(home) as client:
         client.barcode(labware, barcode, find_user(user), replace=replace)
-    tell(f"{labware} bears {barcode}.", {"labware": labware, "barcode": barcode}, as_json=as_json)
+    tell(f"{labware} has the barcode {barcode}.", {"labware": labware, "barcode": barcode}, as_json=as_json)
 
 
 @click.command("out-of-service")

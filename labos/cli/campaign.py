@@ -232,7 +232,7 @@ def resume(campaign: str, user: str | None, home: str | None, as_json: bool) -> 
 
     with need_lab(home) as client:
         client.resume_campaign(campaign, find_user(user))
-    tell(f"{campaign} goes on.", {"campaign": campaign, "paused": False}, as_json=as_json)
+    tell(f"{campaign} continues.", {"campaign": campaign, "paused": False}, as_json=as_json)
 
 
 @command.command("archive")
@@ -248,7 +248,7 @@ def archive(campaign: str, user: str | None, undo: bool, home: str | None, as_js
 
     with need_lab(home) as client:
         client.archive_campaign(campaign, find_user(user), undo=undo)
-    told = f"{campaign} stands in lists again." if undo else f"{campaign} is archived."
+    told = f"{campaign} is shown in lists again." if undo else f"{campaign} is archived."
     tell(told, {"campaign": campaign, "archived": not undo}, as_json=as_json)
 
 

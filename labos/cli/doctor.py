@@ -65,7 +65,7 @@ def command(where: Where, as_json: bool) -> None:
             if finding.remedy:
                 click.echo(f"{' ' * 8}{finding.remedy}")
         warnings = sum(finding.state == "warning" for finding in found)
-        click.echo(f"{len(found)} things were looked at: {_faults(found)} faults, {warnings} warnings.")
+        click.echo(f"{len(found)} checks: {_faults(found)} faults, {warnings} warnings.")
     if _faults(found):
         raise SystemExit(FAILED)
 
@@ -106,7 +106,9 @@ def _examine_safely(name: str, look: Callable[[], Finding]) -> Iterator[Finding]
     try:
         yield look()
     except OSError as error:
-        yield Finding(name, "fault", f"This cannot be looked at: {error}.", "Is it this user's lab?")
+        yield Finding(
+            name, "fault", f"This check failed: {error}.", "Run the command as the owner of the lab."
+        )
 
 
 def _database(where: Where) -> Finding:
@@ -121,9 +123,9 @@ def _database(where: Where) -> Finding:
             return Finding("database", "ok", told)
         case "missing" | "empty":
             told = f"There is no log in {show_url(where.url)} yet."
-            return Finding("database", "warning", told, "labos up makes one. Or is another --home meant?")
+            return Finding("database", "warning", told, "labos up creates one. Or give the right --home.")
         case "older":
-            return Finding("database", "fault", told, "Take a backup, then: labos db upgrade")
+            return Finding("database", "fault", told, "Make a backup, then run: labos db upgrade")
     return Finding("database", "fault", told, "Install the newer LabOS that wrote it.")
 
 
@@ -147,7 +149,7 @@ def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[Finding]:
         for name, port in (("HTTP", ports.http), ("bus", ports.bus)):
             if port and not is_free(port):
                 told = f"Another program listens on {port}, the lab's port for {name}."
-                remedy = f"End it, or say another one: labos up --{name.lower()}-port PORT"
+                remedy = f"End that program, or use another port: labos up --{name.lower()}-port PORT"
                 yield Finding("ports", "fault", told, remedy)
         return
     endpoint = urlsplit(kernel.bus.replace("/", "://", 1))
@@ -156,9 +158,7 @@ def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[Finding]:
         yield _bus(kernel.bus, endpoint.hostname or "")
     except (OSError, ValueError) as error:
         told = f"The bus does not answer at {kernel.bus}: {error}."
-        yield Finding(
-            "bus", "fault", told, "Start it (labos bus), and look at the firewall between the hosts."
-        )
+        yield Finding("bus", "fault", told, "Start it (labos bus), and check the firewall between the hosts.")
 
 
 def _bus(where: str, host: str) -> Finding:
@@ -167,7 +167,7 @@ def _bus(where: str, host: str) -> Finding:
     told = f"The bus answers at {where}."
     if where.startswith("tls/") or is_own_address(host):
         return Finding("bus", "ok", told)
-    told = f"{told} Other computers reach it, and nobody there has to say who he is."
+    told = f"{told} Other computers can reach it without authentication."
     return Finding("bus", "warning", told, "labos up --secure; see docs/secure-bus.md.")
 
 
@@ -177,7 +177,7 @@ def _certificates(authority: Authority) -> Iterator[Finding]:
     try:
         yield from check_certificates(authority, now_ns())
     except LabosError as error:
-        yield Finding("certificates", "fault", f"They cannot be looked at: {error.message}", error.remedy)
+        yield Finding("certificates", "fault", f"They cannot be checked: {error.message}", error.remedy)
 
 
 def _no_kernel(where: Where) -> Finding:
@@ -186,15 +186,17 @@ def _no_kernel(where: Where) -> Finding:
     except LabosError:
         owner = ""
     if owner:
-        told = f"A kernel holds this log ({owner}), and does not answer here."
-        return Finding("kernel", "warning", told, "It runs elsewhere, or is frozen: look there.")
+        told = f"Another kernel ({owner}) writes this log, and does not answer here."
+        return Finding(
+            "kernel", "warning", told, "It runs on another computer, or is frozen. Check it there."
+        )
     last = last_kernel(where.home)
     if last is not None and last.pid:
-        told = (
-            f"The last kernel of this lab (pid {last.pid}) ended without a word: it was killed, or crashed."
+        told = f"The last kernel of this lab (pid {last.pid}) ended unexpectedly: it was killed, or crashed."
+        return Finding(
+            "kernel", "warning", told, "Read the journal of its service, then start it again: labos up"
         )
-        return Finding("kernel", "warning", told, "Look into the journal of its service; then: labos up")
-    return Finding("kernel", "ok", "No kernel runs this lab; the last one ended in order.")
+    return Finding("kernel", "ok", "No kernel runs this lab. The last one ended normally.")
 
 
 def _kernel(home: Path, kernel: KernelInfo) -> Iterator[Finding]:
@@ -210,7 +212,9 @@ def _kernel(home: Path, kernel: KernelInfo) -> Iterator[Finding]:
     yield _health(kernel, health)
     for driver, why in health.get("broken_drivers", {}).items():
         told = f"The driver {driver} cannot be loaded: {why}"
-        yield Finding("drivers", "warning", told, "Install what it needs, if a module uses it.")
+        yield Finding(
+            "drivers", "warning", told, "Install the packages that it needs, if a module uses this driver."
+        )
     yield from check_nodes(heard, VERSION)
 
 
@@ -218,24 +222,31 @@ def _health(kernel: KernelInfo, health: dict[str, Any]) -> Finding:
     check = health.get("log_check") or {}
     if check.get("damage"):
         told = f"The log is damaged. {check['damage']}"
-        return Finding("log", "fault", told, "Keep it as it is, look with labos verify, restore a backup.")
+        return Finding(
+            "log", "fault", told, "Do not change it. Check it with labos verify, then restore a backup."
+        )
     if health.get("status") != "ok" or health.get("suspended"):
         told = (
             f"The kernel at {kernel.url} does not write: {health.get('suspended') or health.get('status')}."
         )
-        return Finding("kernel", "fault", told, "Is its database there? It goes on when it is back.")
+        return Finding(
+            "kernel",
+            "fault",
+            told,
+            "Check its database. The kernel continues when the database is available again.",
+        )
     return Finding("kernel", "ok", f"The kernel at {kernel.url} runs; the log is at {health['position']}.")
 
 
 def _checkpoint(home: Path) -> Finding:
     newest = newest_in(home / FOLDER)
     if newest is None:
-        told = "No checkpoint of the log was signed yet: to others nothing is proven."
+        told = "No checkpoint of the log was signed yet. Without one, other people cannot verify the log."
         return Finding(
             "checkpoints", "warning", told, "labos key create, then labos checkpoint --follow --to PLACE"
         )
     made_ns = int(newest.stat().st_mtime * 1e9)
     told = f"The newest checkpoint is {newest.name}, of {show_time(made_ns)}."
     if now_ns() - made_ns > LONG_AGO_S * 1e9:
-        return Finding("checkpoints", "warning", told, "Does labos checkpoint --follow still run?")
+        return Finding("checkpoints", "warning", told, "Check whether labos checkpoint --follow still runs.")
     return Finding("checkpoints", "ok", told)

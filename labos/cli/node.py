@@ -121,9 +121,10 @@ def _expect_home(settings: Settings, named: str | None) -> None:
     journal of the module's last node would stay elsewhere, unread."""
     if not named and not os.environ.get(HOME) and not settings.home.is_dir():
         raise BadInput(
-            f"No lab keeps its files in {settings.home}, so this node would not know what it did before.",
-            remedy="Name the folder of the module's journal with --home DIR (it is made if it is new), and "
-            "the same one at every start.",
+            f"{settings.home} is not the folder of a lab. Without its journal this node does not "
+            "know what it did before.",
+            remedy="Name the folder of the module's journal with --home DIR (a new folder is created). "
+            "Use the same folder at every start.",
         )
 
 
@@ -159,7 +160,7 @@ def reset_epoch(
     from labos.node.limits import cut, cut_name
 
     if epoch is None and position is None:
-        raise click.UsageError("Say what is wrong: --epoch, --position or both.")
+        raise click.UsageError("Give the number to correct: --epoch, --position or both.")
     path = Settings.make(home).journal(module)
     if not path.exists():
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
@@ -186,7 +187,7 @@ def trace_command(module: str, off: bool, user: str | None, home: str | None, as
 
     with need_lab(home) as client:
         file = client.trace(module, find_user(user), on=not off)
-    told = f"{module}: {'written to' if not off else 'no more is written to'} {file}"
+    told = f"{module}: {'written to' if not off else 'no longer written to'} {file}"
     tell(told, {"module": module, "file": file, "on": not off}, as_json=as_json)
 
 

@@ -36,5 +36,5 @@ def command(file: str | None, user: str | None, home: str | None, as_json: bool)
         show_json(told)
         return
     if not told["applied"]:
-        click.echo("Nobody has applied a policy; this is what holds without one.")
+        click.echo("No policy was set. These are the defaults.")
     show_table(("what", "says"), list(policy_lines(told["policy"])))

@@ -52,12 +52,12 @@ def teach(
     try:
         numbers = [float(part) for part in pose.split(",")]
     except ValueError:
-        raise click.BadParameter(f"{pose!r} is no list of numbers.", param_hint="--pose") from None
+        raise click.BadParameter(f"{pose!r} is not a list of numbers.", param_hint="--pose") from None
     with need_lab(home) as client:
         version = client.teach(module, station, numbers, find_user(user), why, labware_type=kind)
     what = f"{station} with a {kind}" if kind else station
     facts = {"module": module, "station": station, "type": kind, "version": version}
-    tell(f"{module} finds {what} by version {version}.", facts, as_json=as_json)
+    tell(f"{module} now reaches {what} with version {version} of the pose.", facts, as_json=as_json)
 
 
 @click.command("locations")
