@@ -58,7 +58,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
         for offered in asked["choices"]:
             click.echo(f"      labos resolve {asked['id']} {offered['name']}   {offered['consequence']}")
     if not any(follows[name] for name in ("found", "gone", "uncertain", "answered", "asked")):
-        click.echo(f"Noted: {local(follows['station'])}, {what or 'something stands there'}.")
+        click.echo(f"Recorded: {local(follows['station'])}, {what or 'something stands there'}.")
 
 
 @click.command("give")
@@ -86,7 +86,7 @@ def give(labware: str, to: str, name: str, force: bool, why: str, asker: Asker) 
     labos give P7 --to user bob --force --why "ada has left"
     """
     if (to == "shared") == bool(name):
-        raise click.UsageError("Say --to user NAME, --to experiment ID, or --to shared.")
+        raise click.UsageError("Give --to user NAME, --to experiment ID, or --to shared.")
     with asker.lab() as client:
         owner = f"{to}:{name}" if name else to
         client.give(labware, owner, asker.user, force=force, note=why)

@@ -37,8 +37,14 @@ def describe_learning(count: int) -> str:
     from labos.planning.hindsight import ENOUGH
 
     if count < ENOUGH:
-        return f"Of earlier forecasts only {count} can be judged yet: how wide ranges are is partly assumed."
-    return f"Four of five come within their range, by how far off the last {count} forecasts were."
+        return (
+            f"Only {count} earlier forecasts can be compared with the result yet: the width of the ranges is "
+            "partly assumed."
+        )
+    return (
+        "Four of five runs start and end within their range. The ranges come from the errors of the last "
+        f"{count} forecasts."
+    )
 
 
 def _clock(ns: int, now_ns: int) -> str:
@@ -73,7 +79,7 @@ def show_runs(found: Mapping[str, Any]) -> None:
     if found["left_out"]:
         click.echo(f"The first {len(rows)} runs are forecast; {found['left_out']} more wait.")
     if found["cut"]:
-        click.echo("The lab has too much to do: what comes late is not in sight.")
+        click.echo("The lab has too much work: late runs have no forecast.")
 
 
 def show_due(run: Mapping[str, Any], now_ns: int) -> str:

@@ -77,7 +77,7 @@ def install(
 
     workcell, slash, name = module.partition("/")
     if not slash or not name:
-        raise BadInput(f"{module!r} names no workcell.", remedy="Name WORKCELL/MODULE, such as rpl/sealer.")
+        raise BadInput(f"{module!r} has no workcell.", remedy="Name WORKCELL/MODULE, such as rpl/sealer.")
     settings = Settings.make(home, authority=pki)
     folder = cert.absolute() if cert is not None else _certificate(settings, module, connect)
     requirement = f"labos-sdl[drivers]=={VERSION}"
@@ -103,7 +103,7 @@ def _certificate(settings: Settings, module: str, connect: str) -> Path | None:
     authority, known = Authority(settings.pki), last_kernel(settings.home)
     if not authority.issues or known is None:
         raise BadInput(
-            f"There is no authority in {settings.pki} that could issue a certificate for {module}.",
+            f"{settings.pki} has no certificate authority to issue a certificate for {module}.",
             remedy="Name the node's certificate: --cert FOLDER; or the lab's folder: --home DIR.",
         )
     return authority.ensure(Identity("node", module, known.lab)).folder

@@ -48,7 +48,7 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
             return
         if done["already"]:
             is_one = done["kind"] in ("run", "experiment")
-            what = "is being cancelled already" if is_one else "has nothing to cancel"
+            what = "is already being cancelled" if is_one else "has nothing to cancel"
             click.echo(f"{_capital(_target_name(done))} {what}.{_describe_reason(done)}")
         elif done["kind"] != "run":
             click.echo(f"{_target_name(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
@@ -68,7 +68,7 @@ def _describe_end(result: RunResult, *, stay: bool) -> str:
         if step.state in ("in flight", "unknown")
     ]
     first = f"as soon as {' and '.join(flying)} has ended" if flying else "next"
-    ends = "it goes its way out" if _has_way_out(result) and not stay else "it ends"
+    ends = "it clears its labware away" if _has_way_out(result) and not stay else "it ends"
     return f"{result.id} is {result.status}: {ends} {first}. Wait for it: labos runs {result.id}"
 
 
@@ -160,7 +160,7 @@ def resolve(intervention: str | None, choice: str | None, why: str, result: str 
         show_json(questions)
         return
     if not questions:
-        click.echo("The lab asks nothing.")
+        click.echo("No question is open.")
     for question in questions:
         click.echo(f"{question['id']}  {question['text']}")
         if question["now"] and question["now"] not in question["text"]:
@@ -201,7 +201,7 @@ def barcode(labware: str, barcode: str, replace: bool, asker: Asker) -> None:
     """
     with asker.lab() as client:
         client.barcode(labware, barcode, asker.user, replace=replace)
-    asker.tell(f"{labware} bears {barcode}.", {"labware": labware, "barcode": barcode})
+    asker.tell(f"{labware} has the barcode {barcode}.", {"labware": labware, "barcode": barcode})
 
 
 @click.command("out-of-service")

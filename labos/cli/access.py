@@ -66,9 +66,9 @@ def command(
     labos access rpl --done --changed sealer.default=empty --changed camera_module.plate_station=P7
     """
     if (changed or unchanged) and not done:
-        raise click.UsageError("--changed and --unchanged go with --done.")
+        raise click.UsageError("--changed and --unchanged need --done.")
     if changed and unchanged:
-        raise click.UsageError("Say either what was --changed, or that all is --unchanged.")
+        raise click.UsageError("Give either --changed or --unchanged.")
     with asker.lab() as client:
         if done:
             told = [_change(text) for text in changed]
@@ -82,9 +82,9 @@ def command(
             return
         parking = client.enter(workcell, asker.user, why, park=not no_park)
         if not asker.as_json:
-            click.echo(f"Nothing more starts in {workcell}.")
+            click.echo(f"No new action starts in {workcell}.")
             if parking:
-                click.echo(f"Arms go asker.home: {', '.join(parking)}.")
+                click.echo(f"Arms go home: {', '.join(parking)}.")
         _until_granted(client, workcell, timeout)
         state = client.state(waits=False)
     access = state["lab"]["access"].get(workcell)
@@ -104,20 +104,21 @@ def command(
         return
     if doubtful:
         click.echo(
-            f"BEWARE: nobody knows whether all is at rest: {', '.join(doubtful)}. Switch it off first.\n"
-            f"Nothing else moves in {workcell} now, and nothing will until you are out."
+            f"WARNING: it is unknown whether everything has stopped: {', '.join(doubtful)}. Switch "
+            "it off first.\n"
+            f"Nothing else moves in {workcell} now. Nothing will start until you report --done."
         )
     else:
-        click.echo(f"Nothing moves in {workcell} now, and nothing will until you are out.")
+        click.echo(f"Nothing moves in {workcell} now. Nothing will start until you report --done.")
     _guide(state, workcell)
 
 
 def _goes_on(workcell: str, told: list[tuple[str, str]]) -> str:
     if told:
-        return f"{workcell} goes on."
+        return f"{workcell} continues."
     return (
-        f"{workcell} goes on. Nothing was told to have changed: the lab believes that all stands as before "
-        "(--changed says otherwise)."
+        f"{workcell} continues. No change was reported: the lab assumes that all labware stands as before "
+        "(report changes with --changed)."
     )
 
 
@@ -135,7 +136,7 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
                 told = ask(state, workcell, _list_recorded(state, workcell))
             except (click.Abort, KeyboardInterrupt):
                 click.echo(
-                    f"\nNothing was told: {workcell} stays held. Say it again: labos access {workcell} --done"
+                    f"\nNothing was reported: {workcell} stays held. Repeat: labos access {workcell} --done"
                 )
                 raise
         try:
@@ -143,7 +144,7 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
         except (BadInput, NotFound, Refused) as refused:
             if not told:
                 raise
-            click.echo(f"labos: {refused}\nNothing was taken from what you said. Once more:", err=True)
+            click.echo(f"labos: {refused}\nNone of your answers was recorded. Please answer again:", err=True)
             continue
         click.echo(_goes_on(workcell, told))
         return
@@ -156,7 +157,7 @@ def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
     while True:
         access = client.state(waits=False)["lab"]["access"].get(workcell)
         if access is None:
-            raise NotFound("Somebody has ended the access meanwhile.", remedy="Ask for it again.")
+            raise NotFound("Another user has ended the access meanwhile.", remedy="Request access again.")
         if access["granted"]:
             return
         if access["moving"] and access["moving"] != said:
@@ -165,7 +166,8 @@ def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
         if time.monotonic() > give_up:
             raise NotFound(
                 f"After {timeout_s:g} s it still moves in {workcell}: {', '.join(access['moving'])}.",
-                remedy=f"Ask again to go on waiting, or let it be: labos access {workcell} --done",
+                remedy="Repeat the command to wait longer, or end the access: labos access "
+                f"{workcell} --done",
             )
         time.sleep(LOOK_S)
 
@@ -186,12 +188,12 @@ def _list_recorded(state: dict[str, Any], workcell: str) -> dict[str, list[str]]
 
 
 def _guide(state: dict[str, Any], workcell: str) -> None:
-    click.echo("The lab believes that here stands:")
+    click.echo("According to the lab, these stations hold labware:")
     for name, standing in _list_recorded(state, workcell).items():
         click.echo(f"  {name}: {', '.join(standing)}")
     click.echo(
-        "All other stations are empty, or nobody has spoken of them.\n"
-        f"When you are out:         labos access {workcell} --done\n"
+        "All other stations are empty or unknown.\n"
+        f"At the end:                labos access {workcell} --done\n"
         f"If you took labware away: labos access {workcell} --done --changed STATION=empty\n"
         f"If you moved P7:          labos access {workcell} --done --changed STATION=P7"
     )
@@ -200,5 +202,7 @@ def _guide(state: dict[str, Any], workcell: str) -> None:
 def _change(text: str) -> tuple[str, str]:
     station, equals, what = text.partition("=")
     if not (station.strip() and equals and what.strip()):
-        raise BadInput(f"{text!r} does not say what stands where.", remedy="Write STATION=empty, STATION=P7.")
+        raise BadInput(
+            f"{text!r} does not name a station and its content.", remedy="Write STATION=empty, STATION=P7."
+        )
     return station.strip(), what.strip()

@@ -186,9 +186,9 @@ def _about(spec: ActionSpec) -> str:
     if spec.aliases:
         words.append(f"Also written {', '.join(spec.aliases)}.")
     if not spec.exclusive:
-        words.append("The module can do it beside something else.")
+        words.append("The module can do it during another action.")
     if spec.recovers:
-        words.append("It brings the module out of an error.")
+        words.append("It resets the module after an error.")
     if spec.dangerous:
         words.append(f"Dangerous: {spec.dangerous}.")
     return " ".join(filter(None, words)) or "No description."

@@ -253,8 +253,8 @@ def _describe_system_error(error: OSError) -> SystemFailed:
     reason = error.strerror or str(error) or type(error).__name__
     remedy = {
         errno.ENOSPC: "Free some space on its disk, then try again.",
-        errno.EROFS: "Name a folder that may be written, or mount its disk for writing.",
-        errno.EACCES: "Let the user who runs LabOS read and write it, or name another.",
-        errno.EPERM: "Let the user who runs LabOS read and write it, or name another.",
+        errno.EROFS: "Name a folder with write permission, or mount its disk for writing.",
+        errno.EACCES: "Give the user that runs LabOS read and write permission, or name another one.",
+        errno.EPERM: "Give the user that runs LabOS read and write permission, or name another one.",
     }.get(error.errno or 0, "LABOS_DEBUG=1 shows where it happened.")
     return SystemFailed(f"{what}{reason}.", remedy=remedy)

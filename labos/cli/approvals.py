@@ -58,7 +58,7 @@ def approvals(subject: str | None, no_forecast: bool, home: str | None, as_json:
             for p in told
         ]
         show_table(("id", "kind", "name", "user", "since", "because"), rows)
-        click.echo("Look at one: labos approvals ID; answer: labos approve ID, labos refuse ID")
+        click.echo("Details: labos approvals ID; answer: labos approve ID, labos refuse ID")
 
 
 def _forecast(client: LabClient, subject: str, told: dict[str, Any]) -> dict[str, Any] | None:
@@ -76,7 +76,7 @@ def _show_forecast(told: dict[str, Any], subject: str) -> None:
     from labos.cli._forecast import show_campaign, show_change, show_ways
 
     found = told["forecast"]
-    click.echo("If it were approved now:")
+    click.echo("Forecast for an approval now:")
     campaigns = [each for each in found["campaigns"] if each["campaign"] == subject]
     for campaign in campaigns:
         for what, text in show_campaign(campaign, found["now_at"]):
@@ -110,11 +110,11 @@ def _show(told: dict[str, Any]) -> None:
         "dangerous": ", ".join(demand["dangers"]),
         **(_terms(terms) if terms else {}),
         "digest": proposal["digest"][:DIGEST_SHOWN],
-        "approved before": proposal["before"] or "nothing of this name",
+        "approved before": proposal["before"] or "no earlier request with this name",
     }
     show_table(("what", proposal["subject"]), [(what, _plain(text)) for what, text in lines.items() if text])
     for difference in told["differences"]:
-        click.echo(f"{_plain(difference['part'])} is another one:")
+        click.echo(f"{_plain(difference['part'])} differs:")
         for line in difference["lines"]:
             click.echo(f"  {_plain(line)}")
 
@@ -227,7 +227,7 @@ def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
     waits = {
         f"submissions of programs{trusted}": policy["programs"],
         f"the first {policy['newcomers']} submissions of each user": policy["newcomers"],
-        "what is dangerous": policy["dangerous"],
+        "dangerous actions": policy["dangerous"],
         f"more than {', '.join(filter(None, budget))}": any(budget),
         "campaigns with a deadline": policy["deadlines"],
     }
@@ -235,13 +235,13 @@ def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
         if is_so:
             yield "waits for approval", what
     yield "erases words", "an admin" + (", when a second one has agreed" if policy["erasure"] else "")
-    yield "approves", "an operator, also what is their own" if policy["own"] else "another operator"
+    yield "approves", "an operator, also for their own requests" if policy["own"] else "another operator"
     if policy["priority"] is not None:
         yield (
             "highest priority",
-            f"{policy['priority']}, of users who are not operators and have no quota for it",
+            f"{policy['priority']}, for users without the role operator and have no quota for it",
         )
     booked = policy["bookings"]
     each = f"{booked['hours']:g} h each, " if booked["hours"] is not None else ""
     amount = f"{each}{booked['total_hours']:g} h to come, {booked['days_ahead']} days ahead"
-    yield "bookings", f"{amount}, of users who are not operators"
+    yield "bookings", f"{amount}, for users without the role operator"

@@ -105,8 +105,8 @@ def reader(where: Where, role: str) -> None:
     with open_projector(where) as (_, database, projector):
         if database.dialect != "postgresql":
             raise BadInput(
-                "SQLite has no roles: everybody who may read the file may read all of it.",
-                remedy="Let the dashboard's user read the file.",
+                "SQLite has no roles: a user who may read the file may read all of it.",
+                remedy="Give the dashboard's user read permission for the file.",
             )
         projector.catch_up(tell_progress)
         from labos.audit._postgres import PostgresAudit

@@ -107,4 +107,8 @@ def command(
     if people.users:
         click.echo(f"The accounts of {people.users} users are in accounts.json.")
     if archive is not None:
-        click.echo(f"{len(moved)} segments were moved to {archive}." if moved else "No segment is so old.")
+        click.echo(
+            f"{len(moved)} segments were moved to {archive}."
+            if moved
+            else "No segment is older than --keep-days."
+        )

@@ -46,10 +46,10 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
     for text in stations:
         for name, types in [_read(text)] if "=" in text else _in_file(text):
             if name in told:
-                raise BadInput(f"The station {name} is declared twice.", remedy="Say it once.")
+                raise BadInput(f"The station {name} is given twice.", remedy="Declare it once.")
             told[name] = types
     if not told and not empty:
-        raise click.UsageError("Name stations (STATION=TYPE), a file, or say --empty.")
+        raise click.UsageError("Name stations (STATION=TYPE) or a file, or give --empty.")
     with asker.lab() as client:
         found = client.declare(told, asker.user, workcell=workcell, empty=empty)
     if asker.as_json:
@@ -58,7 +58,7 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
     for name, types in found.items():
         click.echo(f"{name}: {_count_types(types)}")
     if not found:
-        click.echo("Everything was declared before.")
+        click.echo("All stations were declared before.")
 
 
 @command.command("show")
@@ -81,7 +81,8 @@ def show(where: Where, as_json: bool) -> None:
     if not benches:
         raise BadInput(
             f"There is no simulated bench in {where.home}.",
-            remedy="A real one can only be checked by a person; `labos stations` shows what the log says.",
+            remedy="Only a person can check a real bench. `labos stations` shows the state "
+            "according to the log.",
         )
     with open_database(where) as store:
         sights: list[BenchView] = [read_bench(store, path) for path in benches]
@@ -141,8 +142,8 @@ def round_(
         view = client.round()
         if not view["intervention"]:
             raise BadInput(
-                "This log is not known to have lost its end: nobody is asked to go round the bench.",
-                remedy="What you see at one station you can say at any time: labos observe STATION WHAT",
+                "This log has not lost its end: no check of the bench is needed.",
+                remedy="You can report a single station at any time: labos observe STATION WHAT",
             )
         words = {**(from_file(path) if path else {}), **from_options(told)}
         if simulated:
@@ -152,7 +153,9 @@ def round_(
             show(view)
             if sys.stdin.isatty() and sys.stdout.isatty():
                 ask(client, find_user(user))
-                only_say = only_say or not click.confirm("Is that all, and is everybody out?")
+                only_say = only_say or not click.confirm(
+                    "Is this complete, and does nobody reach in any more?"
+                )
         finish = not (only_say or (as_json and not words))
         found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}
         if words or finish:
@@ -168,10 +171,10 @@ def round_(
     else:
         show_refused(found["refused"])
         if answered:
-            click.echo(f"{question} is answered: the lab goes on from what was said.")
+            click.echo(f"{question} is answered: the lab continues with your reports.")
             show_not_known(view)
         elif left:
-            click.echo(f"Still to be said: {', '.join(left)}.")
+            click.echo(f"Still to report: {', '.join(left)}.")
         elif found["why_not"]:
             click.echo(f"{question} is not answered: {found['why_not']}")
     if (words or found["why_not"]) and not answered and not only_say:
@@ -188,7 +191,7 @@ def _bench_contents(where: Where) -> dict[str, list[str] | None]:
     if not benches:
         place = where.lab or where.home
         raise BadInput(
-            f"There is no simulated bench in {place}.", remedy="A real one can only be checked by a person."
+            f"There is no simulated bench in {place}.", remedy="Only a person can check a real bench."
         )
     found: dict[str, list[str] | None] = {}
     with open_log(where) as store:
@@ -222,12 +225,12 @@ def _in_file(path: str) -> list[tuple[str, list[str]]]:
         raise BadInput(f"There is no file {path!r}.", remedy="Write STATION=TYPE, or name a YAML file.")
     data: Any = read(path).data
     if not isinstance(data, dict):
-        raise BadInput(f"{path} is no list of stations.", remedy="Write `station: [type]` in each line.")
+        raise BadInput(f"{path} is not a list of stations.", remedy="Write `station: [type]` in each line.")
     found = []
     for name, types in data.items():
         listed = [] if types is None else types if isinstance(types, list) else [types]
         if not all(isinstance(kind, str) for kind in listed):
-            raise BadInput(f"{path}: what stands at {name!r} is no type of labware.")
+            raise BadInput(f"{path}: what stands at {name!r} is not a labware type.")
         found.append(_read(f"{name}={','.join(listed)}"))
     return found
 

@@ -101,7 +101,7 @@ def add(
 
     if begins is None or ends is None:
         raise BadInput(
-            f"{target} is booked from when to when?",
+            f"The booking of {target} has no start or no end.",
             remedy=f'labos book {target} --from "tomorrow 09:00" --to 12:00',
         )
     where, now = expect_zone(zone), now_ns()

@@ -75,5 +75,5 @@ def _read(report: Path) -> bytes:
     except OSError as error:
         raise BadInput(f"{report} cannot be read: {error.strerror}.", remedy="Check its path.") from None
     if not content:
-        raise BadInput(f"{report} is empty.", remedy="Give the report itself, or leave --file out.")
+        raise BadInput(f"{report} is empty.", remedy="Give another file, or leave --file out.")
     return content

@@ -216,7 +216,7 @@ def resume(campaign: str, asker: Asker) -> None:
     """Resume a paused campaign."""
     with asker.lab() as client:
         client.resume_campaign(campaign, asker.user)
-    asker.tell(f"{campaign} goes on.", {"campaign": campaign, "paused": False})
+    asker.tell(f"{campaign} continues.", {"campaign": campaign, "paused": False})
 
 
 @command.command("archive")
@@ -228,7 +228,7 @@ def archive(campaign: str, asker: Asker, undo: bool) -> None:
     and all other commands accept its id."""
     with asker.lab() as client:
         client.archive_campaign(campaign, asker.user, undo=undo)
-    told = f"{campaign} stands in lists again." if undo else f"{campaign} is archived."
+    told = f"{campaign} is shown in lists again." if undo else f"{campaign} is archived."
     asker.tell(told, {"campaign": campaign, "archived": not undo})
 
 

@@ -77,14 +77,14 @@ def upgrade(where: Where, as_json: bool) -> None:
     owner = lease_holder(where.url)
     if owner:
         raise Refused(
-            f"A kernel ({owner}) lives on the {found.name}.",
+            f"A kernel ({owner}) is running on the {found.name}.",
             remedy="Stop it first: Ctrl-C where labos up runs.",
         )
     if found.state == "older":
         _advise_backup(where)
     revision = migrate(where.url)
-    before = found.revision or "nothing"
-    told = f"The {found.name} was brought from {before} to revision {revision}."
+    before = found.revision or "no revision"
+    told = f"The {found.name} was upgraded from {before} to revision {revision}."
     tell(told, {"before": found.revision, "revision": revision}, as_json=as_json)
 
 
@@ -98,10 +98,10 @@ def record_restored(where: Where, as_json: bool) -> None:
     refused while a kernel runs."""
     found = database_status(where.url)
     if found.state != "current":
-        raise Refused(f"{found.name}: {_describe_status(found)}.", remedy="There is nothing to outrank.")
+        raise Refused(f"{found.name}: {_describe_status(found)}.", remedy="No epoch has to be exceeded.")
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
-    told = f"The {found.name} goes on with an epoch above {after}; it was {before}."
+    told = f"The {found.name} continues with an epoch above {after}; it was {before}."
     tell(told, {"before": before, "above": after}, as_json=as_json)
 
 
@@ -132,7 +132,7 @@ def scrub(where: Where, as_json: bool) -> None:
     delete these files.
     """
     left = scrub_words(where.url)
-    told = f"Something may be left: {left}." if left else "Nothing of erased words stands in the files."
+    told = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
     tell(told, {"left": left}, as_json=as_json)
     if left:
         click.get_current_context().exit(1)
@@ -175,15 +175,15 @@ def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
 def _describe_status(found: DatabaseStatus) -> str:
     match found.state:
         case "current":
-            return f"revision {found.revision}, as this LabOS needs it"
+            return f"revision {found.revision}, the one of this LabOS"
         case "missing":
-            return "there is no such file yet; labos up or labos demo makes it"
+            return "the file does not exist yet; labos up or labos demo creates it"
         case "empty":
-            return "it has no log yet; labos up makes one, or labos db upgrade"
+            return "it has no log yet; labos up or labos db upgrade creates one"
         case "older":
             return f"revision {found.revision}, older than {found.expected}: labos db upgrade"
     return f"revision {found.revision}, of a newer LabOS than this one ({found.expected}): upgrade LabOS"
 
 
 def _advise_backup(where: Where) -> None:
-    click.echo(f"Have a backup first: labos backup FOLDER --database {show_url(where.url)}", err=True)
+    click.echo(f"Make a backup first: labos backup FOLDER --database {show_url(where.url)}", err=True)

@@ -31,7 +31,7 @@ def command(where: Where, first: Moment, last: Moment, as_json: bool) -> None:
     with open_log_and_views(where) as (store, asker):
         begin, end = position_at(store, first), position_at(store, last)
         if begin > end:
-            raise BadInput("--since is later than --until.", remedy="Exchange the two.")
+            raise BadInput("--since is later than --until.", remedy="Exchange the two times.")
         changes = differences(asker, begin, end)
     if as_json:
         show_json({"since": begin, "until": end, "changes": changes})

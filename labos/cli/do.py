@@ -105,7 +105,7 @@ def read_arguments(given: Sequence[str]) -> dict[str, Any]:
     for text in given:
         name, equals, value = text.partition("=")
         if not equals or not name.strip():
-            raise BadInput(f"{text!r} is not NAME=VALUE.", remedy="Write time=3.0, say.")
+            raise BadInput(f"{text!r} is not NAME=VALUE.", remedy="Write NAME=VALUE, such as time=3.0.")
         if name.strip() in values:
             raise BadInput(f"The argument {name.strip()!r} is given twice.", remedy="Leave one out.")
         try:

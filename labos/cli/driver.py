@@ -68,7 +68,7 @@ def torture_command(
 
     folder = Path(keep) if keep else None
     if folder is not None and folder.exists():
-        raise BadInput(f"{folder} is there already.", remedy="Name a new folder.")
+        raise BadInput(f"{folder} already exists.", remedy="Name a new folder.")
 
     def tell(finding: Finding) -> None:
         if not (as_json or (only and finding.verdict == "left out")):
@@ -118,7 +118,7 @@ def new_command(name: str, as_json: bool) -> None:
             remedy="Use small letters, digits and '_', beginning with a letter.",
         )
     if folder.exists():
-        raise BadInput(f"{folder} is there already.", remedy="Take another name.")
+        raise BadInput(f"{folder} already exists.", remedy="Use another name.")
     _refuse_if_taken(package)
     files = _skeleton(folder, package)
     for path, text in files.items():
@@ -140,8 +140,8 @@ def _refuse_if_taken(name: str) -> None:
 
     if entries := list_installed().get(name):
         raise BadInput(
-            f"A driver named {name!r} is installed already, by {source_of(entries[0])}.",
-            remedy="Take another name, or uninstall that package first if yours is to replace it.",
+            f"A driver {name!r} is already installed, by {source_of(entries[0])}.",
+            remedy="Use another name. To replace that driver, uninstall its package first.",
         )
 
 

@@ -56,13 +56,13 @@ def command(
 
     asks = bool(records) + bool(author) + bool(approve) + bool(refuse)
     if asks > 1:
-        raise click.UsageError("Name positions, or --for, or --approve, or --refuse: one of them.")
+        raise click.UsageError("Give exactly one of: positions, --for, --approve, --refuse.")
     if bool(because) != bool(records or author):
-        raise click.UsageError("--because CODE belongs to positions or to --for USER, which need it.")
+        raise click.UsageError("--because CODE is needed with positions or --for USER, and only there.")
     with asker.lab() as client:
         if refuse:
             client.refuse_erasure(refuse, asker.user)
-            asker.tell(f"{refuse} is not done.", {"erasure": refuse})
+            asker.tell(f"{refuse} was refused.", {"erasure": refuse})
             return
         if not asks:
             _show(client.erasures(), as_json=asker.as_json)
@@ -84,9 +84,9 @@ def _sentence(done: dict[str, Any]) -> str:
             f"labos erase --approve {done['erasure']}"
         )
     texts = "1 text was" if done["erased"] == 1 else f"{done['erased']} texts were"
-    told = f"{texts} erased; position {done['position']} of the log says so."
+    told = f"{texts} erased; position {done['position']} of the log records this."
     if done["left"]:
-        told += f"\nBytes of it may still stand in the database's files: {done['left']}."
+        told += f"\nTraces may still be in the database's files: {done['left']}."
     return told
 
 
@@ -94,12 +94,12 @@ def _show(waiting: list[dict[str, Any]], *, as_json: bool) -> None:
     if as_json:
         show_json(waiting)
     elif not waiting:
-        click.echo("Nothing waits for a second person.")
+        click.echo("No request waits for a second person.")
     else:
         rows = [
             (
                 each["erasure"],
-                f"all words of {each['user']}" if each["user"] else ", ".join(map(str, each["records"])),
+                f"all texts of {each['user']}" if each["user"] else ", ".join(map(str, each["records"])),
                 each["because"],
                 each["by"],
                 show_time(each["asked_at"]),

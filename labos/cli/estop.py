@@ -49,7 +49,7 @@ def command(
     from labos.cli._out import show_json
 
     if (target is None) is not everything:
-        raise click.UsageError("Name one module or workcell, or say --all.")
+        raise click.UsageError("Name one module or workcell, or give --all.")
     report = _stop(target or "*", connect, cert, asker.user, asker.home)
     stopped, silent = sorted(report["stopped"]), report["silent"]
     if asker.as_json:
@@ -61,7 +61,7 @@ def command(
             click.echo(f"{module} is NOT known to be stopped: {why.rstrip('.')}. Stop it by hand.", err=True)
     if silent or not stopped:
         if not silent:
-            click.echo("No node lives that could be stopped.", err=True)
+            click.echo("No node is running, so none can be stopped.", err=True)
         raise click.exceptions.Exit(1)
 
 
@@ -85,7 +85,7 @@ def _stop(
             with LabClient(home=folder, patience_s=PATIENCE_S) as client:
                 return client.emergency_stop(target, by)
         except LabUnreachable as error:
-            click.echo(f"labos: {error.message} The nodes are told without it.", err=True)
+            click.echo(f"labos: {error.message} The stop is sent directly to the nodes.", err=True)
     if not connect and last is None:
         raise NotFound(f"No lab has run in {folder}.", remedy="Name its --home, or the bus with --connect.")
     if connect or last is None:

@@ -125,7 +125,7 @@ def _check(target: Path) -> None:
     """Raises BadInput for a place where something is already."""
     taken = any(target.iterdir()) if target.is_dir() else target.exists()
     if taken:
-        raise BadInput(f"{target} is there already.", remedy="Name a new folder or file after --to.")
+        raise BadInput(f"{target} already exists.", remedy="Name a new folder or file after --to.")
 
 
 def _write(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
@@ -226,7 +226,9 @@ def events(
     """
     check_types(families)
     if (settings or position_file) and not to.startswith(SCHEME):
-        raise BadInput("--settings and --position are for Kafka.", remedy="Name a topic with --to kafka://…")
+        raise BadInput(
+            "--settings and --position are only for Kafka.", remedy="Name a topic with --to kafka://…"
+        )
     if to:
         if families or moment != Moment():
             raise BadInput("--to appends all events.", remedy="Leave --since and --family out.")
@@ -265,7 +267,7 @@ def _carry(
         while True:
             end = log.head().position
             if end < sink.position:
-                raise BadInput(f"{to} is at {sink.position}, the log at {end}: it is of another log.")
+                raise BadInput(f"{to} is at {sink.position}, the log at {end}: it belongs to another log.")
             while sink.position < end:
                 upto = min(sink.position + BATCH, end)
                 sink.write(log.select(LogQuery(after=sink.position, upto=upto)))
@@ -280,12 +282,14 @@ def _open_sink(
     """Raises BadInput, SystemFailed."""
     if not to.startswith(SCHEME):
         if "://" in to:
-            raise BadInput(f"{to} is no target for events.", remedy="Name a file, or kafka://BROKER/TOPIC.")
+            raise BadInput(
+                f"{to} is not a target for events.", remedy="Name a file, or kafka://BROKER/TOPIC."
+            )
         return JsonLines(Path(to))
     topic = KafkaTopic.parse(to)
     if position_file is None and where.lab:
         raise BadInput(
-            "The position of the topic has no place here: the lab is on another computer.",
+            "The position of the topic cannot be stored here: the lab is on another computer.",
             remedy="Name a file for it: --position FILE",
         )
     return KafkaSink(

@@ -87,10 +87,10 @@ def command(
     labos files --unused --remove      remove files of refused requests or of a killed kernel
     """
     if remove and not unused:
-        raise click.UsageError("--remove goes with --unused.")
+        raise click.UsageError("--remove needs --unused.")
     if unused:
         if run or to is not None:
-            raise click.UsageError("--unused goes without RUN, FILE and --output.")
+            raise click.UsageError("--unused cannot be combined with RUN, FILE and --output.")
         _show_unused(where, keep_days if remove else None, as_json=as_json)
         return
     with open_log(where) as store:
@@ -101,7 +101,7 @@ def command(
         found = _find_files(found, run, file)
     if to is not None:
         if not run:
-            raise click.UsageError("Name the run whose files are to be fetched.")
+            raise click.UsageError("Name the run with the files to fetch.")
         with contents(where) as blobs:
             written = _fetch(blobs, found, to, one=bool(file))
         if as_json:
@@ -123,14 +123,14 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
     """Name what nothing in the log names; with ``keep_days``, remove what is older than that."""
     if where.lab:
         raise BadInput(
-            "Unused files are looked for in the lab's folder, on its own computer.",
+            "Unused files can be listed only on the lab's computer, in the lab's folder.",
             remedy="Use --home there.",
         )
     blobs = open_blobs(Settings.make(where.home, where.url).blobs)
     if keep_days is not None and not isinstance(blobs, FolderBlobs):
         raise BadInput(
-            "Files in an object store are not removed by LabOS.",
-            remedy="See which are unused, and remove them there while no kernel runs.",
+            "LabOS does not remove files in an object store.",
+            remedy="List the unused files, and remove them there while no kernel runs.",
         )
     removed: list[str] = []
     if isinstance(blobs, FolderBlobs) and keep_days is not None:
@@ -146,7 +146,7 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
         return
     for name in found:
         click.echo(f"{name}{' removed' if name in removed else ''}")
-    told = f"{len(found)} files are there that nothing in the log names"
+    told = f"{len(found)} files without a reference in the log"
     click.echo(f"{told}; {len(removed)} were removed." if keep_days is not None else f"{told}.")
 
 
@@ -189,7 +189,7 @@ def _fetch(blobs: BlobReader, found: list[ResultFile], to: str, *, one: bool) ->
         targets[path] = told
     for path, told in targets.items():
         if path.exists() and path.read_bytes() != blobs.get(told.sha256):
-            raise BadInput(f"{path} is there already, and is another file.", remedy="Name another --output.")
+            raise BadInput(f"{path} already exists, and is another file.", remedy="Name another --output.")
     for path, told in targets.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(blobs.get(told.sha256))

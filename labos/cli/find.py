@@ -116,10 +116,10 @@ def _show(found: SearchResult, question: SearchQuery) -> None:
     if found.total > last and found.entries:
         click.echo(f"{question.offset + 1} to {last} of {found.total}; the next ones: --offset {last}")
     else:
-        click.echo("Nothing was found." if not found.total else f"{found.total} found.")
+        click.echo("No entry matches." if not found.total else f"{found.total} found.")
     for facet in FACETS if question.facets else ():
         values = ", ".join(f"{value.value} {value.count}" for value in found.facets[facet])
         if values:
             click.echo(f"{facet + ':':12} {values}")
     if found.behind:
-        click.echo(f"The last {found.behind} events are not in the search index yet: ask again.")
+        click.echo(f"The last {found.behind} events are not in the search index yet. Repeat the command.")

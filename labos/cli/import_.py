@@ -205,7 +205,7 @@ def _write(outcome: ImportOutcome, *, force: bool) -> None:
     if there and not force:
         more = f" and {len(there) - 3} more" if len(there) > 3 else ""
         raise BadInput(
-            f"{', '.join(there[:3])}{more} would be overwritten.",
+            f"The output already has {', '.join(there[:3])}{more}.",
             remedy="Name another --output, or add --force.",
         )
     contents = {file.target: file.text.encode() for file in outcome.written}
@@ -253,11 +253,11 @@ def _tell_assumed(outcome: ImportOutcome) -> None:
     )
     if not told:
         return
-    click.echo("Assumed, the most consequential first:")
+    click.echo("Assumptions, the most important first:")
     for finding in told[:MOST_TOLD]:
         click.echo(f"  {finding.as_error()}")
     if len(told) > MOST_TOLD:
-        click.echo(f"  … and {len(told) - MOST_TOLD} more: each stands as a comment in its file.")
+        click.echo(f"  … and {len(told) - MOST_TOLD} more; each is a comment in its file.")
 
 
 def _holds(counts: dict[str, int]) -> str:

@@ -52,7 +52,7 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
         return
     asked = [story.id for story in told if story.kind != PlannedWork.KIND]
     if not entries:
-        click.echo("No work is planned for anybody now.")
+        click.echo("No planned work waits now.")
         _tell_asked(asked)
         return
     rows = [
@@ -66,14 +66,14 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
         for story in entries
     ]
     show_table(["id", "for", "due", "run", "work"], rows)
-    click.echo("When it is done: labos confirm ID; if it cannot be done: labos confirm ID --not-done")
+    click.echo("When the work is done: labos confirm ID. If it cannot be done: labos confirm ID --not-done")
     _tell_asked(asked)
 
 
 def _tell_asked(asked: list[str]) -> None:
     """What is no work and waits for a person all the same."""
     if asked:
-        click.echo(f"The lab also asks for help: {', '.join(asked)}. See: labos interventions")
+        click.echo(f"Other open questions: {', '.join(asked)}. See: labos interventions")
 
 
 def _as_json(story: InterventionHistory) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def confirm(intervention: str, not_done: bool, why: str, result: str | None, ask
         asked = questions.get(intervention)
         if asked is not None and asked["kind"] != PlannedWork.KIND:
             raise BadInput(
-                f"{intervention} is no planned work but a question: {asked['text']}",
+                f"{intervention} is not planned work but a question: {asked['text']}",
                 remedy=f"Answer it with `labos resolve {intervention} CHOICE`.",
             )
         choice = "not_done" if not_done else "done"

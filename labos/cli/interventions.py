@@ -48,7 +48,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     for story in waiting:
         _tell(story, now, places.get(story.id, ""))
     if not waiting:
-        click.echo("The lab asks nothing.")
+        click.echo("No question is open.")
     if not everything and len(told) > len(shown):
         more = len(told) - len(shown)
         click.echo(f"{more} more {'is' if more == 1 else 'are'} answered: labos interventions --all")

@@ -38,7 +38,7 @@ def command(where: Where, as_json: bool) -> None:
     show_table(
         ("resource", "left", "of", "still needed", "lots", "runs out"),
         [_resource(left) for left in found.resources],
-        title=f"At {show_time(now)}; {found.runs_looked_at} runs are alive",
+        title=f"At {show_time(now)}; {found.runs_looked_at} open runs",
     )
     click.echo()
     show_table(

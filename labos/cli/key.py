@@ -83,7 +83,8 @@ def rotate(where: Where, as_json: bool) -> None:
         return
     click.echo(public.text)
     click.echo(
-        f"The key before it signs nothing behind position {size}. Give the new one to those who check."
+        f"The old key signs nothing after position {size}. Give the new public key to people who "
+        "check the log."
     )
 
 
@@ -94,5 +95,5 @@ def _own_name(where: Where, witness: bool) -> str:
     except LabosError:
         head = None
     if head is None or not head.lab:
-        raise click.UsageError("There is no log yet that could give the key its name: say --name NAME.")
+        raise click.UsageError("There is no log yet, and so no default name for the key: give --name NAME.")
     return f"labos/{head.lab}/witness" if witness else f"labos/{head.lab}"

@@ -59,7 +59,7 @@ def command(
     if barcode is not None:
         shown = [s for s in shown if s.barcode == barcode]
         if not shown:
-            raise NotFound(f"No labware bears the barcode {barcode!r}.", remedy="List it: labos labware")
+            raise NotFound(f"No labware has the barcode {barcode!r}.", remedy="List it: labos labware")
     if as_json:
         show_json(shown)
         return
@@ -99,7 +99,7 @@ def _tell(story: LabwareHistory) -> None:
         )
         for stay in story.stays
     ]
-    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Where it stood")
+    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Stations")
     click.echo()
     changes = [
         (
@@ -112,4 +112,4 @@ def _tell(story: LabwareHistory) -> None:
         )
         for change in story.changes
     ]
-    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="What became of it")
+    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="History")

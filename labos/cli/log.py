@@ -91,7 +91,7 @@ def command(
             _show(sieve, event, record, as_json)
             shown += 1
         if user and not shown and not sieve.knows_user():
-            click.echo(f"labos: Nothing in this log is by {user!r} or was done for them.", err=True)
+            click.echo(f"labos: This log has no events by {user!r} or for {user!r}.", err=True)
         while follow:
             end = store.head().position
             if end > seen:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 HOW = {
     "token": "by a token",
     "session": "by a session",
-    "home": "by the key in the lab's folder, which is good for looking, stopping modules, and helping others "
-    "to sign in",
+    "home": "by the key in the lab's folder; it may read, stop modules, and help users to sign in",
     "open": "this lab has no users",
 }
 
@@ -92,15 +91,15 @@ def login(
     from labos.services.times import iso_time
 
     if device and code:
-        raise click.UsageError("Say either --device or --code.")
+        raise click.UsageError("Give either --device or --code.")
     if user and (device or code):
-        raise click.UsageError("--device and --code go without --user.")
+        raise click.UsageError("--device and --code cannot be combined with --user.")
     label = f"labos login on {socket.gethostname()}"
     with _lab(url, home) as client:
         place = client.token_place
         try:
             if user:
-                raise NotFound("A password is asked for.")
+                raise NotFound("A password is needed.")
             way: Way = "device" if device else "code" if code else "browser"
             found = sign_in(client, way, port, label=label, scope=scope, days=days)
         except NotFound:
@@ -110,7 +109,7 @@ def login(
         keep_token(place, found["token"])
     until = iso_time(found["until"])[:16]
     facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
-    tell(f"You are {found['user']} at {place}, until {until}.", facts, as_json=as_json)
+    tell(f"You are signed in as {found['user']} at {place}, until {until}.", facts, as_json=as_json)
 
 
 def _by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
@@ -152,7 +151,7 @@ def _lab(url: str, home: str | None, token: str = "") -> LabClient:
         return need_lab(home, token)
     if home:
         raise click.UsageError("Name the lab by its URL or by --home.")
-    return LabClient(check_url(url, "What you say"), token=token)
+    return LabClient(check_url(url, "Your input"), token=token)
 
 
 @click.command("whoami")
@@ -169,7 +168,7 @@ def whoami(home: str | None, as_json: bool) -> None:
         show_json(found)
         return
     if found["how"] == "open":
-        click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and everybody may do everything)")
+        click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and every user has all rights)")
         return
     until = f", until {iso_time(found['until'])[:16]}" if found["until"] else ""
     name = f" ({found['name']})" if found["name"] else ""
@@ -179,4 +178,4 @@ def whoami(home: str | None, as_json: bool) -> None:
     for scope, role in found["roles"].items():
         click.echo(f"  {role} of {'the whole lab' if scope == '*' else scope}")
     if found["how"] == "token" and found["scope"] != "admin":
-        click.echo(f"  the token is good for what a {found['scope']} may do")
+        click.echo(f"  the token has the rights of a {found['scope']} at most")

@@ -74,7 +74,7 @@ def command(
             make_server(lab).run("stdio")
         return
     if behalf:
-        raise click.UsageError("Over HTTP each agent says for whom it acts (LabOS-On-Behalf-Of).")
+        raise click.UsageError("Over HTTP each agent names its user (LabOS-On-Behalf-Of).")
     from labos.mcp.http import serve
 
     listening = Listening(host, http_port, names, tls_cert, tls_key, behind_proxy)

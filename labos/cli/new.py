@@ -49,14 +49,14 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
     if not _NAME.fullmatch(stem):
         raise BadInput(
             f"{stem!r} cannot be a name.",
-            remedy="Use letters, digits, '_', '-' and spaces, beginning with a letter or digit.",
+            remedy="Use letters, digits, '_', '-' and spaces. Begin with a letter or digit.",
         )
     if kind == "app" and not stem.replace("-", "_").isidentifier():
         raise BadInput(f"{stem!r} cannot be a program's name.", remedy="Use letters, digits, '_' and '-'.")
     files = _files(kind, path.parent, stem)
     there = [str(file) for file in files if file.exists()]
     if there and not force:
-        raise BadInput(f"{', '.join(there)} is there already.", remedy="Take another name, or add --force.")
+        raise BadInput(f"There already is {', '.join(there)}.", remedy="Use another name, or add --force.")
     schemas = _schemas(kind, path.parent)
     for file, text in {**schemas, **files}.items():
         try:

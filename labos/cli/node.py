@@ -121,9 +121,10 @@ def _expect_home(settings: Settings, named: str | None) -> None:
     journal of the module's last node would stay elsewhere, unread."""
     if not named and not os.environ.get(HOME) and not settings.home.is_dir():
         raise BadInput(
-            f"No lab keeps its files in {settings.home}, so this node would not know what it did before.",
-            remedy="Name the folder of the module's journal with --home DIR (it is made if it is new), and "
-            "the same one at every start.",
+            f"{settings.home} is not the folder of a lab. Without its journal this node does not "
+            "know what it did before.",
+            remedy="Name the folder of the module's journal with --home DIR (a new folder is created). "
+            "Use the same folder at every start.",
         )
 
 
@@ -149,10 +150,10 @@ def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, 
     from labos.node.limits import cut, cut_name
 
     if epoch is None and position is None:
-        raise click.UsageError("Say what is wrong: --epoch, --position or both.")
+        raise click.UsageError("Give the number to correct: --epoch, --position or both.")
     path = Settings.make(asker.home).journal(module)
     if not path.exists():
-        raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --asker.home.")
+        raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
     was, now = asyncio.run(_correct(path, epoch, position, cut_name(asker.user), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
     asker.tell(f"{path}: {now} (it was {was}).", facts)
@@ -172,7 +173,7 @@ def trace_command(module: str, off: bool, asker: Asker) -> None:
     """
     with asker.lab() as client:
         file = client.trace(module, asker.user, on=not off)
-    told = f"{module}: {'written to' if not off else 'no more is written to'} {file}"
+    told = f"{module}: {'written to' if not off else 'no longer written to'} {file}"
     asker.tell(told, {"module": module, "file": file, "on": not off})
 
 

@@ -16,10 +16,10 @@ from labos.core.ids import local
 from labos.errors import NotFound
 
 REMEDIES = {
-    "ERROR": "Put right what it says, then: labos reset {module}",
+    "ERROR": "Solve the reported problem, then run: labos reset {module}",
     "silent": "Start it: labos node start, or labos up on its computer.",
-    "frozen": "End its process; it is started again.",
-    "out": "When it is right again: labos in-service {module}",
+    "frozen": "End its process. LabOS starts it again.",
+    "out": "When it works again: labos in-service {module}",
 }
 """What to do about a module that does not work, by what its node answers."""
 
@@ -151,7 +151,7 @@ def _valid_until(module: dict[str, Any]) -> str:
 
 
 def _describe_action(action: dict[str, Any]) -> str:
-    ended = " (nobody knows how it ended)" if action["status"] == "unknown" else ""
+    ended = " (outcome unknown)" if action["status"] == "unknown" else ""
     return f"{action['action']} for {action['run']}{ended}"
 
 

@@ -105,7 +105,7 @@ def test(where: Where, contact: str, as_json: bool) -> None:
     message = test_message(_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
-    told = f"{contact} was sent a test message by {channel}: {message.id}"
+    told = f"A test message was sent to {contact} by {channel}: {message.id}"
     tell(told, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
 
 
@@ -149,7 +149,9 @@ def _look(where: Where, notifier: Notifier) -> None:
         notifier.read()
         owner = silent_holder(where.url)
         if owner:
-            notifier.kernel_stopped(f"its lease ({owner}) has lapsed; it was killed, or its machine is gone")
+            notifier.kernel_stopped(
+                f"its lease ({owner}) has expired; it was killed, or its computer has failed"
+            )
         elif lease_holder(where.url):
             notifier.kernel_lives()
         else:

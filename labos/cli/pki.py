@@ -198,7 +198,7 @@ def revoke(where: Where, name: str, why: str, pki: Path | None, as_json: bool) -
     programs. Zenoh does not read it."""
     authority = _authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
-    told = f"The {entry.identity.shown} may speak no more with CN {entry.common_name}."
+    told = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
     tell(told, _facts(authority, entry), as_json=as_json)
 
 
@@ -211,9 +211,9 @@ def _identity(where: Where, kind: Any, name: str, lab: str | None) -> Identity:
         what = f"An {kind}" if kind == "api" else f"A {kind}"
         raise click.UsageError(f"{what} needs a name." if not name else f"{what} has no name.")
     if kind == "api" and not PROCESS_NAME.fullmatch(name):
-        raise click.UsageError(f"The name of an API process is made of a-z, 0-9 and -, not {name!r}.")
+        raise click.UsageError(f"{name!r} is not a name for an API process: use a-z, 0-9 and -.")
     if kind == "node" and name.count("/") != 1:
-        raise click.UsageError(f"A node's name is WORKCELL/MODULE, not {name!r}.")
+        raise click.UsageError(f"{name!r} is not a node's name: write WORKCELL/MODULE.")
     return Identity(kind, name, "" if kind == "bus" else lab or _lab_in(where))
 
 
@@ -225,8 +225,8 @@ def _lab_in(where: Where) -> str:
         found = None
     if not found:
         raise NotFound(
-            "There is no log yet that could tell the lab's id.",
-            remedy="Start the lab once (labos up … --secure), or name its id: --lab-id ID.",
+            "There is no log yet, so the lab's id is unknown.",
+            remedy="Start the lab once (labos up … --secure), or give its id: --lab-id ID.",
         )
     return str(found)
 

@@ -108,7 +108,7 @@ def command(
                     click.echo(f"labos: {error}", err=True)
                     time.sleep(LOST_PAUSE_S)
         except KeyboardInterrupt:
-            click.echo("The planner is closed. What it suggested last counts until its time is over.")
+            click.echo("The planner is closed. Its last suggestion stays in force until it expires.")
 
 
 def _suggest(
@@ -127,7 +127,7 @@ def _suggest(
     steps = [{"run": one.run, "step": one.step, "start": one.start} for one in order.steps]
     taken = client.suggest_order(cell, steps, order.until, order.position, by=asker)
     if not steps:
-        click.echo(f"{cell}: the last order is taken back. Without it all would be over sooner.")
+        click.echo(f"{cell}: the last order is withdrawn. Without it all runs would end sooner.")
     else:
         click.echo(f"{cell}: an order for {taken} steps of {len({one.run for one in order.steps})} runs.")
     return True

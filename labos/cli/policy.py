@@ -32,5 +32,5 @@ def command(file: str | None, asker: Asker) -> None:
         show_json(told)
         return
     if not told["applied"]:
-        click.echo("Nobody has applied a policy; this is what holds without one.")
+        click.echo("No policy was set. These are the defaults.")
     show_table(("what", "says"), list(policy_lines(told["policy"])))

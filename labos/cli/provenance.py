@@ -86,13 +86,13 @@ def _tell(graph: Graph) -> None:
     if graph.contents:
         click.echo()
         rows = [_part(part) for part in graph.contents]
-        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="What it holds")
+        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="Contents")
     click.echo()
     rows = [
         (str(link.position), _label(graph, str(link.effect)), link.relation, _label(graph, str(link.cause)))
         for link in graph.links
     ]
-    show_table(("event", "what", "", "of what"), rows, title="How it hangs together")
+    show_table(("event", "what", "", "of what"), rows, title="Links")
 
 
 def _list(graph: Graph, kind: str, direction: str) -> None:

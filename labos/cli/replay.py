@@ -57,7 +57,10 @@ def command(
     log contradicts itself, the replay ends at the first wrong event.
     """
     if at is not None and (first or last):
-        raise click.UsageError("--at takes the state at one position; --from and --to a stretch of events.")
+        raise click.UsageError(
+            "--at shows the state at one position; --from and --to select a range of events. Use "
+            "only one of the two."
+        )
     state = LabState()
     with _records(log) as (records, beside):
         if at is not None or only_hash:
@@ -195,7 +198,9 @@ def _records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
             return
         url = f"sqlite:///{path.absolute()}"
     else:
-        raise BadInput(f"There is no {log}.", remedy="Name a lab's folder, a database, a backup or a file.")
+        raise BadInput(
+            f"{log} does not exist.", remedy="Name a lab's folder, a database, a backup or a file."
+        )
     store = open_store(url, create=False, read_only=True)
     try:
         yield store.read(), store
@@ -205,5 +210,5 @@ def _records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
 
 def _database_in(home: Path) -> str:
     if not (home / "labos.db").exists() and not (home / "kernel.json").exists():
-        raise BadInput(f"{home} holds neither a lab nor a backup.", remedy="Name another folder.")
+        raise BadInput(f"{home} contains neither a lab nor a backup.", remedy="Name another folder.")
     return Where(home.absolute()).url

@@ -114,7 +114,7 @@ def command(
     """
     key = key_of(key_file) if key_file else b""
     if scratch is not None and not is_rehearsal:
-        raise click.UsageError("--scratch goes with --rehearse.")
+        raise click.UsageError("--scratch needs --rehearse.")
     if is_rehearsal:
         known = _with_own(lists, where)
 
@@ -136,9 +136,7 @@ def command(
             f"Of {done.users} users the accounts are as they were then: revoke tokens anew that were revoked "
             "since (labos token list), and erase again who was erased since (labos user erase)."
         )
-    click.echo(
-        "Nothing will start before somebody has been round the bench: labos up, then labos bench round."
-    )
+    click.echo("No action starts before a person has checked the bench: labos up, then labos bench round.")
 
 
 def put_back(
@@ -173,14 +171,14 @@ def put_back(
         damage = first_damage(store)
         if damage is not None:
             raise LogDamaged(
-                f"What was written is damaged at position {damage.position}: {damage.reason}.",
+                f"The restored log is damaged at position {damage.position}: {damage.reason}.",
                 position=damage.position,
                 remedy="Check the disk, then restore into another database.",
             )
         written = state_hash(fold_to(store, head.position))
     if written != wanted:
         raise LogDamaged(
-            "What was written folds to another state than the backup.",
+            "The restored log gives another state than the backup.",
             position=head.position,
             remedy="Check the disk, then restore into another database.",
         )

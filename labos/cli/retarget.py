@@ -70,10 +70,10 @@ def command(
     )
     _, file = workflow_in(read(path, last_wins=True))
     if file is None:
-        raise SpecError(f"{path} is no workflow that can be read.", remedy="labos validate says why.")
+        raise SpecError(f"{path} is not a readable workflow.", remedy="labos validate shows the errors.")
     target = output or path.with_name(f"{path.stem}_{after.name}.yaml")
     if target.exists() and not force:
-        raise BadInput(f"{target} is there already.", remedy="Name another with --output, or add --force.")
+        raise BadInput(f"{target} already exists.", remedy="Name another with --output, or add --force.")
     proposal = propose(file, before, after, _pairs(maps), known)
     text = path.read_text(encoding="utf-8")
     renamed = rename(text, proposal.mapping, (old, new))
@@ -113,7 +113,7 @@ def _pairs(maps: tuple[str, ...]) -> dict[str, str]:
         old, equals, new = pair.partition("=")
         if not (old and equals and new):
             raise BadInput(
-                f"--map {pair!r} is no pair of modules.", remedy="Write OLD=NEW: pf400=platecrane."
+                f"--map {pair!r} is not a pair of modules.", remedy="Write OLD=NEW: pf400=platecrane."
             )
         found[old] = new
     return found

@@ -205,7 +205,7 @@ def _workcell_beside(workflow: str) -> str:
     if len(found) > 1:
         names = ", ".join(each.name for each in found)
         raise BadInput(
-            f"It is not clear which workcell is meant: {found[0].parent} holds {names}.",
+            f"The workcell is ambiguous: {found[0].parent} holds {names}.",
             remedy=f"Name it: --workcell {found[0]}",
         )
     for each in found:
@@ -225,7 +225,9 @@ def _place_starting_labware(compiled: Compiled, cell: Workcell, placed: Sequence
         found.append((station, brought.labware, {name: bool(v) for name, v in brought.variables.items()}))
         words = [name if value else f"not {name}" for name, value in found[-1][2].items()]
         what = ", ".join([brought.labware, *words])
-        click.echo(f"labos: {what} is assumed to stand at {station} (--place says otherwise)", err=True)
+        click.echo(
+            f"labos: {what} is assumed to stand at {station} (use --place to name other labware)", err=True
+        )
     return found
 
 
@@ -261,7 +263,7 @@ def _say_waits(client: LabClient, run: str) -> None:
     for shown in client.state()["runs"]:
         for wait in shown["waits"] if shown["id"] == run else ():
             if wait["blocked"]:
-                click.echo(f"{run} waits: {wait['why']}. `labos cancel {run}` gives it up.")
+                click.echo(f"{run} waits: {wait['why']}. To cancel it: labos cancel {run}")
 
 
 def show_warnings(client: LabClient) -> None:

@@ -40,7 +40,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
     if as_json:
         show_json(accounts)
         return
-    titles = ("user", "group", "weight", "is to have", "has had", "hours", "running", "waiting", "quota")
+    titles = ("user", "group", "weight", "share", "has had", "hours", "running", "waiting", "quota")
     show_table(titles, [_row(account) for account in accounts])
 
 

@@ -67,7 +67,7 @@ def _show(subject: str, found: Sequence[Signature], *, as_json: bool) -> None:
 
 def _line(signature: dict[str, object]) -> str:
     comment = f": {signature['why']}" if signature["why"] else ""
-    broken = "" if signature["holds"] else " - THE RECORD IS ANOTHER NOW"
+    broken = "" if signature["holds"] else " - THE RECORD HAS CHANGED SINCE"
     when = str(signature["time"])[:19].replace("T", " ")
     what = _describe_subject(signature)
     return f"{when} UTC  {signature['by']} signed {what}: {signature['meaning']}{comment}{broken}"

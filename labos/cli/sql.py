@@ -116,7 +116,7 @@ def _show(answer: QueryResult) -> None:
     rows = [[_cell(value) for value in row] for row in itertools.islice(answer.rows, MOST_SHOWN)]
     show_table(answer.columns, rows)
     if next(answer.rows, None) is not None:
-        click.echo(f"There are more than {MOST_SHOWN} rows: all of them with --csv or --json.", err=True)
+        click.echo(f"There are more than {MOST_SHOWN} rows. To see all: --csv or --json.", err=True)
 
 
 def _cell(value: Any) -> str:
@@ -128,8 +128,8 @@ def _converse(asker: ReadConnection) -> None:
     with suppress(ImportError):  # Windows edits lines by itself
         import readline
 
-        assert readline, "lines can be edited and called back"
-    click.echo("Ask in SQL and end with a semicolon; \\v lists the views, Ctrl-D ends.")
+        assert readline, "lines can be edited and recalled"
+    click.echo("Enter SQL, and end it with a semicolon; \\v lists the views, Ctrl-D ends.")
     lines: list[str] = []
     while True:
         try:
@@ -159,4 +159,4 @@ def _show_views() -> None:
     for table in VIEWS:
         rows.append((table.view, "", "", table.about))
         rows += [("", column.name, column.kind, column.about) for column in view_columns(table)]
-    show_table(("view", "column", "kind", "what it says"), rows)
+    show_table(("view", "column", "kind", "meaning"), rows)

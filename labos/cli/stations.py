@@ -83,7 +83,7 @@ def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Stati
     found = [(name, station) for name, station in stations_of(state) if not names or _is_named(name, names)]
     for wanted in names:
         if not any(_is_named(name, (wanted,)) for name, _ in found):
-            raise click.UsageError(f"No station or module of this lab is called {wanted!r}.")
+            raise click.UsageError(f"This lab has no station or module {wanted!r}.")
     return [_place(state, name, station, stories) for name, station in found]
 
 

@@ -65,7 +65,7 @@ def unload(station: str, labware: str | None, count: int | None, everything: boo
         show_json({"station": station, **gone})
         return
     parts = [", ".join(gone["labware"])] if gone["labware"] else []
-    parts += [f"{gone['nameless']} without a name"] if gone["nameless"] else []
+    parts += [f"{gone['nameless']} without an id"] if gone["nameless"] else []
     click.echo(f"Taken away from {station}: {' and '.join(parts)}.")
 
 
@@ -109,5 +109,5 @@ def _amount(text: str | None) -> tuple[float, str]:
         return 0.0, ""
     found = quantity(text)
     if found is None or not float(found[1]) > 0:
-        raise click.BadParameter(f"{text!r} is no amount: write 96, or 20mL.", param_hint="--amount")
+        raise click.BadParameter(f"{text!r} is not an amount: write 96, or 20mL.", param_hint="--amount")
     return float(found[1]), found[2] or ""

@@ -53,12 +53,13 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
     running = find_kernel(settings.home)
     if running is None:
         raise NotFound(
-            f"No kernel runs in {settings.home}.", remedy="Say it where the kernel runs, or name its --home."
+            f"No kernel runs in {settings.home}.",
+            remedy="Run this command where the kernel runs, or give its --home.",
         )
     number = getattr(signal, "SIGUSR1", None)
     if number is None or sys.platform == "win32":
         raise Refused(
-            "A kernel on Windows cannot leave its lab to a standby.",
+            "A kernel on Windows cannot hand over its lab to a standby.",
             remedy="Stop it, and start `labos up` on the other computer.",
         )
     expect_to_listen(running.pid, number)
@@ -67,16 +68,16 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
         standing_by = store.standbys()
         if not standing_by:
             raise Refused(
-                "Nobody stands by for this lab: it would stand still.",
-                remedy="Start a standby (`labos up --standby`), and wait until it says that it stands by.",
+                "This lab has no standby: it would stop.",
+                remedy="Start a standby (`labos up --standby`), and wait until it reports that it stands by.",
             )
         epoch = store.head().epoch
         try:
             os.kill(running.pid, number)
         except OSError as error:
             raise Refused(
-                f"The kernel (process {running.pid}) cannot be told: {error.strerror}.",
-                remedy="Say it as the user that it runs as: sudo -u labos.",
+                f"The kernel (process {running.pid}) cannot be notified: {error.strerror}.",
+                remedy="Run this command as the user that runs the kernel: sudo -u labos.",
             ) from None
         pause_s = _wait(store, epoch, wait_s)
         owner, epoch = store.find_holder().owner, store.head().epoch
@@ -97,10 +98,10 @@ def expect_to_listen(pid: int, number: int) -> None:
     caught = next((line for line in status.splitlines() if line.startswith("SigCgt:")), "")
     if caught and not int(caught.split()[1], 16) & (1 << (number - 1)):
         raise Refused(
-            f"The kernel (process {pid}) does not know how to leave its lab: it is of an earlier version, or "
-            "has not come so far yet. It would end, and is left alone.",
-            remedy="Wait until it says that its lab runs. One of an earlier version: stop it (Ctrl-C); the "
-            "standby takes over when it has ended.",
+            f"The kernel (process {pid}) cannot hand over its lab: it has an earlier version, or is still "
+            "starting. It was not changed.",
+            remedy="Wait until it reports that its lab runs. If it has an earlier version, stop it (Ctrl-C): "
+            "the standby takes over when it has ended.",
         )
 
 
@@ -116,11 +117,12 @@ def _wait(store: SqlEventStore, epoch: int, patience_s: float) -> float:
         time.sleep(POLL_S)
     if left_at:
         raise SystemFailed(
-            f"The kernel has left its lab, and nobody has taken over for {patience_s:g} s.",
-            remedy="Look at the log of the standby; start `labos up` on any of the computers.",
+            f"The kernel has stopped, and no standby has taken over for {patience_s:g} s.",
+            remedy="Read the log of the standby, then start `labos up` on one of the computers.",
         )
     raise SystemFailed(
-        f"The kernel has not left its lab within {patience_s:g} s: it goes on.",
-        remedy="Its log says why. Nodes that would end with it keep it: start it with --detach-nodes, or "
-        "with --no-nodes and the nodes by themselves.",
+        f"The kernel has not handed over its lab within {patience_s:g} s: it continues.",
+        remedy="See its log for the reason. A kernel does not hand over if nodes would end with "
+        "it: start it with "
+        "--detach-nodes, or with --no-nodes and separate nodes.",
     )

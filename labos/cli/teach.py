@@ -39,12 +39,12 @@ def teach(module: str, station: str, pose: str, why: str, kind: str, asker: Aske
     try:
         numbers = [float(part) for part in pose.split(",")]
     except ValueError:
-        raise click.BadParameter(f"{pose!r} is no list of numbers.", param_hint="--pose") from None
+        raise click.BadParameter(f"{pose!r} is not a list of numbers.", param_hint="--pose") from None
     with asker.lab() as client:
         version = client.teach(module, station, numbers, asker.user, why, labware_type=kind)
     what = f"{station} with a {kind}" if kind else station
     facts = {"module": module, "station": station, "type": kind, "version": version}
-    asker.tell(f"{module} finds {what} by version {version}.", facts)
+    asker.tell(f"{module} now reaches {what} with version {version} of the pose.", facts)
 
 
 @click.command("locations")

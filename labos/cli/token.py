@@ -62,7 +62,8 @@ def create(label: str, scope: str, days: float, user: str, home: str | None, as_
     token = made["token"]
     until = iso_time(token["expires_at"])[:16]
     click.echo(
-        f"{token['id']}: of {token['user']}, good for what a {scope} may do, until {until}. Keep it:",
+        f"{token['id']}: of {token['user']}, with the role {scope} at most, valid until {until}. "
+        "Store it now, it is not shown again:",
         err=True,
     )
     click.echo(made["secret"])

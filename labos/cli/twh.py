@@ -80,9 +80,7 @@ def choose_scopes(report: TwhReport, run: str, experiment: str, workcell: str) -
     for kind, name, known in (*wanted, ("workcell", workcell, report.workcells)):
         if name:
             if name not in known:
-                raise NotFound(
-                    f"No {kind} {name!r} has started a step.", remedy="See what there is: labos twh"
-                )
+                raise NotFound(f"No {kind} {name!r} has started a step.", remedy="List all: labos twh")
             found.append(known[name])
     runs = list(report.runs.values())[-RUNS_SHOWN:]
     return found or [report.lab, *report.workcells.values(), *report.experiments.values(), *runs]

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 NO_USERS = (
-    "labos: this lab has no users: everybody on this computer may command it, under the name of their login. "
-    "The first user is added with `labos user add NAME`."
+    "labos: this lab has no users. Every user of this computer has all rights in it, under the login name. "
+    "Add the first user with `labos user add NAME`."
 )
 
 
@@ -228,9 +228,9 @@ def command(
     if standby:
         _check_standby(settings, workcells, no_nodes)
     if simulate is None and was_simulated(settings) is None:
-        raise click.UsageError("This lab is new: say --simulate, or --real to move real instruments.")
+        raise click.UsageError("This lab is new: give --simulate, or --real to move real instruments.")
     if not workcells and not standby and not (settings.home / "kernel.json").exists():
-        raise click.UsageError("This lab is new: name its WORKCELL, for instance `labos up rpl --simulate`.")
+        raise click.UsageError("This lab is new: give its WORKCELL, for instance `labos up rpl --simulate`.")
     cells = [read_workcell(name) for name in workcells]
     lab = LabThread(
         settings,
@@ -244,20 +244,20 @@ def command(
         try:
             with lab:
                 if standby:
-                    click.echo(f"The kernel {lab.replaced} is gone: this one has taken over.")
+                    click.echo(f"The kernel {lab.replaced} has ended: this one has taken over.")
                 _serve(lab, settings, quiet)
         except KeyboardInterrupt:
             pass
     for action in lab.cut_short:
-        click.echo(f"{action} was cut short: the next start finds out how it ended, or asks a person.")
+        click.echo(f"{action} was interrupted: the next start finds out how it ended, or asks a person.")
     if lab.failure is not None:
         raise lab.failure
     if lab.left_to_standby:
-        click.echo("The lab was left to a standby.")
+        click.echo("The lab was handed over to a standby.")
     elif standby and not lab.replaced:
-        click.echo("Nobody stands by here any more.")
+        click.echo("The standby has ended.")
     else:
-        click.echo("The lab is closed; its log is whole.")
+        click.echo("The lab is closed. Its log is intact.")
 
 
 def _stand_by(settings: Settings) -> None:
@@ -288,11 +288,11 @@ def _runs_elsewhere(settings: Settings) -> bool:
 def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: bool) -> None:
     """A standby changes nothing of the lab, and starts no nodes beside those that live. Raises UsageError."""
     if workcells:
-        raise click.UsageError("A standby runs the workcells that the lab has: name none.")
+        raise click.UsageError("A standby runs the existing workcells of the lab: give no WORKCELL.")
     if not no_nodes and not (settings.home / "kernel.json").exists():
         raise click.UsageError(
             f"No kernel of this lab has run in {settings.home}, so its nodes were started elsewhere: "
-            "say --no-nodes, or name the --home of the lab."
+            "give --no-nodes, or the --home of the lab."
         )
 
 

@@ -54,7 +54,7 @@ def add(
 ) -> None:
     """Add a person or a program as a user of the lab."""
     if workcell and not role:
-        raise click.UsageError("--workcell says where a --role counts.")
+        raise click.UsageError("--workcell needs --role.")
     with lab_or_its_folder(asker.home) as client:
         by = asker.user
         is_first = not client.users()
@@ -68,10 +68,10 @@ def add(
         show_json(found)
         return
     if is_first:
-        click.echo(f"{name} is the admin of this lab. From now on nobody but its users may do anything.")
+        click.echo(f"{name} is the admin of this lab. From now on only its users have access.")
     else:
         what = "a service account" if service else "a user"
-        click.echo(f"{name} is {what} of this lab: {in_words(found['roles']) or 'may look'}.")
+        click.echo(f"{name} is {what} of this lab: {in_words(found['roles']) or 'may read'}.")
     next_step = f"token create LABEL --for {name}" if service else f"user password {name}"
     click.echo(f"Next: labos {next_step}")
 
@@ -88,7 +88,7 @@ def list_users(home: str | None, as_json: bool) -> None:
         return
     show_table(("id", "kind", "group", "roles", "since"), [_row(user) for user in found])
     if not found:
-        click.echo("There are no users: everybody who reaches this lab may do everything.", err=True)
+        click.echo("There are no users: everybody with network access to this lab has all rights.", err=True)
 
 
 @command.command("show")
@@ -170,7 +170,11 @@ def rename(name: str, person: str | None, mail: str | None, home: str | None, as
     """Record a user's name and mail address. They are stored outside the log. The log has only ids."""
     with lab_or_its_folder(home) as client:
         client.set_person(name, name=person, mail=mail)
-    tell(f"It is known who {name} is.", {"user": name, "name": person, "mail": mail}, as_json=as_json)
+    tell(
+        f"The name and address of {name} are recorded.",
+        {"user": name, "name": person, "mail": mail},
+        as_json=as_json,
+    )
 
 
 @command.command("erase")
@@ -185,7 +189,11 @@ def erase(name: str, home: str | None, as_json: bool) -> None:
     """
     with lab_or_its_folder(home) as client:
         client.erase_person(name)
-    tell(f"Nothing is known of {name} any more but the id.", {"user": name, "erased": True}, as_json=as_json)
+    tell(
+        f"The personal data of {name} is erased. Only the id is left.",
+        {"user": name, "erased": True},
+        as_json=as_json,
+    )
 
 
 @command.command("link")

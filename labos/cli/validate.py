@@ -113,7 +113,7 @@ def _alone(name: str, *, as_json: bool) -> None:
     from labos.spec.layout_check import check_layout
     from labos.spec.source import read
 
-    needs = click.UsageError("A workflow is checked against a workcell: add --workcell.")
+    needs = click.UsageError("To check a workflow, add --workcell.")
     if not Path(name).is_file() and name in list_specs("workflows"):
         raise needs
     path = spec_path("workcells", name)
@@ -234,7 +234,7 @@ def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
     for line in describe_choices(list_choices(compiled.plans)):
         click.echo(line)
     click.echo(f"Labware needed at the start: {_places(verdict.inputs) or 'none'}.")
-    click.echo(f"Labware stands at the end: {_places(verdict.outputs) or 'nowhere'}.")
+    click.echo(f"Labware at the end: {_places(verdict.outputs) or 'nowhere'}.")
     for line in describe_certificate(verdict.certificate) if verdict.certificate else ():
         click.echo(line)
     if verdict.copies is not None:
@@ -253,8 +253,8 @@ def _places(stations: tuple[StationName, ...]) -> str:
 
 def _how_many(copies: Capacity) -> str:
     if copies.capped:
-        return f"At least {copies.copies} copies may be under way at once."
+        return f"At least {copies.copies} copies can be active at once."
     if not copies.copies:
-        return f"No copy may start on the bench as it is stocked: {copies.why.rstrip('.')}."
+        return f"No copy can start with the present stock of the bench: {copies.why.rstrip('.')}."
     noun = "copy" if copies.copies == 1 else "copies"
-    return f"{copies.copies} {noun} may be under way at once; one more would wait: {copies.why.rstrip('.')}."
+    return f"{copies.copies} {noun} can be active at once; one more would wait: {copies.why.rstrip('.')}."

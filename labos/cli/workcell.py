@@ -82,7 +82,7 @@ def _show(found: dict[str, Any]) -> None:
     for finding in found["findings"]:
         click.echo(f"labos: {msgspec.convert(finding, Finding)}", err=True)
     lines = _changes(found)
-    for line in lines or [f"{found['workcell']} is as the file says."]:
+    for line in lines or [f"{found['workcell']} agrees with the file."]:
         click.echo(line)
     for blocker in found["blockers"]:
-        click.echo(f"In the way: {blocker}")
+        click.echo(f"Prevented by: {blocker}")
