@@ -17,7 +17,7 @@ from labos.core.effects import Carrying, Claims, Needs
 from labos.core.ids import StationName, local
 from labos.core.lengths import Lengths
 from labos.core.model import MAIN, ON_CANCEL
-from labos.core.watching import ends
+from labos.core.watching import list_end_stations
 from labos.errors import LabosError
 from labos.planning.certificate import Certificate
 
@@ -263,7 +263,7 @@ def _looks(step: PlanStep, workcell: Workcell) -> list[str]:
     """Who looks where after a step, before it is believed."""
     if step.by_person:
         return []
-    places = ends(step.effects)
+    places = list_end_stations(step.effects)
     return [
         f"{local(station.observer)} at {local(station.name)}"
         + (" (in doubt)" if station.verify == "on_doubt" else "")

@@ -39,7 +39,7 @@ def names_of(spec: ActionSpec) -> dict[str, Arg]:
     return meant | {arg.name: arg for arg in spec.args}
 
 
-def flaw(arg: Arg, value: Any) -> str:
+def find_flaw(arg: Arg, value: Any) -> str:
     """What is wrong with a value, as the end of a sentence about it; empty if nothing is."""
     if value is None and not arg.required and arg.default is None:
         return ""

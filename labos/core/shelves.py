@@ -16,14 +16,16 @@ from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Unlid
 from labos.core.ids import LabwareId, StationName, local
 
 
-def vacant(bench: Bench, hotel: StationName) -> list[StationName]:
+def list_vacant(bench: Bench, hotel: StationName) -> list[StationName]:
     """The shelves of a hotel on which nothing stands, comes to stand or may stand; lowest first."""
     return [s for s in bench.shelves[hotel] if not bench.stations[s].count and s not in bench.haunted]
 
 
-def ready(bench: Bench, hotel: StationName, but: Collection[StationName] = ()) -> StationName | None:
+def find_free_shelf(
+    bench: Bench, hotel: StationName, but: Collection[StationName] = ()
+) -> StationName | None:
     """The lowest shelf that is known to be free, and none of ``but``."""
-    return next((s for s in vacant(bench, hotel) if bench.stations[s].known and s not in but), None)
+    return next((s for s in list_vacant(bench, hotel) if bench.stations[s].known and s not in but), None)
 
 
 def is_taken(bench: Bench, hotel: StationName) -> bool:
@@ -46,7 +48,7 @@ def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) ->
         return bench.labware[labware.on].station if labware.on else labware.station
 
     def free(hotel: StationName) -> StationName:
-        return ready(bench, hotel, but) or hotel
+        return find_free_shelf(bench, hotel, but) or hotel
 
     where: dict[str, Callable[[], StationName]] = {}
     match effect:

@@ -96,7 +96,7 @@ def doses_of(effect: Transfers | Draws) -> list[tuple[str, float]]:
     return doses
 
 
-def misfit(
+def find_misfit(
     effects: Iterable[AnyEffect], kind: LabwareSpec | None, held: Mapping[str, float], labware: str
 ) -> str:
     """What is wrong with the liquids that an action puts into wells of labware, and draws out of them, where

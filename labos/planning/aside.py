@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labos.core import reasons
-from labos.core.binding import door_open
+from labos.core.binding import check_door_open
 from labos.core.effects import places
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import PlanStep
@@ -93,7 +93,7 @@ def _needs(state: LabState, step: PlanStep, dead: set[ModuleName]) -> bool:
     reached = [place for place in places(step.effects) if state.bench.stations[place].spec.module in dead]
     modules = [state.modules.by_name.get(state.bench.stations[place].spec.module) for place in reached]
     return any(module is None or module.cut_off for module in modules) or any(
-        door_open(state, place) for place in reached
+        check_door_open(state, place) for place in reached
     )
 
 

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from labos.core.booked import HORIZON_NS, contacts, find_blocked, is_exempt, no_gap, waits_for
+from labos.core.booked import HORIZON_NS, check_gap, contacts, find_blocked, is_exempt, make_wait
 from labos.core.bookings import Bookings, BookingSpan
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
@@ -89,7 +89,7 @@ def _list_without_gap(state: LabState, run: RunState, stays: Iterable[ModuleUse]
         key = (stay.module, stay.clears)
         longest[key] = max(longest.get(key, 0), stay.ends - stay.begins)
     for (module, clears), length in longest.items():
-        wait = no_gap(state, run.user, module, length, now, clears=clears)
+        wait = check_gap(state, run.user, module, length, now, clears=clears)
         if wait is not None:
             yield wait
 
@@ -102,7 +102,7 @@ def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[ModuleUse]
     stay, span = met
     for wait in _list_without_gap(state, run, stays, now):
         return wait
-    return waits_for(
+    return make_wait(
         state, stay.module, span, plan.steps[stay.step].key, now, _first_fit(state, run.user, stays, now)
     )
 

@@ -13,7 +13,7 @@ import msgspec
 
 from labos.core.actions import ActionStatus
 from labos.core.algebra import check_effect, settings_after
-from labos.core.binding import same
+from labos.core.binding import is_same
 from labos.core.effects import (
     AnyEffect,
     Carrying,
@@ -325,7 +325,7 @@ class Turn:
             return self.scene.busy[spec.module]
         for variable, wanted in spec.access.items():
             value, by = self.scene.values.get((spec.module, variable), (None, NOBODY))
-            if not same(value, wanted):
+            if not is_same(value, wanted):
                 return by
         if spec.claim:
             return self.scene.holder(self.player, spec.module)
@@ -351,7 +351,7 @@ class Turn:
         if requires.of != "module":
             return None
         value, by = self.scene.values.get((self.step.module, requires.variable), (None, NOBODY))
-        return None if same(value, requires.value) else by
+        return None if is_same(value, requires.value) else by
 
     def setpoint(self, claims: Claims) -> Who | None:
         holders = self.scene.setpoints.get((self.step.module, claims.setpoint), {})

@@ -15,7 +15,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.decide import Command, Rejection, decide
-from labos.core.envelope import GENESIS, damage
+from labos.core.envelope import GENESIS, find_damage
 from labos.core.fold import evolve
 from labos.core.ids import LabId
 from labos.core.registry import Event, decode
@@ -210,7 +210,7 @@ class FollowedKernel:
         """A page of what is new, each record checked against the one before. Raises LogDamaged."""
         entries = []
         for record in self._store.read(after, min(head.position, after + PAGE)):
-            if fault := damage(before, record):
+            if fault := find_damage(before, record):
                 at = record.head.position
                 raise LogDamaged(f"Position {at}: {fault}.", position=at, remedy="See labos verify.")
             before = record.hash

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from labos.core.envelope import GENESIS, Record, damage
+from labos.core.envelope import GENESIS, Record, find_damage
 from labos.errors import LogDamaged
 from labos.ports import EventStore
 
@@ -60,7 +60,7 @@ def first_damage(store: EventStore, progress: Progress | None = None, *, every: 
 
 def _damage(previous: bytes, record: Record) -> str:
     try:
-        return damage(previous, record)
+        return find_damage(previous, record)
     except (TypeError, ValueError) as error:
         # SQLite lets a column hold a value of any type.
         return f"a column holds a value of the wrong type ({error})"

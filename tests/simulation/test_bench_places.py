@@ -264,14 +264,14 @@ def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytes
         standing = [state.bench.labware[name] for name in state.bench.stations[place].labware]
         return next((i for owner in party(run) for i in standing if i.owner == owner and not i.moving), None)
 
-    monkeypatch.setattr(binding, "usable_at", anywhere)
+    monkeypatch.setattr(binding, "find_usable", anywhere)
     found = [CORNER.run_anyhow(OVER_THE_PILE, seed, plan_with=bare_rule)[1] for seed in SEEDS]
     assert all(any("wc.of_" in wrong for wrong in wrongs) for wrongs in found), found
 
 
 def test_without_asking_for_seals_tips_go_into_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(binding.StartCheck, "value", lambda self, requires: None)
-    monkeypatch.setattr("labos.planning.stuck._unlike", lambda state, run: None)
+    monkeypatch.setattr("labos.planning.stuck._check_labware_ahead", lambda state, run: None)
     for seed in SEEDS:
         crashes, _ = CORNER.run_anyhow(WAITING["seal"], seed, plan_with=bare_rule)
         assert any("drives its tips into a seal" in crash for crash in crashes), f"seed {seed}"

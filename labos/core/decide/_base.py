@@ -48,7 +48,7 @@ D = TypeVar("D", bound=Decider)
 DECIDERS: dict[type[Command], Decider] = {}
 
 
-def recordable(events: Iterable[Event]) -> Decision:
+def check_recordable(events: Iterable[Event]) -> Decision:
     """The events, unless one of them cannot be written: then what somebody handed in is too large
     or no JSON. Of events that are worked out one by one the first is looked at."""
     later = None if isinstance(events, list) else iter(events)
@@ -65,7 +65,7 @@ def recordable(events: Iterable[Event]) -> Decision:
     return known if later is None else chain(known, later)
 
 
-def many(state: LabState, station: StationName) -> Rejection | None:
+def refuse_hotel(state: LabState, station: StationName) -> Rejection | None:
     """Why a station cannot be meant as one place: it is a hotel of which each shelf is one."""
     shelves = state.bench.shelves.get(station)
     if not shelves:

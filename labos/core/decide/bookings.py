@@ -121,7 +121,7 @@ def make_booking(state: LabState, command: MakeBooking) -> Decision:
 def change_booking(state: LabState, command: ChangeBooking) -> Decision:
     booking = state.bookings.open.get(command.booking)
     if booking is None:
-        return no_booking(command.booking)
+        return refuse_unknown_booking(command.booking)
     if command.terms.why is None:
         same = msgspec.structs.replace(command.terms, why=booking.why)
         command = msgspec.structs.replace(command, terms=same)
@@ -135,7 +135,7 @@ def change_booking(state: LabState, command: ChangeBooking) -> Decision:
 def cancel_booking(state: LabState, command: CancelBooking) -> Decision:
     booking = state.bookings.open.get(command.booking)
     if booking is None:
-        return no_booking(command.booking)
+        return refuse_unknown_booking(command.booking)
     if not command.begins or not booking.rule:
         return [BookingCancelled(booking.id, command.by, command.why)]
     times = booking.spans(command.begins, command.begins + 1)
@@ -180,7 +180,7 @@ def end_booking(state: LabState, command: EndBooking) -> Decision:
     return [BookingEnded(booking.id, last.begins, last.ends, over)]
 
 
-def no_booking(name: str) -> Rejection:
+def refuse_unknown_booking(name: str) -> Rejection:
     return Rejection(
         "no_booking", f"There is no booking {name} that is not over.", "List them: labos bookings"
     )

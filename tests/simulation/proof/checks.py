@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from labos.core.actions import ActionDiscovered, ActionRequested
-from labos.core.envelope import GENESIS, damage
+from labos.core.envelope import GENESIS, find_damage
 from labos.core.lab import KernelStarted
 from labos.core.registry import decode
 from labos.core.shorter import LogFoundShorter
@@ -68,7 +68,7 @@ def chain(lab: SimulatedLab) -> Iterator[str]:
     """Gapless, linked, and recorded-at never goes back."""
     previous, position, recorded_at = GENESIS, 0, 0
     for record in lab.store.records:
-        fault = damage(previous, record)
+        fault = find_damage(previous, record)
         if fault:
             yield f"{record.head.position}: {fault}"
         if record.head.position != position + 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.calibrations import MOST_CALIBRATIONS, Calibration, first_to_expire
+from labos.core.calibrations import MOST_CALIBRATIONS, Calibration, find_first_expiry
 from labos.core.decide.calibrations import CalibrateModule
 from labos.core.ids import ModuleName
 from labos.core.modules import ModuleCalibrated
@@ -36,7 +36,7 @@ def test_the_last_one_of_each_kind_counts() -> None:
         "force": ("K-2", "2027-03-01"),
         "reach": ("", "2027-02-01"),
     }
-    assert first_to_expire(known(lab)) == "2027-02-01"
+    assert find_first_expiry(known(lab)) == "2027-02-01"
     lab.check_log()
 
 
