@@ -184,14 +184,14 @@ def outline_of(
 ) -> Outline:
     """A compiled workflow with its times, by what a lab has learned of them."""
     from labos.planning.certified import certify_all
-    from labos.planning.timetable import consumption, count_taken, timetable, with_learned
+    from labos.planning.timetable import count_taken, make_timetable, sum_consumption, with_learned
     from labos.spec.choices import list_choices
 
     choices = list_choices(compiled.plans)
     lengths = lengths or Lengths()
     plan = with_learned(compiled.plan, lengths, pace)
     nominal = compiled.plan.steps
-    times = timetable(plan, workcell)
+    times = make_timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
     steps = [
         OutlineStep(
@@ -231,7 +231,7 @@ def outline_of(
         busy_s={local(module): busy for module, busy in times.busy_s.items()},
         resources=[
             Resource(local(module), resource, amount, full[module].get(resource))
-            for (module, resource), amount in consumption(plan).items()
+            for (module, resource), amount in sum_consumption(plan).items()
         ],
         labware_taken={local(stack): count for stack, count in count_taken(plan).items()},
         inputs=[local(place) for place in compiled.inputs],

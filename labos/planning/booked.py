@@ -24,7 +24,7 @@ from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.runs import PENDING, RunState, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.forecast import earliest, usual
+from labos.planning.forecast import find_earliest_start, find_usual_time
 from labos.planning.player import find_chained
 
 
@@ -57,7 +57,7 @@ def check_start(state: LabState, run: RunState, step: int, now: int) -> Wait | N
     return _room_for(state, run, plan, list(_list_stays(state, plan, times, together)), now)
 
 
-def room_ends(state: LabState, name: RunId, now: int) -> int | None:
+def find_room_end(state: LabState, name: RunId, now: int) -> int | None:
     """When a run that waits would first run into a booking that it does not now (UTC ns); None if there is
     no such time within the days that are looked at."""
     run = state.runs.queued[name]
@@ -149,8 +149,8 @@ def _times(state: LabState, run: RunState, plan: Plan, first: int, now: int) -> 
                 continue
             begins = max([now, *(known.get(before, now) for before in step.after)])
             if index != first:
-                begins = max(begins, earliest(state, run, index, known))
-            known[index] = begins + usual(state, step)
+                begins = max(begins, find_earliest_start(state, run, index, known))
+            known[index] = begins + find_usual_time(state, step)
             found[index] = (begins - now, known[index] - now)
             left.discard(index)
         if len(left) == before_pass:
@@ -268,4 +268,4 @@ class BookingTimes:
                     yield EndBooking(booking.id, now)
 
 
-__all__ = ["BookingTimes", "check_start", "list_without_gap", "room_ends"]
+__all__ = ["BookingTimes", "check_start", "find_room_end", "list_without_gap"]

@@ -25,7 +25,7 @@ from labos.core.ids import RunId
 from labos.core.registry import Event, decode
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
 from labos.core.state import LabState, from_picture, picture
-from labos.planning.forecast import usual
+from labos.planning.forecast import find_usual_time
 from labos.planning.virtual import Play, VirtualLab, keep_first
 
 TARGET = 0.8
@@ -321,5 +321,7 @@ def foresee(state: LabState, now: int) -> Play | None:
     """How a lab would go on from now with the usual durations; None if it has too much to do to tell."""
     copy = from_picture(picture(state))
     keep_first(copy, LOOKED_AT)
-    play = VirtualLab(copy, now, lambda action, step: usual(copy, step), most_steps=MOST_STEPS).go_on()
+    play = VirtualLab(
+        copy, now, lambda action, step: find_usual_time(copy, step), most_steps=MOST_STEPS
+    ).go_on()
     return None if play.cut else play

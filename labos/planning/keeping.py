@@ -23,8 +23,8 @@ from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, f
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.advice import options
-from labos.planning.forecast import earliest, is_pending
-from labos.planning.layout import down
+from labos.planning.forecast import find_earliest_start, is_pending
+from labos.planning.layout import is_down
 from labos.planning.passage import find_late_step, first_trap
 from labos.planning.player import FAR, Player, Step, find_chained
 from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
@@ -356,7 +356,12 @@ def _inside(state: LabState, cell: str) -> list[RunState]:
 def _goes_on_at(state: LabState, run: RunState) -> int:
     """When the windows of a run let its next step start, at the latest of them (UTC ns)."""
     return max(
-        (earliest(state, run, i, {}) for i, step in enumerate(run.steps) if step.status == PENDING), default=0
+        (
+            find_earliest_start(state, run, i, {})
+            for i, step in enumerate(run.steps)
+            if step.status == PENDING
+        ),
+        default=0,
     )
 
 
@@ -374,7 +379,7 @@ def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
             continue
         plan = state.runs.plan_of(run)
         chain = find_chained(run, plan, ())
-        if not chain or any(down(state, plan.steps[step].module) for step in chain):
+        if not chain or any(is_down(state, plan.steps[step].module) for step in chain):
             continue
         if find_begun_booking(state, run, [plan.steps[step] for step in chain]) is None:
             yield run

@@ -27,7 +27,7 @@ from labos.planning.moves import _go_back, _pile, move
 from labos.planning.paths import Motion, door_key, hold_key, setpoint_key, variable_key
 
 
-def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
+def is_down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
     """Whether a module needs a person or its device to come back before anybody can use it; to
     be ``recovered`` first, an error is no hindrance."""
     known = state.modules.by_name.get(module)
@@ -158,11 +158,11 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 _pile(floor, target, str(action.run))
                 change_claim(floor, target, str(action.run), 1)
     for actor in actors:
-        keep(floor, actor, actor.kept)
+        keep_after_failure(floor, actor, actor.kept)
     return floor
 
 
-def keep(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:
+def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:
     """Keep what an actor needs if something that it has in flight fails."""
     for motion in kept:
         if motion.source:

@@ -30,8 +30,8 @@ from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import party
 from labos.core.zones import zones_of
-from labos.planning.forecast import usual
-from labos.planning.layout import down
+from labos.planning.forecast import find_usual_time
+from labos.planning.layout import is_down
 from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
 
@@ -71,7 +71,7 @@ class Scene:
             if run is None or not action.module.startswith(f"{cell}/"):
                 continue
             step = state.runs.plan_of(run).steps[action.step]
-            end = max(now, action.requested_at + usual(state, step))
+            end = max(now, action.requested_at + find_usual_time(state, step))
             effects = tuple(_as_planned(state, effect) for effect in action.effects)
             end = FAR if action.status == ActionStatus.UNKNOWN else end
             self.take(run, action.step, step, effects, end)
@@ -111,7 +111,7 @@ class Scene:
     def in_the_way(self, player: Player, index: int) -> Who | None:
         """Who keeps a step from starting, by the rules; None if nobody does."""
         step = player.plan.steps[index]
-        if down(self.state, step.module, recovered=step.recovers):
+        if is_down(self.state, step.module, recovered=step.recovers):
             return NOBODY
         if step.exclusive:
             found = self._not_free(player, step)

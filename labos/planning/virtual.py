@@ -121,7 +121,7 @@ class VirtualLab:
         self.state, self.now, self.play = state, now, Play()
         self._lasts = lasts
         self._rows = {
-            name: [tuple(map(without_results, plans)) for plans in found]
+            name: [tuple(map(strip_results, plans)) for plans in found]
             for name, found in (rows or {}).items()
         }
         self._most_rows, self._most_steps = most_rows, most_steps
@@ -321,7 +321,7 @@ class VirtualLab:
         it was said, and devices are at rest when their actions have ended."""
         state = self.state
         for known in state.runs.plans.values():
-            known.plan = without_results(known.plan)
+            known.plan = strip_results(known.plan)
             known.conditional = ()
         state.bench.watched.clear()
         for module in state.modules.by_name.values():
@@ -375,7 +375,7 @@ class _ObservedSleepers(Sleepers):
         self._tell(name, wait)
 
 
-def without_results(plan: Plan) -> Plan:
+def strip_results(plan: Plan) -> Plan:
     """A plan of which no step reads what earlier ones have found: all of its steps are carried out, and all
     find what they should."""
     if not plan.feeds and not any(step.when or step.expect for step in plan.steps):

@@ -30,7 +30,7 @@ from labos.core.waits import Wait
 from labos.errors import Refused
 from labos.planning.choosing import options_in_order
 from labos.planning.explain import sentence
-from labos.planning.scheduler import Scheduler, ready
+from labos.planning.scheduler import Scheduler, list_ready_steps
 
 CAP = 32
 USER = "somebody"
@@ -144,7 +144,7 @@ class _PaperBench:
         for run in runs:
             if _count_over(run) + 1 == len(run.steps):
                 continue
-            for step in ready(self.state, run):
+            for step in list_ready_steps(self.state, run):
                 if self.scheduler.check_start(self.state, run, step, self.now) is None:
                     self._carry_out(run, step)
                     return True

@@ -25,7 +25,7 @@ from labos.core.steps import WindowBreached
 from labos.core.waits import Wait
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
-from labos.planning.scheduler import Scheduler, ready
+from labos.planning.scheduler import Scheduler, list_ready_steps
 from tests.support.bench import (
     SECOND,
     START,
@@ -327,7 +327,9 @@ def one_by_one(instance: Instance) -> Life:
         waits: list[int] = []
         behind = [run for run in runs if run.experiment]
         for run in [*lab.state.runs.active.values(), *behind, *runs][:1]:
-            turn = ready(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
+            turn = (
+                list_ready_steps(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
+            )
             for index in turn:
                 found = examine(lab.state, lab.run(run.id), index, lab.now)
                 if not isinstance(found, Wait):

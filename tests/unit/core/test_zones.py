@@ -6,7 +6,7 @@ from labos.core.decide.nodes import ReportState
 from labos.core.ids import ModuleName
 from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
-from labos.planning.timetable import timetable
+from labos.planning.timetable import make_timetable
 from tests.support.bench import Driver, module, move, needs, plan, route, station, step, workcell
 
 Z = "cell/z"
@@ -121,5 +121,5 @@ def test_a_timetable_knows_zones() -> None:
         [module("arm"), module("arm2")], [station("a", zone=Z), station("b", zone=Z), station("c")]
     )
     both = plan(step("arm", move("a", "c")), step("arm2", move("b", "c")), parallel=True)
-    assert [slot.start_s for slot in timetable(both).slots] == [0, 0]
-    assert [slot.start_s for slot in timetable(both, cell).slots] == [0, 1]
+    assert [slot.start_s for slot in make_timetable(both).slots] == [0, 0]
+    assert [slot.start_s for slot in make_timetable(both, cell).slots] == [0, 1]

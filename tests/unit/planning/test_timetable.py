@@ -6,7 +6,7 @@ import msgspec
 
 from labos.core.effects import Consumes
 from labos.core.model import Plan, PlanStep, Window
-from labos.planning.timetable import consumption, count_taken, timetable
+from labos.planning.timetable import count_taken, make_timetable, sum_consumption
 from tests.support.bench import plan, step, take
 
 
@@ -15,11 +15,11 @@ def lasting(what: PlanStep, seconds: float, *windows: Window) -> PlanStep:
 
 
 def starts(what: Plan) -> list[float]:
-    return [slot.start_s for slot in timetable(what).slots]
+    return [slot.start_s for slot in make_timetable(what).slots]
 
 
 def test_one_after_the_other() -> None:
-    table = timetable(plan(lasting(step("a"), 5), lasting(step("b"), 7), lasting(step("a"), 1)))
+    table = make_timetable(plan(lasting(step("a"), 5), lasting(step("b"), 7), lasting(step("a"), 1)))
     assert [(slot.start_s, slot.end_s, slot.held_by) for slot in table.slots] == [
         (0, 5, None),
         (5, 12, 0),
@@ -30,7 +30,7 @@ def test_one_after_the_other() -> None:
 
 
 def test_the_longer_of_two_branches_is_critical() -> None:
-    table = timetable(
+    table = make_timetable(
         plan(
             lasting(step("a"), 5),
             lasting(step("b"), 7),
@@ -47,7 +47,7 @@ def test_a_module_does_one_thing_at_a_time_but_answers_questions_meanwhile() -> 
 
 
 def test_waiting_counts_and_a_window_that_cannot_be_met_is_told() -> None:
-    table = timetable(
+    table = make_timetable(
         plan(
             lasting(step("a"), 5),
             lasting(step("b"), 7, Window(0, wait_s=60)),
@@ -69,12 +69,12 @@ def test_what_is_used_up() -> None:
         step("dev", Consumes("foil", 1)),
         step("dev", Consumes("foil", 0.5), Consumes("ink", 2)),
     )
-    assert consumption(what) == {("cell/dev", "foil"): 1.5, ("cell/dev", "ink"): 2}
+    assert sum_consumption(what) == {("cell/dev", "foil"): 1.5, ("cell/dev", "ink"): 2}
     assert count_taken(what) == {"cell/stack": 1}
 
 
 def test_a_long_plan_is_laid_out() -> None:
-    table = timetable(plan(*(lasting(step("a"), 1) for _ in range(2000))))
+    table = make_timetable(plan(*(lasting(step("a"), 1) for _ in range(2000))))
     assert (table.total_s, len(table.critical)) == (2000, 2000)
 
 
