@@ -50,7 +50,7 @@ NEVER = 2**63 - 1
 
 class Need(msgspec.Struct, frozen=True):
     """A step needs a resource (the key of a module, station or zone) at ``latest``, will have it at
-    ``release`` at the earliest, and keeps it for ``find_longest_time`` (all UTC ns)."""
+    ``release`` at the earliest, and keeps it for ``length`` (all UTC ns)."""
 
     resource: str
     step: int

@@ -261,13 +261,13 @@ class Life:
                 seconds = self.plans[action.run].steps[action.step].duration_s
                 seconds *= 1.0 + self.rng.uniform(-self.stray, self.stray)
                 self._ends[action.id] = action.requested_at + int(seconds * SECOND)
-        times = [self._ends[name] for name in self.lab.flying()]
+        times = [self._ends[name] for name in self.lab.list_flying()]
         times += [START + int(o.after_s * SECOND) for o in self._left if not o.behind]
         times += [alarm] if alarm is not None else []
         return min((max(at, self.lab.now) for at in times), default=None)
 
     def finish_due(self) -> None:
-        for name in self.lab.flying():
+        for name in self.lab.list_flying():
             if self._ends[name] <= self.lab.now:
                 self.lab.finish(name)
 

@@ -424,7 +424,7 @@ class Driver:
             raise Refused(answer)
         self._actions += 1
 
-    def flying(self) -> list[ActionId]:
+    def list_flying(self) -> list[ActionId]:
         return [a.id for a in self.state.actions.open.values() if a.status != "unknown"]
 
     def work(
@@ -439,7 +439,7 @@ class Driver:
         pump, end = pump or self.pump, end or (lambda _, action: self.finish(action))
         pump()
         for _ in range(limit):
-            flying = self.flying()
+            flying = self.list_flying()
             if not flying:
                 break
             self.wait(rng.uniform(0.1, 5))

@@ -60,7 +60,7 @@ def findings(lab: SimulatedLab, state: LabState, obedience: Obedience) -> list[s
     found += [f"surprise: {line}" for line in surprises(lab)]
     found += [f"fence: {line}" for line in obedience.wrong]
     found += [f"lease: {name} was replaced while it worked" for name in lab.store.usurped]
-    found += [f"end: {line}" for line in hanging(lab, state)]
+    found += [f"end: {line}" for line in list_hanging(lab, state)]
     return found
 
 
@@ -137,7 +137,7 @@ def surprises(lab: SimulatedLab) -> Iterator[str]:
                 yield f"{process.name}: {error!r}"
 
 
-def hanging(lab: SimulatedLab, state: LabState) -> Iterator[str]:
+def list_hanging(lab: SimulatedLab, state: LabState) -> Iterator[str]:
     """Runs that have not ended although nobody is asked about them."""
     left = [*state.runs.active.values(), *state.runs.queued.values()]
     for run, stops in causes(state, left, lab.store.head().recorded_at).items():

@@ -185,7 +185,7 @@ class Explored:
     def ends(self, key: Key) -> list[Key]:
         """What may be next if nothing is started: each action in flight may be the first that ends."""
         found = []
-        for action in self.at(key).flying():
+        for action in self.at(key).list_flying():
             for fails in (False, True):
                 lab = self.at(key)
                 if not fails:
