@@ -1,6 +1,6 @@
 """What an action takes: names, types, ranges and choices, judged in one place.
 
-Nothing is coerced here: ``"95"`` is not a temperature. Whoever reads what people wrote
+Nothing is coerced here: ``"95"`` is not a temperature. Code that reads what people wrote
 (``labos.spec``) turns ``2 min`` into seconds first; a node judges what it is sent as it is.
 """
 

@@ -1,7 +1,7 @@
 """Whether a module is booked for others: now, or before a step would be over.
 
 Bookings are like a module that is out of service for some people and for a while. What only carries labware
-out of a module makes room for whoever has booked it, so that may go on; in maintenance nothing may, as
+out of a module makes room for those who have booked it, so that may go on; in maintenance nothing may, as
 somebody's hands may be inside.
 """
 

@@ -22,8 +22,8 @@ def find_other_keeper(state: LabState, name: ModuleName, run: RunState) -> str:
 
 
 def find_user_meanwhile(state: LabState, place: StationName, run: RunState) -> str:
-    """Who was let in to a station, or to its module, after this run's labware was seen to have left it:
-    another owner, or the action that is at work there. Empty if nobody was."""
+    """The run that was let in to a station, or to its module, after this run's labware was seen to have left
+    it: another owner, or the action that is at work there. Empty if nobody was."""
     station = state.bench.stations[place]
     if station.full:
         return ", ".join(station.labware) or "something on its way there"

@@ -85,7 +85,8 @@ def _own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wai
 
 
 def check_log_whole(state: LabState, step: PlanStep) -> Wait | None:
-    """Nothing starts on a bench of which the log has lost sight, but what brings modules back."""
+    """While the log has lost its end and the bench is not checked, only steps that bring modules back may
+    start."""
     shorter = state.shorter
     if not shorter.since or step.recovers:
         return None
@@ -213,7 +214,7 @@ def check_module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | 
     # A device that does not come to rest by itself may need this very recovery.
     if module.busy or (module.status == ModuleStatus.BUSY and not step.recovers):
         return Wait(reasons.ModuleBusy(step.module), (key,))
-    # Whoever holds a module in error cannot go on before it is well again.
+    # A run that holds a module in error cannot go on before the module is well again.
     holder = "" if step.recovers else find_other_holder(state, step.module, run)
     if holder:
         return Wait(reasons.Held(step.module, holder), (key,))

@@ -115,7 +115,7 @@ class RunStarted(RunEvent, frozen=True):
 
 @event("run.paused")
 class RunPaused(RunEvent, frozen=True):
-    """No further step starts until it is resumed. ``why`` is a word of whoever paused it."""
+    """No further step starts until it is resumed. ``why`` is the reason that the user gave."""
 
     why: Words = ""
 

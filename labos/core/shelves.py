@@ -29,18 +29,18 @@ def find_free_shelf(
 
 
 def is_taken(bench: Bench, hotel: StationName) -> bool:
-    """Whether something stands or comes to stand on a shelf of which everybody is sure: one that may be
+    """Whether something certainly stands or comes to stand on a shelf: one that may be
     free again without anybody's help."""
     return any(bench.stations[s].count and s not in bench.haunted for s in bench.shelves[hotel])
 
 
 def in_doubt(bench: Bench, place: StationName) -> bool:
-    """Whether something may stand at a place, or on one of its shelves, of which nobody is sure."""
+    """Whether labware of uncertain place may stand at a place, or on one of its shelves."""
     return place in bench.haunted or any(s in bench.haunted for s in bench.shelves.get(place, ()))
 
 
 def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) -> AnyEffect:
-    """An effect of which it is known what labware it touches, with shelves in place of hotels. Nothing is
+    """An effect whose labware is known, with shelves in place of hotels. Nothing is
     put on those of ``but``; where no other is ready, the hotel stays."""
 
     def stands(name: LabwareId) -> StationName:

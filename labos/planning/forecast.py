@@ -140,7 +140,7 @@ def _arrival(
 
 
 def _until(state: LabState, run: RunState, index: int, now: int, ends: Callable[[PlanStep], bool]) -> int:
-    """How long it takes from a step's start to the end of the next step of which ``ends`` is true,
+    """How long it takes from a step's start to the end of the next step for which ``ends`` is true,
     with the steps between them one after the other and their waits; for ever if there is none."""
     plan = state.runs.plan_of(run)
     later = (i for i, step in enumerate(plan.steps) if i != index and is_pending(run, i) and ends(step))

@@ -113,7 +113,7 @@ class Windows:
         if not what.windowed and not state.runs.windowed_in.get(what.plan.workcell):
             return None
         if what.plan.steps[step].recovers:
-            return None  # whoever needs the module cannot go on before
+            return None  # no run that needs the module can go on before
         plan = self._plan(state, what.plan.workcell, now, safety)
         waits = self._hold_off(state, plan, run, step, now)
         if waits is not None:
@@ -372,7 +372,7 @@ def _is_waiting(state: LabState, who: Step) -> bool:
 
 
 def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
-    """The runs of a workcell of which steps have to be started in time, and can be."""
+    """The runs of a workcell with steps that have to be started in time, and can be."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.get(name)
         if run is None or find_holds(run) or run.is_ending or run.has(UNKNOWN):
@@ -386,7 +386,7 @@ def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
 
 
 def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bool:
-    """Whether a run that waits to be let in could not come to its end, whoever moves."""
+    """Whether a run that waits to be let in could not come to its end, whichever runs move."""
     if run.has_started:
         return False
     starts = [

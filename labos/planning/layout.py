@@ -78,8 +78,8 @@ def find_arriving(state: LabState, run: RunId) -> list[StationName]:
 
 
 def labware_in(state: LabState, cell: str) -> list[Labware]:
-    """Labware that stands in a workcell, that is carried there, and all of which it is not known where it
-    is. Lids are with their plates."""
+    """Labware that stands in a workcell, that is carried there, and all labware for which it is not known
+    where it is. Lids are with their plates."""
     bench = state.bench
     names: dict[LabwareId, bool] = {}
     for place in bench.in_cell.get(cell, ()):

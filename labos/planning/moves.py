@@ -312,7 +312,8 @@ def _go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
 
 
 def _take_over(floor: Floor, actor: Actor, place: StationName) -> Counts | None:
-    """A plate whose lid an actor carries is its own from then on; returns out of which pool it came."""
+    """A plate whose lid an actor carries belongs to the actor from then on; returns the pool that it came
+    from."""
     pool = None if _has_own(floor, actor, place) else _pool(floor, actor, place)
     if pool is not None:
         _change_owner(floor, actor, place, pool, 1)

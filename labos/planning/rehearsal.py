@@ -1,6 +1,6 @@
 """What would happen from now on if all steps took their nominal time: a workcell played forward.
 
-Players are runs of which some steps have to be started by a time (their windows' clocks run), and runs
+Players are runs with steps that have to be started by a time (their windows' clocks run), and runs
 that have to make room for them. Everybody else stays where they are. A step starts as soon as it can, the
 most urgent one first, unless it is told to wait (``Advice``).
 """

@@ -119,7 +119,8 @@ class Reservations:
             self.windows = kept
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
-        """For whom a start has to wait; None if it may go ahead. The rules must allow it."""
+        """The wait of a start for what is reserved for others; None if it may go ahead. The rules must allow
+        it."""
         if self.windows.is_due(state, run, step, now, safety):
             return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)
@@ -129,7 +130,7 @@ class Reservations:
         self.refusals += wait is not None
         return wait
 
-    # -- whom a start would be in the way of ---------------------------------------------------
+    # -- runs that a start would be in the way of ----------------------------------------------
 
     def _in_the_way(
         self,

@@ -172,7 +172,7 @@ class Scheduler:
         yield from list_changes(state, self.safety)
 
     def _find_ways_out(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
-        """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot."""
+        """Commands for cancelled runs with nothing in flight: they take their way out, or give it up."""
         found: list[TakeWayOut | GiveUpWayOut] = []
         for run in map(state.runs.active.__getitem__, state.runs.ending):
             if under_way(run):
@@ -402,7 +402,7 @@ class Scheduler:
                 yield state.runs.plan_of(run)
 
     def _find_protected(self, state: LabState, run: RunState, now: int) -> str:
-        """The elder for whom this run has to stay out; empty if there is none."""
+        """The elder run that this run has to stay out for; empty if there is none."""
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
         for elder in self.room.list_overtaken(state, plan.plan.workcell):

@@ -55,7 +55,7 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
 
 
 def find_questions(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
-    """The steps that failed and of which a person has to say what becomes of them."""
+    """The failed steps for which a person has to decide what happens."""
     steps = state.runs.plan_of(run).steps
     questions = state.interventions.find_by_run(run.id)
     indices = [(q.topic.step, q.id) for q in questions if isinstance(q.topic, FailedStep)]
@@ -119,7 +119,7 @@ def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> W
 
 
 def _check_supplies(state: LabState, run: RunState) -> Wait | None:
-    """A resource of which less is left than one of the run's steps needs."""
+    """The wait for a resource, if less is left than one of the run's steps needs."""
     used = state.runs.plans[run.plan].uses_up
     states = statuses_of(state.runs.plan_of(run), run) if used else ()
     for index, module, resource, amount in used:

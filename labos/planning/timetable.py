@@ -27,7 +27,7 @@ class Slot(msgspec.Struct, frozen=True):
 
 
 class Timetable(msgspec.Struct, frozen=True):
-    """The slots by step. ``critical`` steps follow one another to the run's end: whoever shortens
+    """The slots by step. ``critical`` steps follow one another to the run's end: shortening
     one of them shortens the run, until another path is the longest."""
 
     slots: tuple[Slot, ...]

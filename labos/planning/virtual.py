@@ -376,8 +376,8 @@ class _ObservedSleepers(Sleepers):
 
 
 def strip_results(plan: Plan) -> Plan:
-    """A plan of which no step reads what earlier ones have found: all of its steps are carried out, and all
-    find what they should."""
+    """A plan whose steps do not read results of earlier ones: all of its steps are carried out, and all find
+    what they should."""
     if not plan.feeds and not any(step.when or step.expect for step in plan.steps):
         return plan
     return msgspec.structs.replace(plan, feeds=(), steps=tuple(map(_without_results, plan.steps)))

@@ -78,7 +78,7 @@ def in_motion(state: LabState, cell: str) -> list[str]:
 
 
 def perhaps_in_motion(state: LabState, cell: str) -> list[str]:
-    """The modules of a workcell of which nobody knows whether they have come to rest: who is let in has to
+    """The modules of a workcell that may still be in motion, because nobody knows: who is let in has to
     see to it."""
     unknown = {
         action.module: True for action in state.actions.open.values() if action.status == ActionStatus.UNKNOWN

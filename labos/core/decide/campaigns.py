@@ -334,7 +334,7 @@ def _find_steps_read(campaign: Campaign, plan: Plan) -> dict[str, int]:
 
 
 def _expect_next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
-    """The campaign of which a row is the next to be submitted, and may be now."""
+    """The campaign, if this row is its next one and may be submitted now."""
     campaign = state.campaigns.open.get(name)
     if campaign is None or campaign.status != CampaignStatus.OPEN or explain_stop(campaign):
         return Rejection(NOT_OPEN, f"The campaign {name} takes no rows.")
@@ -384,7 +384,7 @@ def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool
 
 
 def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
-    """A campaign that must not go on is stopped, and one of which nothing is left is completed."""
+    """A campaign that must not go on is stopped, and one with nothing left to do is completed."""
     for name in list(state.campaigns.due):
         campaign = state.campaigns.open[name]
         if why := explain_stop(campaign):

@@ -1,4 +1,4 @@
-"""Requests of which several things follow that belong together: one command, so that all of them happen, or
+"""Requests with several consequences that belong together: one command, so that all of them happen, or
 none.
 
 Whether each of them can be carried out is seen before anything happens: on the state before the first of
@@ -99,7 +99,7 @@ def declare_stations(state: LabState, command: DeclareStations) -> Decision:
 
 
 def _carry_out(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
-    """The events of parts of which it is known that they can be carried out."""
+    """The events of parts that are known to be possible."""
     for part in parts:
         decision = decider(state, part)
         if isinstance(decision, Rejection):

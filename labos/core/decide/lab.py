@@ -104,7 +104,7 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
 def _declare_rest(
     state: LabState, cell: Workcell, contents: dict[StationName, tuple[str, ...]]
 ) -> Iterator[Event]:
-    """Declare the stations of which nobody has spoken, and where nothing is under way."""
+    """Declare the stations that nobody has declared yet and where nothing is under way."""
     for spec in cell.places:
         station = state.bench.stations[spec.name]
         if not station.known and not _refuse_occupied_or_doubtful(state, station):

@@ -279,7 +279,7 @@ def _decide_count(
 
 
 def _find_take(state: LabState, place: StationName) -> Action | None:
-    """An action of which nobody knows whether it has brought something from a stack to a place."""
+    """An action that may have brought something from a stack to a place, or not: nobody knows."""
     for action in state.actions.open.values():
         takes = [e for e in list_carried(action.effects) if e.stock]
         hand = hand_of(action.module)

@@ -61,7 +61,7 @@ NOBODYS = CampaignId("")
 class SubmitRun(Command, frozen=True):
     """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
     one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy.
-    ``others`` are plans of the same steps on other modules, of which it may choose one in place of ``plan``
+    ``others`` are plans of the same steps on other modules: it may choose one of them in place of ``plan``
     when it is let in. ``apart``: the campaign that shares its plans with nobody."""
 
     plan: Plan

@@ -125,8 +125,8 @@ def report_shorter_log(state: LabState, command: ReportShorterLog) -> Decision:
 def record_journal(
     state: LabState, module: ModuleName, found: Sequence[FoundAction], beyond: int
 ) -> list[Event]:
-    """The events for what a module's journal knows and the log does not: actions, of which the labware is
-    uncertain now, and that it was told of a log up to the position ``beyond`` (0: it was not)."""
+    """The events for what a module's journal knows and the log does not: actions, whose labware is uncertain
+    now, and that the node was told of a log up to the position ``beyond`` (0: it was not)."""
     actions, doubted = state.actions, state.modules.by_name[module]
     known = {*actions.discovered, *actions.settled, *actions.ended.get(module, ())}
     found = [
@@ -199,13 +199,13 @@ def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[FoundAct
     for name, known in maybe.items():
         possible = (*dict.fromkeys(place for place in known if place), GONE)
         on = state.bench.labware[name].on
-        why = f"{local(module)} has worked on it, of which the log knows nothing"
+        why = f"{local(module)} has worked on it, and the log does not know how"
         events.append(LabwareUncertain(name, "", possible, why, on=on))
     return events
 
 
 def list_to_say(state: LabState) -> list[StationName]:
-    """The stations of which a person has still to speak on the round; a hotel by its shelves."""
+    """The stations that a person still has to report on the round; a hotel by its shelves."""
     shorter, bench = state.shorter, state.bench
     if not shorter.since:
         return []
