@@ -2,7 +2,7 @@
 
 It stands where the kernel stands in the kernel's own process. What is read of it is the folded log; a command
 is judged by the rules, and then goes to the kernel (``SendOn``). The log is read beside the event loop and
-folded in it, so that nobody sees the state in the midst of an event.
+folded in it, so that nobody sees the state while an event is half folded.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ PAGE = 5_000
 """Records that are read at once."""
 
 BEHIND_S = 3.0
-"""How long a reader waits for a position of which it was told."""
+"""How long a reader waits for a position that it was told."""
 
 LOST_PAUSE_S = 0.5
 """Between two tries to read a log that cannot be read."""

@@ -56,7 +56,7 @@ _log = structlog.get_logger(__name__)
 
 
 class _Turn(msgspec.Struct):
-    """How far a turn has come: its ``entries``, of which the first ``decided`` are the command's own; when to
+    """How far a turn has come: its ``entries`` (the first ``decided`` of them are the command's own); when to
     wake next (``deadline``, UTC ns). ``part`` is the part of planning that a failure now is put down to,
     none if it is the command's own; ``planned`` are the parts that were tried."""
 

@@ -60,7 +60,7 @@ def capacity(
 ) -> Capacity:
     """Let in copies of a plan one by one until one is refused. ``stock`` is (station, labware
     type, count); ``inputs`` are the stations where a run's labware must stand at its start;
-    ``others`` are plans of which a copy may follow one in place of ``plan``.
+    ``others`` are plans that a copy may follow in place of ``plan``.
     Raises Refused if the workcell cannot be set up like this."""
     plan, *others = map(_approve, (plan, *others))
     bench = _PaperBench()

@@ -1,4 +1,4 @@
-"""What is left on the bench, of which lots, and what runs out first if all goes as planned.
+"""What is left on the bench, from which lots, and what runs out first if all goes as planned.
 
 The runs that are alive are walked in the order in which they would go on: each takes its nominal
 time, laid out on the modules as they come free. Real labs are slower; the run at which something

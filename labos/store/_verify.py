@@ -24,7 +24,7 @@ def first_damage(store: EventStore, progress: Progress | None = None, *, every: 
     """Check every record of the log against the chain, and its end against the head.
 
     ``progress`` is called after each ``every`` records with (positions checked, positions to check).
-    None means that the log is whole as far as it can itself tell: whoever rewrites all of it, head
+    None means that the log is whole as far as it can itself tell: somebody who rewrites all of it, head
     included, is found out only by a checkpoint that was kept elsewhere. Records that are appended
     meanwhile are not checked. Raises StoreUnavailable.
     """
