@@ -56,7 +56,7 @@ class Channels(Protocol):
 
 
 def fits(condition: Condition, told: Reading) -> bool:
-    """Whether a condition holds for what was told."""
+    """Whether a condition holds for a reading."""
     if condition.is_ is not None:
         return _is_among(told, condition.is_)
     if not _is_number(told):
@@ -68,7 +68,7 @@ def fits(condition: Condition, told: Reading) -> bool:
 
 
 def leaves_open(condition: Condition, told: Reading) -> bool:
-    """Whether what was told neither fits a condition nor says the opposite: no number where one is wanted,
+    """Whether a reading neither fits a condition nor says the opposite: no number where one is wanted,
     or a value that is not among those that do."""
     if fits(condition, told):
         return False

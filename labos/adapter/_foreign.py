@@ -87,7 +87,7 @@ class ForeignNode(Node):
 
     @property
     def where(self) -> str:
-        """Whom a message means that speaks of the foreign node."""
+        """The name of the foreign node in messages."""
         return "the foreign node"
 
     @property

@@ -1,7 +1,7 @@
 """HTTP to a foreign node, with one distinction that matters: sent, or perhaps sent.
 
 A request that never left is a failure without effects. One whose answer did not come may have been
-carried out: that is ``NoResponse``, and whoever asked has to find out. Connections are not kept between
+carried out: that is ``NoResponse``, and the caller has to find out. Connections are not kept between
 requests, because a stale one fails in a way that looks like a lost answer.
 """
 

@@ -171,7 +171,7 @@ class UaChannels:
         except (OSError, TimeoutError, self._ua.UaError) as error:
             raise NoResponse(f"{self._url}: {name}: {_error_text(error, LONGEST_S)}") from error
         finally:
-            # Whoever gives the put up does not wait for that, but whoever closes the adapter does.
+            # A caller that gives the put up does not wait for that; closing the adapter does.
             leaving = asyncio.create_task(_let_go(client))
             self._leaving.add(leaving)
             leaving.add_done_callback(self._leaving.discard)

@@ -1,4 +1,4 @@
-"""How an OPC UA server is reached: with which encryption, and as whom.
+"""How an OPC UA server is reached: with which encryption, and as which user.
 
 Secrets (the key, the password) are named by the paths of their files, the password also by a variable of the
 environment: the workcell file is kept for ever.

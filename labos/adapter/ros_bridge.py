@@ -90,7 +90,7 @@ class Bridge:
         for line in sys.stdin:
             self.commands.put(json.loads(line))
             self.guard.trigger()
-        # Whoever leaves without a word is still spoken to for 20 s, and the next bridge waits for that.
+        # If a peer leaves without a word, it is still called for 20 s, and the next bridge waits for that.
         last = threading.Timer(LEAVE_S, os._exit, (0,))
         last.daemon = True
         last.start()

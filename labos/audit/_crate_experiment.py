@@ -27,7 +27,7 @@ COMPUTATIONS = ("local_compute", "compute")
 
 
 class Program(msgspec.Struct, frozen=True):
-    """The application's source, given by whoever writes the crate."""
+    """The application's source, as the caller gives it."""
 
     name: str
     content: bytes

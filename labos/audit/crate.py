@@ -39,7 +39,7 @@ OF_ONE_WORKFLOW = (
 NO_LICENSE = "No licence was given. Ask the lab before you use its data."
 
 NOT_CARRIED_OUT = ["File", "SoftwareSourceCode", "HowTo"]
-"""A workflow of which nothing was carried out: the profiles want tools of one that computes."""
+"""A workflow without any step that was carried out: the profiles want tools of one that computes."""
 
 _RUNS = (
     "SELECT run, workflow, workcell, user_id, experiment, status, why, plan, pins, payload, submitted_at, "

@@ -3,7 +3,7 @@
 A message is a CloudEvent in structured mode, as the protocol binding of CloudEvents for Kafka has it. All go
 to partition 0 of the topic, so that they stay in order. Where to go on is read from the end of the topic: a
 broker that lost its end gets it again. The position beside the log counts where the topic's messages have
-expired. Whoever reads tells repeated events by their `position`.
+expired. Readers recognise repeated events by their `position`.
 """
 
 from __future__ import annotations

@@ -23,9 +23,9 @@ Origin = tuple[Entity, str]
 
 
 class Mixture(msgspec.Struct):
-    """Volumes (µL) by origin. ``unmeasured`` are origins of which nobody said how much there is;
-    ``doubtful`` those of which it is not known whether they came in. ``drawn`` is what it held before it was
-    emptied: an action says what it drew in any order with what it put elsewhere."""
+    """Volumes (µL) by origin. ``unmeasured`` are origins with an unknown volume; for ``doubtful`` ones it is
+    not known whether they came in. ``drawn`` is what it held before it was emptied: an action says what it
+    drew in any order with what it put elsewhere."""
 
     volumes: dict[Origin, float] = {}
     unmeasured: set[Origin] = set()

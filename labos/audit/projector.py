@@ -33,7 +33,7 @@ class _WordsErased(Exception):
 
 
 class Projector:
-    """Several may work on the same tables: whoever comes second begins again where the first one is. With a
+    """Several may work on the same tables: the second one continues where the first one is. With a
     log that is shown (``ShownLog``) the tables hold people's words, until these are erased."""
 
     def __init__(self, log: Log, database: AuditDatabase, blobs: BlobStore | None = None) -> None:

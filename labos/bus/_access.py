@@ -27,8 +27,8 @@ ROUND_TRIP = "labos/@round-trip"
 """What nobody shows: asked for to learn that everything before it has arrived."""
 
 MEMBERS = "labos/@members"
-"""Where lists of members are sent. Whoever has a certificate of the authority may do that, also one that is
-not in the present list: a kernel that has just got its certificate brings the list in which it stands."""
+"""Where lists of members are sent. Every holder of a certificate of the authority may do that, also one that
+is not in the present list: a kernel that has just got its certificate brings the list in which it stands."""
 
 IN, OUT = "ingress", "egress"
 ALL = "all"

@@ -13,7 +13,7 @@ from labos.bus._opening import reason_of
 
 MOST_WAITING = 10_000
 """Publications of one subscription, or queries for one key, that wait to be handled. More are dropped:
-whoever published tells it again, whoever asked gets no answer, and a flood must not take all memory."""
+publishers send again, a caller that asked gets no answer, and a flood must not take all memory."""
 
 MOST_TOKENS = 65_536
 """Living keys that a watcher is told of."""
@@ -51,7 +51,7 @@ class Declared:
                 self._entity = self._declare()
             except (
                 zenoh.ZError
-            ) as error:  # the session has ended again: whoever opens it the next time does it
+            ) as error:  # the session has ended again: it is done when the session is opened the next time
                 _log.warning("not_declared_again", error=reason_of(error))
 
 

@@ -15,7 +15,7 @@ SCHEME = "tls/"
 
 class Security(msgspec.Struct, frozen=True):
     """TLS with certificates on both sides. ``members`` are those who may speak, where this session runs the
-    bus; else whoever runs it knows them."""
+    bus; else the operator of the bus knows them."""
 
     credentials: Credentials
     members: tuple[CertificateEntry, ...] = ()

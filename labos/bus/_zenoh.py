@@ -82,7 +82,7 @@ class ZenohBus:
         _open_sessions.add(self)
 
     async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
-        """Ask whoever serves ``key``; see ``ports.Bus``."""
+        """Ask the process that serves ``key``; see ``ports.Bus``."""
         await self._until_ready()
         self.traffic.queries += 1
         replies: list[Any] = []
@@ -232,7 +232,7 @@ class ZenohBus:
         if self._closed:
             return
         self._closed = True
-        self._ready.set()  # whoever waits learns that it is closed
+        self._ready.set()  # those who wait learn that it is closed
         if self._reopening is not None:
             await asyncio.wait({self._reopening})
         for task in list(self._answering):

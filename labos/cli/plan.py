@@ -17,7 +17,7 @@ from labos.core.effects import Carrying, Claims, Needs
 from labos.core.ids import StationName, local
 from labos.core.lengths import Lengths
 from labos.core.model import MAIN, ON_CANCEL
-from labos.core.watching import ends
+from labos.core.watching import list_end_stations
 from labos.errors import LabosError
 from labos.planning.certificate import Certificate
 
@@ -189,14 +189,14 @@ def outline_of(
 ) -> Outline:
     """A compiled workflow with its times, by what a lab has learned of them."""
     from labos.planning.certified import certify_all
-    from labos.planning.timetable import consumption, count_taken, timetable, with_learned
+    from labos.planning.timetable import count_taken, make_timetable, sum_consumption, with_learned
     from labos.spec.choices import list_choices
 
     choices = list_choices(compiled.plans)
     lengths = lengths or Lengths()
     plan = with_learned(compiled.plan, lengths, pace)
     nominal = compiled.plan.steps
-    times = timetable(plan, workcell)
+    times = make_timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
     steps = [
         OutlineStep(
@@ -236,7 +236,7 @@ def outline_of(
         busy_s={local(module): busy for module, busy in times.busy_s.items()},
         resources=[
             Resource(local(module), resource, amount, full[module].get(resource))
-            for (module, resource), amount in consumption(plan).items()
+            for (module, resource), amount in sum_consumption(plan).items()
         ],
         labware_taken={local(stack): count for stack, count in count_taken(plan).items()},
         inputs=[local(place) for place in compiled.inputs],
@@ -268,7 +268,7 @@ def _looks(step: PlanStep, workcell: Workcell) -> list[str]:
     """Who looks where after a step, before it is believed."""
     if step.by_person:
         return []
-    places = ends(step.effects)
+    places = list_end_stations(step.effects)
     return [
         f"{local(station.observer)} at {local(station.name)}"
         + (" (in doubt)" if station.verify == "on_doubt" else "")

@@ -136,7 +136,7 @@ class Experiment(LoggedEvents):
             if error is None:
                 raise
         finally:
-            # Somebody who was interrupted is missed by the lab, and a person is asked.
+            # After an interruption no heartbeats come: the lab notices that, and a person is asked.
             self._over.set()
 
     @property

@@ -94,7 +94,7 @@ class Threads:
             value, raised = None, None
             try:
                 value = context.run(work)
-            except BaseException as error:  # whoever waits raises it
+            except BaseException as error:  # the waiting caller raises it
                 raised = error
             with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits
                 loop.call_soon_threadsafe(settle, value, raised)

@@ -205,7 +205,7 @@ CLOCK_SKEW_NS = 10_000_000_000
 def why_not_believed(action: Action, module: str, journal: str, attempt: int) -> str:
     """Why a message does not tell how an action ended; empty if it does. It has to come from the module that
     was asked, from the journal that the request was meant for, and to be about the attempt that was sent
-    last: whoever says anything else has to be asked first."""
+    last: a node that says anything else has to be asked first."""
     if module != action.module:
         return f"{action.module} was asked, not {module}"
     if journal != action.journal:

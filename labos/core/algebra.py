@@ -205,5 +205,5 @@ def find_requirements(effects: Iterable[object]) -> dict[str, Any]:
 
 
 def away_from_rest(values: Mapping[str, Any], rest: Mapping[str, Any]) -> list[str]:
-    """The doors and lids that do not stand as they rest; whoever left them so keeps the module."""
+    """The doors and lids that do not stand as they rest; the run that left them so keeps the module."""
     return [name for name, value in rest.items() if values.get(name, value) != value]

@@ -1,6 +1,6 @@
 """What an action takes: names, types, ranges and choices, judged in one place.
 
-Nothing is coerced here: ``"95"`` is not a temperature. Whoever reads what people wrote
+Nothing is coerced here: ``"95"`` is not a temperature. Code that reads what people wrote
 (``labos.spec``) turns ``2 min`` into seconds first; a node judges what it is sent as it is.
 """
 
@@ -39,7 +39,7 @@ def names_of(spec: ActionSpec) -> dict[str, Arg]:
     return meant | {arg.name: arg for arg in spec.args}
 
 
-def flaw(arg: Arg, value: Any) -> str:
+def find_flaw(arg: Arg, value: Any) -> str:
     """What is wrong with a value, as the end of a sentence about it; empty if nothing is."""
     if value is None and not arg.required and arg.default is None:
         return ""

@@ -345,7 +345,7 @@ def fold_liquid_drawn(bench: Bench, event: LiquidDrawn, at: int) -> None:
 
 
 def fold_labware_handed_over(bench: Bench, event: LabwareHandedOver, at: int) -> None:
-    """The lid on a plate belongs to whom the plate belongs to."""
+    """The lid on a plate has the same owner as the plate."""
     labware = bench.labware[event.labware]
     for item in (labware, bench.labware[labware.lid]) if labware.lid else (labware,):
         if not event.lent:
@@ -461,7 +461,7 @@ def _lift(bench: Bench, labware: Labware) -> None:
 
 
 def _rooms(bench: Bench, place: StationName) -> tuple[Station, ...]:
-    """A station, and the hotel of which it is a shelf."""
+    """A station, and its hotel if it is a shelf."""
     station = bench.stations[place]
     return (station, bench.stations[station.spec.hotel]) if station.spec.hotel else (station,)
 

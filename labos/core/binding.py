@@ -35,7 +35,7 @@ from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
 from labos.core.resources import sum_needed
 from labos.core.runs import RunState
-from labos.core.shelves import in_doubt, is_taken, on_shelves, ready
+from labos.core.shelves import find_free_shelf, in_doubt, is_taken, on_shelves
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, occupants, party, station_key, until_left_alone
 
@@ -51,7 +51,7 @@ def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffe
     return (start.room_for_all() if start.bound else None) or tuple(start.bound)
 
 
-def unfit(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     """What labware that is where a step needs it is not as the step needs it; None if it is. Nothing that
     others do changes that."""
     start = StartCheck(state, run, step)
@@ -107,11 +107,11 @@ class StartCheck:
         return None
 
     def stands(self, what: Carrying, place: StationName) -> Wait | None:
-        item = usable_at(self.state, self.run, place, self._used)
+        item = find_usable(self.state, self.run, place, self._used)
         if item is not None:
             self._found[place] = item
             return None
-        if self._used and usable_at(self.state, self.run, place) is not None:
+        if self._used and find_usable(self.state, self.run, place) is not None:
             return _explain_missing(self.state, self.run, place)  # the other piece is carried away already
         return explain_missing(self.state, self.run, place)
 
@@ -141,7 +141,7 @@ class StartCheck:
 
     def labware(self, needs: Needs) -> Wait | None:
         places = [needs.station] if needs.station else self.state.bench.by_module.get(self.step.module, [])
-        found = [item for p in places if (item := usable_at(self.state, self.run, p)) is not None]
+        found = [item for p in places if (item := find_usable(self.state, self.run, p)) is not None]
         owners = party(self.run)
         self.subject = min(found, key=lambda item: owners.index(item.owner), default=None)
         if self.subject is not None:
@@ -157,7 +157,7 @@ class StartCheck:
             name, key = str(self.subject.id), station_key(self.subject.station)
         else:
             return None
-        if same(value, requires.value):
+        if is_same(value, requires.value):
             return None
         return Wait(reasons.Requires(name, requires.variable, str(requires.value)), (key,))
 
@@ -291,12 +291,12 @@ def check_accepts(state: LabState, what: Carrying, labware_type: str) -> Wait | 
     return None
 
 
-def same(actual: Any, wanted: Any) -> bool:
+def is_same(actual: Any, wanted: Any) -> bool:
     """Whether a variable has the wanted value; one that was never set counts as false."""
     return bool((actual if actual is not None else False) == wanted)
 
 
-def usable_at(
+def find_usable(
     state: LabState,
     run: RunState,
     place: StationName,
@@ -363,7 +363,7 @@ def check_entry(state: LabState, run: RunState, place: StationName) -> Wait | No
         return Wait(reasons.ModuleBusy(spec.module), key)
     if module.cut_off:
         return check_module(module)
-    shut = door_open(state, place)
+    shut = check_door_open(state, place)
     if shut:  # nobody opens it before somebody has looked after a module that is down
         return check_module(module) or shut
     if spec.claim:
@@ -395,11 +395,11 @@ def check_stack_alone(state: LabState, place: StationName) -> Wait | None:
     return None
 
 
-def door_open(state: LabState, place: StationName) -> Wait | None:
+def check_door_open(state: LabState, place: StationName) -> Wait | None:
     """Whether the doors and lids in front of a station are out of the way."""
     spec = state.bench.stations[place].spec
     for variable, value in spec.access.items():
-        if not same(state.modules.by_name[spec.module].value(variable), value):
+        if not is_same(state.modules.by_name[spec.module].value(variable), value):
             return Wait(reasons.NoAccess(place, variable, str(value)), (module_key(spec.module),))
     return None
 
@@ -424,7 +424,7 @@ def check_room(state: LabState, place: StationName) -> Wait | None:
 def _room_on_shelves(state: LabState, hotel: StationName) -> Wait | None:
     """Whether a shelf of a hotel is free."""
     bench = state.bench
-    if ready(bench, hotel) is not None:
+    if find_free_shelf(bench, hotel) is not None:
         return None
     if is_taken(bench, hotel):
         names = (hotel, occupants(state, bench.stations[hotel]))

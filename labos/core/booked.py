@@ -1,7 +1,7 @@
 """Whether a module is booked for others: now, or before a step would be over.
 
 Bookings are like a module that is out of service for some people and for a while. What only carries labware
-out of a module makes room for whoever has booked it, so that may go on; in maintenance nothing may, as
+out of a module makes room for those who have booked it, so that may go on; in maintenance nothing may, as
 somebody's hands may be inside.
 """
 
@@ -54,7 +54,9 @@ def is_exempt(state: LabState, run: RunState, step: PlanStep) -> bool:
     return step.recovers or (access is not None and run.plan in access.parking)
 
 
-def theirs(state: LabState, user: str, module: ModuleName, *, clears: bool = False) -> list[Booking]:
+def list_bookings_of_others(
+    state: LabState, user: str, module: ModuleName, *, clears: bool = False
+) -> list[Booking]:
     """The bookings of a module, or of its workcell, that are for others than a user. With ``clears``, only
     maintenance."""
     if not state.bookings.open:
@@ -69,7 +71,7 @@ def find_blocked(
 ) -> list[BookingSpan]:
     """When a module is booked for others than a user from ``since`` to ``until`` (UTC ns), in order. What was
     booked for the user later on goes before what others have booked, but for maintenance."""
-    others = theirs(state, user, module, clears=clears)
+    others = list_bookings_of_others(state, user, module, clears=clears)
     if not others:
         return []
     return list(_spans(others, _own(state, user, module), since, until))
@@ -103,19 +105,19 @@ def _cut_out(span: BookingSpan, cut: BookingSpan) -> Iterator[BookingSpan]:
         yield msgspec.structs.replace(span, begins=cut.ends)
 
 
-def not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
+def check_not_booked(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
     """Whether nobody else has booked a module that a step needs, from now until it should be over."""
     if not state.bookings.open or is_exempt(state, run, step):
         return None
     length = max(1, int(step.duration_s * 1e9 / state.lab.pace))
     for module, clears in contacts(state, step).items():
         for span in find_blocked(state, run.user, module, now, now + length, clears=clears):
-            never = no_gap(state, run.user, module, length, now, clears=clears)
-            return never or waits_for(state, module, span, step.key, now)
+            never = check_gap(state, run.user, module, length, now, clears=clears)
+            return never or make_wait(state, module, span, step.key, now)
     return None
 
 
-def waits_for(
+def make_wait(
     state: LabState, module: ModuleName, span: BookingSpan, step: str, now: int, until: int | None = None
 ) -> Wait:
     """The wait of a step for the end of a booking, or until another time at which there is room for it."""
@@ -142,9 +144,9 @@ def find_begun_booking(state: LabState, run: RunState, steps: Iterable[PlanStep]
         found = find_begun(state, run.user, module, clears=clears)
         if found is not None:
             span = BookingSpan(found.began, found.until, found.id)
-            return waits_for(state, module, span, step.key, found.began)
+            return make_wait(state, module, span, step.key, found.began)
         length = int(step.duration_s * 1e9 / state.lab.pace)
-        wait = no_gap(state, run.user, module, length, state.recorded_at, clears=clears)
+        wait = check_gap(state, run.user, module, length, state.recorded_at, clears=clears)
         if wait is not None:
             return wait
     return None
@@ -155,19 +157,19 @@ def find_begun(state: LabState, user: str, module: ModuleName, *, clears: bool =
     if not state.bookings.now:
         return None
     mine = [booking.made for booking in _own(state, user, module) if booking.id in state.bookings.now]
-    for booking in theirs(state, user, module, clears=clears):
+    for booking in list_bookings_of_others(state, user, module, clears=clears):
         over = not booking.maintenance and any(made > booking.made for made in mine)
         if booking.id in state.bookings.now and not over:
             return booking
     return None
 
 
-def no_gap(
+def check_gap(
     state: LabState, user: str, module: ModuleName, length: int, now: int, *, clears: bool = False
 ) -> Wait | None:
     """The wait for a module on which bookings for others leave no room for ``length`` (ns), as far as anybody
     looks ahead; None if they do."""
-    others = theirs(state, user, module, clears=clears)
+    others = list_bookings_of_others(state, user, module, clears=clears)
     if not others:
         return None
     own = _own(state, user, module)

@@ -15,7 +15,7 @@ from labos.core.conditions import by_key, decision, find_reads, holds
 from labos.core.effects import Claims, Move, Releases, Sets, Take
 from labos.core.expressions import ExpressionError
 from labos.core.model import MAIN, Plan
-from labos.core.runs import SETTLED, StepStatus, rescuers
+from labos.core.runs import SETTLED, StepStatus, list_rescue_steps
 
 MOST_WAYS = 32
 """Ways of one plan; each of them is tried out whenever somebody of its workcell starts something."""
@@ -46,7 +46,7 @@ def ways(plan: Plan, most: int = MOST_WAYS) -> list[Way]:
     """All ways of a plan that differ for the bench, the one on which nothing fails first. Raises
     TooManyWays."""
     found = [Way()]
-    for index in order_of(plan, main_steps(plan)):
+    for index in sort_steps(plan, main_steps(plan)):
         found = [longer for way in found for longer in ([way] if way.fails else _longer(plan, way, index))]
         if len(found) > most:
             raise TooManyWays(plan.workflow)
@@ -72,13 +72,13 @@ def _find_own_ways(plan: Plan, way: Way, index: int) -> list[Way]:
     policy = plan.steps[index].on_error
     if policy is None:
         return found
-    if policy.do in ("skip", "ask") and policy.may_skip and not inert(plan, index):
+    if policy.do in ("skip", "ask") and policy.may_skip and not is_inert(plan, index):
         found.append(msgspec.structs.replace(way, without=way.without | {index}))
     if policy.do == "run":
-        steps = order_of(plan, rescuers(plan, index))
+        steps = sort_steps(plan, list_rescue_steps(plan, index))
         fails = policy.then == "fail"
-        still = all(inert(plan, step) for step in steps)
-        if not still or not (fails or inert(plan, index)):
+        still = all(is_inert(plan, step) for step in steps)
+        if not still or not (fails or is_inert(plan, index)):
             found.append(
                 msgspec.structs.replace(
                     way, steps=(*way.steps, *steps), rescued=way.rescued | {index}, fails=fails
@@ -91,10 +91,10 @@ def may_leave_out(plan: Plan, index: int) -> bool:
     """Whether a step may fail and the run goes on without a way of its own for that: neither the step nor
     what is done in its place makes a difference to labware and doors."""
     policy = plan.steps[index].on_error
-    if policy is None or not inert(plan, index):
+    if policy is None or not is_inert(plan, index):
         return False
     if policy.do == "run":
-        return policy.then == "go_on" and all(inert(plan, step) for step in rescuers(plan, index))
+        return policy.then == "go_on" and all(is_inert(plan, step) for step in list_rescue_steps(plan, index))
     return policy.do == "skip" or policy.may_skip
 
 
@@ -121,14 +121,14 @@ def main_steps(plan: Plan) -> list[int]:
     return [index for index, step in enumerate(plan.steps) if step.part == MAIN]
 
 
-def inert(plan: Plan, index: int) -> bool:
+def is_inert(plan: Plan, index: int) -> bool:
     """Whether it makes no difference to labware and doors if a step is left out."""
     changes = (Move, Take, Sets, Claims, Releases)
     held = any(index in (hold.first, hold.last) for hold in plan.holds)
     return not held and not any(isinstance(effect, changes) for effect in plan.steps[index].effects)
 
 
-def order_of(plan: Plan, steps: Iterable[int]) -> Sequence[int]:
+def sort_steps(plan: Plan, steps: Iterable[int]) -> Sequence[int]:
     """Some of a plan's steps in an order in which they may run one after the other. Raises ValueError
     if they wait for each other."""
     left = list(steps)

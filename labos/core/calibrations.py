@@ -34,6 +34,6 @@ class Calibration(msgspec.Struct, frozen=True):
         return bool(self.until) and count_days(day_of(now), self.until) <= WARN_DAYS
 
 
-def first_to_expire(calibrations: Mapping[str, Calibration]) -> str:
+def find_first_expiry(calibrations: Mapping[str, Calibration]) -> str:
     """The last day of the one that expires first; empty if none does."""
     return min((one.until for one in calibrations.values() if one.until), default="")

@@ -226,7 +226,7 @@ class Campaign(msgspec.Struct):
         return (
             self.status == CampaignStatus.OPEN
             and self.left > 0
-            and not must_stop(self)
+            and not explain_stop(self)
             and self.queued < ROWS_QUEUED
         )
 
@@ -264,7 +264,7 @@ class Campaigns(msgspec.Struct):
         return self.open[member] if member is not None else None
 
 
-def must_stop(campaign: Campaign) -> str:
+def explain_stop(campaign: Campaign) -> str:
     """Why no further run of a campaign may begin by its own rules, as a sentence; empty if it may."""
     terms = campaign.terms
     failed = campaign.failed + campaign.refused
@@ -450,7 +450,7 @@ def fold_resource_consumed(campaigns: Campaigns, event: ResourceConsumed, at: in
 
 def note_due(campaigns: Campaigns, campaign: Campaign) -> None:
     """Remember whether a campaign must be stopped or is over."""
-    if must_stop(campaign) or is_over(campaign):
+    if explain_stop(campaign) or is_over(campaign):
         campaigns.due[campaign.id] = True
     else:
         campaigns.due.pop(campaign.id, None)

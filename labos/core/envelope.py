@@ -77,7 +77,7 @@ decode_folded = msgspec.json.Decoder(Folded).decode
 """The part of an envelope that is folded; a fraction of the whole envelope's cost."""
 
 
-def damage(previous_hash: bytes, record: Record) -> str:
+def find_damage(previous_hash: bytes, record: Record) -> str:
     """What is wrong with a stored record, in one sentence; empty if nothing is."""
     if hashlib.sha256(previous_hash + record.envelope).digest() != record.hash:
         return "the hash does not follow from the record before"

@@ -11,7 +11,7 @@ from labos.core.registry import TYPES, Event, event
 from labos.core.words import PREFIX, fields_of_words, references_in
 
 REASONS = {
-    "request": "the person who wrote it, or of whom it tells, asked for it",
+    "request": "the person who wrote it, or whom it is about, asked for it",
     "personal": "it tells of a person what does not belong there",
     "secret": "it holds a password, or what is confidential",
     "mistake": "it was written in the wrong place",

@@ -26,7 +26,7 @@ WARN = "warn"
 """What a module's ``expired`` says where old packs may be used all the same."""
 
 
-def in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
+def check_in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | None:
     """Whether what a step uses up is not past its date; of a run that is still to be let in, what all
     its steps use up: it would stop half-way."""
     amounts: dict[tuple[ModuleName, str], float] = {}
@@ -42,14 +42,14 @@ def in_date(state: LabState, run: RunState, step: PlanStep, now: int) -> Wait | 
         if level is None or not any(lot.expires for lot in level.lots):
             continue
         known = state.modules.by_name.get(module)
-        old = first_old(level, amount, day_of(now))
+        old = find_first_expired(level, amount, day_of(now))
         if old is not None and known is not None and known.spec.expired != WARN:
             names = (module, resource, old.name or "without a name", old.expires)
             return Wait(reasons.Expired(*names), (module_key(module),))
     return None
 
 
-def first_old(level: Level, amount: float, today: str) -> Lot | None:
+def find_first_expired(level: Level, amount: float, today: str) -> Lot | None:
     """The first pack past its date among those that an amount comes from."""
     for lot in level.lots:
         if amount <= 0:

@@ -24,7 +24,7 @@ SUSPICIOUS = (ActionFailed, ActionUnknown, NodeLeft)
 """Events after which a module may have failed once too often."""
 
 
-def since(module: Module, at: int) -> list[Failure]:
+def list_failures_since(module: Module, at: int) -> list[Failure]:
     """A module's failures since a time (UTC ns), oldest first."""
     return [failure for failure in module.failures if failure.at >= at]
 

@@ -18,12 +18,12 @@ def find_other_holder(state: LabState, name: ModuleName, run: RunState) -> str:
 
 def find_other_keeper(state: LabState, name: ModuleName, run: RunState) -> str:
     """The owner whose plan keeps the module, or who left a door or lid away from rest; empty if nobody."""
-    return holder_by_plan(state, name, run) or door_left_by(state, name, run)
+    return find_holder_by_plan(state, name, run) or find_door_leaver(state, name, run)
 
 
 def find_user_meanwhile(state: LabState, place: StationName, run: RunState) -> str:
-    """Who was let in to a station, or to its module, after this run's labware was seen to have left it:
-    another owner, or the action that is at work there. Empty if nobody was."""
+    """The run that was let in to a station, or to its module, after this run's labware was seen to have left
+    it: another owner, or the action that is at work there. Empty if nobody was."""
     station = state.bench.stations[place]
     if station.full:
         return ", ".join(station.labware) or "something on its way there"
@@ -56,12 +56,12 @@ def find_other_claimant(state: LabState, name: ModuleName, allowed: tuple[Owner,
     return ""
 
 
-def holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str:
+def find_holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str:
     """Which other run keeps the module by its plan's word."""
     return next((run_owner(holder) for holder in state.runs.list_holders(name) if holder != run.id), "")
 
 
-def door_left_by(state: LabState, name: ModuleName, run: RunState) -> str:
+def find_door_leaver(state: LabState, name: ModuleName, run: RunState) -> str:
     """Which other run left a door or lid of the module away from rest."""
     module = state.modules.by_name[name]
     for left in module.away_from_rest().values():

@@ -15,7 +15,7 @@ from labos.core.words import Words
 class InterventionRequested(Event, frozen=True):
     """A person is asked. ``topic`` is what about (null: of a kind that is not asked any more); ``kind``,
     ``subject``, ``labware`` and ``motions`` say the same in words that all kinds share: the name of the kind,
-    the id it is about, what a choice may remove, and the moves and takes of which it is not known how far
+    the id it is about, what a choice may remove, and the moves and takes for which it is not known how far
     they went, or the reading that contradicts the log. ``due_at`` is until when planned work should be done
     (UTC ns; 0: no time was set)."""
 

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from labos.core.algebra import away_from_rest, carry, settings_after
-from labos.core.branches import order_of
+from labos.core.branches import sort_steps
 from labos.core.effects import Needs, Requires, Sets, list_carried
 from labos.core.ids import ModuleName, StationName, run_owner
 from labos.core.model import ON_CANCEL, Plan, PlanStep
@@ -53,7 +53,7 @@ def will_leave(plan: Plan, run: RunState) -> bool:
 def way_out(plan: Plan, scene: BenchOfRun) -> tuple[int, ...]:
     """The steps that lead out from a scene, which is changed to what they leave."""
     found = []
-    for index in order_of(plan, steps_out(plan)):
+    for index in sort_steps(plan, steps_out(plan)):
         step = plan.steps[index]
         if _is_needed(step, scene):
             found.append(index)

@@ -1,8 +1,7 @@
 """How long actions take: what the log tells of their last times, by module, action and arguments.
 
-A part of the state, so that whoever folds the same log plans with the same numbers. It only says what to
-expect: nothing that must hold rests on it.
-"""
+A part of the state, so that every process that folds the same log plans with the same numbers. It only says
+what to expect: nothing that must hold rests on it."""
 
 from __future__ import annotations
 
@@ -102,7 +101,8 @@ class Drift(msgspec.Struct, frozen=True):
 
 
 def learn(lengths: Lengths, action: Action, step: PlanStep, at: int, pace: float) -> None:
-    """An action of a step has succeeded. What a person did, or nobody knew of for a while, tells nothing."""
+    """An action of a step has succeeded. Steps of people, actions that were sent again and those whose
+    outcome was unknown do not count."""
     if step.by_person or action.status == ActionStatus.UNKNOWN or action.attempt > 1:
         return
     kind = kind_of(step)

@@ -42,7 +42,7 @@ NOT_THERE = ""
 """Before it is known to the lab, and after its end."""
 
 AT_REST, IN_USE, UNCERTAIN = "at rest", "in use", "uncertain"
-"""Labware that stands somewhere, with which an action is at work, and of which nobody knows where it is."""
+"""Labware that stands somewhere, that an action works with, or whose place nobody knows."""
 
 
 class Transition(msgspec.Struct, frozen=True):

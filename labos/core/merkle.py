@@ -149,7 +149,7 @@ def proof_of(ranges: Iterable[Range], hash_of: Callable[[Range], bytes]) -> list
 
 
 def growth_proof(old: Edge, added: Sequence[bytes]) -> list[bytes]:
-    """The consistency proof from a tree to the one with more leaves, of which nothing but the right edge
+    """The consistency proof from a tree to the one with more leaves, although nothing but its right edge
     and the hashes of the new leaves is known."""
     known = dict(zip(old.ranges(), old.hashes, strict=True))
 

@@ -55,7 +55,7 @@ class StationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     turned in it (degrees; None: any way round). ``zone`` is a part of the bench that one arm may be in at
     a time. ``observer`` is the module that sees what stands there, and ``verify`` when it is asked.
     ``refuses`` names the types that may not stand there whatever it ``accepts``: they cannot be stacked.
-    ``hotel`` is the hotel of which it is one shelf: plans name the hotel, motions the shelf.
+    A shelf names its ``hotel``: plans name the hotel, motions the shelf.
     Where ``transfers`` is false, only steps that name their module carry labware to or from it.
     """
 

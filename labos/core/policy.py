@@ -10,8 +10,8 @@ from labos.core.registry import Event, event
 
 
 class BookingLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What whoever is no operator there may book: ``hours`` of one booking (null: any), ``total_hours`` that
-    are still to come, of all bookings together, and so many ``days_ahead``."""
+    """What a user who is no operator there may book: ``hours`` of one booking (null: any), ``total_hours``
+    that are still to come, of all bookings together, and so many ``days_ahead``."""
 
     hours: float | None = None
     total_hours: float = 24.0

@@ -18,7 +18,7 @@ QUOTA_KEY = "quota"
 """Touched when a run has ended, or quotas are others."""
 
 
-def queue_is_full(state: LabState, user: str) -> str:
+def explain_full_queue(state: LabState, user: str) -> str:
     """Why a user may have no further run wait, as a sentence; empty if one may."""
     for whose, quota, had in state.shares.limits(user):
         if quota.queued and had.queued >= quota.queued:
@@ -26,7 +26,7 @@ def queue_is_full(state: LabState, user: str) -> str:
     return ""
 
 
-def highest_priority(state: LabState, user: str, *, operates: bool) -> tuple[str, int] | None:
+def find_highest_priority(state: LabState, user: str, *, operates: bool) -> tuple[str, int] | None:
     """Whose limit it is, and the highest priority that a user may give: by quotas, else, for somebody who is
     no operator, by the lab's policy. None: any."""
     named = [(whose, q.priority) for whose, q, _ in state.shares.limits(user) if q.priority is not None]
@@ -36,7 +36,7 @@ def highest_priority(state: LabState, user: str, *, operates: bool) -> tuple[str
     return None if most is None or operates else ("whoever has no quota for it", most)
 
 
-def within_quota(state: LabState, run: RunState, now: int) -> Wait | None:
+def check_quota(state: LabState, run: RunState, now: int) -> Wait | None:
     """A run that waits is let in only if its user's quotas, and those of the group, leave room for it; nobody
     waits with it meanwhile. What is under way counts by what is planned for it. What clears a bench away is
     never kept out."""

@@ -10,20 +10,20 @@ from labos.core import reasons
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Station
 from labos.core.binding import bind, check_module, find_unreserved
-from labos.core.booked import not_booked
+from labos.core.booked import check_not_booked
 from labos.core.effects import AnyEffect, places
-from labos.core.expiry import in_date
+from labos.core.expiry import check_in_date
 from labos.core.holding import find_other_holder
 from labos.core.ids import ActionId, ModuleName, local, workcell_of
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
 from labos.core.modules import ModuleStatus
-from labos.core.quotas import within_quota
+from labos.core.quotas import check_quota
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_anchor
 from labos.core.state import LabState
 from labos.core.waits import Wait, access_key, module_key, run_key, until_left_alone, zone_key
 from labos.core.watching import find_unwatched
-from labos.core.zones import at_work_in, find_stopped_module, zones_of
+from labos.core.zones import find_other_at_work, find_stopped_module, zones_of
 
 NODE_AWAY_S = 60.0
 """Wall seconds for which the node of an action in flight may be gone before a person is asked."""
@@ -40,18 +40,18 @@ def examine(state: LabState, run: RunState, index: int, now: int) -> Wait | tupl
     step = state.runs.plan_of(run).steps[index]
     return (
         _own_turn(state, run, step, index)
-        or log_whole(state, step)
+        or check_log_whole(state, step)
         or check_starts_allowed(state, run, step)
         or check_no_access(state, run, step)
-        or within_quota(state, run, now)
+        or check_quota(state, run, now)
         or _in_window(state, run, step, now)
         or _check_retry_delay(state, run, step, index, now)
-        or not_booked(state, run, step, now)
-        or module_free(state, run, step)
+        or check_not_booked(state, run, step, now)
+        or check_module_free(state, run, step)
         or find_unwatched(state, (step,))
-        or zones_free(state, step)
+        or check_zones_free(state, step)
         or _check_supplies(state, run)
-        or in_date(state, run, step, now)
+        or check_in_date(state, run, step, now)
         or bind(state, run, step)
     )
 
@@ -84,8 +84,9 @@ def _own_turn(state: LabState, run: RunState, step: PlanStep, index: int) -> Wai
     return None
 
 
-def log_whole(state: LabState, step: PlanStep) -> Wait | None:
-    """Nothing starts on a bench of which the log has lost sight, but what brings modules back."""
+def check_log_whole(state: LabState, step: PlanStep) -> Wait | None:
+    """While the log has lost its end and the bench is not checked, only steps that bring modules back may
+    start."""
     shorter = state.shorter
     if not shorter.since or step.recovers:
         return None
@@ -198,7 +199,7 @@ def lab_ns(state: LabState, seconds: float) -> int:
     return int(seconds * 1e9 / state.lab.pace)
 
 
-def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
+def check_module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     """Whether the step's module may be used by this run now."""
     module = state.modules.by_name.get(step.module)
     key = module_key(step.module)
@@ -212,7 +213,7 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     # A device that does not come to rest by itself may need this very recovery.
     if module.busy or (module.status == ModuleStatus.BUSY and not step.recovers):
         return Wait(reasons.ModuleBusy(step.module), (key,))
-    # Whoever holds a module in error cannot go on before it is well again.
+    # A run that holds a module in error cannot go on before the module is well again.
     holder = "" if step.recovers else find_other_holder(state, step.module, run)
     if holder:
         return Wait(reasons.Held(step.module, holder), (key,))
@@ -223,10 +224,10 @@ def module_free(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     return None
 
 
-def zones_free(state: LabState, step: PlanStep) -> Wait | None:
+def check_zones_free(state: LabState, step: PlanStep) -> Wait | None:
     """Whether no other arm is where this step's arm would go."""
     for zone in zones_of(state, step.module, step.effects) if step.exclusive else ():
-        busy = at_work_in(state, zone, step.module)
+        busy = find_other_at_work(state, zone, step.module)
         if busy:
             return Wait(reasons.ZoneBusy(busy, zone), (zone_key(zone), module_key(busy)))
         stopped = "" if step.recovers else find_stopped_module(state, zone, step.module)

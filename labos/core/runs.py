@@ -116,7 +116,7 @@ class RunStarted(RunEvent, frozen=True):
 
 @event("run.paused")
 class RunPaused(RunEvent, frozen=True):
-    """No further step starts until it is resumed. ``why`` is a word of whoever paused it."""
+    """No further step starts until it is resumed. ``why`` is the reason that the user gave."""
 
     why: Words = ""
 
@@ -458,19 +458,19 @@ def _note_window(runs: Runs, run: RunId, cell: str) -> None:
     runs.windowed_in.setdefault(cell, {})[run] = True
 
 
-def at_first(plan: Plan) -> list[StepStatus]:
+def list_first_statuses(plan: Plan) -> list[StepStatus]:
     """The statuses of a plan's steps before anything was done: what is for emergencies sleeps."""
     return [PENDING if step.part == MAIN else SKIPPED for step in plan.steps]
 
 
 def first_states(plan: Plan) -> list[StepState]:
     """A plan's steps before anything was done."""
-    return [StepState(status) for status in at_first(plan)]
+    return [StepState(status) for status in list_first_statuses(plan)]
 
 
 def statuses_of(plan: Plan, run: RunState) -> list[StepStatus]:
     """The status of each step, also of a run that waits to be let in."""
-    return run.statuses or at_first(plan)
+    return run.statuses or list_first_statuses(plan)
 
 
 def results_of(plan: Plan, run: RunState) -> dict[int, Any]:
@@ -483,7 +483,7 @@ def in_play(plan: Plan, steps: Sequence[StepStatus]) -> int:
     return sum(step.part == MAIN or status != SKIPPED for step, status in zip(plan.steps, steps, strict=True))
 
 
-def rescuers(plan: Plan, step: int) -> list[int]:
+def list_rescue_steps(plan: Plan, step: int) -> list[int]:
     """The steps that are carried out when a step has failed for good."""
     retry = plan.steps[step].retry
     reset = retry.reset if retry is not None else None

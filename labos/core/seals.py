@@ -1,4 +1,4 @@
-"""Seals: a keyed digest of a small document, by which whoever holds the key knows it again.
+"""Seals: a keyed digest of a small document. With the key one can check that the document is unchanged.
 
 HMAC-SHA-256 (RFC 2104) over the canonical JSON of the document with its ``seal`` left empty. Who can
 check a seal can make one: it shows that nobody *without* the key wrote the document.

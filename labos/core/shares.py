@@ -135,8 +135,8 @@ class Shares(msgspec.Struct):
         return self.members.get(user, _ANYBODY)
 
     def find_share_used(self, user: str, now: int) -> tuple[float, float]:
-        """What a user has had for the weight: first the group, then the user within it. Whoever has the least
-        goes first."""
+        """What a user has had for the weight: first the group, then the user within it. The user with the
+        least goes first."""
         member, group = self.member(user), self.groups.get(self.group_of.get(user, ""))
         usage = self.usage.get(user)
         own = (usage.level(now) if usage is not None else 0.0) / member.weight

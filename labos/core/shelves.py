@@ -16,29 +16,31 @@ from labos.core.effects import AnyEffect, Move, Needs, Relid, Take, Unlid
 from labos.core.ids import LabwareId, StationName, local
 
 
-def vacant(bench: Bench, hotel: StationName) -> list[StationName]:
+def list_vacant(bench: Bench, hotel: StationName) -> list[StationName]:
     """The shelves of a hotel on which nothing stands, comes to stand or may stand; lowest first."""
     return [s for s in bench.shelves[hotel] if not bench.stations[s].count and s not in bench.haunted]
 
 
-def ready(bench: Bench, hotel: StationName, but: Collection[StationName] = ()) -> StationName | None:
+def find_free_shelf(
+    bench: Bench, hotel: StationName, but: Collection[StationName] = ()
+) -> StationName | None:
     """The lowest shelf that is known to be free, and none of ``but``."""
-    return next((s for s in vacant(bench, hotel) if bench.stations[s].known and s not in but), None)
+    return next((s for s in list_vacant(bench, hotel) if bench.stations[s].known and s not in but), None)
 
 
 def is_taken(bench: Bench, hotel: StationName) -> bool:
-    """Whether something stands or comes to stand on a shelf of which everybody is sure: one that may be
+    """Whether something certainly stands or comes to stand on a shelf: one that may be
     free again without anybody's help."""
     return any(bench.stations[s].count and s not in bench.haunted for s in bench.shelves[hotel])
 
 
 def in_doubt(bench: Bench, place: StationName) -> bool:
-    """Whether something may stand at a place, or on one of its shelves, of which nobody is sure."""
+    """Whether labware of uncertain place may stand at a place, or on one of its shelves."""
     return place in bench.haunted or any(s in bench.haunted for s in bench.shelves.get(place, ()))
 
 
 def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) -> AnyEffect:
-    """An effect of which it is known what labware it touches, with shelves in place of hotels. Nothing is
+    """An effect whose labware is known, with shelves in place of hotels. Nothing is
     put on those of ``but``; where no other is ready, the hotel stays."""
 
     def stands(name: LabwareId) -> StationName:
@@ -46,7 +48,7 @@ def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) ->
         return bench.labware[labware.on].station if labware.on else labware.station
 
     def free(hotel: StationName) -> StationName:
-        return ready(bench, hotel, but) or hotel
+        return find_free_shelf(bench, hotel, but) or hotel
 
     where: dict[str, Callable[[], StationName]] = {}
     match effect:

@@ -49,7 +49,7 @@ class BenchCompared(Event, frozen=True):
 
 
 class Discovered(msgspec.Struct):
-    """An action of which only a node's journal knows; ``effects`` is null where the journal does not
+    """An action that only a node's journal knows; ``effects`` is null where the journal does not
     say what it moved."""
 
     module: ModuleName
@@ -61,9 +61,9 @@ class Discovered(msgspec.Struct):
 class Shorter(msgspec.Struct):
     """``since`` is when the log was found shorter (UTC ns; 0: it was not); ``known`` and ``ended`` are the
     highest position that somebody knows of and where this log ended, ``evidence`` who knows what.
-    Where an action of which the log knows nothing was at work is ``touched``; where nobody knows what a
+    Where an action that is not in the log was at work is ``touched``; where nobody knows what a
     module did, all of its workcell is (``cells``). ``astray`` is labware that such an action may have moved,
-    ``said`` are the stations of which a person has spoken since, ``actions`` what was discovered;
+    ``said`` are the stations that a person has reported since, ``actions`` what was discovered;
     ``answered`` is the evidence of rounds that are over: a node that was away tells it once more."""
 
     since: int = 0
@@ -78,7 +78,7 @@ class Shorter(msgspec.Struct):
     answered: dict[str, str] = {}
 
     def is_touched(self, station: StationName) -> bool:
-        """Whether something of which the log knows nothing may have been at work there."""
+        """Whether something that is not in the log may have been at work there."""
         return station in self.touched or workcell_of(station) in self.cells
 
 

@@ -26,7 +26,7 @@ from labos.core.runs import (
     RunState,
     StepStatus,
     first_states,
-    rescuers,
+    list_rescue_steps,
 )
 
 
@@ -130,7 +130,7 @@ def fold_step_recovering(runs: Runs, event: StepRecovering, at: int) -> None:
     run = _mark(runs, event.run, event.step, FAILED)
     if run is not None:
         run.steps[event.step].trouble = event.why
-        for index in rescuers(runs.plan_of(run), event.step):
+        for index in list_rescue_steps(runs.plan_of(run), event.step):
             run.steps[index].status = PENDING
 
 

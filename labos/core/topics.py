@@ -58,7 +58,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @property
     def evidence(self) -> tuple[AnyEffect, ...]:
-        """Motions of which it is not known how far they went, or the reading that contradicts the log."""
+        """Motions for which it is not known how far they went, or the reading that contradicts the log."""
         return ()
 
 

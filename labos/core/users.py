@@ -23,7 +23,7 @@ ROLES: tuple[Role, ...] = ("viewer", "submitter", "operator", "admin")
 """From the least to the most; each may do what those before it may."""
 
 NO_ROLE = 0
-"""The rank of somebody who was granted none: a user without a role may look, as a viewer may."""
+"""The rank of a user without a role: such a user may look, as a viewer may."""
 
 
 LABOS = "labos"
@@ -39,7 +39,8 @@ def on_behalf(service: str, person: str) -> str:
 
 
 def person_of(actor: str) -> str:
-    """The user whom an act is put down to: whoever acts, or the person for whom a service account does."""
+    """The user who counts as the author of an act: the actor itself or, if a service account acts for a
+    person, that person."""
     return actor.rpartition(ON_BEHALF)[2]
 
 
@@ -78,7 +79,7 @@ class UserDisabled(UserEvent, frozen=True):
 
 @event("user.enabled")
 class UserEnabled(UserEvent, frozen=True):
-    """A user who was disabled may act again."""
+    """A disabled user may act again."""
 
 
 @event("user.erased")
@@ -147,8 +148,8 @@ class User(msgspec.Struct):
 
 
 class Users(msgspec.Struct):
-    """``known`` by id; ``roles`` by subject and scope. A lab in which no user is known is open: whoever
-    reaches it may do everything."""
+    """``known`` by id; ``roles`` by subject and scope. A lab without users is open: everybody who reaches it
+    may do everything."""
 
     known: dict[str, User] = {}
     roles: dict[str, dict[str, Role]] = {}

@@ -15,7 +15,7 @@ from labos.core.viewer import Viewer
 
 
 def viewer_of(state: LabState, actor: str) -> Viewer | None:
-    """What a user (or a service account for one) sees; None for whoever sees everything."""
+    """What a user (or a service account for one) sees; None if they see everything."""
     if state.users.is_open or actor == LABOS:
         return None
     person, needed = person_of(actor), rank("operator")

@@ -19,13 +19,13 @@ from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 
 
-def ends(effects: Iterable[AnyEffect]) -> tuple[StationName, ...]:
+def list_end_stations(effects: Iterable[AnyEffect]) -> tuple[StationName, ...]:
     """The stations from which labware is taken, and where it is put down for good."""
     places = [place for what in list_carried(effects) for place in (what.emptied, what.filled)]
     return tuple(dict.fromkeys(filter(None, places)))
 
 
-def looks(state: LabState, action: Action) -> tuple[StationName, ...]:
+def list_watched(state: LabState, action: Action) -> tuple[StationName, ...]:
     """The stations that are looked at when the module of an action says that it is done. What a person
     has done by hand the person has seen."""
     bench = state.bench
@@ -39,7 +39,7 @@ def looks(state: LabState, action: Action) -> tuple[StationName, ...]:
     doubtful = module.doubted or (flight is not None and bool(flight.proving))
     return tuple(
         place
-        for place in ends(action.effects)
+        for place in list_end_stations(action.effects)
         if place in bench.watched and (doubtful or bench.stations[place].spec.verify == "always")
     )
 
@@ -48,7 +48,7 @@ def find_unwatched(state: LabState, steps: Iterable[PlanStep]) -> Wait | None:
     """A station of these steps' motions that is always looked at, and whose observer cannot be asked."""
     bench = state.bench
     for step in steps if bench.watched else ():
-        for place in () if step.by_person else ends(step.effects):
+        for place in () if step.by_person else list_end_stations(step.effects):
             if place not in bench.watched or bench.stations[place].spec.verify != "always":
                 continue
             observer = bench.stations[place].spec.observer

@@ -96,13 +96,13 @@ def doses_of(effect: Transfers | Draws) -> list[tuple[str, float]]:
     return doses
 
 
-def misfit(
+def find_misfit(
     effects: Iterable[AnyEffect], kind: LabwareSpec | None, held: Mapping[str, float], labware: str
 ) -> str:
     """What is wrong with the liquids that an action puts into wells of labware, and draws out of them, where
     its wells hold ``held`` (µL) at most already; empty if nothing is. In which order it does so is not known:
-    what is left in the end has to be possible. A well of which nothing was told may hold anything. Without
-    a type only the lists are checked."""
+    what is left in the end has to be possible. A well whose content nobody has stated may hold anything.
+    Without a type only the lists are checked."""
     given: dict[str, float] = {}
     drawn: dict[str, float] = {}
     for effect in effects:
@@ -160,7 +160,7 @@ def add_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Iterab
 
 
 def draw_doses(levels: dict[str, float], wells: Iterable[str], volumes_ul: Iterable[float]) -> None:
-    """Note what has come out of wells; of those of which nothing was told nothing is known afterwards."""
+    """Note what has come out of wells; wells with unknown content stay unknown."""
     for well, volume in zip(wells, volumes_ul, strict=False):
         if well in levels:
             levels[well] = max(0.0, levels[well] - volume)

@@ -1,7 +1,7 @@
 """Words: what a person wrote into an event for other people to read. Nothing is decided by them.
 
 They stand beside the log, so that they can be erased. In their place the event bears a reference: the digest
-of a salt and the text. Whoever has text and salt can check that they are what was written; from the reference
+of a salt and the text. With text and salt one can check that they are what was written; from the reference
 alone nobody can guess even a short text. Events of before bear the text itself.
 """
 
@@ -69,7 +69,7 @@ def references_in(data: bytes) -> list[str]:
 
 
 def put_into_json(data: bytes, texts: Mapping[str, str]) -> bytes:
-    """JSON with texts in the place of their references; those of which no text is known were erased."""
+    """JSON with texts in the place of their references; a reference without a text was erased."""
 
     def put(found: re.Match[bytes]) -> bytes:
         return msgspec.json.encode(texts.get(found[0].decode(), ERASED))[1:-1]

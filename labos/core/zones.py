@@ -44,7 +44,7 @@ def _find_reached(effects: Iterable[AnyEffect]) -> list[StationName]:
     return places
 
 
-def at_work_in(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
+def find_other_at_work(state: LabState, zone: str, besides: ModuleName) -> ModuleName:
     """Another module whose action in flight is in a zone; empty if there is none."""
     for action in state.actions.within(workcell_of(besides)):
         other = action.exclusive and action.module != besides

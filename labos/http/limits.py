@@ -120,13 +120,13 @@ def name_in_emergency(said: str) -> str:
 
 def check_text(text: str, what: str, longest: int = LONGEST_NAME) -> str:
     """A text of one line from a path, a query or a header. Raises BadInput."""
-    wrong = misfit(text, longest)
+    wrong = find_misfit(text, longest)
     if wrong:
         raise BadInput(f"{what} {wrong}.", remedy="Shorten or correct it.")
     return text
 
 
-def misfit(text: str, longest: int) -> str:
+def find_misfit(text: str, longest: int) -> str:
     """Why a text is not one line of so many characters; empty if it is."""
     if len(text) > longest:
         return f"has {len(text)} characters; {longest} are allowed"
@@ -195,7 +195,7 @@ def _check_table(value: Any, field: str) -> None:
 
 def _check_keys(keys: Iterable[str], field: str) -> None:
     for key in keys:
-        wrong = misfit(key, LONGEST_NAME)
+        wrong = find_misfit(key, LONGEST_NAME)
         if wrong:
             raise BadInput(f"A key in the field {field!r} {wrong}.", remedy="Rename it.")
 

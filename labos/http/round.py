@@ -59,7 +59,7 @@ class DiscoveredAction(msgspec.Struct, frozen=True):
 
 class RoundStation(msgspec.Struct, frozen=True):
     """A station on the round. ``recorded`` is what stands there by the log, bottom to top; ``types`` are
-    those of its labware; ``perhaps`` is uncertain labware that may be there; ``must_say``: it is not
+    those of its labware; ``perhaps`` is uncertain labware that may be there; ``must_be_said``: it is not
     enough that it is as recorded."""
 
     station: str

@@ -21,7 +21,7 @@ from labos.core.state import LabState
 from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.http.lab_kernel import LabKernel
-from labos.planning.due import time_left
+from labos.planning.due import find_time_left
 from labos.planning.obstacle import explain_wait
 from labos.services.interventions import whereabouts
 
@@ -424,7 +424,7 @@ def run_view(
         waits=waits_view(kernel, run, now) if waits else [],
         modules={key: list(map(local, names)) for key, names in modules_open(state.runs, run).items()},
         due_at=run.due_at,
-        late_by_s=round((now + time_left(state, run) - run.due_at) / 1e9, 1) if run.due_at else None,
+        late_by_s=round((now + find_time_left(state, run) - run.due_at) / 1e9, 1) if run.due_at else None,
     )
 
 

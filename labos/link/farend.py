@@ -37,7 +37,7 @@ class FarEnd(Protocol):
         """Say something; nobody may be there to hear it."""
 
     def unplug(self) -> None:
-        """Whoever is connected loses the line."""
+        """The connected side loses the line."""
 
     def plug(self) -> None:
         """The device can be reached again, at the same address."""

@@ -1,4 +1,4 @@
-"""What all links share: open, know whom one talks to, lose it, come back."""
+"""What all links share: open, check which device answers, notice a lost connection, connect again."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class ScriptedWire:
         self._needs_open()
         self._sent += data
         while self._sent:
-            # What the device said meanwhile was heard, or not waited for, by whoever asks now.
+            # What the device said meanwhile was heard, or not waited for, by the caller.
             turn = next(
                 (n for n in range(self._at, len(self._records)) if self._records[n].mark == ">"), None
             )

@@ -122,7 +122,7 @@ class Withdrawn(Record, frozen=True, tag="withdrawn"):
 
 class Corrected(Record, frozen=True, tag="corrected"):
     """A person has put right an epoch or an acknowledged position that no kernel of the lab can have
-    told; ``by`` whom, ``at_ns`` (UTC) and ``why``."""
+    told; ``by`` is who said so; ``at_ns`` (UTC) and ``why``."""
 
     epoch: int
     position: int

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.arguments import describe_arg, flaw, names_of, shorten
+from labos.core.arguments import describe_arg, find_flaw, names_of, shorten
 from labos.core.model import ActionSpec
 from labos.errors import ActionInvalid
 
@@ -34,7 +34,7 @@ def problems(spec: ActionSpec, args: Mapping[str, Any]) -> list[ArgumentProblem]
         elif not written:
             if arg.required:
                 found.append(ArgumentProblem(arg.name, f"is missing: {describe_arg(arg)}"))
-        elif flaw(arg, args[written[0]]):
+        elif find_flaw(arg, args[written[0]]):
             found.append(
                 ArgumentProblem(written[0], f"must be {describe_arg(arg)}, not {shorten(args[written[0]])}")
             )

@@ -1,4 +1,4 @@
-"""Certificates of a lab's bus: who may speak there, and as whom.
+"""Certificates of a lab's bus: who may speak there, and under which name.
 
 ``_party`` says who there is, ``_signing`` makes certificates, ``_authority`` keeps a folder of them, and
 ``_credentials`` is what one party has of it, ``_lists`` how lists of members are kept where the authority is

@@ -262,7 +262,8 @@ class Authority:
         return _read(self.folder / CA), _read(self.folder / CA_KEY)
 
     def _hand_out(self, identity: Identity, certificate: bytes, key: bytes) -> None:
-        """Write a party's folder; the certificate last, so that whoever looks for it finds its key."""
+        """Write a party's folder; the certificate last, so that its key is already there when the certificate
+        is found."""
         folder = self.credentials(identity).folder
         make_folder(folder)
         self._write(folder / CA, _read(self.folder / CA))

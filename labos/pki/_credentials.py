@@ -60,7 +60,7 @@ class Credentials(msgspec.Struct, frozen=True):
             raise BadInput(f"Others may read {self.key}.", remedy=f"chmod 600 {self.key}")
 
     def identity(self) -> Identity | None:
-        """Whom the certificate is for; None if the site issued it. Raises BadInput."""
+        """The party that the certificate is for; None if the site issued it. Raises BadInput."""
         from labos.pki._signing import identity_of
 
         return identity_of(self._read())

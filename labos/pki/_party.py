@@ -23,9 +23,9 @@ PROCESS_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """Whom a certificate is for. ``name`` is ``workcell/module`` of a node, and a name that a person chose
-    for an API process, a viewer and who may stop; ``lab`` is the lab's id, empty for a bus, which may serve
-    several."""
+    """The party that a certificate is for. ``name`` is ``workcell/module`` of a node, and a name that a
+    person chose for an API process, a viewer and who may stop; ``lab`` is the lab's id, empty for a bus,
+    which may serve several."""
 
     kind: Kind
     name: str = ""

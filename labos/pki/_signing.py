@@ -119,7 +119,7 @@ def common_name_of(certificate: x509.Certificate) -> str:
 
 
 def identity_of(certificate: x509.Certificate) -> Identity | None:
-    """Whom a certificate is for, if it was issued by LabOS."""
+    """The party that a certificate is for, if LabOS issued it."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:

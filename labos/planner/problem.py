@@ -213,7 +213,7 @@ class _Reader:
                 self._stay(place, first, last)
 
     def _stands(self, place: str) -> bool:
-        """Whether labware stands at a place of which no other run has been found to fetch it."""
+        """Whether labware stands at a place and no run was found that fetches it."""
         name = StationName(place.partition(":")[2])
         return not place.startswith(DECK) and self._strangers(name) > self._taken.get(place, 0)
 

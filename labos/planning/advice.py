@@ -21,7 +21,7 @@ def options(
     late: Step,
     forced: Step | None,
 ) -> Iterator[Advice]:
-    """Other advice that may bring one in time who was late: whoever was in its way goes on to its end, or
+    """Other advice that may bring a late step in time: a run that was in its way goes on to its end, or
     waits until it has passed; or its clock is started later. ``run`` is a run that is to begin, the step
     ``forced`` starts whatever is advised."""
     mover = state.runs.get(RunId(late[0]))
@@ -55,7 +55,7 @@ def _let_pass(state: LabState, advice: Advice, start: Step, lost: Sequence[str])
 def _in_the_way(
     run: RunState, chain: Sequence[int], advice: Advice, outcome: RehearsalResult
 ) -> Iterator[tuple[Step, Who]]:
-    """For whom these steps of a run had to wait, and for whom those in turn who should have gone."""
+    """The runs that these steps had to wait for, and in turn the runs that those should have gone before."""
     blocked = [(str(run.id), index) for index in reversed(chain)]
     seen = {blocked[0][0]}
     while blocked:

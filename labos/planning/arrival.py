@@ -24,7 +24,7 @@ from labos.core.rules import lab_ns
 from labos.core.runs import RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.forecast import find_pending_before, is_pending, length, spread
+from labos.planning.forecast import find_longest_time, find_pending_before, find_spread, is_pending
 from labos.planning.touch import cell_key
 
 LEAST_S = 1.0
@@ -43,7 +43,7 @@ def check_arrival(state: LabState, run: RunState, step: int, now: int, others: I
         return None
     stop, onward, after = first
     free_at = _free_at(state, onward, now)
-    arrives = now + sum(length(state, plan.steps[i]) for i in (step, *after))
+    arrives = now + sum(find_longest_time(state, plan.steps[i]) for i in (step, *after))
     if free_at is None or free_at < arrives + lab_ns(state, LEAST_S):
         return None
     if not any(_leads_elsewhere(other, stop, onward) for other in others if other is not plan):
@@ -153,4 +153,4 @@ def _ends_at(state: LabState, action: Action, now: int) -> int:
 
 
 def _shortest(state: LabState, step: PlanStep) -> int:
-    return length(state, step) - spread(state, step)
+    return find_longest_time(state, step) - find_spread(state, step)

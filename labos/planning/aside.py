@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labos.core import reasons
-from labos.core.binding import door_open
+from labos.core.binding import check_door_open
 from labos.core.effects import places
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import PlanStep
@@ -19,7 +19,7 @@ from labos.core.runs import SETTLED, RunState, RunStatus
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.floor import Actor, Floor
-from labos.planning.layout import down, lay_out
+from labos.planning.layout import is_down, lay_out
 from labos.planning.moves import move
 from labos.planning.safety import Safety
 from labos.planning.stuck import find_block
@@ -39,7 +39,7 @@ def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) ->
         return None
     plan = state.runs.plan_of(run)
     left = [s for s, at in zip(plan.steps, run.steps, strict=True) if at.status not in SETTLED]
-    dead = {s.module for s in left if down(state, s.module)}
+    dead = {s.module for s in left if is_down(state, s.module)}
     wanted = _find_wanted(state, run)
     actor = safety.actor(state, run, tail=False)
     floor = lay_out(state, plan.workcell, [actor], hopeful=True)
@@ -58,7 +58,7 @@ def _find_wanted(state: LabState, run: RunState) -> set[str]:
     cell = state.runs.plan_of(run).workcell
     wanted: set[str] = {name for name, _ in state.modules.within(cell)}
     for known in state.runs.plans.values():
-        if known.plan.workcell == cell and not any(down(state, s.module) for s in known.plan.steps):
+        if known.plan.workcell == cell and not any(is_down(state, s.module) for s in known.plan.steps):
             wanted.update(place for s in known.plan.steps for place in places(s.effects))
     for other in state.runs.inside(cell):
         plan = state.runs.plan_of(other)
@@ -93,7 +93,7 @@ def _needs(state: LabState, step: PlanStep, dead: set[ModuleName]) -> bool:
     reached = [place for place in places(step.effects) if state.bench.stations[place].spec.module in dead]
     modules = [state.modules.by_name.get(state.bench.stations[place].spec.module) for place in reached]
     return any(module is None or module.cut_off for module in modules) or any(
-        door_open(state, place) for place in reached
+        check_door_open(state, place) for place in reached
     )
 
 

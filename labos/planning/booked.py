@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from labos.core.booked import HORIZON_NS, contacts, find_blocked, is_exempt, no_gap, waits_for
+from labos.core.booked import HORIZON_NS, check_gap, contacts, find_blocked, is_exempt, make_wait
 from labos.core.bookings import Bookings, BookingSpan
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
@@ -24,7 +24,7 @@ from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.runs import PENDING, RunState, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.forecast import earliest, usual
+from labos.planning.forecast import find_earliest_start, find_usual_time
 from labos.planning.player import find_chained
 
 
@@ -57,7 +57,7 @@ def check_start(state: LabState, run: RunState, step: int, now: int) -> Wait | N
     return _room_for(state, run, plan, list(_list_stays(state, plan, times, together)), now)
 
 
-def room_ends(state: LabState, name: RunId, now: int) -> int | None:
+def find_room_end(state: LabState, name: RunId, now: int) -> int | None:
     """When a run that waits would first run into a booking that it does not now (UTC ns); None if there is
     no such time within the days that are looked at."""
     run = state.runs.queued[name]
@@ -89,7 +89,7 @@ def _list_without_gap(state: LabState, run: RunState, stays: Iterable[ModuleUse]
         key = (stay.module, stay.clears)
         longest[key] = max(longest.get(key, 0), stay.ends - stay.begins)
     for (module, clears), length in longest.items():
-        wait = no_gap(state, run.user, module, length, now, clears=clears)
+        wait = check_gap(state, run.user, module, length, now, clears=clears)
         if wait is not None:
             yield wait
 
@@ -102,7 +102,7 @@ def _room_for(state: LabState, run: RunState, plan: Plan, stays: list[ModuleUse]
     stay, span = met
     for wait in _list_without_gap(state, run, stays, now):
         return wait
-    return waits_for(
+    return make_wait(
         state, stay.module, span, plan.steps[stay.step].key, now, _first_fit(state, run.user, stays, now)
     )
 
@@ -149,8 +149,8 @@ def _times(state: LabState, run: RunState, plan: Plan, first: int, now: int) -> 
                 continue
             begins = max([now, *(known.get(before, now) for before in step.after)])
             if index != first:
-                begins = max(begins, earliest(state, run, index, known))
-            known[index] = begins + usual(state, step)
+                begins = max(begins, find_earliest_start(state, run, index, known))
+            known[index] = begins + find_usual_time(state, step)
             found[index] = (begins - now, known[index] - now)
             left.discard(index)
         if len(left) == before_pass:
@@ -268,4 +268,4 @@ class BookingTimes:
                     yield EndBooking(booking.id, now)
 
 
-__all__ = ["BookingTimes", "check_start", "list_without_gap", "room_ends"]
+__all__ = ["BookingTimes", "check_start", "find_room_end", "list_without_gap"]

@@ -260,7 +260,7 @@ def _find_neighbours(
 
 def _find_longest_path(fixed: _Fixed, steps: Sequence[int]) -> tuple[int, list[int]]:
     """How long it takes from the end of the first to the start of the last of these steps, which are in
-    order, if all take their longest (µs), and by way of which steps."""
+    order, if all take their longest (µs), and the steps on the way."""
     first, last = steps[0], steps[-1]
     ends: dict[int, tuple[int, int]] = {first: (0, first)}
     starts: dict[int, tuple[int, int]] = {}

@@ -14,8 +14,8 @@ from labos.core.decide.choices import BindAnew, can_change_to
 from labos.core.ids import ModuleName, local
 from labos.core.runs import SETTLED, RunState, modules_chosen, options
 from labos.core.state import LabState
-from labos.planning.forecast import usual
-from labos.planning.layout import down
+from labos.planning.forecast import find_usual_time
+from labos.planning.layout import is_down
 from labos.planning.safety import Safety
 from labos.planning.stuck import find_block
 
@@ -45,7 +45,7 @@ def _load(state: LabState, module: ModuleName, now: int) -> int:
         steps = state.runs.plan_of(run).steps
         for index, step in enumerate(run.steps):
             if steps[index].module == module and step.status not in SETTLED:
-                total += usual(state, steps[index])
+                total += find_usual_time(state, steps[index])
     for action in state.actions.within(cell):
         if action.module == module:
             total -= max(0, now - action.requested_at)
@@ -53,15 +53,15 @@ def _load(state: LabState, module: ModuleName, now: int) -> int:
 
 
 def _own(state: LabState, run: RunState, module: ModuleName) -> int:
-    return sum(usual(state, s) for s in state.runs.plan_of(run).steps if s.module == module)
+    return sum(find_usual_time(state, s) for s in state.runs.plan_of(run).steps if s.module == module)
 
 
-def changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:
+def list_changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:
     """The runs inside that go on by another of their plans, as a module that they need is down."""
     if not state.runs.choosing:
         return
     cells = {state.runs.plan_of(state.runs.active[name]).workcell for name in state.runs.choosing}
-    dead = {name for cell in cells for name in state.modules.in_cell.get(cell, ()) if down(state, name)}
+    dead = {name for cell in cells for name in state.modules.in_cell.get(cell, ()) if is_down(state, name)}
     for name in list(state.runs.choosing) if dead else ():
         run = state.runs.active[name]
         cause = next((module for module in _list_needed(state, run) if module in dead), None)

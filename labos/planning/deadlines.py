@@ -143,7 +143,7 @@ def _due(state: LabState, name: ActionId) -> int | None:
 
 
 def _windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:
-    """(step, window, deadline) of every running window of a run's steps that have not started, and of which
+    """(step, window, deadline) of every running window of a run's steps that have not started, and for which
     it is not known yet that they are late."""
     run = state.runs.get(name)
     plan = state.runs.plans[run.plan] if run is not None else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from labos.core.model import MAIN
 from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
-from labos.planning.forecast import earliest, usual
+from labos.planning.forecast import find_earliest_start, find_usual_time
 
 UNDATED = float("inf")
 """The rank of a run that is not due at any time: it goes after those that are."""
@@ -27,14 +27,14 @@ class DueDates:
         if not run.due_at:
             return UNDATED
         if run.has_started:
-            return run.due_at - time_left(state, run)
+            return run.due_at - find_time_left(state, run)
         left = self._left.get(run.plan)
         if left is None:
-            left = self._left[run.plan] = time_left(state, run)
+            left = self._left[run.plan] = find_time_left(state, run)
         return run.due_at - left
 
 
-def time_left(state: LabState, run: RunState) -> int:
+def find_time_left(state: LabState, run: RunState) -> int:
     """What is left of a run, if nothing is in its way (ns of wall time): the longest chain of its steps, with
     the waits between them."""
     plan, now = state.runs.plan_of(run), state.recorded_at
@@ -43,8 +43,8 @@ def time_left(state: LabState, run: RunState) -> int:
         if step.part != MAIN or (run.has_started and run.steps[index].status in SETTLED):
             continue
         begins = max((ends.get(before, now) for before in step.after), default=now)
-        ends[index] = max(begins, earliest(state, run, index, ends)) + usual(state, step)
+        ends[index] = max(begins, find_earliest_start(state, run, index, ends)) + find_usual_time(state, step)
     return max(ends.values(), default=now) - now
 
 
-__all__ = ["UNDATED", "DueDates", "time_left"]
+__all__ = ["UNDATED", "DueDates", "find_time_left"]

@@ -27,7 +27,7 @@ FOR_EVER = 2**62
 """Nanoseconds for which labware stays where its run leaves it."""
 
 
-def length(state: LabState, step: PlanStep) -> int:
+def find_longest_time(state: LabState, step: PlanStep) -> int:
     """How long a step takes at the most, if nothing is in its way (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
@@ -35,13 +35,13 @@ def length(state: LabState, step: PlanStep) -> int:
     return lab_ns(state, step.duration_s * MARGIN)
 
 
-def usual(state: LabState, step: PlanStep) -> int:
+def find_usual_time(state: LabState, step: PlanStep) -> int:
     """How long a step takes as a rule (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     return known.usual if known is not None else lab_ns(state, step.duration_s)
 
 
-def spread(state: LabState, step: PlanStep) -> int:
+def find_spread(state: LabState, step: PlanStep) -> int:
     """How much sooner than that a step may end (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
@@ -74,7 +74,7 @@ def find_pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
     return chain
 
 
-def uses(state: LabState, run: RunState, index: int, now: int) -> dict[str, int]:
+def list_uses(state: LabState, run: RunState, index: int, now: int) -> dict[str, int]:
     """The modules, stations and zones (as keys) that a step takes from others when it starts now, and
     for how long (ns): while it is carried out; while labware stands where it was brought; while a door
     or lid is away from rest; while the plan holds a module."""
@@ -87,7 +87,7 @@ def uses(state: LabState, run: RunState, index: int, now: int) -> dict[str, int]
 def _uses(state: LabState, run: RunState, index: int, now: int) -> Iterator[tuple[str, int]]:
     plan = state.runs.plan_of(run)
     step = plan.steps[index]
-    takes = length(state, step)
+    takes = find_longest_time(state, step)
     for hold in plan.holds:
         if hold.first == index:
             yield module_key(hold.module), _to_the_end_of(state, run, index, hold.last, now)
@@ -140,7 +140,7 @@ def _arrival(
 
 
 def _until(state: LabState, run: RunState, index: int, now: int, ends: Callable[[PlanStep], bool]) -> int:
-    """How long it takes from a step's start to the end of the next step of which ``ends`` is true,
+    """How long it takes from a step's start to the end of the next step for which ``ends`` is true,
     with the steps between them one after the other and their waits; for ever if there is none."""
     plan = state.runs.plan_of(run)
     later = (i for i, step in enumerate(plan.steps) if i != index and is_pending(run, i) and ends(step))
@@ -150,25 +150,25 @@ def _until(state: LabState, run: RunState, index: int, now: int, ends: Callable[
 
 def _to_the_end_of(state: LabState, run: RunState, index: int, last: int, now: int) -> int:
     plan = state.runs.plan_of(run)
-    time = length(state, plan.steps[index])
+    time = find_longest_time(state, plan.steps[index])
     if last == index:
         return time
     known = {index: now + time}
     for step in find_pending_before(run, plan, last):
         if step != index:
-            begin = max(now + time, earliest(state, run, step, known))
-            time = begin + length(state, plan.steps[step]) - now
+            begin = max(now + time, find_earliest_start(state, run, step, known))
+            time = begin + find_longest_time(state, plan.steps[step]) - now
             known[step] = now + time
     return time
 
 
-def earliest(state: LabState, run: RunState, index: int, known: Mapping[int, int]) -> int:
+def find_earliest_start(state: LabState, run: RunState, index: int, known: Mapping[int, int]) -> int:
     """When the windows of a step let it start, as far as their clocks run (0: at once). ``known``
     are ends of steps that are foreseen."""
     return max((ended + lab_ns(state, w.wait_s) for w, ended in _clocks(state, run, index, known)), default=0)
 
 
-def deadline(
+def find_deadline(
     state: LabState, run: RunState, index: int, known: Mapping[int, int] = MappingProxyType({})
 ) -> int | None:
     """When a step has to have started at the latest; None if no clock of its windows runs."""

@@ -1,8 +1,7 @@
 """Who has to move first so that a run can go its way: no reservation for that run may stop them.
 
-They are those whose labware stands where the run has to pass, those whom its next motion would
-trap, and whoever stands in their way in turn.
-"""
+These are the runs whose labware stands where the run has to pass, the runs that its next motion would trap,
+and in turn the runs that stand in the way of those."""
 
 from __future__ import annotations
 
@@ -26,9 +25,9 @@ ANYWHERE = StationName("")
 
 
 class Helpers(msgspec.Struct):
-    """``runs`` have to move first; so has whoever carries away the labware of ``parked`` (where,
-    whose). ``in_vain``: whoever moves, the run could not reach its end, so no room need be kept for
-    it. ``times`` (UTC ns) are when it may be somebody else."""
+    """``runs`` have to move first, and so have the runs that carry away the labware of ``parked`` (where,
+    whose). ``in_vain``: the run could not reach its end whichever runs move, so no room need be kept for it.
+    ``times`` (UTC ns) are when it may be somebody else."""
 
     runs: dict[RunId, bool] = {}
     parked: dict[tuple[StationName, Owner], bool] = {}
@@ -93,7 +92,7 @@ class _Search:
                 self._add(place, owner)
 
     def add_holders(self, name: ModuleName, run: RunState) -> None:
-        """Whoever holds a module has to come away from it, shut its door, do what it held it for."""
+        """The runs that hold a module have to come away from it, shut its door, do what they held it for."""
         bench, mine = self.state.bench, party(run)
         for place in bench.by_module.get(name, ()):
             if bench.stations[place].spec.claim:
@@ -110,7 +109,7 @@ class _Search:
                 self._add(ANYWHERE, run_owner(by))
 
     def add_setpoint_holders(self, name: ModuleName, effect: Claims, run: RunState) -> None:
-        """Whoever needs another value has to let go of the setpoint."""
+        """The runs that need another value have to let go of the setpoint."""
         held = self.state.modules.by_name[name].setpoints.get(effect.setpoint)
         if held is not None and held.value != effect.value:
             for holder in held.holders:
@@ -143,7 +142,7 @@ class _Search:
         self.add_blockers(run, set(steps))
 
     def _add_trapped(self, run: RunState, steps: set[int]) -> None:
-        """Whom the run's next motions would trap has to move before it may."""
+        """The runs that its next motions would trap have to move first."""
         for index in sorted(steps):
             found = examine(self.state, run, index, self.now)
             if isinstance(found, Wait):

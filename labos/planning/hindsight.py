@@ -6,7 +6,7 @@ that was foreseen: others came meanwhile, a person let the lab wait, steps took 
 is as far off as those that were most like it, in how long was foreseen and in how others had come before.
 
 Its range is the narrowest one that holds the part of these that it should, and a little more or less of them
-than that: each run that ends outside of what was told widens the ranges to come, each one inside narrows
+than that: each run that ends outside of its expected range widens the ranges to come, each one inside narrows
 them. So in the long run they hold what they should, whatever habits change (adaptive conformal inference,
 Gibbs and Candès, 2021).
 
@@ -25,7 +25,7 @@ from labos.core.ids import RunId
 from labos.core.registry import Event, decode
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted, RunSubmitted
 from labos.core.state import LabState, from_picture, picture
-from labos.planning.forecast import usual
+from labos.planning.forecast import find_usual_time
 from labos.planning.virtual import Play, VirtualLab, keep_first
 
 TARGET = 0.8
@@ -47,7 +47,7 @@ ALIKE = 25
 """So many runs that are most like the one in question are looked at."""
 
 ENOUGH = 10
-"""With fewer of them, what is assumed of a lab of which nothing is known counts too."""
+"""With fewer of them, what is assumed of an unknown lab counts too."""
 
 ASSUMED = (-0.05, -0.03, -0.01, 0.0, 0.0, 0.0, 0.04, 0.08, 0.2, 0.5)
 ASSUMED_ALONE = (-0.06, -0.04, -0.02, -0.01, 0.0, 0.0, 0.01, 0.02, 0.04, 0.06)
@@ -96,9 +96,9 @@ class ExpectedTimes(msgspec.Struct, frozen=True):
 
 
 class PastForecast(msgspec.Struct):
-    """A run: what was foreseen for it, ``age`` ns after its submission, what was told, and what came (UTC
-    ns; 0: not yet). ``pauses`` are the last ones between submissions until then (ns), ``next_at`` when
-    somebody submitted the next run."""
+    """A past forecast of a run, made ``age`` ns after its submission: the times that were foreseen, the
+    ranges that were shown, and when it started and ended (UTC ns; 0: not yet). ``pauses`` are the last ones
+    between submissions until then (ns), ``next_at`` when somebody submitted the next run."""
 
     run: RunId
     at: int
@@ -119,7 +119,7 @@ class PastForecast(msgspec.Struct):
         return self.started if what == "starts" else self.ended
 
     def find_range(self, what: str, kind: str) -> TimeRange:
-        """What was told as things usually go (`usual`), or if nobody came (`alone`)."""
+        """The range that was shown: `usual`, or `alone` if nobody else submits."""
         expected = self.told_start if what == "starts" else self.told_end
         return expected.usual if kind == "usual" else expected.alone
 
@@ -321,5 +321,7 @@ def foresee(state: LabState, now: int) -> Play | None:
     """How a lab would go on from now with the usual durations; None if it has too much to do to tell."""
     copy = from_picture(picture(state))
     keep_first(copy, LOOKED_AT)
-    play = VirtualLab(copy, now, lambda action, step: usual(copy, step), most_steps=MOST_STEPS).go_on()
+    play = VirtualLab(
+        copy, now, lambda action, step: find_usual_time(copy, step), most_steps=MOST_STEPS
+    ).go_on()
     return None if play.cut else play

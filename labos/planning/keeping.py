@@ -23,8 +23,8 @@ from labos.core.runs import PENDING, UNKNOWN, RunState, RunStatus, StepStatus, f
 from labos.core.state import LabState
 from labos.core.waits import Wait, module_key
 from labos.planning.advice import options
-from labos.planning.forecast import earliest, is_pending
-from labos.planning.layout import down
+from labos.planning.forecast import find_earliest_start, is_pending
+from labos.planning.layout import is_down
 from labos.planning.passage import find_late_step, first_trap
 from labos.planning.player import FAR, Player, Step, find_chained
 from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
@@ -113,7 +113,7 @@ class Windows:
         if not what.windowed and not state.runs.windowed_in.get(what.plan.workcell):
             return None
         if what.plan.steps[step].recovers:
-            return None  # whoever needs the module cannot go on before
+            return None  # no run that needs the module can go on before
         plan = self._plan(state, what.plan.workcell, now, safety)
         waits = self._hold_off(state, plan, run, step, now)
         if waits is not None:
@@ -356,7 +356,12 @@ def _inside(state: LabState, cell: str) -> list[RunState]:
 def _goes_on_at(state: LabState, run: RunState) -> int:
     """When the windows of a run let its next step start, at the latest of them (UTC ns)."""
     return max(
-        (earliest(state, run, i, {}) for i, step in enumerate(run.steps) if step.status == PENDING), default=0
+        (
+            find_earliest_start(state, run, i, {})
+            for i, step in enumerate(run.steps)
+            if step.status == PENDING
+        ),
+        default=0,
     )
 
 
@@ -367,21 +372,21 @@ def _is_waiting(state: LabState, who: Step) -> bool:
 
 
 def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
-    """The runs of a workcell of which steps have to be started in time, and can be."""
+    """The runs of a workcell with steps that have to be started in time, and can be."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.get(name)
         if run is None or find_holds(run) or run.is_ending or run.has(UNKNOWN):
             continue
         plan = state.runs.plan_of(run)
         chain = find_chained(run, plan, ())
-        if not chain or any(down(state, plan.steps[step].module) for step in chain):
+        if not chain or any(is_down(state, plan.steps[step].module) for step in chain):
             continue
         if find_begun_booking(state, run, [plan.steps[step] for step in chain]) is None:
             yield run
 
 
 def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bool:
-    """Whether a run that waits to be let in could not come to its end, whoever moves."""
+    """Whether a run that waits to be let in could not come to its end, whichever runs move."""
     if run.has_started:
         return False
     starts = [

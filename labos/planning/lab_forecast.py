@@ -22,7 +22,7 @@ from labos.core.model import Plan
 from labos.core.modules import ModuleStatus
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, from_picture, picture
-from labos.planning.forecast import usual
+from labos.planning.forecast import find_usual_time
 from labos.planning.hindsight import Hindsight, TimeRange
 from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
 
@@ -177,7 +177,7 @@ class _Forecaster:
         lab = VirtualLab(
             state,
             asked.now,
-            lambda _, step: usual(state, step),
+            lambda _, step: find_usual_time(state, step),
             rows,
             most_rows=asked.most_runs,
             most_steps=asked.most_steps,

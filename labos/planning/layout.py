@@ -27,7 +27,7 @@ from labos.planning.moves import _go_back, _pile, move
 from labos.planning.paths import Motion, door_key, hold_key, setpoint_key, variable_key
 
 
-def down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
+def is_down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
     """Whether a module needs a person or its device to come back before anybody can use it; to
     be ``recovered`` first, an error is no hindrance."""
     known = state.modules.by_name.get(module)
@@ -78,8 +78,8 @@ def find_arriving(state: LabState, run: RunId) -> list[StationName]:
 
 
 def labware_in(state: LabState, cell: str) -> list[Labware]:
-    """Labware that stands in a workcell, that is carried there, and all of which it is not known where it
-    is. Lids are with their plates."""
+    """Labware that stands in a workcell, that is carried there, and all labware for which it is not known
+    where it is. Lids are with their plates."""
     bench = state.bench
     names: dict[LabwareId, bool] = {}
     for place in bench.in_cell.get(cell, ()):
@@ -158,11 +158,11 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 _pile(floor, target, str(action.run))
                 change_claim(floor, target, str(action.run), 1)
     for actor in actors:
-        keep(floor, actor, actor.kept)
+        keep_after_failure(floor, actor, actor.kept)
     return floor
 
 
-def keep(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:
+def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:
     """Keep what an actor needs if something that it has in flight fails."""
     for motion in kept:
         if motion.source:

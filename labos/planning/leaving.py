@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from labos.core.branches import order_of
+from labos.core.branches import sort_steps
 from labos.core.ids import ModuleName, RunId, StationName, run_owner
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
@@ -25,7 +25,7 @@ def find_way_out(
     plan = state.runs.plan_of(run)
     left = [index for index, step in enumerate(run.steps) if step.status in (PENDING, IN_FLIGHT)]
     before = _stand(state, run, claims)
-    motions = motions_of_steps(plan, order_of(plan, left), claims, rests, nests, before)
+    motions = motions_of_steps(plan, sort_steps(plan, left), claims, rests, nests, before)
     return tuple(
         motion
         for motion in motions

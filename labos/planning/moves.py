@@ -11,7 +11,7 @@ from labos.core.algebra import (
     check_reaching,
     check_standing,
 )
-from labos.core.binding import same
+from labos.core.binding import is_same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.planning.floor import OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim
@@ -91,7 +91,7 @@ def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
 def _is_set(floor: Floor, key: str, wanted: Any) -> bool:
     """Whether a variable has a value, or may have it: what a device will report is not known yet."""
     value = floor.values.get(key)
-    return value is not UNSETTLED and (is_reported(value) or same(value, wanted))
+    return value is not UNSETTLED and (is_reported(value) or is_same(value, wanted))
 
 
 def find_usable_place(floor: Floor, actor: Actor, places: Iterable[StationName]) -> StationName:
@@ -312,7 +312,8 @@ def _go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
 
 
 def _take_over(floor: Floor, actor: Actor, place: StationName) -> Counts | None:
-    """A plate whose lid an actor carries is its own from then on; returns out of which pool it came."""
+    """A plate whose lid an actor carries belongs to the actor from then on; returns the pool that it came
+    from."""
     pool = None if _has_own(floor, actor, place) else _pool(floor, actor, place)
     if pool is not None:
         _change_owner(floor, actor, place, pool, 1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labos.core.algebra import check_carrying
-from labos.core.binding import same
+from labos.core.binding import is_same
 from labos.core.ids import ModuleName, StationName, experiment_owner, local
 from labos.core.reasons import NoWayOut
 from labos.core.runs import RunState
@@ -68,7 +68,7 @@ def _find_obstacle(state: LabState, run: RunState, mover: Actor, others: Sequenc
 
 def _why(state: LabState, floor: Floor, walker: Actor, motion: Motion, others: Sequence[Actor]) -> str:
     for key, value in motion.wants:
-        if not same(floor.values.get(key), value):
+        if not is_same(floor.values.get(key), value):
             return f"needs {key.partition('/')[2]} = {value}, which nobody will have set"
     if not motion.target:
         for places in motion.needs:

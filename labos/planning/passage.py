@@ -1,5 +1,5 @@
 """Whether runs can still come to their ends after some steps have been started, one after the other; and
-whether they can if nobody moves between two steps of which the second has to follow in time."""
+whether they can if nobody moves between two steps where the second has to follow in time."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def first_trap(
 
 
 def find_late_step(state: LabState, cell: str, starts: Sequence[Step], safety: Safety) -> Step | None:
-    """A step that could not follow in time after these starts, whoever goes first: others would have to move
-    while its clock runs. None if there is none, or if it cannot be known."""
+    """A step that could not follow in time after these starts, whichever run goes first: others would have to
+    move while its clock runs. None if there is none, or if it cannot be known."""
     here = _view_actors(state, cell, [name for name, _ in starts], safety)
     if any(actor.forks for actor in here):
         return None
@@ -70,7 +70,7 @@ def find_late_step(state: LabState, cell: str, starts: Sequence[Step], safety: S
 
 
 def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
-    """For each motion of an actor the windowed step because of which the next one has to follow at once (0:
+    """For each motion of an actor the windowed step that makes the next one follow at once (0:
     it may wait)."""
     run = state.runs.get(RunId(actor.name))
     if run is None:

@@ -2,7 +2,7 @@
 
 Priority and fair share decide who goes first, and age only between equals. So that nobody stands for ever
 while younger runs of more priority pass, each run inside counts the younger ones that have started a
-step on what its own waiting step needs. Whom ``PATIENCE`` of them have overtaken goes before everybody
+step on what its own waiting step needs. A run that ``PATIENCE`` of them have overtaken goes before everybody
 without a window, and no younger run is let in that uses one of its modules, or of the places that its step
 waits for, until it has started a step.
 """

@@ -9,7 +9,13 @@ from labos.core.rules import lab_ns
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, find_anchor, statuses_of
 from labos.core.state import LabState
 from labos.core.waits import party
-from labos.planning.forecast import deadline, earliest, find_pending_before, is_pending, usual
+from labos.planning.forecast import (
+    find_deadline,
+    find_earliest_start,
+    find_pending_before,
+    find_usual_time,
+    is_pending,
+)
 
 Step = tuple[str, int]
 """A run and one of its steps."""
@@ -85,7 +91,7 @@ class Player:
 
     def may_start_at(self, index: int) -> int:
         """When its windows let a step start (UTC ns)."""
-        return earliest(self._state, self.run, index, self.ends)
+        return find_earliest_start(self._state, self.run, index, self.ends)
 
     def start(self, index: int, end: int) -> None:
         self.steps[index] = IN_FLIGHT
@@ -102,7 +108,7 @@ class Player:
 
     def _set_due(self, index: int) -> None:
         """Work out by when a step and those before it have to start."""
-        due = deadline(self._state, self.run, index, self.ends)
+        due = find_deadline(self._state, self.run, index, self.ends)
         if due is None:
             return
         self.due[index] = due
@@ -113,7 +119,9 @@ class Player:
             for before in step.after:
                 if before in latest:
                     wait_s = max((w.wait_s for w in step.windows if w.anchor == before), default=0.0)
-                    takes = usual(self._state, self.plan.steps[before]) + lab_ns(self._state, wait_s)
+                    takes = find_usual_time(self._state, self.plan.steps[before]) + lab_ns(
+                        self._state, wait_s
+                    )
                     latest[before] = min(latest[before], latest[follower] - takes)
         for step_before, at in latest.items():
             self.latest[step_before] = min(at, self.latest.get(step_before, FAR))

@@ -1,6 +1,6 @@
 """What would happen from now on if all steps took their nominal time: a workcell played forward.
 
-Players are runs of which some steps have to be started by a time (their windows' clocks run), and runs
+Players are runs with steps that have to be started by a time (their windows' clocks run), and runs
 that have to make room for them. Everybody else stays where they are. A step starts as soon as it can, the
 most urgent one first, unless it is told to wait (``Advice``).
 """
@@ -15,7 +15,7 @@ import msgspec
 
 from labos.core.ids import RunId
 from labos.core.runs import PENDING
-from labos.planning.forecast import usual
+from labos.planning.forecast import find_usual_time
 from labos.planning.player import FAR, Player, Step, Who
 from labos.planning.scene import Scene
 
@@ -70,7 +70,7 @@ def play(
 
     def start(player: Player, index: int) -> None:
         step = player.plan.steps[index]
-        end = now + usual(scene.state, step)
+        end = now + find_usual_time(scene.state, step)
         scene.take(player.run, index, step, step.effects, end)
         player.start(index, end)
         outcome.starts[player.name, index] = now

@@ -30,18 +30,18 @@ from labos.core.state import LabState
 from labos.core.waits import Wait, module_key, zone_key
 from labos.core.zones import zones_of
 from labos.planning.forecast import (
-    deadline,
-    earliest,
+    find_deadline,
+    find_earliest_start,
+    find_longest_time,
     find_pending_before,
+    find_spread,
+    find_usual_time,
     is_pending,
-    length,
-    spread,
-    uses,
-    usual,
+    list_uses,
 )
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.keeping import CALM_S, Windows
-from labos.planning.layout import down
+from labos.planning.layout import is_down
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
 
@@ -105,7 +105,7 @@ class Reservations:
         urgent = self._urgent.get(cell, {})
         if step is None:
             return min((at for (name, _), at in urgent.items() if name == run.id), default=NEVER)
-        late = deadline(state, run, step)
+        late = find_deadline(state, run, step)
         return min(urgent.get((run.id, step), NEVER), NEVER if late is None else late)
 
     @contextmanager
@@ -119,7 +119,8 @@ class Reservations:
             self.windows = kept
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
-        """For whom a start has to wait; None if it may go ahead. The rules must allow it."""
+        """The wait of a start for what is reserved for others; None if it may go ahead. The rules must allow
+        it."""
         if self.windows.is_due(state, run, step, now, safety):
             return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)
@@ -129,7 +130,7 @@ class Reservations:
         self.refusals += wait is not None
         return wait
 
-    # -- whom a start would be in the way of ---------------------------------------------------
+    # -- runs that a start would be in the way of ----------------------------------------------
 
     def _in_the_way(
         self,
@@ -144,7 +145,7 @@ class Reservations:
         for number, found in enumerate(reservations):
             if found.run == run.id or _same_experiment(state, found.run, run):
                 continue
-            taken = taken or uses(state, run, step, now)
+            taken = taken or list_uses(state, run, step, now)
             for need in found.needs:
                 time = taken.get(need.resource)
                 if time is not None and now + time > need.latest:
@@ -217,7 +218,7 @@ class Reservations:
         if not followers:
             return None
         others = [found for found in reservations if found.run != run.id]
-        foreseen = {step: now + usual(state, plan.plan.steps[step])}
+        foreseen = {step: now + find_usual_time(state, plan.plan.steps[step])}
         for index in followers:
             mine = _reservation(state, run, index, now, foreseen)
             if mine is None:
@@ -289,7 +290,10 @@ def _list_in_flight(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
     for action in state.actions.within(cell):
         run = state.runs.active.get(action.run)
         if run is not None:
-            yield action, action.requested_at + length(state, state.runs.plan_of(run).steps[action.step])
+            yield (
+                action,
+                action.requested_at + find_longest_time(state, state.runs.plan_of(run).steps[action.step]),
+            )
 
 
 def _reservation(
@@ -300,15 +304,15 @@ def _reservation(
     known = dict(foreseen or {})
     plan = state.runs.plan_of(run)
     # A step that ends sooner than it should starts its clock sooner.
-    sooner = {step: max(now, at - spread(state, plan.steps[step])) for step, at in known.items()}
-    end, last = deadline(state, run, index, sooner), deadline(state, run, index, known)
+    sooner = {step: max(now, at - find_spread(state, plan.steps[step])) for step, at in known.items()}
+    end, last = find_deadline(state, run, index, sooner), find_deadline(state, run, index, known)
     if end is None or last is None:
         return None
     chain = find_pending_before(run, plan, index)
     if foreseen:
         over = {before for step in foreseen for before in find_pending_before(run, plan, step)}
         chain = [step for step in chain if step not in over]
-    if any(down(state, plan.steps[step].module) for step in chain):
+    if any(is_down(state, plan.steps[step].module) for step in chain):
         return None
     if find_begun_booking(state, run, [plan.steps[step] for step in chain]) is not None:
         return None
@@ -318,17 +322,17 @@ def _reservation(
             if step in latest:
                 waits = [w.wait_s for w in plan.steps[follower].windows if w.anchor == step]
                 pause = lab_ns(state, max(waits, default=0.0))
-                before = latest[follower] - pause - length(state, plan.steps[step])
+                before = latest[follower] - pause - find_longest_time(state, plan.steps[step])
                 latest[step] = min(latest[step], before)
     needs: list[Need] = []
     for step in chain:
         begin = max(
             now,
-            earliest(state, run, step, known),
+            find_earliest_start(state, run, step, known),
             *(known.get(before, 0) for before in plan.steps[step].after),
         )
-        known[step] = begin + length(state, plan.steps[step])
-        for resource, time in uses(state, run, step, begin).items():
+        known[step] = begin + find_longest_time(state, plan.steps[step])
+        for resource, time in list_uses(state, run, step, begin).items():
             needs.append(Need(resource, step, begin, latest[step], time))
     # In a short window there is no room for that: then both its ends count from the same end of its anchor.
     late = min(max([0, *(need.release - need.latest for need in needs)]), last - end)
@@ -369,7 +373,7 @@ def _takes_away(state: LabState, resource: str) -> int:
         if resource == module_key(action.module):
             steps = state.runs.plan_of(state.runs.active[action.run]).steps
             after = (step for step in steps if action.step in step.after and list_carried(step.effects))
-            found = max([found, *(length(state, step) for step in after)])
+            found = max([found, *(find_longest_time(state, step) for step in after)])
     return found
 
 

@@ -40,7 +40,7 @@ from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, st
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Branch, Floor, is_closing
 from labos.planning.forks import find_branches, find_kept, motions_of
-from labos.planning.layout import down, find_standing, keep, lay_out
+from labos.planning.layout import find_standing, is_down, keep_after_failure, lay_out
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
 from labos.planning.paths import FORKED, ClosingStep, Motion, Path, path_of
@@ -223,7 +223,9 @@ class Safety:
             steps[step] = IN_FLIGHT
             tail = self._tail(state, run, mover.owners) if view.closing or not mover.parks else ()
             mover.motions, mover.forks = find_branches(path, plan, run, steps, tail)
-            keep(floor, mover, [kept for kept in find_kept(path, plan, run, steps) if kept.step == step])
+            keep_after_failure(
+                floor, mover, [kept for kept in find_kept(path, plan, run, steps) if kept.step == step]
+            )
             if known.witness and known.witness[0] == (name, FORKED):
                 here = [fresh(actor) for actor in actors]
                 order = replay(copy(floor), here, known.witness)
@@ -292,7 +294,7 @@ class Safety:
             own, lost = find_standing(state, (owner,))
             reached = [place for motion in path.motions for place in (motion.source, motion.target)]
             modules = [module for _, module in path.modules]
-            dead = any(down(state, m) or find_begun(state, experiment.user, m) for m in modules) or any(
+            dead = any(is_down(state, m) or find_begun(state, experiment.user, m) for m in modules) or any(
                 module.cut_off and reaches_into(state, module.spec.name, reached)
                 for _, module in state.modules.within(cell)
             )

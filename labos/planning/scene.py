@@ -13,7 +13,7 @@ import msgspec
 
 from labos.core.actions import ActionStatus
 from labos.core.algebra import check_effect, settings_after
-from labos.core.binding import same
+from labos.core.binding import is_same
 from labos.core.effects import (
     AnyEffect,
     Carrying,
@@ -30,8 +30,8 @@ from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import party
 from labos.core.zones import zones_of
-from labos.planning.forecast import usual
-from labos.planning.layout import down
+from labos.planning.forecast import find_usual_time
+from labos.planning.layout import is_down
 from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
 
@@ -71,7 +71,7 @@ class Scene:
             if run is None or not action.module.startswith(f"{cell}/"):
                 continue
             step = state.runs.plan_of(run).steps[action.step]
-            end = max(now, action.requested_at + usual(state, step))
+            end = max(now, action.requested_at + find_usual_time(state, step))
             effects = tuple(_as_planned(state, effect) for effect in action.effects)
             end = FAR if action.status == ActionStatus.UNKNOWN else end
             self.take(run, action.step, step, effects, end)
@@ -111,7 +111,7 @@ class Scene:
     def in_the_way(self, player: Player, index: int) -> Who | None:
         """Who keeps a step from starting, by the rules; None if nobody does."""
         step = player.plan.steps[index]
-        if down(self.state, step.module, recovered=step.recovers):
+        if is_down(self.state, step.module, recovered=step.recovers):
             return NOBODY
         if step.exclusive:
             found = self._not_free(player, step)
@@ -325,7 +325,7 @@ class Turn:
             return self.scene.busy[spec.module]
         for variable, wanted in spec.access.items():
             value, by = self.scene.values.get((spec.module, variable), (None, NOBODY))
-            if not same(value, wanted):
+            if not is_same(value, wanted):
                 return by
         if spec.claim:
             return self.scene.holder(self.player, spec.module)
@@ -351,7 +351,7 @@ class Turn:
         if requires.of != "module":
             return None
         value, by = self.scene.values.get((self.step.module, requires.variable), (None, NOBODY))
-        return None if same(value, requires.value) else by
+        return None if is_same(value, requires.value) else by
 
     def setpoint(self, claims: Claims) -> Who | None:
         holders = self.scene.setpoints.get((self.step.module, claims.setpoint), {})

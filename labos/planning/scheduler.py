@@ -28,7 +28,7 @@ from labos.core.waits import Wait
 from labos.planning import booked
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_may_stay
-from labos.planning.choosing import changes, options_in_order
+from labos.planning.choosing import list_changes, options_in_order
 from labos.planning.deadlines import Deadlines
 from labos.planning.due import UNDATED, DueDates
 from labos.planning.obstacle import obstacle
@@ -148,7 +148,7 @@ class Scheduler:
                 elder = self._find_protected(state, run, now)
                 if elder:
                     # It protects nothing any more once it has to wait for a booking.
-                    until = booked.room_ends(state, RunId(elder), now) if state.bookings.open else None
+                    until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
                     return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
                 early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
                 waited = early is not None and any(
@@ -176,10 +176,10 @@ class Scheduler:
         """What the time that has come asks for, and what becomes of cancelled runs."""
         yield from self.deadlines.due(state, now)
         yield from self._find_ways_out(state)
-        yield from changes(state, self.safety)
+        yield from list_changes(state, self.safety)
 
     def _find_ways_out(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
-        """What becomes of cancelled runs of which nothing is in flight: they go their way out, or cannot."""
+        """Commands for cancelled runs with nothing in flight: they take their way out, or give it up."""
         found: list[TakeWayOut | GiveUpWayOut] = []
         for run in map(state.runs.active.__getitem__, state.runs.ending):
             if under_way(run):
@@ -206,7 +206,9 @@ class Scheduler:
                 (step, self.check_start(state, option, step, now, only_asking=True))
                 for option in options(run)
                 for step in (
-                    state.runs.plans[option.plan].starts if not run.has_started else ready(state, run)
+                    state.runs.plans[option.plan].starts
+                    if not run.has_started
+                    else list_ready_steps(state, run)
                 )
             ]
         if run.choices and not run.has_started:
@@ -239,7 +241,7 @@ class Scheduler:
         names.update(dict.fromkeys(self.sleepers.due(now), True))
         for cell in named.get(EVERYTHING, ()):
             inside = state.runs.inside(cell)
-            names.update({(run.id, step): True for run in inside for step in ready(state, run)})
+            names.update({(run.id, step): True for run in inside for step in list_ready_steps(state, run)})
             names.update({(bundle, 0): True for bundle in self.room.within(cell)})
         for key in touched.keys:
             if key.startswith("run:"):
@@ -248,7 +250,7 @@ class Scheduler:
                 names |= self.sleepers.find_waiting(key)
         if touched.whole:
             active = state.runs.active.values()
-            names.update({(run.id, step): True for run in active for step in ready(state, run)})
+            names.update({(run.id, step): True for run in active for step in list_ready_steps(state, run)})
             names.update({(bundle, 0): True for bundle in self.room})
         seen: dict[Kind, list[Wait]] = {}
         return [
@@ -310,7 +312,7 @@ class Scheduler:
     def _list_run_steps(self, state: LabState, name: RunId) -> list[tuple[str, int]]:
         active = state.runs.active.get(name)
         if active is not None:
-            return [(name, step) for step in ready(state, active)]
+            return [(name, step) for step in list_ready_steps(state, active)]
         queued = state.runs.queued.get(name)
         bundle = self.room.note(state, queued) if queued is not None else ""
         return [(bundle, 0)] if bundle else []
@@ -405,7 +407,7 @@ class Scheduler:
                 yield state.runs.plan_of(run)
 
     def _find_protected(self, state: LabState, run: RunState, now: int) -> str:
-        """The elder for whom this run has to stay out; empty if there is none."""
+        """The elder run that this run has to stay out for; empty if there is none."""
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
         for elder in self.room.list_overtaken(state, plan.plan.workcell):
@@ -446,7 +448,7 @@ class Scheduler:
         return self.reservations.check_start(state, run, step, now, self.safety) is not None
 
 
-def ready(state: LabState, run: RunState) -> list[int]:
+def list_ready_steps(state: LabState, run: RunState) -> list[int]:
     """Steps whose turn it is: pending, with everything before them done."""
     plan, steps = state.runs.plan_of(run), run.steps
     found: list[int] = []
@@ -489,4 +491,4 @@ def _cell_of(state: LabState, name: str) -> str | None:
     return cell_of_run(state, name) or None
 
 
-__all__ = ["Scheduler", "Start", "ready"]
+__all__ = ["Scheduler", "Start", "list_ready_steps"]

@@ -13,7 +13,8 @@ Name = tuple[str, int]
 
 
 class Sleepers:
-    """Who waits for what. Whoever is roused waits for nothing any more."""
+    """The steps and bundles that wait, and what each of them waits for. One that is woken waits for nothing
+    any more."""
 
     def __init__(self) -> None:
         self._waits: dict[str, dict[int, list[Wait]]] = {}
@@ -21,7 +22,8 @@ class Sleepers:
         self._alarms: Alarms[Name] = Alarms()
 
     def among(self, names: Mapping[RunId, bool]) -> list[str]:
-        """Those of these runs of which a step waits, sorted. As quick as the fewer of both are."""
+        """Those of these runs that have a waiting step, sorted. The time it takes follows the smaller of the
+        two numbers: these runs, or waiting ones."""
         return sorted(self._waits.keys() & names.keys())
 
     def sleep(self, name: Name, wait: Wait) -> None:

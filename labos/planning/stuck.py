@@ -11,7 +11,7 @@ from typing import Any
 
 from labos.core import reasons
 from labos.core.bench import Labware, variable_of
-from labos.core.binding import check_module, find_unreserved, same, unfit, usable_at
+from labos.core.binding import check_module, find_unfit_labware, find_unreserved, find_usable, is_same
 from labos.core.booked import find_begun_booking
 from labos.core.effects import Carrying, Needs, Requires, Sets, places
 from labos.core.ids import LabwareId, ModuleName, Owner, StationName, run_owner
@@ -55,7 +55,7 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
 
 
 def find_questions(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
-    """The steps that failed and of which a person has to say what becomes of them."""
+    """The failed steps for which a person has to decide what happens."""
     steps = state.runs.plan_of(run).steps
     questions = state.interventions.find_by_run(run.id)
     indices = [(q.topic.step, q.id) for q in questions if isinstance(q.topic, FailedStep)]
@@ -119,7 +119,7 @@ def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> W
 
 
 def _check_supplies(state: LabState, run: RunState) -> Wait | None:
-    """A resource of which less is left than one of the run's steps needs."""
+    """The wait for a resource, if less is left than one of the run's steps needs."""
     used = state.runs.plans[run.plan].uses_up
     states = statuses_of(state.runs.plan_of(run), run) if used else ()
     for index, module, resource, amount in used:
@@ -146,7 +146,7 @@ def _check_labware(state: LabState, run: RunState) -> Wait | None:
         if run.steps[index].status == PENDING
         and all(run.steps[before].status in SETTLED for before in step.after)
     ]
-    waits = [unfit(state, run, step) for step in ready]
+    waits = [find_unfit_labware(state, run, step) for step in ready]
     return waits[0] if waits and all(waits) else None
 
 
@@ -200,7 +200,7 @@ class _LabwareAhead:
 
     def _find(self, place: StationName) -> Labware | None:
         if place not in self._at:
-            self._at[place] = usable_at(self.state, self.run, place, lent=True)
+            self._at[place] = find_usable(self.state, self.run, place, lent=True)
         return self._at[place]
 
     def _carry(self, what: Carrying, subject: Labware | None) -> None:
@@ -211,6 +211,10 @@ class _LabwareAhead:
         self._at[what.target], self._at[what.source] = subject, None
 
     def _check_variable(self, item: Labware | None, variable: str, wanted: Any) -> Wait | None:
-        if item is None or (item.id, variable) in self._changed or same(variable_of(item, variable), wanted):
+        if (
+            item is None
+            or (item.id, variable) in self._changed
+            or is_same(variable_of(item, variable), wanted)
+        ):
             return None
         return Wait(reasons.Unfit(item.id, variable, str(wanted)), (station_key(item.station),))

@@ -86,7 +86,7 @@ class Adviser:
         return run
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
-        """For whom a start has to wait by what was suggested; None if it may go ahead."""
+        """The wait of a start for steps that were suggested to go first; None if it may go ahead."""
         plan = state.runs.plan_of(run)
         advice = self._advice(state, plan.workcell, now)
         if advice is None or plan.steps[step].part != MAIN or not _is_moving(state, plan.workcell):

@@ -27,7 +27,7 @@ class Slot(msgspec.Struct, frozen=True):
 
 
 class Timetable(msgspec.Struct, frozen=True):
-    """The slots by step. ``critical`` steps follow one another to the run's end: whoever shortens
+    """The slots by step. ``critical`` steps follow one another to the run's end: shortening
     one of them shortens the run, until another path is the longest."""
 
     slots: tuple[Slot, ...]
@@ -36,7 +36,7 @@ class Timetable(msgspec.Struct, frozen=True):
     busy_s: dict[ModuleName, float]
 
 
-def timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
+def make_timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
     """Lay out a plan whose steps do not wait in a circle, if nothing of it fails or is left out; the zones
     are the workcell's. Steps for emergencies have no time."""
     slots: dict[int, Slot] = {}
@@ -73,7 +73,7 @@ def _with_learned(step: PlanStep, lengths: Lengths, pace: float) -> PlanStep:
     return msgspec.structs.replace(step, duration_s=known.usual * pace / 1e9)
 
 
-def consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
+def sum_consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
     """How much the plan uses up if nothing of it fails, by module and resource."""
     used: dict[tuple[ModuleName, str], float] = {}
     for step in _usual(plan):

@@ -21,14 +21,14 @@ from labos.core.decide import Command, Rejection, carry_out
 from labos.core.decide.actions import AcceptAction, FinishAction, StartStep
 from labos.core.decide.campaigns import SubmitRow
 from labos.core.decide.interventions import ResolveIntervention
-from labos.core.decide.work import work_on
+from labos.core.decide.work import find_work
 from labos.core.effects import Draws, Transfers
 from labos.core.fold import evolve
 from labos.core.ids import ActionId, CampaignId, ExperimentId, RunId, local
 from labos.core.interventions import InterventionRequested
 from labos.core.model import Plan, PlanStep
 from labos.core.modules import ModuleStatus
-from labos.core.quotas import queue_is_full
+from labos.core.quotas import explain_full_queue
 from labos.core.registry import Event
 from labos.core.rules import ends_by
 from labos.core.runs import (
@@ -121,7 +121,7 @@ class VirtualLab:
         self.state, self.now, self.play = state, now, Play()
         self._lasts = lasts
         self._rows = {
-            name: [tuple(map(without_results, plans)) for plans in found]
+            name: [tuple(map(strip_results, plans)) for plans in found]
             for name, found in (rows or {}).items()
         }
         self._most_rows, self._most_steps = most_rows, most_steps
@@ -272,7 +272,7 @@ class VirtualLab:
                 and campaign is not None
                 and campaign.takes_rows
                 and self._admitted.get(name, 0) < self._most_rows
-                and not queue_is_full(self.state, campaign.user)
+                and not explain_full_queue(self.state, campaign.user)
             ):
                 row = campaign.next_row
                 first, *others = plans[row % len(plans)]
@@ -292,7 +292,7 @@ class VirtualLab:
             action = self.state.actions.open.get(heapq.heappop(self._flying)[2])
             if action is None:
                 continue
-            question = work_on(self.state, action)
+            question = find_work(self.state, action)
             if question is not None:
                 self._ask(ResolveIntervention(question.id, "done", LABOS))
                 continue
@@ -321,7 +321,7 @@ class VirtualLab:
         it was said, and devices are at rest when their actions have ended."""
         state = self.state
         for known in state.runs.plans.values():
-            known.plan = without_results(known.plan)
+            known.plan = strip_results(known.plan)
             known.conditional = ()
         state.bench.watched.clear()
         for module in state.modules.by_name.values():
@@ -375,9 +375,9 @@ class _ObservedSleepers(Sleepers):
         self._tell(name, wait)
 
 
-def without_results(plan: Plan) -> Plan:
-    """A plan of which no step reads what earlier ones have found: all of its steps are carried out, and all
-    find what they should."""
+def strip_results(plan: Plan) -> Plan:
+    """A plan whose steps do not read results of earlier ones: all of its steps are carried out, and all find
+    what they should."""
     if not plan.feeds and not any(step.when or step.expect for step in plan.steps):
         return plan
     return msgspec.structs.replace(plan, feeds=(), steps=tuple(map(_without_results, plan.steps)))

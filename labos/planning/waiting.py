@@ -199,7 +199,7 @@ class WaitingRoom:
             self._oldest[bundle] = (oldest.position, group)
         return oldest
 
-    # -- who was passed over -----------------------------------------------------------------
+    # -- runs that were passed over ----------------------------------------------------------
 
     def let_in(self, state: LabState, run: RunState, *, urgent: bool = False) -> None:
         """Count against the oldest of every bundle of the workcell, if it is older than the run let in and
@@ -221,7 +221,7 @@ class WaitingRoom:
         counts[elder.id] = counts.get(elder.id, 0) + times
 
     def list_overtaken(self, state: LabState, cell: str) -> list[RunState]:
-        """Who was passed over too often in a workcell."""
+        """The runs that were passed over too often in a workcell."""
         counts = self._passed_over.get(cell, {})
         for name in [name for name in counts if name not in state.runs.queued]:
             del counts[name]

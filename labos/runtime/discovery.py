@@ -38,7 +38,7 @@ class Discovery:
         self._tasks.cancel()
 
     async def find_unlogged(self, module: ModuleName, told: Sequence[Unacknowledged]) -> list[FoundAction]:
-        """The actions in a node's journal of which the log knows nothing. One that ended long ago is not in
+        """The actions in a node's journal that are not in the log. One that ended long ago is not in
         memory any more, but its request stands in the log. Raises StoreError."""
         found: dict[ActionId, FoundAction] = {}
         for entry in told[:MOST_LOOKED_FOR]:

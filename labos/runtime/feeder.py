@@ -15,7 +15,7 @@ import structlog
 from labos.core.campaigns import Campaign, CampaignEvent
 from labos.core.decide import Rejection
 from labos.core.decide.campaigns import RefuseRow, SubmitRow
-from labos.core.quotas import queue_is_full
+from labos.core.quotas import explain_full_queue
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunStarted
 from labos.core.shares import SharesApplied
 from labos.core.users import GroupEvent
@@ -88,7 +88,7 @@ class Feeder:
         for name in list(self._kernel.state.campaigns.open):
             state = self._kernel.state
             campaign = state.campaigns.open.get(name)
-            if campaign is None or not campaign.takes_rows or queue_is_full(state, campaign.user):
+            if campaign is None or not campaign.takes_rows or explain_full_queue(state, campaign.user):
                 continue
             command = await self._rows.propose(campaign, campaign.next_row)
             answer = self._kernel.submit(command, "labos")

@@ -29,7 +29,7 @@ MOST_ARRIVING = 32
 LARGEST_ARRIVING = 2 * 1024 * 1024 * 1024
 """Bytes of all of them."""
 STALE_S = 3600.0
-"""A file of which nothing more has come for so long is given up."""
+"""A file is given up when no further piece of it has come for so long."""
 WRONG_BYTES = "its bytes are not those of its SHA-256."
 _encode = msgspec.json.Encoder().encode
 _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | KeepFile)

@@ -2,7 +2,7 @@
 
 It stands where the kernel stands in the kernel's own process. What is read of it is the folded log; a command
 is judged by the rules, and then goes to the kernel (``SendOn``). The log is read beside the event loop and
-folded in it, so that nobody sees the state in the midst of an event.
+folded in it, so that nobody sees the state while an event is half folded.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.decide import Command, Rejection, decide
-from labos.core.envelope import GENESIS, damage
+from labos.core.envelope import GENESIS, find_damage
 from labos.core.fold import evolve
 from labos.core.ids import LabId
 from labos.core.registry import Event, decode
@@ -37,7 +37,7 @@ PAGE = 5_000
 """Records that are read at once."""
 
 BEHIND_S = 3.0
-"""How long a reader waits for a position of which it was told."""
+"""How long a reader waits for a position that it was told."""
 
 LOST_PAUSE_S = 0.5
 """Between two tries to read a log that cannot be read."""
@@ -210,7 +210,7 @@ class FollowedKernel:
         """A page of what is new, each record checked against the one before. Raises LogDamaged."""
         entries = []
         for record in self._store.read(after, min(head.position, after + PAGE)):
-            if fault := damage(before, record):
+            if fault := find_damage(before, record):
                 at = record.head.position
                 raise LogDamaged(f"Position {at}: {fault}.", position=at, remedy="See labos verify.")
             before = record.hash

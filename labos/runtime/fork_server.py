@@ -46,7 +46,7 @@ Answer = ChildStarted | ChildEnded
 
 
 def serve(link: socket.socket) -> tuple[str, ...] | None:
-    """Fork for whoever asks. Gives the words in each child, which goes on with them as its own, and None in
+    """Fork when a kernel asks. Gives the words in each child, which goes on with them as its own, and None in
     the server as soon as nobody can ask any more."""
     gc.collect()
     gc.freeze()  # what is loaded now stays shared: no collection touches it

@@ -162,7 +162,7 @@ class KernelLog(ABC):
             raise
 
     async def leave_to_standby(self) -> None:
-        """Close, and let whoever stands by take over at once; from then on nothing is decided here."""
+        """Close, and let a standby take over at once; from then on nothing is decided here."""
         self._to_standby = True
         await self.close()
         self._lose(

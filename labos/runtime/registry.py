@@ -3,9 +3,8 @@
 A node is there when its liveliness token is; it is silent when its heartbeat stops although the
 token stands (a process alive with its interpreter held is not noticed otherwise).
 
-Tokens and heartbeats can be made up: they lead to a question to whoever serves the module's keys, never to
-more than one at a time, and only for modules that the lab has.
-"""
+Tokens and heartbeats can be made up: they lead to a question to the process that serves the module's keys,
+never to more than one at a time, and only for modules that the lab has."""
 
 from __future__ import annotations
 
@@ -50,7 +49,7 @@ _log = structlog.get_logger(__name__)
 class Registry:
     """Keeps the modules slice in step with the nodes on the bus. ``silence_s`` without a
     heartbeat counts as gone; a node that obeys another kernel is asked again after ``barred_s``.
-    ``is_stopping`` says of which module the node was told to end."""
+    ``is_stopping`` says whether a module's node was told to end."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Notices that whoever was asked has not said anything for too long."""
+"""Notices that a peer that was asked has been silent for too long."""
 
 from __future__ import annotations
 

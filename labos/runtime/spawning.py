@@ -24,7 +24,7 @@ PATIENCE_S = 30.0
 """How long the fork server may take to start, and for each child."""
 
 CODE_UNKNOWN: Final = "unknown"
-"""The code of a process of which nobody was told how it ended."""
+"""The code of a process whose end was not reported."""
 
 ExitCode = int | Literal["unknown"]
 """The code with which a process ended, as ``subprocess`` gives it: negative for a signal."""
@@ -212,7 +212,7 @@ class ForkServer:
             return
         child = self._children[answer.pid] = ForkedChild(answer.pid, stdin, self._is_alive)
         if asked.done():
-            child.let_go()  # whoever asked has gone away
+            child.let_go()  # the caller has gone away
         else:
             asked.set_result(child)
 

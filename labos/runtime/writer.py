@@ -93,7 +93,7 @@ class PatientWriter:
 
 
 class AnsweringStore(EventStore, Protocol):
-    """A store that can be left in the midst of a call."""
+    """A store that can be abandoned during a call."""
 
     name: str
     answered: int
@@ -118,7 +118,7 @@ _Job = _Batch | _Call | None
 
 
 class ThreadWriter:
-    """The writer over a real store. One that has not answered for ``silence_s`` is given up: whoever
+    """The writer over a real store. One that has not answered for ``silence_s`` is given up: the caller who
     waits hears so at once, and what the thread hangs in is broken off.
 
     ``turn`` counts how often it began and gave up: what belongs to an earlier turn is neither written
@@ -286,6 +286,6 @@ def _fail(future: asyncio.Future[Any], error: BaseException) -> None:
 
 
 def in_doubt(error: StoreUnavailable) -> CommitInDoubt:
-    """What whoever waits for a commit is told when the store failed in the midst of it."""
+    """The error for callers who wait for a commit, when the store failed during it."""
     remedy = f"{error.remedy} Look with `labos log` before you ask for the same again.".strip()
     return CommitInDoubt(error.message, remedy=remedy)

@@ -30,7 +30,7 @@ from labos.core.waits import Wait
 from labos.errors import Refused
 from labos.planning.choosing import options_in_order
 from labos.planning.explain import sentence
-from labos.planning.scheduler import Scheduler, ready
+from labos.planning.scheduler import Scheduler, list_ready_steps
 
 CAP = 32
 USER = "somebody"
@@ -60,7 +60,7 @@ def capacity(
 ) -> Capacity:
     """Let in copies of a plan one by one until one is refused. ``stock`` is (station, labware
     type, count); ``inputs`` are the stations where a run's labware must stand at its start;
-    ``others`` are plans of which a copy may follow one in place of ``plan``.
+    ``others`` are plans that a copy may follow in place of ``plan``.
     Raises Refused if the workcell cannot be set up like this."""
     plan, *others = map(_approve, (plan, *others))
     bench = _PaperBench()
@@ -144,7 +144,7 @@ class _PaperBench:
         for run in runs:
             if _count_over(run) + 1 == len(run.steps):
                 continue
-            for step in ready(self.state, run):
+            for step in list_ready_steps(self.state, run):
                 if self.scheduler.check_start(self.state, run, step, self.now) is None:
                     self._carry_out(run, step)
                     return True

@@ -68,7 +68,7 @@ def step_name(run: str, index: int, names: Catalogue) -> str:
 
 
 def _name_subject(event: Event, names: Catalogue) -> str:
-    """Whom or what a sentence is about."""
+    """The subject of a sentence: a person, a run, labware or a module."""
     match event:
         case a.ActionDiscovered():
             return f"{local(event.module)}: "
@@ -408,4 +408,4 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.kind.replace('_', ' ')} {e.name!r}" + _when(e.facts, f": {short(e.facts)}")
     ),
 }
-"""What each kind of event says, behind whom it is about."""
+"""The sentence of each kind of event, without its subject."""

@@ -211,7 +211,7 @@ def is_of_type(type_: str, wanted: str) -> bool:
 
 
 def _tokens(wanted: LogFilter) -> tuple[bytes, ...]:
-    """Bytes of which a payload that concerns the filter's narrowest name holds one."""
+    """Byte strings: a payload that concerns the filter's narrowest name contains at least one of them."""
     for name, owner in ((wanted.run, "run"), (wanted.labware, ""), (wanted.experiment, "experiment")):
         if name:
             return (_quote(name), _quote(f"{owner}:{name}"))

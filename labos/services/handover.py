@@ -1,4 +1,4 @@
-"""What the next shift has to know: what runs, what waits for whom, what runs out next, and how long
+"""What the next shift has to know: what runs, what waits for which person, what runs out next, and how long
 the lab went on by itself.
 
 Everything is worked out from the log at one moment; only what ended, and the time without human

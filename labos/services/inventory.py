@@ -1,4 +1,4 @@
-"""What is left on the bench, of which lots, and what runs out first if all goes as planned.
+"""What is left on the bench, from which lots, and what runs out first if all goes as planned.
 
 The runs that are alive are walked in the order in which they would go on: each takes its nominal
 time, laid out on the modules as they come free. Real labs are slower; the run at which something
@@ -17,7 +17,7 @@ from labos.core.ids import ModuleName, RunId, StationName
 from labos.core.runs import SETTLED, RunState, statuses_of
 from labos.core.state import LabState
 from labos.core.wells import well_key
-from labos.planning.timetable import timetable
+from labos.planning.timetable import make_timetable
 
 ENOUGH_RUNS = 500
 """Runs that are looked ahead to; beyond them nobody can say when."""
@@ -176,7 +176,7 @@ def list_runs_ahead(state: LabState, now: int) -> Iterator[Ahead]:
     queued = sorted(state.runs.queued.values(), key=lambda run: (-run.priority, run.position))
     for run in [*state.runs.active.values(), *queued][:ENOUGH_RUNS]:
         plan = state.runs.plan_of(run)
-        table = timetable(plan)
+        table = make_timetable(plan)
         steps = statuses_of(plan, run)
         left = [i for i, status in enumerate(steps) if status not in SETTLED]
         begun_s = min((table.slots[i].start_s for i in left), default=0.0)

@@ -59,7 +59,7 @@ def surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
     found: list[Surplus] = []
     for name, journal in journals.items():
         if journal.lab and not head.position:
-            found.append(Surplus(name, f"the lab {journal.lab}, of which this log has not one event"))
+            found.append(Surplus(name, f"the lab {journal.lab}, and this log has no event of it"))
             continue
         if journal.lab and journal.lab != head.lab:
             continue  # of another lab that lived in this folder

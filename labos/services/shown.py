@@ -1,6 +1,6 @@
 """A log as people read it: with the words that stand beside it put in, and a mark where they were erased.
 
-Whoever verifies, copies or folds a log to go on from it reads it as it is stored.
+Code that verifies, copies or folds a log to go on from it reads it as it is stored.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from labos.ports import Head, LogQuery
 from labos.services.log import Log, Row
 
 PAGE = 500
-"""Records of which the words are looked for at once."""
+"""So many records at a time are looked up with their words."""
 
 T = TypeVar("T")
 S = TypeVar("S", bound=msgspec.Struct)
@@ -66,7 +66,7 @@ def show_records(log: WordsBeside, records: Sequence[Record]) -> list[Record]:
 
 
 def _references(record: Record) -> list[str]:
-    # SQLite lets a column hold a value of any type: whoever reads the event says that it is damaged.
+    # SQLite lets a column hold a value of any type: the reader of the event says that it is damaged.
     return references_in(record.payload) if isinstance(record.payload, bytes) else []
 
 

@@ -274,7 +274,7 @@ class Standstill:
             case reasons.TooEarly() | reasons.RetryLater() | reasons.Booked() | reasons.BookedSoon():
                 return PASSES
             case (
-                # Whoever it belongs to, is kept for or is held by is what it waits for.
+                # It waits for its owner, for the run it is kept for, or for the run that holds it.
                 reasons.NotYours()
                 | reasons.InUse()
                 | reasons.Reserved()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from labos.core.arguments import describe_arg, flaw, names_of, unit_of
+from labos.core.arguments import describe_arg, find_flaw, names_of, unit_of
 from labos.core.canonical import refuse_non_finite
 from labos.core.model import ActionSpec, Arg
 from labos.spec.durations import SECONDS, quantity
@@ -63,7 +63,7 @@ def _check(arg: Arg, name: str, value: Any, tell: Tell) -> Any:
     try:
         refuse_non_finite(value)
         value = _read(arg, value)
-        problem = flaw(arg, value)
+        problem = find_flaw(arg, value)
     except ValueError as error:
         problem = str(error)
     if problem:

@@ -24,7 +24,7 @@ from labos.core.effects import (
 )
 from labos.core.ids import StationName, local
 from labos.core.model import PlanStep
-from labos.core.wells import add_doses, doses_of, draw_doses, misfit
+from labos.core.wells import add_doses, doses_of, draw_doses, find_misfit
 from labos.spec.paper import UNKNOWN, Paper, Piece
 
 
@@ -360,7 +360,7 @@ class StepOnPaper:
         if piece is None:
             return
         kind = self.paper.labware.get(piece.kind)
-        fault = misfit(effects, kind, piece.volumes_ul, "the labware") if kind is not None else ""
+        fault = find_misfit(effects, kind, piece.volumes_ul, "the labware") if kind is not None else ""
         if fault:
             message = f"{fault[0].upper()}{fault[1:]}."
             self._error(message, "Pour into a well what fits, and draw what is there.")

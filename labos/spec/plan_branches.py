@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from labos.core.branches import TooManyWays, Way, inert, main_steps, order_of, ways
+from labos.core.branches import TooManyWays, Way, is_inert, main_steps, sort_steps, ways
 from labos.core.conditions import decision
 from labos.core.effects import list_carried
 from labos.core.ids import StationName, local
 from labos.core.model import OnError, Plan
-from labos.core.runs import rescuers
+from labos.core.runs import list_rescue_steps
 from labos.spec.dryrun import DryRun
 from labos.spec.paper import Tell
 
@@ -36,7 +36,7 @@ class PlanBranches:
         self.plan, self.paper, self.explicit = plan, paper, explicit
         self.errors: list[Fault] = []
         self.warnings: list[Fault] = []
-        self.main = order_of(plan, main_steps(plan))
+        self.main = sort_steps(plan, main_steps(plan))
         self.conditional = any(step.when is not None for step in plan.steps)
         self.inputs: list[StationName] = []
         self._warned: set[tuple[int, str]] = set()
@@ -57,7 +57,7 @@ class PlanBranches:
                 continue
             if policy.do == "run":
                 self._try_recovery(index)
-            elif not inert(self.plan, index):
+            elif not is_inert(self.plan, index):
                 self._try_skip(index, policy)
         if self.errors:
             return
@@ -99,14 +99,14 @@ class PlanBranches:
     def _try_recovery(self, index: int) -> None:
         policy = self.plan.steps[index].on_error
         assert policy is not None
-        if self.plan.steps[index].expect is not None and not inert(self.plan, index):
+        if self.plan.steps[index].expect is not None and not is_inert(self.plan, index):
             what = "It changes something, so recovery steps cannot find all as it was if its result is wrong."
             self.errors.append((index, what, "Expect the result of a step of its own that only measures."))
         if self.conditional:
             return  # all ways are looked at below
         at = self.main.index(index)
         rest = self.main[at + 1 :] if policy.then == "go_on" else ()
-        recovery = order_of(self.plan, rescuers(self.plan, index))
+        recovery = sort_steps(self.plan, list_rescue_steps(self.plan, index))
         way = Way((*self.main[:at], *recovery, *rest), rescued=frozenset((index,)))
         self._keep(way, self._faults(way)[0])
 
@@ -114,7 +114,7 @@ class PlanBranches:
         """Offer people to skip only what makes no difference."""
         for index in self.main:
             policy = self.plan.steps[index].on_error
-            if policy is not None and policy.do == "ask" and not inert(self.plan, index):
+            if policy is not None and policy.do == "ask" and not is_inert(self.plan, index):
                 self._replace(index, msgspec.structs.replace(policy, may_skip=False))
 
     def _replace(self, index: int, policy: OnError | None) -> None:
@@ -185,7 +185,7 @@ def first_way(plan: Plan) -> tuple[int, ...]:
     """The steps of a way on which nothing fails; of steps that exclude each other, those written first."""
     said: dict[str, bool] = {}
     steps: list[int] = []
-    for index in order_of(plan, main_steps(plan)):
+    for index in sort_steps(plan, main_steps(plan)):
         condition = plan.steps[index].when
         if condition is not None:
             what, positive = decision(condition)

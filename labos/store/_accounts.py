@@ -47,7 +47,7 @@ class SqlAccounts:
     # -- people --------------------------------------------------------------------------------
 
     def people(self) -> dict[str, Person]:
-        """Those of whom a name or an address is known."""
+        """The users with a known name or address."""
         with self.read() as connection:
             rows = connection.execute(select(person_table)).all()
         return {row.user_id: Person(row.user_id, row.name, row.mail) for row in rows}
@@ -57,7 +57,7 @@ class SqlAccounts:
             _replace(connection, person_table, person.user, name=person.name, mail=person.mail)
 
     def erase(self, user: str) -> None:
-        """Forget whoever a user is, with all that they sign in with."""
+        """Forget who a user is, and all that they sign in with."""
         with self.change() as connection:
             for table in _OF_A_USER:
                 connection.execute(delete(table).where(table.c.user_id == user))
@@ -143,7 +143,7 @@ class SqlAccounts:
     # -- who an identity provider means ----------------------------------------------------------
 
     def user_of(self, issuer: str, subject: str) -> str:
-        """The user whom a provider calls so; empty for nobody."""
+        """The user with this name at a provider; empty if there is none."""
         table = identity_table.c
         found = self._value(select(table.user_id).where(table.issuer == issuer, table.subject == subject))
         return str(found or "")

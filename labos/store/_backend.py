@@ -120,7 +120,8 @@ class Backend(Protocol):
         its old connection. Raises StoreUnavailable, or the driver's error, if that is not sure."""
 
     def hang_up(self) -> None:
-        """End every connection from this side, whoever waits on it. From any thread; waits for nothing."""
+        """End every connection from this side, even if somebody waits on it. From any thread; waits for
+        nothing."""
 
     def close(self) -> None: ...
 

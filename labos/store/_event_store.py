@@ -277,7 +277,7 @@ class SqlEventStore(LogReader):
 
     def close(self) -> None:
         """Close every connection and give back what makes this process the kernel; the lease
-        itself ends by ``release``. Whoever still waits for the database gets StoreUnavailable."""
+        itself ends by ``release``. Callers that still wait for the database get StoreUnavailable."""
         mine = self._turn.acquire(timeout=CLOSE_S)
         if not mine:
             self.hang_up()

@@ -1,12 +1,11 @@
 """What the store keeps in the lab's folder, outside the database: a key, a note of the log's end, and which
 words were erased.
 
-The key seals snapshots: whoever can write to the database, but not read the lab's folder, cannot make a state
-that the kernel believes. The note says how far the log has reached, so that a database that lost its tail
-shows: SQLite drops the rest of a damaged write-ahead log without a word. It is written after each commit and
-synced now and then, so it may be behind the log, never before it. It can only say that the log was once
-longer; what follows from that, the kernel decides.
-"""
+The key seals snapshots: somebody who can write to the database, but not read the lab's folder, cannot make a
+state that the kernel believes. The note says how far the log has reached, so that a database that lost its
+tail shows: SQLite drops the rest of a damaged write-ahead log without a word. It is written after each commit
+and synced now and then, so it may be behind the log, never before it. It can only say that the log was once
+longer; what follows from that, the kernel decides."""
 
 from __future__ import annotations
 
@@ -197,7 +196,7 @@ class HomeFiles:
                 os.close(handle)
 
     def _give_up(self, error: OSError) -> None:
-        """The lab works without; whoever looks for a lost tail has one witness less."""
+        """The lab works without it; but one witness less can show that the log has lost its end."""
         _log.warning("end_of_log_not_noted", folder=str(self._home), why=str(error))
         handle, self._note = self._note, None
         if handle is not None:

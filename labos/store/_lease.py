@@ -38,7 +38,7 @@ def lease_holder(url: str) -> str:
 
 
 def silent_holder(url: str) -> str:
-    """Who was the kernel on this database and neither gave the lab back nor lives; empty if nobody.
+    """The last kernel on this database, if it neither gave the lab back nor lives; else empty.
     Raises BadInput for a URL that cannot be used, StoreUnavailable."""
     parsed = parse_url(url)
     backend = backend_for(parsed)

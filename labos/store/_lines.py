@@ -1,4 +1,4 @@
-"""The lines to a server that are open, so that they can be cut under whoever waits on one."""
+"""The open connections to a server, so that they can be cut while somebody waits on one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Lines:
             self._open.add(connection)
 
     def cut(self) -> None:
-        """End all of them from this side: whoever waits gets psycopg's OperationalError."""
+        """End all of them from this side: callers that wait get psycopg's OperationalError."""
         with self._lock:
             lines = list(self._open)
         for line in lines:

@@ -61,7 +61,7 @@ FORGET_S = 5.0
 """How long a session that was ended may take to be gone."""
 
 LOOK_S = 0.1
-"""How often whoever claims looks at a writer that seems to stand still."""
+"""How often a kernel that claims the log looks at a writer that seems to stand still."""
 
 _IN_MID_TRANSACTION = """
 SELECT pid, state_change < clock_timestamp() - make_interval(secs => :silent_s) AS silent
@@ -70,7 +70,7 @@ WHERE datname = current_database() AND left(application_name, 6) = 'labos-'
   AND right(application_name, 2) = '-w' AND wait_event = 'ClientRead' AND xact_start IS NOT NULL
   AND lease_until < extract(epoch FROM clock_timestamp()) * 1000
 """
-"""Writers of a kernel whose lease is over that let the server wait in the midst of a transaction. The server
+"""Writers of a kernel whose lease is over, and that let the server wait inside a transaction. The server
 ends such a session by itself only between two statements: not while it waits for the rows of a COPY, nor
 for the rest of a pipeline."""
 
@@ -96,7 +96,7 @@ _INSERT = f"INSERT INTO event ({_COLUMN_NAMES}) VALUES ({', '.join(['%s'] * len(
 _MOVE_HEAD = MOVE_HEAD.replace("?", "%s")
 
 SCRUB_WAITS_S = 2
-"""A scrub waits so long for whoever reads the table: the kernel writes nothing, and its lease runs."""
+"""A scrub waits so long for readers of the table: the kernel writes nothing, and its lease runs."""
 
 _INSERT_WORDS = INSERT_WORDS.replace("?", "%s")
 _ERASE_WORDS = ERASE_WORDS.replace("?", "%s")

@@ -50,7 +50,7 @@ def grant_writer(url: str, role: str) -> None:
     parsed = parse_url(url)
     if parsed.get_backend_name() == "sqlite":
         raise BadInput(
-            "SQLite has no roles: whoever may write the file may write all of it.",
+            "SQLite has no roles: a user who may write the file may write all of it.",
             remedy="Keep the lab's folder private, and checkpoints elsewhere (labos verify --checkpoint).",
         )
     status = database_status(url)

@@ -17,7 +17,7 @@ from typing import BinaryIO
 
 import msgspec
 
-from labos.core.envelope import GENESIS, Envelope, Record, damage
+from labos.core.envelope import GENESIS, Envelope, Record, find_damage
 from labos.errors import BadInput, LogDamaged
 from labos.private import create_file
 
@@ -116,7 +116,7 @@ def check_chain(records: Iterable[Record], before: bytes = GENESIS, after: int =
     for record in records:
         if record.head.position != after + 1:
             raise _report_break(after + 1, "the record is missing")
-        if fault := damage(before, record):
+        if fault := find_damage(before, record):
             raise _report_break(after + 1, fault)
         before, after = record.hash, after + 1
         yield record

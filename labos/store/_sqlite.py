@@ -143,7 +143,7 @@ class SqliteBackend:
         self.writing.dispose()
 
     def _move_into_the_file(self) -> str:
-        """After an orderly end the one file is the whole log, whoever else may still have it open. Returns
+        """After an orderly end the one file is the whole log, even if others still have it open. Returns
         why it is not."""
         try:
             # Not by an engine of ours, which would make the file anew if somebody has moved it away.

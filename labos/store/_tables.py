@@ -145,7 +145,7 @@ account_identity = Table(
     Column("user_id", Name, nullable=False),
     Index("account_identity_user", "user_id"),
 )
-"""Which user somebody is whom an identity provider has named."""
+"""Which user belongs to a name at an identity provider."""
 
 VERSION_TABLE = "labos_version"
 """Where Alembic keeps the revision; a name of our own, so that other programs may share the database."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from labos.core.envelope import GENESIS, Record, damage
+from labos.core.envelope import GENESIS, Record, find_damage
 from labos.errors import LogDamaged
 from labos.ports import EventStore
 
@@ -24,7 +24,7 @@ def first_damage(store: EventStore, progress: Progress | None = None, *, every: 
     """Check every record of the log against the chain, and its end against the head.
 
     ``progress`` is called after each ``every`` records with (positions checked, positions to check).
-    None means that the log is whole as far as it can itself tell: whoever rewrites all of it, head
+    None means that the log is whole as far as it can itself tell: somebody who rewrites all of it, head
     included, is found out only by a checkpoint that was kept elsewhere. Records that are appended
     meanwhile are not checked. Raises StoreUnavailable.
     """
@@ -60,7 +60,7 @@ def first_damage(store: EventStore, progress: Progress | None = None, *, every: 
 
 def _damage(previous: bytes, record: Record) -> str:
     try:
-        return damage(previous, record)
+        return find_damage(previous, record)
     except (TypeError, ValueError) as error:
         # SQLite lets a column hold a value of any type.
         return f"a column holds a value of the wrong type ({error})"

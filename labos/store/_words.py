@@ -101,6 +101,6 @@ def _make_stored(row: Any) -> StoredWords:
 def _read_kept(row: Any) -> Kept:
     salt, text = row.salt, row.text
     if not isinstance(salt, bytes | memoryview) or not isinstance(text, str):
-        # SQLite lets a column hold a value of any type; whoever put it there is found out by its digest.
+        # SQLite lets a column hold a value of any type; a wrong one is noticed by its digest.
         return Kept(row.reference, str(salt).encode(), str(text))
     return Kept(row.reference, bytes(salt), text)

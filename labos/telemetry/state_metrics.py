@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from functools import lru_cache
 
-from labos.core.calibrations import first_to_expire
+from labos.core.calibrations import find_first_expiry
 from labos.core.days import end_of
 from labos.core.ids import ModuleName, StationName, local, workcell_of
 from labos.core.open_experiments import ExperimentStatus
@@ -201,7 +201,7 @@ class StateMetrics(MetricGroup):
             now = "out_of_service" if module.out_of_service else module.status.lower()
             for each, key in _state_keys(name):
                 states[key] = 1.0 if each == now else 0.0
-            if last := first_to_expire(module.calibrations):
+            if last := find_first_expiry(module.calibrations):
                 key = (workcell_of(name),)
                 ends[key] = min(ends.get(key, math.inf), end_of(last))
         for what, level in state.resources.levels.items():

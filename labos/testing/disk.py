@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from labos.core.envelope import GENESIS, Record, damage
+from labos.core.envelope import GENESIS, Record, find_damage
 from labos.core.erasure import WordsErased
 from labos.core.ids import LabId
 from labos.core.registry import decode
@@ -92,7 +92,7 @@ class SimulatedStore:
             raise Fenced(f"The log ends at {head.position} of epoch {head.epoch}.")
         previous = head.hash
         for record in records:
-            fault = damage(previous, record)
+            fault = find_damage(previous, record)
             if fault:
                 raise LogDamaged(fault, position=record.head.position)
             previous = record.hash

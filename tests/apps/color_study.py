@@ -115,7 +115,7 @@ def spread(values: Sequence[float]) -> str:
     return f"{mean(values):.2f} ± {t * stdev(values) / math.sqrt(len(values)):.2f}"
 
 
-def grouped(found: Sequence[Told]) -> dict[tuple[str, int, int], list[Told]]:
+def group_by_case(found: Sequence[Told]) -> dict[tuple[str, int, int], list[Told]]:
     groups: dict[tuple[str, int, int], list[Told]] = defaultdict(list)
     for told in found:
         groups[told.case[:3]].append(told)
@@ -129,7 +129,7 @@ def after(told: Told, hours: float) -> float:
 
 
 def tables(found: Sequence[Told]) -> dict[str, str]:
-    groups = grouped(found)
+    groups = group_by_case(found)
     batches = [("B", "rounds", "lab hours", "best distance", "after 1 h", "after 2 h")]
     for batch in BATCHES:
         group = groups[PAPER, batch, 1]
@@ -175,7 +175,7 @@ def draw(found: Sequence[Told]) -> Figure:
     bands from the lowest to the highest."""
     figure = Figure(figsize=(8, 4.6), layout="constrained")
     axes = figure.subplots()
-    groups = grouped(found)
+    groups = group_by_case(found)
     for number, batch in enumerate(BATCHES):
         group = groups[PAPER, batch, 1]
         first = max(told.hours[0] for told in group)
@@ -209,7 +209,7 @@ def write(found: Sequence[Told]) -> None:
     PAGE.write_text(page, "utf-8")
 
 
-def kept() -> list[Told]:
+def read_results() -> list[Told]:
     """What the last study has found."""
     rows: list[dict[str, Any]] = json.loads(DATA.read_text("utf-8"))
     return [
@@ -231,7 +231,7 @@ def main() -> None:
     )
     given = parser.parse_args()
     if given.draw:
-        write(kept())
+        write(read_results())
         return
     done: list[Told] = []
     if given.part and given.part.exists():

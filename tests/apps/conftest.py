@@ -26,7 +26,7 @@ def open_lab(tmp_path: Path) -> OpenLab:
     """A simulated lab with a packaged workcell, in which texts may be replaced."""
 
     @contextmanager
-    def opened(workcell: str, speed: float, *changes: tuple[str, Any], seed: int = 0) -> Iterator[LabThread]:
+    def open_it(workcell: str, speed: float, *changes: tuple[str, Any], seed: int = 0) -> Iterator[LabThread]:
         path, known = find_spec("workcells", workcell), descriptions()
         text = path.read_text("utf-8")
         for old, new in changes:
@@ -37,4 +37,4 @@ def open_lab(tmp_path: Path) -> OpenLab:
         with LabThread(settings, [cell]) as lab:
             yield lab
 
-    return opened
+    return open_it

@@ -98,7 +98,7 @@ PICTURES = {
 }
 
 
-def drawn(app: str) -> bytes:
+def draw_picture(app: str) -> bytes:
     """The picture of an application's page."""
     content = io.BytesIO()
     PICTURES[app]().savefig(content, format="png", dpi=90)
@@ -113,7 +113,7 @@ def main() -> None:
     for app in PICTURES:
         sys.path.append(str(APPS / app))
     for app in PICTURES:
-        picture_of(app).write_bytes(drawn(app))
+        picture_of(app).write_bytes(draw_picture(app))
 
 
 if __name__ == "__main__":

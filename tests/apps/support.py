@@ -16,7 +16,7 @@ def notes(client: LabClient, name: str) -> list[dict[str, Any]]:
     return [event["payload"].get("facts", {}) for event in found if event["payload"]["name"] == name]
 
 
-def standing(client: LabClient) -> list[str]:
+def list_standing(client: LabClient) -> list[str]:
     """Where single pieces of labware stand."""
     stations = client.state()["stations"]
     return sorted(s["name"].rpartition("/")[2] for s in stations if s["labware"])

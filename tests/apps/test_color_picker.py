@@ -70,7 +70,7 @@ def test_without_a_plate_or_a_picture_nothing_is_read() -> None:
 # -- solvers ---------------------------------------------------------------------------------------
 
 
-def searched(name: str, seed: int, samples: int, batch: int = 8) -> float:
+def run_search(name: str, seed: int, samples: int, batch: int = 8) -> float:
     """How near a solver comes, if colours are seen as they are but for a little noise."""
     solver, noise, nearest = solver_of(name, GREY, seed), Random(seed), float("inf")
     for _ in range(samples // batch):
@@ -94,13 +94,13 @@ def test_a_solver_proposes_the_same_again_with_the_same_seed() -> None:
 
 
 def test_the_evolutionary_solver_comes_nearer_than_chance() -> None:
-    by_chance = median(searched("random", seed, 64) for seed in range(9))
-    assert median(searched("evolutionary", seed, 64) for seed in range(9)) < 0.75 * by_chance
+    by_chance = median(run_search("random", seed, 64) for seed in range(9))
+    assert median(run_search("evolutionary", seed, 64) for seed in range(9)) < 0.75 * by_chance
 
 
 @pytest.mark.slow
 def test_the_bayesian_solver_comes_nearer_than_chance_in_few_samples() -> None:
-    assert median(searched("bayesian", seed, 32) for seed in range(3)) < 4
+    assert median(run_search("bayesian", seed, 32) for seed in range(3)) < 4
 
 
 def test_a_grid_is_gone_through_once_and_then_made_finer() -> None:
@@ -210,7 +210,7 @@ def test_an_unknown_solver_is_refused() -> None:
 
 
 def test_the_page_of_the_study_shows_what_is_in_its_data() -> None:
-    page, found = color_study.PAGE.read_text("utf-8"), color_study.kept()
+    page, found = color_study.PAGE.read_text("utf-8"), color_study.read_results()
     assert {told.case for told in found} == set(color_study.cases())
     for table in color_study.tables(found).values():
         assert table in page

@@ -15,7 +15,7 @@ from PIL import Image
 from labos.client import LabClient, RunFailed
 from labos.node import World
 from tests.apps.conftest import OpenLab
-from tests.apps.support import cancel_at, notes, says_the_same_again, standing, until_clean
+from tests.apps.support import cancel_at, list_standing, notes, says_the_same_again, until_clean
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -39,16 +39,16 @@ def test_a_colour_is_looked_for_and_its_data_is_where_the_last_line_says(
         told = capsys.readouterr().out
         with LabClient(lab.url) as client:
             until_clean(client)
-            assert standing(client) == []
+            assert list_standing(client) == []
             published = notes(client, "samples")
             kept = json.loads(client.file(published[0]["file"]))
 
-            def resumed() -> str:
+            def resume() -> str:
                 monkeypatch.setattr(sys, "argv", ["color_picker", *words, "--resume", "E1"])
                 assert color_picker.main() == 0
                 return capsys.readouterr().out
 
-            says_the_same_again(client, resumed, told)
+            says_the_same_again(client, resume, told)
     assert told.startswith("color picker: not found: a distance of ")
     assert told.rstrip().endswith(str(out / "index.html"))
     assert len(kept) == published[0]["count"] > 0
@@ -72,5 +72,5 @@ def test_a_cancelled_search_is_cleared_away(open_lab: OpenLab, tmp_path: Path) -
             assert isinstance(why, RunFailed)
             assert why.result.status == "cancelled"
             until_clean(client)
-            assert standing(client) == []
+            assert list_standing(client) == []
         assert not (tmp_path / "index.html").exists()

@@ -60,12 +60,12 @@ def test_on_bio(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch:
         with LabClient(lab.url) as client:
             runs = [client.status(f"R{number}") for number in range(1, 7)]
 
-            def resumed() -> str:
+            def resume() -> str:
                 monkeypatch.setattr(sys, "argv", ["growth_assay", *words, "--resume", "E1"])
                 assert growth_assay.main() == 0
                 return capsys.readouterr().out
 
-            says_the_same_again(client, resumed, told)
+            says_the_same_again(client, resume, told)
             kinds = {note["payload"]["kind"] for note in client.events(type="experiment.noted")}
             leaves_the_bench_clean(client, World(str(lab.runtime.settings.world("bio"))))
     assert "growth assay: IC50 0.9" in told or "growth assay: IC50 0.8" in told

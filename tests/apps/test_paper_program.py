@@ -16,9 +16,9 @@ from labos.errors import BadInput
 from labos.node.world import World
 from labos.settings import Settings
 from labos.spec import load_workcell
-from tests.apps.support import standing
+from tests.apps.support import list_standing
 from tests.support.cells import rpl_with
-from tests.support.reading import reading_lab
+from tests.support.reading import open_reading_lab
 
 FOLDER = Path(__file__).parent / "paper"
 PRINTED = Path(__file__).parents[1] / "unit" / "spec" / "paper" / "cp_wf_mixcolor.yaml"
@@ -36,7 +36,7 @@ def test_the_printed_program_mixes_colors(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         notes = [event["payload"] for event in client.events(type="experiment.noted")]
         runs = [client.status(f"R{number}") for number in range(1, 5)]
-        assert standing(client) == []
+        assert list_standing(client) == []
         world = World(str(lab.runtime.settings.world("rpl")))
         mixed = [motion.facts["wells"] for motion in world.motions("pipette")]
         world.close()
@@ -64,7 +64,7 @@ def test_the_workflow_is_the_printed_one() -> None:
 @pytest.mark.slow
 def test_in_the_papers_words(tmp_path: Path) -> None:
     """Four lines are enough to run a workflow: the experiment is registered by itself."""
-    with reading_lab(tmp_path) as lab, LabClient(lab.url) as client:
+    with open_reading_lab(tmp_path) as lab, LabClient(lab.url) as client:
         address, _, port = lab.url.removeprefix("http://").partition(":")
         client.place("hidex.default", "plate96", "ada")
         client.give("P1", "shared", "ada")

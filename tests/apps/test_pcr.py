@@ -13,7 +13,7 @@ from labos.client import LabClient, RunFailed
 from labos.errors import BadInput
 from labos.node import World
 from tests.apps.conftest import OpenLab
-from tests.apps.support import cancel_at, notes, says_the_same_again, standing, until_clean
+from tests.apps.support import cancel_at, list_standing, notes, says_the_same_again, until_clean
 
 STANDARD = pcr.HERE / "payloads" / "standard.yaml"
 
@@ -61,7 +61,7 @@ def test_as_published_and_with_our_own_ending(open_lab: OpenLab, tmp_path: Path)
             with Image.open(out / "plate1.jpg") as image:
                 assert image.width > 500
             until_clean(client)
-            assert standing(client) == ([] if published else ["wc.output", "wc.output.1"])
+            assert list_standing(client) == ([] if published else ["wc.output", "wc.output.1"])
         programmes = notes(client, "thermal programme")
         assert notes(client, "the picture can be used") == []
     assert [(told["program"], told["cycles"]) for told in programmes] == [(3, 30), (3, 30)]
@@ -94,7 +94,7 @@ def test_a_cancelled_plate_is_brought_out(open_lab: OpenLab, tmp_path: Path) -> 
             assert isinstance(why, RunFailed)
             assert why.result.status == "cancelled"
             until_clean(client)
-            places = standing(client)
+            places = list_standing(client)
             assert places[0] == "wc.output", places
             assert all(place.startswith("wc.output") for place in places)
         assert not (tmp_path / "out").exists()

@@ -19,7 +19,7 @@ from labos.node import World
 from labos.settings import Settings
 from tests.apps.beamline import Beamline
 from tests.apps.conftest import OpenLab
-from tests.apps.support import cancel_at, notes, says_the_same_again, standing, until_clean
+from tests.apps.support import cancel_at, list_standing, notes, says_the_same_again, until_clean
 from tests.support.needed import need
 
 need("aioca", "epics")
@@ -101,6 +101,6 @@ def test_a_person_is_asked_when_no_drop_is_seen_and_a_cancelled_drop_leaves_no_t
             assert isinstance(why, RunFailed)
             assert why.result.status == "cancelled"
             until_clean(client)
-            assert standing(client) == ["wc.wells"]
+            assert list_standing(client) == ["wc.wells"]
     assert all(facts["fell"] for facts in drops_of(tmp_path))
     assert not (tmp_path / "out").exists()

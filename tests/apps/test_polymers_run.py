@@ -12,7 +12,7 @@ from polymers import Wanted, find_polymer
 from labos.client import LabClient, RunFailed
 from labos.node import World
 from tests.apps.conftest import OpenLab
-from tests.apps.support import cancel_at, notes, says_the_same_again, standing, until_clean
+from tests.apps.support import cancel_at, list_standing, notes, says_the_same_again, until_clean
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(120)]
 
@@ -35,7 +35,7 @@ def test_a_colour_is_found_and_its_data_is_where_the_last_line_says(
         assert again[0]["then"] == "measured again (1)"
         assert [note["met"] for note in notes(client, "near enough")][-1] is True
         until_clean(client)
-        assert standing(client) == []
+        assert list_standing(client) == []
         wanted = Wanted(BLUE, tolerance=1.0)
         says_the_same_again(client, lambda: find_polymer(client, "ada", wanted, out=out, resume="E1"), told)
     with (out / "data.csv").open() as file:
@@ -72,7 +72,7 @@ def test_a_person_is_asked_of_saturated_spectra_and_a_cancelled_search_is_cleare
             assert isinstance(why, RunFailed)
             assert why.result.status == "cancelled"
             until_clean(client)
-            assert standing(client) == []
+            assert list_standing(client) == []
         assert not (tmp_path / "index.html").exists()
     world = World(str(lab.settings.world("cnm")))
     assert world.crashes() == []

@@ -69,7 +69,7 @@ async def park(lab: StillLab, plates: int) -> None:
         lab.tell(StartExperiment("colour picker", f"user{number % 2}", closing))
         experiment = ExperimentId(f"E{lab.state.experiments.named}")
         await lab.submit(replace(PLANS["cp_newplate"], experiment=experiment))
-        while lab.flying():
+        while lab.list_flying():
             await lab.finish_one()
 
 
@@ -79,7 +79,7 @@ async def work(lab: StillLab, waiting: int, ends: int) -> None:
     for _ in range(ends):
         while len(lab.state.runs.queued) < waiting:
             await lab.submit(random_run(rng, users=2))
-        if not lab.flying():
+        if not lab.list_flying():
             break
         await lab.finish_one()
         await lab.tidy()

@@ -94,13 +94,13 @@ class StillLab:
         self.tell(run)
         await asyncio.sleep(0)
 
-    def flying(self) -> list[ActionId]:
+    def list_flying(self) -> list[ActionId]:
         return list(self.state.actions.open)
 
     async def finish_one(self) -> float:
         """Let some action in flight succeed; returns the processor's seconds for the
         kernel's turn: there is nothing in it to wait for."""
-        flying = self.flying()
+        flying = self.list_flying()
         assert flying, "the lab has come to rest"
         action = self.state.actions.open[self.rng.choice(flying)]
         began = time.thread_time()

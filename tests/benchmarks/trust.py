@@ -2,7 +2,7 @@
 work.
 
 The bare limit is what the kernel's own check of the chain costs: the same records, in memory, by
-``labos.core.envelope.damage``.
+``labos.core.envelope.find_damage``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 
 import msgspec
 
-from labos.core.envelope import GENESIS, Record, damage, seal
+from labos.core.envelope import GENESIS, Record, find_damage, seal
 from labos.core.merkle import Tree, inclusion_ranges, proof_of
 from labos.ports import Head
 from labos.services.trust.tree import StoredTree, grow
@@ -87,7 +87,7 @@ def _records(size: int) -> list[Record]:
 
 def _check(records: list[Record], previous: bytes) -> None:
     for record in records:
-        assert not damage(previous, record)
+        assert not find_damage(previous, record)
         previous = record.hash
 
 

@@ -58,7 +58,7 @@ def code_of(driver: str) -> str:
     files = set((HERE / package).glob("*.py"))
     waiting = list(files)
     while waiting:
-        for name in _shared(waiting.pop()):
+        for name in _list_shared(waiting.pop()):
             path = HERE / f"{name}.py"
             if path.exists() and path not in files:
                 files.add(path)
@@ -69,7 +69,7 @@ def code_of(driver: str) -> str:
     return code.hexdigest()[:16]
 
 
-def _shared(path: Path) -> list[str]:
+def _list_shared(path: Path) -> list[str]:
     """The modules of ``labos_drivers`` that a file imports, as paths without their ending."""
     found = []
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):

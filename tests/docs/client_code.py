@@ -176,12 +176,12 @@ def method_of(operation: Operation) -> str:
     signature = ["self", *(field.declared for field in first)]
     if named:
         signature += ["*", *(field.declared for field in named)]
-    result, body = _calling(operation, [*first, *named])
-    lines = [f"def {method.name}({', '.join(signature)}) -> {result}:", *_docstring(operation), *body]
+    result, body = _write_call(operation, [*first, *named])
+    lines = [f"def {method.name}({', '.join(signature)}) -> {result}:", *_write_docstring(operation), *body]
     return "\n".join([lines[0], *(f"    {line}" if line else "" for line in lines[1:])])
 
 
-def _calling(operation: Operation, fields: Sequence[Field]) -> tuple[str, list[str]]:
+def _write_call(operation: Operation, fields: Sequence[Field]) -> tuple[str, list[str]]:
     method = operation.client
     path = re.sub(r"\{(\w+)\}", r"{in_path(\1)}", operation.path)
     # The name of a module may have a slash: `rpl/sealer`.
@@ -219,7 +219,7 @@ def _options(method: Method, fields: Sequence[Field]) -> Iterator[str]:
         yield f"timeout_s={method.timeout_s}"
 
 
-def _docstring(operation: Operation) -> Iterator[str]:
+def _write_docstring(operation: Operation) -> Iterator[str]:
     said = " ".join((operation.handler.__doc__ or "").split()).replace("`", "``")
     text = [
         f"{operation.summary}.",

@@ -19,11 +19,11 @@ Table = Callable[[tuple[str, ...], Iterable[tuple[str, ...]]], str]
 def machines() -> str:
     """One drawing for each machine."""
     return "\n".join(
-        f"## {name.capitalize()}\n\n```mermaid\n{drawing(rows)}\n```\n" for name, rows in MACHINES.items()
+        f"## {name.capitalize()}\n\n```mermaid\n{draw_arrows(rows)}\n```\n" for name, rows in MACHINES.items()
     )
 
 
-def drawing(rows: tuple[Transition, ...]) -> str:
+def draw_arrows(rows: tuple[Transition, ...]) -> str:
     """Arrows between two statuses are one, named by all their events."""
     found: dict[tuple[str, str], list[str]] = {}
     for event, before, after in arrows(rows):

@@ -11,7 +11,7 @@ import pytest
 
 from tests.docs.markdown import DOCS, blocks
 from tests.docs.test_tutorial import check_output
-from tests.support.reading import CELL, WORKFLOW, reading_lab
+from tests.support.reading import CELL, WORKFLOW, open_reading_lab
 
 PAGE = DOCS / "applications.md"
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
@@ -27,7 +27,7 @@ def test_the_page_does_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     }
     names: dict[str, object] = {"__name__": "application"}
     said, ran = io.StringIO(), 0
-    with reading_lab(tmp_path):
+    with open_reading_lab(tmp_path):
         for block in blocks(PAGE.read_text()):
             where = f"{PAGE.name}:{block.line}"
             if block.language == "python":
@@ -46,7 +46,7 @@ def test_notebooks_run(notebook: Path, tmp_path: Path, monkeypatch: pytest.Monke
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     read = nbformat.read(notebook, as_version=4)
-    with reading_lab(tmp_path):
+    with open_reading_lab(tmp_path):
         nbclient.NotebookClient(read, timeout=60, resources={"metadata": {"path": str(tmp_path)}}).execute()
     assert any(cell.get("outputs") for cell in read.cells)
 

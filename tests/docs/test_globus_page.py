@@ -25,7 +25,7 @@ def fit(values):
 def test_the_page_does_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sdk = pytest.importorskip("globus_sdk")
     pytest.importorskip("globus_compute_sdk")
-    from tests.support.globus import TOKEN, serving
+    from tests.support.globus import TOKEN, serve
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -37,7 +37,7 @@ def test_the_page_does_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
     settings = Settings.make(tmp_path / "lab", speed=5000.0, simulate=True)
     said = io.StringIO()
-    with LabThread(settings, [cell], nodes="none"), serving() as (globus, url):
+    with LabThread(settings, [cell], nodes="none"), serve() as (globus, url):
         globus.files["55555555-0000-4000-8000-000000000000", "/plates/p1.csv"] = b"well,value\nA1,0.5\n"
         access = {"authorizer": sdk.AccessTokenAuthorizer(TOKEN), "base_url": url}
         program = program.replace(app, "")

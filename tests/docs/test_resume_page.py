@@ -12,7 +12,7 @@ import pytest
 from labos.client import LabClient
 from tests.docs.markdown import DOCS, blocks
 from tests.support.lab_process import labos
-from tests.support.reading import reading_lab
+from tests.support.reading import open_reading_lab
 
 PAGE = DOCS / "resume.md"
 ROUND = re.compile(r"(E\d+) (OD\d+) (R\d+)")
@@ -30,7 +30,7 @@ def test_the_page_does_what_it_says(tmp_path: Path) -> None:
     (tmp_path / "assays.py").write_text(program)
     printed = [block.text for block in found if block.language == "text"]
     argv = [sys.executable, "assays.py"]
-    with reading_lab(tmp_path) as running, LabClient(running.url) as lab:
+    with open_reading_lab(tmp_path) as running, LabClient(running.url) as lab:
         lab.place("hidex.default", "plate96", "ada")
         lab.give("P1", "shared", "ada")
         process = subprocess.Popen(argv, cwd=tmp_path, stdout=subprocess.PIPE, text=True)

@@ -99,7 +99,7 @@ class Terminal:
     def press_ctrl_c(self) -> None:
         self._process.send_signal(signal.SIGINT)
 
-    def ended(self) -> int:
+    def has_ended(self) -> int:
         """Its exit code, when it ends; its output is read meanwhile."""
         printed, _ = self._process.communicate(timeout=30)
         self.lines.append(printed)
@@ -131,7 +131,7 @@ class Reader:
             assert self.terminal is not None
             self.terminal.press_ctrl_c()
             self.terminal.read_until(block.text)
-            assert self.terminal.ended() == 0
+            assert self.terminal.has_ended() == 0
         elif "terminal" in block.attributes:
             if block.language == "bash":
                 self.terminal = Terminal(block.text, self.folder, self.environment)

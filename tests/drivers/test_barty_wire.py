@@ -18,7 +18,7 @@ from labos_drivers.barty.protocol import PINS
 from labos_drivers.barty.wire import BartyOnWire
 from tests.drivers.test_ot2_wire import keep_handles
 from tests.drivers.wires import at_port, power_on, run, until
-from tests.integration.link.far import answering
+from tests.integration.link.far import answer_on
 
 
 @pytest.fixture(autouse=True)
@@ -257,7 +257,7 @@ def test_nobody_there_and_somebody_else(world: World) -> None:
     )
     for says, error in others:
         end = TcpEnd()
-        with answering(end, {b"": says}, stop=question), pytest.raises(error):
+        with answer_on(end, {b"": says}, stop=question), pytest.raises(error):
             run(at_port(Barty, "barty", f"127.0.0.1:{end.port}", key="host").connect)
 
 

@@ -17,7 +17,7 @@ from labos_drivers.inheco import driver as inheco_driver
 from labos_drivers.inheco.wire import InhecoOnWire
 from tests.drivers.conftest import Bench
 from tests.drivers.wires import at_port, power_on, run, until
-from tests.integration.link.far import answering
+from tests.integration.link.far import answer_on
 
 
 @pytest.fixture(autouse=True)
@@ -203,7 +203,7 @@ def test_another_device_or_another_floor(incubator: InhecoOnWire, world: World, 
 def test_an_answer_to_something_else(port: Path) -> None:
     question = protocol.question("RTS", 0)
     says: dict[bytes, Any] = {b"": protocol.answer("370", 0)}
-    with answering(PtyEnd(port), says, stop=question), pytest.raises(NotConnected) as told:
+    with answer_on(PtyEnd(port), says, stop=question), pytest.raises(NotConnected) as told:
         run(at_port(Inheco, "inheco", port).connect)
     assert isinstance(told.value.__cause__, Garbled)
 

@@ -14,7 +14,7 @@ from labos.node import Setup, World
 from labos_drivers.liconic import Liconic
 from labos_drivers.liconic.wire import LiconicOnWire
 from tests.drivers.wires import power_on, run, until
-from tests.integration.link.far import answering
+from tests.integration.link.far import answer_on
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ def test_another_device_at_its_port(port: Path) -> None:
         with pytest.raises(WrongDevice, match="what answers b'ready' answers"):
             await node_at(port).connect()
 
-    with answering(PtyEnd(port), {b"CR": b"ready\r\n"}, stop=b"\r"):
+    with answer_on(PtyEnd(port), {b"CR": b"ready\r\n"}, stop=b"\r"):
         run(body)
 
 

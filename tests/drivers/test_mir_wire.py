@@ -163,7 +163,7 @@ def test_a_server_error_does_not_tell_whether_it_was_queued(
 ) -> None:
     answer = base.answer
 
-    def failing(question: Question) -> Reply:
+    def fail(question: Question) -> Reply:
         if (question.method, question.parts[2:]) == ("POST", ("mission_queue",)):
             monkeypatch.setattr(base, "answer", answer)
             if queued:
@@ -171,7 +171,7 @@ def test_a_server_error_does_not_tell_whether_it_was_queued(
             return Reply(502, {"error_human": "Bad gateway"})
         return answer(question)
 
-    monkeypatch.setattr(base, "answer", failing)
+    monkeypatch.setattr(base, "answer", fail)
 
     async def body() -> None:
         async with drive(base) as node:

@@ -403,7 +403,7 @@ def test_behind_wait_for_eom_a_halt_is_not_heard(world: World) -> None:
         assert heard.readline().startswith(b"-1012 ")
 
 
-def answering(*answers: bytes) -> tuple[TcpEnd, threading.Thread]:
+def answer_with(*answers: bytes) -> tuple[TcpEnd, threading.Thread]:
     """Something at a port that gives these answers, one to each line, the last one for ever."""
     end = TcpEnd()
 
@@ -429,7 +429,7 @@ def answering(*answers: bytes) -> tuple[TcpEnd, threading.Thread]:
 def test_who_is_no_pf400_is_not_driven(
     answers: tuple[bytes, ...], error: type[DeviceError], why: str
 ) -> None:
-    end, thread = answering(*answers)
+    end, thread = answer_with(*answers)
 
     async def body() -> None:
         with pytest.raises(error, match=why) as told:
@@ -446,7 +446,7 @@ def test_a_garbled_position_is_no_position(joint: bytes) -> None:
     """Nothing is as near to a joint that is no number as to one that stands still."""
     who = (b"0\r\n", b"0\r\n", b"0 12\r\n", b"0 0,0\r\n", b"0 0,0\r\n")
     where = b"0 400.0 1.4 %s 537.1 90.0 0.0\r\n" % joint if joint else b"0 \r\n"
-    end, thread = answering(*who, where)
+    end, thread = answer_with(*who, where)
 
     async def body() -> None:
         node = at_port(PF400, "pf400", end.address, key="host")
@@ -464,7 +464,7 @@ def test_a_garbled_position_is_no_position(joint: bytes) -> None:
 def test_only_its_word_says_that_it_is_powered_and_homed(told: tuple[bytes, bytes]) -> None:
     who = (b"0\r\n", b"0\r\n", b"0 12\r\n", b"0 0,0\r\n", b"0 0,0\r\n", b"0 A1\r\n", b"0 1\r\n")
     where = b"0 400.0 1.4 177.1 537.1 90.0 0.0\r\n"
-    end, thread = answering(*who, where, *(each + b"\r\n" for each in told), b"-1046\r\n")
+    end, thread = answer_with(*who, where, *(each + b"\r\n" for each in told), b"-1046\r\n")
 
     async def body() -> None:
         node = at_port(PF400, "pf400", end.address, key="host", **TOLD)

@@ -19,7 +19,7 @@ from labos_drivers.pipette.wire import PipetteOnWire
 from tests.drivers.conftest import Bench, lab_seconds
 from tests.drivers.test_ot2_wire import keep_handles
 from tests.drivers.wires import at_port, power_on, run, setup_of, until
-from tests.integration.link.far import answering
+from tests.integration.link.far import answer_on
 
 
 @pytest.fixture(autouse=True)
@@ -272,7 +272,7 @@ def test_at_the_tool_port_of_an_arm(world: World) -> None:
 
 def test_nobody_answers(port: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipette_driver, "ANSWER_S", 0.2)
-    with answering(PtyEnd(port), {}, stop=b"\r"), pytest.raises(NotConnected, match="does not say who it is"):
+    with answer_on(PtyEnd(port), {}, stop=b"\r"), pytest.raises(NotConnected, match="does not say who it is"):
         run(at_port(Pipette, "pipette", port).connect)
 
 

@@ -20,7 +20,7 @@ from labos_drivers.tecan.protocol import Calibration, Frames, frame
 from labos_drivers.tecan.simulator import absorbance
 from labos_drivers.tecan.wire import TecanOnWire
 from tests.drivers.wires import at_port, power_on, run, setup_of, until
-from tests.integration.link.far import answering
+from tests.integration.link.far import answer_on
 
 PACE = 2000.0
 
@@ -256,7 +256,7 @@ def test_unplugged_in_mid_scan(world: World, port: Path) -> None:
 
 
 def test_another_device(port: Path) -> None:
-    with answering(PtyEnd(port), {b"": frame("HELLO")}, stop=frame("QQ")), pytest.raises(WrongDevice):
+    with answer_on(PtyEnd(port), {b"": frame("HELLO")}, stop=frame("QQ")), pytest.raises(WrongDevice):
         run(at_port(Tecan, "tecan", port).connect)
 
 

@@ -218,7 +218,7 @@ BLUE, RED = "#1f77b4", "#d62728"
 COLOURS = (BLUE, "#ff7f0e", "#2ca02c")
 
 
-def drawing(found: Sequence[PastForecast], kind: str) -> str:
+def draw_figure(found: Sequence[PastForecast], kind: str) -> str:
     """Hours from submission to end, expected and come, as an SVG with the range of each forecast."""
     points: list[list[float]] = []
     for past in found:
@@ -309,7 +309,7 @@ def days(count: int, seed: int, *, batches: bool) -> list[list[Heard]]:
     return [hear(log_of(RUNS, seed + number, batches=batches)) for number in range(count // RUNS)]
 
 
-def known(found: Sequence[PastForecast]) -> list[PastForecast]:
+def keep_undisturbed(found: Sequence[PastForecast]) -> list[PastForecast]:
     """Those after which nobody submitted anything before they had ended: all was known at their forecast."""
     return [past for past in found if past.is_alone("ends")]
 
@@ -320,7 +320,7 @@ def reliability(labs: Sequence[Sequence[Heard]], kind: str) -> list[float]:
     found: list[float] = []
     for level in LEVELS:
         told = learn(labs, level)
-        some = told if kind == "usual" else known(told)
+        some = told if kind == "usual" else keep_undisturbed(told)
         held = [is_held(past.find_range("ends", kind), past.ended) for past in some]
         found.append(sum(held) / max(1, len(held)))
     return found
@@ -334,9 +334,11 @@ def main(count: int = 200, seed: int = 101) -> None:
 def show(single: Sequence[list[Heard]], together: Sequence[list[Heard]], pictures: Path) -> None:
     """The table and the figures of what was heard in labs where runs come one by one, and in batches."""
     busy, batches = learn(single), learn(together)
-    (pictures / "forecast.svg").write_text(drawing([*known(busy), *known(batches)], "alone"))
-    (pictures / "forecast-busy.svg").write_text(drawing(busy, "usual"))
-    (pictures / "forecast-batches.svg").write_text(drawing(batches, "usual"))
+    (pictures / "forecast.svg").write_text(
+        draw_figure([*keep_undisturbed(busy), *keep_undisturbed(batches)], "alone")
+    )
+    (pictures / "forecast-busy.svg").write_text(draw_figure(busy, "usual"))
+    (pictures / "forecast-batches.svg").write_text(draw_figure(batches, "usual"))
     curves = {
         "one by one": reliability(single, "usual"),
         f"in batches of {BATCH}": reliability(together, "usual"),
@@ -347,8 +349,8 @@ def show(single: Sequence[list[Heard]], together: Sequence[list[Heard]], picture
         "one by one": (busy, "usual"),
         f"in batches of {BATCH}": (batches, "usual"),
         "one by one, told again": (learn(single, again=True), "usual"),
-        "one by one, all known": (known(busy), "alone"),
-        "in batches, all known": (known(batches), "alone"),
+        "one by one, all known": (keep_undisturbed(busy), "alone"),
+        "in batches, all known": (keep_undisturbed(batches), "alone"),
     }
     print(table(scenes))
     print("|".join(["to hold ", *(f" {level:.0%} " for level in LEVELS)]))

@@ -25,7 +25,7 @@ from labos.core.steps import WindowBreached
 from labos.core.waits import Wait
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
-from labos.planning.scheduler import Scheduler, ready
+from labos.planning.scheduler import Scheduler, list_ready_steps
 from tests.support.bench import (
     SECOND,
     START,
@@ -261,13 +261,13 @@ class Life:
                 seconds = self.plans[action.run].steps[action.step].duration_s
                 seconds *= 1.0 + self.rng.uniform(-self.stray, self.stray)
                 self._ends[action.id] = action.requested_at + int(seconds * SECOND)
-        times = [self._ends[name] for name in self.lab.flying()]
+        times = [self._ends[name] for name in self.lab.list_flying()]
         times += [START + int(o.after_s * SECOND) for o in self._left if not o.behind]
         times += [alarm] if alarm is not None else []
         return min((max(at, self.lab.now) for at in times), default=None)
 
     def finish_due(self) -> None:
-        for name in self.lab.flying():
+        for name in self.lab.list_flying():
             if self._ends[name] <= self.lab.now:
                 self.lab.finish(name)
 
@@ -327,7 +327,9 @@ def one_by_one(instance: Instance) -> Life:
         waits: list[int] = []
         behind = [run for run in runs if run.experiment]
         for run in [*lab.state.runs.active.values(), *behind, *runs][:1]:
-            turn = ready(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
+            turn = (
+                list_ready_steps(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
+            )
             for index in turn:
                 found = examine(lab.state, lab.run(run.id), index, lab.now)
                 if not isinstance(found, Wait):

@@ -297,7 +297,7 @@ class Witnessed(SimulatedLab):
             lost[told] = lost.get(told, 0.0) + again - since
         return lost
 
-    def working(self) -> float:
+    def is_working(self) -> float:
         """Seconds in which at least one device was at work."""
         total, reached = 0.0, 0.0
         for _, _, begun, ended in sorted(self.works, key=lambda work: work[2]):

@@ -155,7 +155,7 @@ steps:
 
 
 @cache
-def reading() -> SubmitRun:
+def make_slow_reading() -> SubmitRun:
     """A plate that is read twice in no hurry: it keeps the reader for more than ten minutes."""
     return compile_text("""
 labos: 1
@@ -188,7 +188,7 @@ def make_hurried(seed: int, on_breach: str = "continue") -> list[Job]:
         if kind < 0.4:
             run = make_timed(rng.randrange(3), on_breach)
         elif kind < 0.8:
-            run = reading()
+            run = make_slow_reading()
         else:
             run = route(rng.randrange(40))
         jobs.append(Job(name, user, (replace(run, user=user),), after_s=after))

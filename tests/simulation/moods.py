@@ -109,7 +109,7 @@ def make_sorted_out(here: str, there: str) -> SubmitRun:
     return run(f"sorted {here}", steps)
 
 
-def crossing(here: str, there: str) -> SubmitRun:
+def make_crossing(here: str, there: str) -> SubmitRun:
     """Pressed here; if that fails, pressed there, and thrown away in either case."""
     indented = "".join(
         f"      {line}\n"

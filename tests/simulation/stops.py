@@ -67,12 +67,12 @@ class _Search:
             return {f"{KIND_OF[wait.code]}, {wait.code}: {sentence(wait)}"}
         found: set[str] = set()
         cause = obstacle(self.scheduler.safety, self.state, run) if wait.code == "no_way_out" else ""
-        for other in self._named((*wait.names, *cause.replace("experiment ", "experiment:").split())):
+        for other in self._list_named((*wait.names, *cause.replace("experiment ", "experiment:").split())):
             if other.id != run.id:
                 found |= self.find_causes(other, seen)
         return found or ({f"way, no_way_out: {cause}"} if cause else set())
 
-    def _named(self, words: Iterable[str]) -> list[RunState]:
+    def _list_named(self, words: Iterable[str]) -> list[RunState]:
         """The runs that words speak of: by name, as holders of a module, as owners of labware."""
         names: dict[str, bool] = {}
         for text in words:

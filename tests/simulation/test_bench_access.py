@@ -37,15 +37,15 @@ class Hands(SimulatedLab):
     async def _visitor(self) -> None:
         for _ in range(VISITS):
             await asyncio.sleep(self.rng.uniform(100, 600))
-            if await self._told(RequestAccess(CELL_NAME, "visitor"), lambda access: access is not None):
-                await self._told(None, lambda access: access is None or access.granted)
+            if await self._try(RequestAccess(CELL_NAME, "visitor"), lambda access: access is not None):
+                await self._try(None, lambda access: access is None or access.granted)
                 self.world.work("visitor", "reach in")
                 self.granted += 1
                 await asyncio.sleep(self.rng.uniform(50, 300))
                 self.world.work("visitor", "reach out")
-                await self._told(EndAccess(CELL_NAME, "visitor"), lambda access: access is None)
+                await self._try(EndAccess(CELL_NAME, "visitor"), lambda access: access is None)
 
-    async def _told(self, command, holds) -> bool:  # type: ignore[no-untyped-def]
+    async def _try(self, command, holds) -> bool:  # type: ignore[no-untyped-def]
         """Say it until it is so in the log."""
         while True:
             try:
@@ -62,7 +62,7 @@ class Hands(SimulatedLab):
             await asyncio.sleep(LOOK_S)
 
 
-def hurt(world: World) -> list[str]:
+def list_motions_inside(world: World) -> list[str]:
     """What devices did while hands were inside."""
     inside, found = False, []
     for motion in world.motions():
@@ -78,7 +78,7 @@ def run_visit(seed: int, rates: FaultRates) -> tuple[int, list[str]]:
     try:
         state = lab.run(identical(3))
         assert lab.differences(state) == [], f"seed {seed}"
-        return lab.granted, hurt(lab.world)
+        return lab.granted, list_motions_inside(lab.world)
     finally:
         lab.close()
 

@@ -162,7 +162,7 @@ stock:
         )
         self.known = Descriptions(self.descriptions, {}, {"ot2": {"tips": counter}})
 
-    def mixing(self, protocol: str) -> SubmitRun:
+    def find_mixing(self, protocol: str) -> SubmitRun:
         text = f"""
 labos: 1
 name: mix
@@ -190,7 +190,7 @@ steps:
         """The log at the end, what crashed, and how many tips there really are."""
         lab = SimulatedLab(self.stand, seed, QUIET)
         try:
-            state = lab.run_for(jobs([self.mixing(name) for name in protocols]), 4 * 3600.0)
+            state = lab.run_for(jobs([self.find_mixing(name) for name in protocols]), 4 * 3600.0)
             crashed = [motion.facts["what"] for motion in lab.world.crashes()]
             return state, crashed, lab.world.left("ot2", "tips") or 0.0
         finally:
@@ -223,12 +223,12 @@ def a_column(name: str, content: bytes, args: Any) -> Count:
     return Count(8)
 
 
-def nothing_of_loops(name: str, content: bytes, args: Any) -> Count:
+def drop_loops(name: str, content: bytes, args: Any) -> Count:
     """Switched off: a loop counts once."""
     return Count(1 if name.endswith(".py") else 8)
 
 
-@pytest.mark.parametrize("mutant", [a_column, nothing_of_loops])
+@pytest.mark.parametrize("mutant", [a_column, drop_loops])
 def test_an_understated_amount_lets_the_robot_run_dry(mutant: Callable[..., Count]) -> None:
     crashed = [Bench(mutant).live(["loop.py", "mix.yaml", "loop.py"], seed)[1] for seed in range(3)]
     assert all("runs out of tips" in what for what in crashed)

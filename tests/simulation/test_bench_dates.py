@@ -98,17 +98,17 @@ def test_an_old_pack_keeps_runs_waiting_and_the_nozzle_clean(rates: FaultRates) 
 
 
 def test_without_the_rule_old_glue_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "in_date", lambda state, run, step, now: None)
+    monkeypatch.setattr(rules, "check_in_date", lambda state, run, step, now: None)
     for seed in range(3):
         assert any(f"takes glue of {OLD}" in what for what in run_gluing(seed)[1]), f"seed {seed}"
 
 
 def test_where_the_youngest_pack_is_looked_at_first_old_glue_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """Switched off: that what is used comes from the oldest packs first."""
-    real = expiry.first_old
+    real = expiry.find_first_expired
 
     def youngest_first(level: Level, amount: float, today: str) -> Lot | None:
         return real(Level(level.level, level.capacity, level.lots[::-1]), amount, today)
 
-    monkeypatch.setattr(expiry, "first_old", youngest_first)
+    monkeypatch.setattr(expiry, "find_first_expired", youngest_first)
     assert any("takes glue of" in what for seed in range(3) for what in run_gluing(seed)[1])

@@ -17,9 +17,9 @@ from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab
 from labos.testing.loop import Stalled
 from tests.simulation.corners import jobs
-from tests.simulation.moods import CORNER, GET, carry, crossing, make_sorted_out, run
+from tests.simulation.moods import CORNER, GET, carry, make_crossing, make_sorted_out, run
 
-CROSSING = [crossing("p", "q"), crossing("q", "p")] * 3
+CROSSING = [make_crossing("p", "q"), make_crossing("q", "p")] * 3
 
 
 def live_through(

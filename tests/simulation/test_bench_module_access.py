@@ -151,8 +151,8 @@ def test_without_claims_tips_go_into_somebody_elses_seal(monkeypatch: pytest.Mon
 
 @pytest.mark.slow
 def test_without_doors_hands_reach_into_closed_gates(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(binding, "door_open", lambda state, place: None)
-    monkeypatch.setattr(holding, "door_left_by", lambda state, name, run: "")
+    monkeypatch.setattr(binding, "check_door_open", lambda state, place: None)
+    monkeypatch.setattr(holding, "find_door_leaver", lambda state, name, run: "")
     monkeypatch.setattr("labos.planning.moves._open_to", lambda floor, actor, module: True)
     assert has_crashed("door", "reaches into a closed gate")
 
@@ -165,7 +165,7 @@ def test_shelves_behind_a_door_are_not_reached_into_as_if_they_stood_apart(
 
 
 def test_without_holds_somebody_weighs_with_anothers_tare(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(holding, "holder_by_plan", lambda state, name, run: "")
+    monkeypatch.setattr(holding, "find_holder_by_plan", lambda state, name, run: "")
     monkeypatch.setattr("labos.planning.moves._may_hold", lambda floor, actor, key, value: True)
     monkeypatch.setattr("labos.planning.moves._holds_alone", lambda actor, holders: True)
     assert has_crashed("balance", "weighs with somebody else's tare")

@@ -264,7 +264,7 @@ def test_without_the_order_of_a_stack_anothers_plate_is_taken(monkeypatch: pytes
         standing = [state.bench.labware[name] for name in state.bench.stations[place].labware]
         return next((i for owner in party(run) for i in standing if i.owner == owner and not i.moving), None)
 
-    monkeypatch.setattr(binding, "usable_at", anywhere)
+    monkeypatch.setattr(binding, "find_usable", anywhere)
     found = [CORNER.run_anyhow(OVER_THE_PILE, seed, plan_with=bare_rule)[1] for seed in SEEDS]
     assert all(any("wc.of_" in wrong for wrong in wrongs) for wrongs in found), found
 

@@ -77,7 +77,7 @@ def test_in_a_storm_too() -> None:
 
 @pytest.mark.slow
 def test_without_looking_for_a_free_shelf_plates_are_put_on_plates(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shelves, "vacant", lambda bench, hotel: bench.shelves[hotel])
+    monkeypatch.setattr(shelves, "list_vacant", lambda bench, hotel: bench.shelves[hotel])
     monkeypatch.setattr("labos.runtime.kernel.find_broken_by", lambda state, events: "")
     for seed in range(3):
         crashes = CORNER.crashes(RUNS, seed)

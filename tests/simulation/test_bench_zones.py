@@ -53,7 +53,7 @@ def test_in_a_storm_too() -> None:
 
 @pytest.mark.slow
 def test_without_the_rule_they_hit_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rules, "zones_free", lambda state, step: None)
+    monkeypatch.setattr(rules, "check_zones_free", lambda state, step: None)
     for seed in range(3):
         assert any("hits ur_" in crash for crash in CORNER.crashes(RUNS, seed)), f"seed {seed}"
 
@@ -62,5 +62,5 @@ def test_a_device_with_a_zone_of_its_own_is_in_it_whenever_it_acts(monkeypatch: 
     opened = CORNER.run("open", *["reader.close_lid", "reader.open_lid"] * 4)
     runs = [make_carried("left", "wc.a"), opened, make_carried("left", "wc.a")]
     CORNER.live_through(runs, 0)
-    monkeypatch.setattr(rules, "zones_free", lambda state, step: None)
+    monkeypatch.setattr(rules, "check_zones_free", lambda state, step: None)
     assert any("hits" in crash for crash in CORNER.crashes(runs, 0))

@@ -7,10 +7,10 @@ import pytest
 from tests.simulation.calibration import (
     LEVELS,
     days,
-    drawing,
+    draw_figure,
     figures,
     hear,
-    known,
+    keep_undisturbed,
     learn,
     log_of,
     misses_with_true_durations,
@@ -27,11 +27,11 @@ def test_few_runs_end_about_when_they_were_expected() -> None:
     heard = hear(records)
     found = learn([heard])
     assert len(found) == 4
-    assert len(known(found)) == 1
+    assert len(keep_undisturbed(found)) == 1
     ends = figures(found, "ends")
     assert ends.count == 4
     assert ends.part < 0.1, "the middle error is small beside the time that was foreseen"
-    assert drawing(found, "usual").startswith("<svg")
+    assert draw_figure(found, "usual").startswith("<svg")
     assert table({"few": (found, "usual")}).count("\n") == 3
     parts = reliability([heard], "usual")
     assert parts == sorted(parts), "a range that is to hold more holds no less"
@@ -46,7 +46,7 @@ def test_two_hundred_forecasts_hold_what_they_say(batches: bool) -> None:
     ends = figures(found, "ends")
     assert ends.count >= 190
     assert 0.75 <= ends.covered <= 0.85, "four of five, as things usually go"
-    alone = figures(known(found), "ends", "alone")
+    alone = figures(keep_undisturbed(found), "ends", "alone")
     assert 0.75 <= alone.covered <= 0.85, (
         "four of five of those after which nobody came, of whom that is told"
     )

@@ -96,11 +96,11 @@ def payload_for(flow: Source, cell: CompiledWorkcell) -> dict[str, Any]:
                 here = found
                 for table in tables:
                     here = here.setdefault(table, {})
-                here.setdefault(last, fitting(arg, key))
+                here.setdefault(last, make_value(arg, key))
     return found
 
 
-def fitting(arg: Arg | None, key: str) -> Any:
+def make_value(arg: Arg | None, key: str) -> Any:
     if arg is not None and arg.choices:
         return arg.choices[0]
     least = 1 if arg is None or arg.minimum is None else arg.minimum

@@ -69,7 +69,7 @@ def test_the_lab_is_at_work_while_one_of_its_devices_is() -> None:
             lab.live(lab.day.run(), beside(4))
             found = account(lab.store.records)
             adds_up(found)
-            assert found.lab.at_work_ns / SECOND == pytest.approx(lab.working(), abs=2.0), f"seed {seed}"
+            assert found.lab.at_work_ns / SECOND == pytest.approx(lab.is_working(), abs=2.0), f"seed {seed}"
             assert found.runs["R1"].lost_ns > found.lab.lost_ns > 0, "what one run lost, another used"
             assert found.runs["R2"].lost_ns < SECOND
         finally:

@@ -16,7 +16,7 @@ from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab
-from tests.simulation.mixes import compile_text, reading, stand
+from tests.simulation.mixes import compile_text, make_slow_reading, stand
 
 YOUNGER = 20
 
@@ -60,7 +60,7 @@ steps:
   - {name: Open, module: hidex, action: open_lid}
   - {name: Away, module: pf400, action: transfer, args: {source: hidex.default, target: wc.trash}}
 """)
-    hurried = replace(reading(), user="bo", priority=9)
+    hurried = replace(make_slow_reading(), user="bo", priority=9)
     jobs = [Job("old", "ada", (replace(dosed, user="ada"),))]
     jobs += [Job(f"j{n}", "bo", (hurried,), after_s=30.0 + 600.0 * n) for n in range(YOUNGER)]
     lab = SimulatedLab(stand(), 1, QUIET, plan_with=plan_with)

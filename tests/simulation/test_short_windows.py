@@ -90,10 +90,10 @@ def test_a_window_that_is_short_beside_its_anchor_is_kept(within_s: float) -> No
         f"cam is reserved for run {run}, whose step 'read' has to start in time",
     )
     lab.wait(300.0)
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{run}#1"]
     lab.wait(10.0)
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{long}#0"]
 
 
@@ -122,7 +122,7 @@ def live(lab: Driver) -> list[str]:
     order: list[str] = []
     for _ in range(100):
         order += lab.pump()
-        ends = {name: _ends_at(lab, name) for name in lab.flying()}
+        ends = {name: _ends_at(lab, name) for name in lab.list_flying()}
         alarm = lab.scheduler.next_deadline(lab.state)
         times = [*ends.values(), *([alarm] if alarm is not None else [])]
         if not times:
@@ -181,7 +181,7 @@ def test_who_waits_for_a_better_time_goes_on_when_nobody_else_does() -> None:
     lab.now = lab.scheduler.next_deadline(lab.state) or 0
     assert lab.pump() == [f"{run}#1"]
     lab.wait(10.0)
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.wait(6.0)
     lab.pump()
     assert "window.breached" in lab.types()

@@ -354,12 +354,12 @@ def shelf_of(number: int) -> str:
 
 
 @cache
-def closing(shelf: str) -> Plan:
+def make_closing(shelf: str) -> Plan:
     return BENCH.run(f"closing {shelf}", f"pf400.transfer source={shelf} target=wc.trash").plan
 
 
 @cache
-def parking(number: int) -> tuple[SubmitRun, ...]:
+def make_parking_runs(number: int) -> tuple[SubmitRun, ...]:
     """The runs of an experiment that parks its plate between them; the last one may be missing."""
     rng = random.Random(f"parking/{number}")
     first = Way(rng)
@@ -397,10 +397,10 @@ def mix(seed: int) -> list[Job]:
         elif kind < 0.75:
             runs = make_parted(which)
         else:
-            runs = parking(which)
+            runs = make_parking_runs(which)
             shelf = shelf_of(which)
             parks = (StationName(f"whole/{shelf}"),)
-            experiment = StartExperiment("parking", user, closing(shelf), parking=parks)
+            experiment = StartExperiment("parking", user, make_closing(shelf), parking=parks)
         runs = tuple(replace(run, user=user) for run in runs)
         jobs.append(Job(name, user, runs, experiment, after_s=after))
     return jobs

@@ -55,7 +55,7 @@ from labos.core.rules import examine
 from labos.core.runs import RunState, results_of
 from labos.core.state import LabState, from_picture, picture
 from labos.core.waits import Wait
-from labos.planning.scheduler import Scheduler, ready
+from labos.planning.scheduler import Scheduler, list_ready_steps
 from labos.planning.touch import find_touched_keys
 
 CELL = "cell"
@@ -405,7 +405,11 @@ class Driver:
         while again:
             again = False
             for run in [*self.state.runs.active.values(), *self.state.runs.queued.values()]:
-                steps = ready(self.state, run) if run.has_started else self.state.runs.plans[run.plan].starts
+                steps = (
+                    list_ready_steps(self.state, run)
+                    if run.has_started
+                    else self.state.runs.plans[run.plan].starts
+                )
                 for index in steps:
                     if not isinstance(examine(self.state, run, index, self.now), Wait):
                         self._carry_out(run.id, index)
@@ -420,7 +424,7 @@ class Driver:
             raise Refused(answer)
         self._actions += 1
 
-    def flying(self) -> list[ActionId]:
+    def list_flying(self) -> list[ActionId]:
         return [a.id for a in self.state.actions.open.values() if a.status != "unknown"]
 
     def work(
@@ -435,7 +439,7 @@ class Driver:
         pump, end = pump or self.pump, end or (lambda _, action: self.finish(action))
         pump()
         for _ in range(limit):
-            flying = self.flying()
+            flying = self.list_flying()
             if not flying:
                 break
             self.wait(rng.uniform(0.1, 5))

@@ -134,7 +134,7 @@ class Globus:
             "end": (end, body["body"]),
             "looks": 0,
         }
-        return self._told_run(run)
+        return self._describe_run(run)
 
     def look_at_run(self, run: str) -> dict[str, Any]:
         found = self.runs[run]
@@ -151,13 +151,13 @@ class Globus:
                 if end == "SUCCEEDED"
                 else {"code": "FlowFailed", "description": "State Fit of type Action failed"}
             )
-        return self._told_run(run)
+        return self._describe_run(run)
 
-    def _told_run(self, run: str) -> dict[str, Any]:
+    def _describe_run(self, run: str) -> dict[str, Any]:
         return {name: value for name, value in self.runs[run].items() if name not in ("end", "looks")}
 
     def list_runs(self, flow: str) -> dict[str, Any]:
-        found = [self._told_run(run) for run in reversed(self.runs) if self.runs[run]["flow_id"] == flow]
+        found = [self._describe_run(run) for run in reversed(self.runs) if self.runs[run]["flow_id"] == flow]
         return {"runs": found, "limit": 100, "has_next_page": False, "marker": None}
 
     def run_logs(self, run: str) -> dict[str, Any]:
@@ -291,7 +291,7 @@ class Globus:
 
 
 @contextmanager
-def serving() -> Iterator[tuple[Globus, str]]:
+def serve() -> Iterator[tuple[Globus, str]]:
     """The services, and their address."""
     globus = Globus()
 

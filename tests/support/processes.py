@@ -10,7 +10,7 @@ from typing import Any
 
 
 @contextmanager
-def running(argv: Sequence[str | Path], **options: Any) -> Iterator[subprocess.Popen[Any]]:
+def run_process(argv: Sequence[str | Path], **options: Any) -> Iterator[subprocess.Popen[Any]]:
     """A process, killed at the end of the block if it still lives. ``options`` are those of ``Popen``, which
     by itself would wait for ever for a process that nobody ends because an assertion failed."""
     with subprocess.Popen(argv, **options) as process:

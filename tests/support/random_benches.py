@@ -203,7 +203,7 @@ class RandomBench:
     def _via(self) -> StationName:
         return StationName(full("regrip")) if self.rng.random() < 0.15 else StationName("")
 
-    def carrying(self) -> AnyEffect:
+    def start_carrying(self) -> AnyEffect:
         """An effect that carries labware, mostly from where there is some. What it goes from and to differ:
         a plan where they do not is refused."""
         rng, bench = self.rng, self.state.bench
@@ -232,7 +232,7 @@ class RandomBench:
         """Two motions that do not meet where several pieces stand: which one is carried on depends on which
         motion is the first, and no effect says that."""
         while True:
-            one, other = self.carrying(), self.carrying()
+            one, other = self.start_carrying(), self.start_carrying()
             both = {*places((one,))} & {*places((other,))}
             if not any(self.specs[place].kind == "stack" or self.specs[place].capacity > 1 for place in both):
                 return one, other
@@ -243,7 +243,7 @@ class RandomBench:
         arm = rng.choice(["arm", "arm2"])
         chance = rng.random()
         if chance < 0.7:
-            effects: Sequence[AnyEffect] = (self.carrying(),)
+            effects: Sequence[AnyEffect] = (self.start_carrying(),)
         elif chance < 0.8:
             effects = self.two_at_once()
         else:

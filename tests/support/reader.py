@@ -11,7 +11,7 @@ from tests.support.foreign import ForeignProcess
 TIME = Arg(name="time_s", type="float", required=False, default=0.0)
 
 
-def reading(driver: str) -> Description:
+def describe_reader(driver: str) -> Description:
     """What a lab would write down of it."""
     measure = ActionSpec(name="measure", args=(Arg(name="assay", type="str"), TIME), duration_s=0.1)
     return Description(driver=driver, version="", description="", actions=(measure,))

@@ -25,7 +25,7 @@ steps:
 
 
 @contextmanager
-def reading_lab(folder: Path, *, speed: float = 5000) -> Iterator[LabThread]:
+def open_reading_lab(folder: Path, *, speed: float = 5000) -> Iterator[LabThread]:
     """The lab, in ``folder/lab``; the workflow stands beside it as ``read.yaml``. The plate is the first
     run's to bring."""
     (folder / "cell.yaml").write_text(CELL)

@@ -310,7 +310,7 @@ class Spread:
         finally:
             world.close()
 
-    def standing_by(self) -> list[str]:
+    def has_standby(self) -> list[str]:
         """Who stands by, as the database has it."""
         store = open_store(self.database.url_here, create=False, read_only=True)
         try:

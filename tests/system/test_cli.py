@@ -22,7 +22,7 @@ from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from tests.docs.generate import commands
 from tests.support.lab_process import until
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 
 class Said(msgspec.Struct):
@@ -319,7 +319,7 @@ def test_what_is_asked_about_and_is_wrong_ends_with_1(labos: Labos, home: Path, 
 )
 def test_ctrl_c(home: Path, client: LabClient, words: tuple[str, ...], first: str, code: int) -> None:
     runs = len(client.state(waits=False)["runs"])
-    with running([sys.executable, "-m", "labos", *words], stdout=subprocess.PIPE, text=True) as process:
+    with run_process([sys.executable, "-m", "labos", *words], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         if first:
             assert process.stdout.readline().endswith(first)

@@ -16,7 +16,7 @@ from labos.clock import SystemClock
 from labos.runtime.spawning import PYTHON, ForkServer
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.settings import is_alive
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="nodes are forks on Linux only")
 
@@ -139,7 +139,7 @@ def test_the_server_ends_with_its_kernel(tmp_path: Path) -> None:
     )
     argv = waiting_node(tmp_path, "a").argv
     argv = [sys.executable, "-c", code, str(tmp_path / "log"), *argv]
-    with running(argv, stdout=subprocess.PIPE, text=True) as kernel:
+    with run_process(argv, stdout=subprocess.PIPE, text=True) as kernel:
         assert kernel.stdout is not None
         server, node = map(int, kernel.stdout.readline().split())
     asyncio.run(until(lambda: not is_alive(server) and not is_alive(node)))

@@ -23,7 +23,7 @@ from tests.docs.markdown import ROOT
 from tests.support.hosts import Hosts, why_not
 from tests.support.lab_process import until
 from tests.support.postgres import find_binaries
-from tests.support.processes import running
+from tests.support.processes import run_process
 from tests.support.spread import HOSTS, MOTIONS, NODES, Spread
 
 TAKEN_OVER_S = 10.0
@@ -95,7 +95,7 @@ def cut_off(lab: Spread, parts: tuple[str, ...], seconds: float) -> str:
     (other,) = {"k1", "k2"} - {lab.active()}
     try:
         until(
-            lambda: any(name.endswith(f" on {other}") for name in lab.standing_by()),
+            lambda: any(name.endswith(f" on {other}") for name in lab.has_standby()),
             f"{other} stands by",
             40.0,
         )
@@ -129,7 +129,7 @@ time.sleep(60)
 
 @pytest.mark.skipif(bool(why_not()), reason="there can be no hosts here")
 def test_hosts_end_with_a_test_that_is_killed() -> None:
-    with running([sys.executable, "-c", MAKES], stdout=subprocess.PIPE, text=True, cwd=ROOT) as test:
+    with run_process([sys.executable, "-c", MAKES], stdout=subprocess.PIPE, text=True, cwd=ROOT) as test:
         assert test.stdout is not None
         made = [int(word) for word in test.stdout.readline().split()]
         assert len(made) == 3

@@ -14,7 +14,7 @@ import pytest
 
 from tests.integration.notify.servers import Hook, web_server
 from tests.support.lab_process import Up, labos, until
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_a_killed_kernel_is_told_by_who_watches(lab: Up) -> None:
         write(lab, url)
         lab.start("rpl")
         argv = [sys.executable, "-m", "labos", "notifications", "watch", "--home", str(lab.home)]
-        with running(argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as watcher:
+        with run_process(argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as watcher:
             lab.kill()
             until(lambda: hook.bodies, "the watcher tells of it")
             sent = [("duty", "sent")]

@@ -53,7 +53,7 @@ class Operator(Reader):
             assert self.terminal is not None
             self.terminal.press_ctrl_c()
             self.terminal.read_until(block.text)
-            assert self.terminal.ended() == 0
+            assert self.terminal.has_ended() == 0
         elif block.language == "text":
             check_output(block.text, self.said, where)
         elif "until" in block.attributes:

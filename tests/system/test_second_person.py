@@ -61,7 +61,7 @@ def test_nothing_dangerous_moves_before_a_second_person_has_said_so(tmp_path: Pa
         def question_of(run: str) -> str:
             return str(next(q["id"] for q in look.state()["interventions"] if q["run"] == run))
 
-        def moved(run: str) -> bool:
+        def list_moved(run: str) -> bool:
             return any(e["payload"]["run"] == run for e in look.events(type="action.requested"))
 
         # What is not dangerous does not wait.
@@ -74,7 +74,7 @@ def test_nothing_dangerous_moves_before_a_second_person_has_said_so(tmp_path: Pa
                 bo.resolve(question, "approve", "")
             with pytest.raises(Refused, match="is no person"):
                 people["robot"].resolve(question, "approve", "")
-            assert not moved(run)
+            assert not list_moved(run)
             assert labos("olga", "resolve", question, "approve").exit_code == 0
             assert bo.wait(run, timeout_s=60).status == "completed"
             (approved,) = (e for e in look.events(type="run.approved") if e["payload"]["run"] == run)
@@ -89,6 +89,6 @@ def test_nothing_dangerous_moves_before_a_second_person_has_said_so(tmp_path: Pa
             labos("otto", "resolve", question_of(run), "refuse", "--why", "the guard is open").exit_code == 0
         )
         assert olga.wait(run, timeout_s=60).status == "cancelled"
-        assert not moved(run)
+        assert not list_moved(run)
         for client in people.values():
             client.close()

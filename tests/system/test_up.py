@@ -30,7 +30,7 @@ def lab(tmp_path: Path) -> Iterator[Up]:
     up.clean_up()
 
 
-def cycling(lab: Up) -> bool:
+def make_cycling(lab: Up) -> bool:
     """Whether the thermocycler was told to run its programme."""
     return any(
         record.head.type == "action.requested" and b'"name":"run_program"' in record.payload
@@ -44,7 +44,7 @@ def test_interrupted_it_goes_on_where_it_was(lab: Up) -> None:
     lab.start_with(*PCR)
     with lab.client() as client:
         runs = [client.submit("pcr", user=user) for user in ("ada", "bo")]
-        until(lambda: cycling(lab), "the thermocycler works")
+        until(lambda: make_cycling(lab), "the thermocycler works")
     assert lab.interrupt() == 0, lab.read_log()
     assert find_kernel(lab.home) is None
     # What was under way was finished: nobody has to be asked.
@@ -76,7 +76,7 @@ def test_killed_it_goes_on_where_it_was(lab: Up, detach: tuple[str, ...]) -> Non
     lab.start_with(*PCR)
     with lab.client() as client:
         run = client.submit("pcr", user="ada")
-        until(lambda: cycling(lab), "the thermocycler works")
+        until(lambda: make_cycling(lab), "the thermocycler works")
         nodes = {m["name"]: m["process"]["pid"] for m in client.state()["modules"]}
     lab.kill()
     assert find_kernel(lab.home) is None

@@ -16,7 +16,7 @@ from labos.node import World
 from labos.settings import Settings
 from labos.spec import load_workcell
 from tests.support.lab_process import Up, labos, statuses, until
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 SPECS = Path(__file__).parents[2] / "specs"
 
@@ -73,7 +73,7 @@ def test_pcr_and_color_picker_behind_their_wires(tmp_path: Path) -> None:
     app = [sys.executable, str(SPECS / "apps" / "first_color_picker.py"), "--home", str(up.home)]
     try:
         up.start("rpl")
-        with up.client() as client, running(app, stdout=subprocess.PIPE, text=True) as picker:
+        with up.client() as client, run_process(app, stdout=subprocess.PIPE, text=True) as picker:
             pcr = client.submit("pcr", user="ada")
             assert picker.wait(600) == 0, up.read_log()
             until(lambda: statuses(client, [pcr]) == ["completed"], "the PCR is done", 600)

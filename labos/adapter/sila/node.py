@@ -313,7 +313,7 @@ class SilaNode(ForeignNode):
         """Keep what an execution tells; what it tells while the line is broken is lost."""
         while True:
             try:
-                first = True  # what is told at first is what was told last
+                first = True  # the first value after subscribing repeats the last one
                 async for values in self.client.intermediate(command, execution):
                     if not (first and told and told[-1] == values):
                         told.append(values)

@@ -22,7 +22,7 @@ class GeneratedWords(Calls):
         """Erase what people wrote into events. The texts are deleted, with the salts of their digests; the
         events stay, and the log verifies as before. Each is shown as ``(erased)`` from then on. That, who did
         it and why is an event. Where the policy says ``erasure: true``, nothing is done before a second admin
-        has agreed. ``because``: a code: ``request`` (the person who wrote it, or of whom it tells, asked for
+        has agreed. ``because``: a code: ``request`` (the person who wrote it, or whom it is about, asked for
         it), ``personal`` (it tells of a person what does not belong there), ``secret`` (it holds a password,
         or what is confidential), ``mistake`` (it was written in the wrong place), ``retention`` (it was kept
         for as long as the rules say), ``order`` (a court or an authority ordered it). ``records``: positions

@@ -6,8 +6,8 @@ worked out on the state that the ones before it have left.
 
 from collections.abc import Callable
 
-from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, recordable
-from labos.core.decide.limits import bare_report, cut_report, misfit
+from labos.core.decide._base import DECIDERS, UNFIT, Command, Decision, Rejection, Report, check_recordable
+from labos.core.decide.limits import bare_report, cut_report, refuse_misfit
 from labos.core.decide.reactions import REACTIONS
 from labos.core.decide.rights import Denied, check_rights  # its table loads every command
 from labos.core.decide.submissions import hold_for_approval, name_both_actors
@@ -56,7 +56,7 @@ def decide(state: LabState, command: Command, actor: str, keep: Keep | None = No
         return refusal
     if isinstance(command, Report):
         command = cut_report(command)
-    elif fault := misfit(command):
+    elif fault := refuse_misfit(command):
         return fault
     elif keep is not None:
         command = refer_to_words(command, keep)
@@ -71,4 +71,4 @@ def decide(state: LabState, command: Command, actor: str, keep: Keep | None = No
 def _decide(state: LabState, command: Command, actor: str) -> Decision:
     command = name_both_actors(command, actor)
     decision = hold_for_approval(state, command, DECIDERS[type(command)](state, command), actor)
-    return decision if isinstance(decision, Rejection) else recordable(decision)
+    return decision if isinstance(decision, Rejection) else check_recordable(decision)

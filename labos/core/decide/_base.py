@@ -20,7 +20,7 @@ class Command(msgspec.Struct, frozen=True, tag=True):
     """Somebody asks for something. Ids and times come in with the command."""
 
     def parts(self) -> Sequence[Command]:
-        """The commands of which this one consists: whoever asks must be allowed each of them, and the texts
+        """The parts of this command: the actor must be allowed each of them, and the texts
         of each must be fit to be recorded. All of them are carried out, or none."""
         return ()
 
@@ -48,7 +48,7 @@ D = TypeVar("D", bound=Decider)
 DECIDERS: dict[type[Command], Decider] = {}
 
 
-def recordable(events: Iterable[Event]) -> Decision:
+def check_recordable(events: Iterable[Event]) -> Decision:
     """The events, unless one of them cannot be written: then what somebody handed in is too large
     or no JSON. Of events that are worked out one by one the first is looked at."""
     later = None if isinstance(events, list) else iter(events)
@@ -65,8 +65,8 @@ def recordable(events: Iterable[Event]) -> Decision:
     return known if later is None else chain(known, later)
 
 
-def many(state: LabState, station: StationName) -> Rejection | None:
-    """Why a station cannot be meant as one place: it is a hotel of which each shelf is one."""
+def refuse_hotel(state: LabState, station: StationName) -> Rejection | None:
+    """Why a station cannot be meant as one place: it is a hotel, and each of its shelves is a place."""
     shelves = state.bench.shelves.get(station)
     if not shelves:
         return None

@@ -8,11 +8,11 @@ from itertools import chain
 import msgspec
 
 from labos.core.actions import ActionStatus
-from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
 from labos.core.decide.by_hand import withdraw_answered
 from labos.core.decide.cancelling import cancel_all
 from labos.core.decide.runs import SubmitRun, plan_digest, submit_run
-from labos.core.decide.work import work_on
+from labos.core.decide.work import find_work
 from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
 from labos.core.lab import AccessEnded, AccessGranted, AccessRequested
 from labos.core.labware import LabwareObserved, LabwarePlaced, LabwareRemoved, StationDeclared
@@ -67,7 +67,7 @@ def in_motion(state: LabState, cell: str) -> list[str]:
         for action in state.actions.open.values()
         if workcell_of(action.module) == cell
         and action.status != ActionStatus.UNKNOWN
-        and work_on(state, action) is None
+        and find_work(state, action) is None
     ]
     busy = [
         local(name)
@@ -78,7 +78,7 @@ def in_motion(state: LabState, cell: str) -> list[str]:
 
 
 def perhaps_in_motion(state: LabState, cell: str) -> list[str]:
-    """The modules of a workcell of which nobody knows whether they have come to rest: who is let in has to
+    """The modules of a workcell that may still be in motion, because nobody knows: who is let in has to
     see to it."""
     unknown = {
         action.module: True for action in state.actions.open.values() if action.status == ActionStatus.UNKNOWN
@@ -156,7 +156,7 @@ def _apply_change(
     station = state.bench.stations.get(change.station)
     if station is None or workcell_of(change.station) != cell:
         return Rejection("no_station", f"{cell} has no station {local(change.station)}.")
-    shelved = many(state, change.station)
+    shelved = refuse_hotel(state, change.station)
     if shelved:
         return shelved
     if change.station in state.bench.haunted or station.expected:

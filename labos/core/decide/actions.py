@@ -22,14 +22,20 @@ from labos.core.actions import (
     FailureKind,
 )
 from labos.core.bench import parts
-from labos.core.decide._base import Command, Decision, Rejection, Report, decides, recordable
+from labos.core.decide._base import Command, Decision, Rejection, Report, check_recordable, decides
 from labos.core.decide.barcodes import record_barcodes
 from labos.core.decide.choices import bind
 from labos.core.decide.endings import give_up
 from labos.core.decide.inputs import fill_inputs, name_returned_files
-from labos.core.decide.outcomes import back_in_place, effect_events, find_shown_outcome, limit_result, settle
+from labos.core.decide.outcomes import (
+    effect_events,
+    find_shown_outcome,
+    limit_result,
+    put_back_in_place,
+    settle,
+)
 from labos.core.decide.steps import doubt
-from labos.core.decide.work import ask_for_work, work_on
+from labos.core.decide.work import ask_for_work, find_work
 from labos.core.effects import (
     AnyEffect,
     Draws,
@@ -54,8 +60,8 @@ from labos.core.shelves import expand_hotels
 from labos.core.state import LabState
 from labos.core.topics import LateResult
 from labos.core.waits import Wait
-from labos.core.watching import looks
-from labos.core.wells import misfit
+from labos.core.watching import list_watched
+from labos.core.wells import find_misfit
 
 
 class StartStep(Command, frozen=True):
@@ -171,7 +177,7 @@ def start_step(state: LabState, command: StartStep) -> Decision:
     )
     if step.by_person:
         events.append(ask_for_work(state, run, step, command.action, args, effects, command.now))
-    unfit = recordable(events)
+    unfit = check_recordable(events)
     if isinstance(unfit, Rejection):  # results of earlier steps were too large for it
         return _fail_start(state, run, step, unfit.message)
     return events
@@ -248,10 +254,10 @@ def _find_liquid_fault(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
     """What is wrong with the liquids that an action would put into wells or draw; empty if nothing is."""
     fed = next((e.labware for e in effects if isinstance(e, Transfers | Draws) and e.labware), None)
     if fed is None:
-        return misfit(effects, None, {}, "the labware")
+        return find_misfit(effects, None, {}, "the labware")
     item = state.bench.labware[fed]
     known = state.lab.labware.get(workcell_of(item.station), {}) if item.station else {}
-    return misfit(effects, known.get(item.type), item.volumes_ul, str(item.id))
+    return find_misfit(effects, known.get(item.type), item.volumes_ul, str(item.id))
 
 
 def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:
@@ -297,7 +303,7 @@ def refuse_action(state: LabState, command: RefuseAction) -> Decision:
             command.why,
             final,
         ),
-        *back_in_place(state, action),
+        *put_back_in_place(state, action),
     ]
     if not final and state.modules.by_name[action.module].status == ModuleStatus.IDLE:
         # It is not as idle as it seemed: wait until it says so again.
@@ -329,7 +335,7 @@ def finish_action(state: LabState, command: FinishAction) -> Decision:
         )
     if action.looks:
         return []  # what it said is known, and is being looked at, or a person is asked
-    places = looks(state, action) if command.succeeded else ()
+    places = list_watched(state, action) if command.succeeded else ()
     if places:
         return [_report(action, command, places)]
     return finish(state, action, command)
@@ -426,7 +432,7 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
 @decides(DoubtAction)
 def doubt_action(state: LabState, command: DoubtAction) -> Decision:
     action = state.actions.open.get(command.action)
-    if action is None or action.looks or work_on(state, action) is not None:
+    if action is None or action.looks or find_work(state, action) is not None:
         return []  # its device has said that it is done, or a person knows
     if action.status == ActionStatus.UNKNOWN:
         return _settle_by_sight(state, action)

@@ -121,7 +121,7 @@ def make_booking(state: LabState, command: MakeBooking) -> Decision:
 def change_booking(state: LabState, command: ChangeBooking) -> Decision:
     booking = state.bookings.open.get(command.booking)
     if booking is None:
-        return no_booking(command.booking)
+        return refuse_unknown_booking(command.booking)
     if command.terms.why is None:
         same = msgspec.structs.replace(command.terms, why=booking.why)
         command = msgspec.structs.replace(command, terms=same)
@@ -135,7 +135,7 @@ def change_booking(state: LabState, command: ChangeBooking) -> Decision:
 def cancel_booking(state: LabState, command: CancelBooking) -> Decision:
     booking = state.bookings.open.get(command.booking)
     if booking is None:
-        return no_booking(command.booking)
+        return refuse_unknown_booking(command.booking)
     if not command.begins or not booking.rule:
         return [BookingCancelled(booking.id, command.by, command.why)]
     times = booking.spans(command.begins, command.begins + 1)
@@ -168,7 +168,7 @@ def begin_booking(state: LabState, command: BeginBooking) -> Decision:
 
 @decides(EndBooking)
 def end_booking(state: LabState, command: EndBooking) -> Decision:
-    """Times of which nobody took note, as the lab was down, are over together."""
+    """Times that nobody took note of, because the lab was down, are over together."""
     booking = state.bookings.open.get(command.booking)
     if booking is None or booking.change_due(command.now) != "end":
         return []
@@ -180,7 +180,7 @@ def end_booking(state: LabState, command: EndBooking) -> Decision:
     return [BookingEnded(booking.id, last.begins, last.ends, over)]
 
 
-def no_booking(name: str) -> Rejection:
+def refuse_unknown_booking(name: str) -> Rejection:
     return Rejection(
         "no_booking", f"There is no booking {name} that is not over.", "List them: labos bookings"
     )
@@ -281,7 +281,7 @@ def _for_nobody(state: LabState, terms: NewTerms) -> Rejection | None:
 def _beyond_quota(
     state: LabState, target: str, command: MakeBooking | ChangeBooking, name: str
 ) -> Rejection | None:
-    """Whoever is no operator there books as much, and as far ahead, as the policy lets them."""
+    """Users who are no operators there book as much, and as far ahead, as the policy lets them."""
     who, terms, now = person_of(command.by), command.terms, command.now
     cell = workcell_of(ModuleName(target))
     if state.users.is_open or role_in(state, who, cell) >= rank("operator"):
@@ -428,7 +428,7 @@ def _list_standing(state: LabState, module: ModuleName) -> list[Labware]:
 
 
 def _is_theirs(state: LabState, booking: Booking, item: Labware) -> bool:
-    """Whether labware is everybody's, or of those for whom a booking is."""
+    """Whether labware belongs to everybody, or to those who have the booking."""
     if item.owner == SHARED:
         return True
     kind, name = owner_parts(item.owner)

@@ -24,8 +24,8 @@ from labos.core.campaigns import (
     CampaignUnarchived,
     EndedCampaign,
     Terms,
+    explain_stop,
     is_over,
-    must_stop,
 )
 from labos.core.conditions import find_reads
 from labos.core.decide._base import Command, Decision, Rejection, decides
@@ -161,7 +161,7 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
     lacks = next(filter(None, needed), "")
     if lacks:
         return [CampaignStopped(campaign.id, cut(lacks, LONGEST_REASON))]
-    beyond = beyond_budget(state, campaign, command.plan)
+    beyond = explain_over_budget(state, campaign, command.plan)
     if beyond and campaign.runs:
         return Rejection(NO_ROOM, f"{campaign.id} may go on when its runs have used less than planned.")
     if beyond:
@@ -289,7 +289,7 @@ def _cancel(state: LabState, campaign: Campaign, command: CancelCampaign) -> Ite
     yield from _cancel_runs(state, campaign.runs, command.why, stay=command.stay)
 
 
-def beyond_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
+def explain_over_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
     """What a further run of a plan would use beyond the campaign's budget, as a sentence; empty if it fits.
     Runs alive are counted in full, by what their plans say."""
     budget = campaign.terms.budget
@@ -334,9 +334,9 @@ def _find_steps_read(campaign: Campaign, plan: Plan) -> dict[str, int]:
 
 
 def _expect_next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
-    """The campaign of which a row is the next to be submitted, and may be now."""
+    """The campaign, if this row is its next one and may be submitted now."""
     campaign = state.campaigns.open.get(name)
-    if campaign is None or campaign.status != CampaignStatus.OPEN or must_stop(campaign):
+    if campaign is None or campaign.status != CampaignStatus.OPEN or explain_stop(campaign):
         return Rejection(NOT_OPEN, f"The campaign {name} takes no rows.")
     if row != campaign.next_row or not campaign.left:
         return Rejection(NOT_NEXT, f"Row {row} of {name} is not the next one: {campaign.next_row} is.")
@@ -384,10 +384,10 @@ def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool
 
 
 def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
-    """A campaign that must not go on is stopped, and one of which nothing is left is completed."""
+    """A campaign that must not go on is stopped, and one with nothing left to do is completed."""
     for name in list(state.campaigns.due):
         campaign = state.campaigns.open[name]
-        if why := must_stop(campaign):
+        if why := explain_stop(campaign):
             yield CampaignStopped(name, why, campaign.met_by)
             yield from _cancel_runs(state, _find_queued(campaign), f"{name} was stopped")
         elif is_over(campaign):

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.endings import record_end, under_way
-from labos.core.decide.runs import alive
+from labos.core.decide.runs import expect_alive
 from labos.core.ids import RunId
 from labos.core.leaving import find_bench_of_run, has_lost_labware, steps_out, way_out, will_leave
 from labos.core.registry import Event
@@ -40,7 +40,7 @@ class GiveUpWayOut(Command, frozen=True):
 
 @decides(CancelRun)
 def cancel_run(state: LabState, command: CancelRun) -> Decision:
-    run = alive(state, command.run)
+    run = expect_alive(state, command.run)
     if isinstance(run, Rejection):
         return run
     if run.is_ending and (run.stay or not command.stay):

@@ -49,7 +49,7 @@ def can_change_to(state: LabState, run: RunState, plan: str) -> bool:
     )
 
 
-def unlike(first: Plan, others: tuple[Plan, ...]) -> Rejection | None:
+def compare_plans(first: Plan, others: tuple[Plan, ...]) -> Rejection | None:
     """Why plans are not the same steps on other modules."""
     if len(others) >= MOST_PLANS:
         return Rejection(
@@ -61,11 +61,11 @@ def unlike(first: Plan, others: tuple[Plan, ...]) -> Rejection | None:
     for other in others:
         if other.workcell != first.workcell or [(step.key, step.part) for step in other.steps] != keys:
             return Rejection(
-                "unlike",
+                "compare_plans",
                 f"The plans of {first.workflow!r} for its choices differ in more than their modules.",
                 "Name the `module:` of transfers between modules that are chosen.",
             )
     return None
 
 
-__all__ = ["MOST_PLANS", "BindAnew", "bind", "bind_anew", "can_change_to", "unlike"]
+__all__ = ["MOST_PLANS", "BindAnew", "bind", "bind_anew", "can_change_to", "compare_plans"]

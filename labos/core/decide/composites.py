@@ -1,4 +1,4 @@
-"""Requests of which several things follow that belong together: one command, so that all of them happen, or
+"""Requests with several consequences that belong together: one command, so that all of them happen, or
 none.
 
 Whether each of them can be carried out is seen before anything happens: on the state before the first of
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
-from labos.core.decide._base import Command, Decider, Decision, Rejection, decides, recordable
+from labos.core.decide._base import Command, Decider, Decision, Rejection, check_recordable, decides
 from labos.core.decide.interventions import ResolveIntervention, resolve_intervention
 from labos.core.decide.lab import DeclareStation, declare_station
 from labos.core.decide.runs import SubmitRun, submit_run
@@ -80,7 +80,7 @@ def submit_with_labware(state: LabState, command: SubmitWithLabware) -> Decision
             )
         filled |= places
     run = submit_run(state, command.run)
-    fit = run if isinstance(run, Rejection) else recordable(run)
+    fit = run if isinstance(run, Rejection) else check_recordable(run)
     return fit if isinstance(fit, Rejection) else chain(_carry_out(state, command.loads, load_station), fit)
 
 
@@ -92,14 +92,14 @@ def declare_stations(state: LabState, command: DeclareStations) -> Decision:
         return Rejection("twice", f"{local(twice)} is declared twice.", "Say it once.")
     for declared in command.stations:
         decision = declare_station(state, declared)
-        fit = decision if isinstance(decision, Rejection) else recordable(decision)
+        fit = decision if isinstance(decision, Rejection) else check_recordable(decision)
         if isinstance(fit, Rejection):
             return fit
     return _carry_out(state, command.stations, declare_station)
 
 
 def _carry_out(state: LabState, parts: Iterable[Command], decider: Decider) -> Iterator[Event]:
-    """The events of parts of which it is known that they can be carried out."""
+    """The events of parts that are known to be possible."""
     for part in parts:
         decision = decider(state, part)
         if isinstance(decision, Rejection):

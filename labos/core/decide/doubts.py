@@ -21,8 +21,9 @@ class DoubtNode(Report, frozen=True):
 
 
 class OutrankNode(Report, frozen=True):
-    """A node obeys a later kernel than this one, whom the database calls the lab's kernel: the log may be an
-    older copy. The module is used again when a person has compared the bench with the log."""
+    """A node obeys a later kernel than this one, although the database says that this one is the lab's
+    kernel: the log may be an older copy. The module is used again when a person has compared the bench with
+    the log."""
 
     module: ModuleName
     epoch: int

@@ -25,7 +25,7 @@ from labos.core.runs import (
     RunFailed,
     RunState,
     RunStatus,
-    rescuers,
+    list_rescue_steps,
     results_of,
 )
 from labos.core.state import LabState
@@ -50,7 +50,7 @@ def end_recovery(state: LabState, event: ActionSucceeded | ActionReconciled) -> 
     failed = plan.steps[event.step].serves
     if failed is None or run.steps[failed].status != FAILED:
         return
-    recovery = rescuers(plan, failed)
+    recovery = list_rescue_steps(plan, failed)
     if event.step not in recovery or any(run.steps[index].status not in SETTLED for index in recovery):
         return
     policy, why = plan.steps[failed].on_error, run.steps[failed].trouble or ""

@@ -1,4 +1,5 @@
-"""Erasing words. Which ones stand beside the log is looked up by whoever asks; here is decided who may."""
+"""Erasing words. The caller looks up which ones stand beside the log; this module decides who may erase
+them."""
 
 from __future__ import annotations
 

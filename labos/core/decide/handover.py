@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.bench import Labware
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.users import no_user
+from labos.core.decide.users import refuse_unknown_user
 from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId, owner_parts
 from labos.core.labware import LabwareHandedOver
 from labos.core.open_experiments import ExperimentStatus
@@ -44,7 +44,7 @@ def hand_over(state: LabState, command: HandOver) -> Decision:
 def _refuse_heir(state: LabState, to: Owner) -> Rejection | None:
     kind, name = owner_parts(to)
     if kind == "user" and name and not state.users.is_open and state.users.get(name) is None:
-        return no_user(name)
+        return refuse_unknown_user(name)
     if to == SHARED or (kind == "user" and name):
         return None
     if kind != "experiment":

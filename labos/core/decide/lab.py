@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 from labos.core.bench import Station, arrival, count_taking, parts
-from labos.core.decide._base import Command, Decision, Rejection, decides, many, recordable
+from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides, refuse_hotel
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, places
 from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
@@ -89,13 +89,13 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
 @decides(ApplyWorkcell)
 def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
     applied = _apply(state, command.workcell)
-    fit = applied if isinstance(applied, Rejection) else recordable(applied)
+    fit = applied if isinstance(applied, Rejection) else check_recordable(applied)
     if isinstance(fit, Rejection) or command.contents is None:
         return fit
     for spec in command.workcell.places:
         known = state.bench.stations.get(spec.name)
         contents = command.contents.get(spec.name, ())
-        wrong = _refuse_contents(spec, contents) or recordable([StationDeclared(spec.name, contents)])
+        wrong = _refuse_contents(spec, contents) or check_recordable([StationDeclared(spec.name, contents)])
         if isinstance(wrong, Rejection) and (known is None or not known.known):
             return wrong
     return chain(fit, _declare_rest(state, command.workcell, command.contents))
@@ -104,7 +104,7 @@ def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
 def _declare_rest(
     state: LabState, cell: Workcell, contents: dict[StationName, tuple[str, ...]]
 ) -> Iterator[Event]:
-    """Declare the stations of which nobody has spoken, and where nothing is under way."""
+    """Declare the stations that nobody has declared yet and where nothing is under way."""
     for spec in cell.places:
         station = state.bench.stations[spec.name]
         if not station.known and not _refuse_occupied_or_doubtful(state, station):
@@ -232,7 +232,7 @@ def declare_station(state: LabState, command: DeclareStation) -> Decision:
     station = state.bench.stations.get(command.station)
     if station is None:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
-    shelved = many(state, command.station)
+    shelved = refuse_hotel(state, command.station)
     if shelved:
         return shelved
     wrong = _refuse_occupied_or_doubtful(state, station) or _refuse_contents(station.spec, command.contents)

@@ -54,7 +54,7 @@ def bare_report(report: Report) -> Report:
     return msgspec.structs.replace(report, **changed)
 
 
-def misfit(command: Command) -> Rejection | None:
+def refuse_misfit(command: Command) -> Rejection | None:
     """Why a request cannot be recorded as it is worded; None if it can."""
     fields = _fields(type(command))
     texts = [(getattr(command, field), field) for field in fields.texts]
@@ -63,7 +63,7 @@ def misfit(command: Command) -> Rejection | None:
     for text, field in texts:
         if fault := fault_of(text, field):
             return Rejection(BAD_TEXT, fault, "Shorten it, or hand in long text as a file.")
-    return next(filter(None, map(misfit, command.parts())), None)
+    return next(filter(None, map(refuse_misfit, command.parts())), None)
 
 
 def fault_of(text: str, field: str) -> str:

@@ -8,7 +8,7 @@ from itertools import islice
 from labos.core.decide._base import Command, Decision, Rejection, Report, decides
 from labos.core.decide.shorter import FoundAction, record_journal
 from labos.core.decide.steps import doubt
-from labos.core.failures import since
+from labos.core.failures import list_failures_since
 from labos.core.ids import ModuleName, local
 from labos.core.modules import (
     EmergencyStopped,
@@ -210,7 +210,7 @@ def quarantine(state: LabState, command: Quarantine) -> Decision:
     module = state.modules.by_name.get(command.module)
     if module is None or module.out_of_service or command.after < 1:
         return []
-    failed = since(module, command.now - lab_ns(state, command.within_s))
+    failed = list_failures_since(module, command.now - lab_ns(state, command.within_s))
     if len(failed) < command.after:
         return []
     often = f"{len(failed)} times in {command.within_s:g} s"

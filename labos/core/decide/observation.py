@@ -8,7 +8,7 @@ from typing import assert_never
 
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Labware, Station
-from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
 from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
 from labos.core.effects import hand_of, list_carried, list_moved, places
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
@@ -58,7 +58,7 @@ def observe_station(state: LabState, command: ObserveStation) -> Decision:
     station = state.bench.stations.get(command.station)
     if station is None:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
-    wrong = many(state, command.station) or _refuse_sight(state, station, command)
+    wrong = refuse_hotel(state, command.station) or _refuse_sight(state, station, command)
     if wrong:
         return wrong
     events: list[Event] = [
@@ -279,7 +279,7 @@ def _decide_count(
 
 
 def _find_take(state: LabState, place: StationName) -> Action | None:
-    """An action of which nobody knows whether it has brought something from a stack to a place."""
+    """An action that may have brought something from a stack to a place, or not: nobody knows."""
     for action in state.actions.open.values():
         takes = [e for e in list_carried(action.effects) if e.stock]
         hand = hand_of(action.module)

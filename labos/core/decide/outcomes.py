@@ -56,7 +56,7 @@ LARGEST_RESULT = 48 * 1024
 """Bytes of JSON that a result may take in the log."""
 
 
-def uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
+def mark_uncertain(action: Action, effect: Move, why: str) -> LabwareUncertain:
     """The labware of a motion that nobody saw end: at its start, in the hand, on the way, at its
     target."""
     places = [effect.source, hand_of(action.module), effect.target]
@@ -147,7 +147,7 @@ def effect_events(
     What the device decided itself, such as a slot, is read from its result. Somebody who has ``looked`` is
     believed, whatever was seen before; a device is not."""
     if done == "none":
-        yield from back_in_place(state, action)
+        yield from put_back_in_place(state, action)
         return
     seen = {} if looked else find_carried_off(state, action)
     # From which lots liquid came is read before it is used up.
@@ -159,7 +159,7 @@ def effect_events(
                 yield from _move(state, action, effect)
                 yield from _turn(state, action, effect)
             case Move():
-                yield uncertain(action, effect, why)
+                yield mark_uncertain(action, effect, why)
             case Take() if done == "all":
                 owner = run_owner(action.run) if action.run in state.runs.active else SHARED
                 yield from take_from_stack(state, effect, owner, action.run, action.id)
@@ -287,13 +287,13 @@ def take_from_stack(
     state: LabState, effect: Take, owner: Owner, run: str = "", action: str = ""
 ) -> Iterator[Event]:
     """The topmost item of a stack as labware of its own, and its lid, if it has one."""
-    item, lot = topmost(state, effect)
+    item, lot = find_topmost(state, effect)
     kind, lid = parts(item)
     plate = LabwarePlaced(effect.labware, run, kind, effect.target, owner, effect.stack, action, lot)
     return arrival(state.bench, plate, lid)
 
 
-def back_in_place(state: LabState, action: Action) -> list[Event]:
+def put_back_in_place(state: LabState, action: Action) -> list[Event]:
     return [
         LabwareObserved(effect.labware, action.run, effect.source, local(action.module))
         for effect in list_moved(action.effects)
@@ -306,7 +306,7 @@ def _is_in_doubt(state: LabState, effect: Move) -> bool:
     return bool(state.bench.labware[effect.labware].maybe) and effect.labware not in state.shorter.astray
 
 
-def topmost(state: LabState, effect: Take) -> tuple[str, str]:
+def find_topmost(state: LabState, effect: Take) -> tuple[str, str]:
     """The type and the lot of what is taken off a stack."""
     stack = state.bench.stations[effect.stack]
     return stack.stock[-1], stack.lots[-1]
@@ -315,7 +315,7 @@ def topmost(state: LabState, effect: Take) -> tuple[str, str]:
 def _take_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
     """A person took away what had come off a stack. It gets its name there: where it was to stand others
     may stand by now."""
-    item, lot = topmost(state, effect)
+    item, lot = find_topmost(state, effect)
     return [
         LabwarePlaced(effect.labware, run, parts(item)[0], effect.stack, NOBODY, effect.stack, lot=lot),
         LabwareRemoved(effect.labware, run, StationName(""), f"taken away ({by})"),

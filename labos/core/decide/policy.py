@@ -15,7 +15,7 @@ from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ExperimentId, local
 from labos.core.model import MAIN, Plan
-from labos.core.quotas import highest_priority
+from labos.core.quotas import find_highest_priority
 from labos.core.roles import role_in
 from labos.core.state import LabState
 from labos.core.users import LABOS, ON_BEHALF, person_of, rank
@@ -88,7 +88,7 @@ def refuse_priority(state: LabState, command: Any, actor: str) -> Rejection | No
         return None
     who = person_of(actor) if actor != LABOS else getattr(command, "user", "")
     operates = not state.users.is_open and role_in(state, who, _cell_of(state, command)) >= rank("operator")
-    found = highest_priority(state, who, operates=operates)
+    found = find_highest_priority(state, who, operates=operates)
     if found is None or priority <= found[1]:
         return None
     whose, most = found

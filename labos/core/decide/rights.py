@@ -1,9 +1,8 @@
 """Who may ask for what: the permission that each command needs, in one table, and the guard at the door.
 
-A lab without users is open. From its first user on, whoever asks must be one: everybody may touch what is
-their own; what is somebody else's needs an operator of the workcell where it is. What LabOS asks of itself
-(planning, nodes, the feeder of campaigns) is not held up here.
-"""
+A lab without users is open. From its first user on, everybody who asks must be one: everybody may touch what
+is their own; what is somebody else's needs an operator of the workcell where it is. What LabOS asks of itself
+(planning, nodes, the feeder of campaigns) is not held up here."""
 
 from __future__ import annotations
 
@@ -58,7 +57,7 @@ MOST_NAMED = 5
 
 
 class Denied(Rejection, frozen=True):
-    """Whoever asks may not; ``remedy`` says who may."""
+    """The actor may not do this; ``remedy`` says who may."""
 
 
 class Right(msgspec.Struct, frozen=True):

@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.core.canonical import canonical, digest
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.choices import unlike
+from labos.core.decide.choices import compare_plans
 from labos.core.decide.endings import give_up
 from labos.core.decide.windows import (
     anchors_of,
@@ -30,7 +30,7 @@ from labos.core.ids import (
 from labos.core.model import Plan, PlanStep
 from labos.core.open_experiments import Experiment, ExperimentStatus
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
-from labos.core.quotas import queue_is_full
+from labos.core.quotas import explain_full_queue
 from labos.core.registry import Event
 from labos.core.repeated import record_repeat
 from labos.core.resources import sum_needed
@@ -61,7 +61,7 @@ NOBODYS = CampaignId("")
 class SubmitRun(Command, frozen=True):
     """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
     one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy.
-    ``others`` are plans of the same steps on other modules, of which it may choose one in place of ``plan``
+    ``others`` are plans of the same steps on other modules, from which it may choose one in place of ``plan``
     when it is let in. ``apart``: the campaign that shares its plans with nobody. ``due_at`` is when it
     should be over (UTC ns, 0: no such time)."""
 
@@ -211,7 +211,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         if experiment is None or experiment.status != ExperimentStatus.OPEN:
             return Rejection("no_experiment", f"The experiment {command.experiment} is not open.")
     user = experiment.user if experiment else command.user
-    full = queue_is_full(state, user)
+    full = explain_full_queue(state, user)
     if full:
         return Rejection(QUOTA, full, "Wait until some have begun, or cancel some.")
     run = RunId(f"R{state.runs.named + 1}")
@@ -225,7 +225,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
         flaw = flaw or (_parks_elsewhere(state, plan, experiment) if experiment is not None else None)
         if flaw:
             return flaw
-    differ = unlike(command.plan, command.others)
+    differ = compare_plans(command.plan, command.others)
     if differ:
         return differ
     anchors = anchors_of(state, command.plan, command.experiment)
@@ -275,14 +275,14 @@ def _parks_elsewhere(state: LabState, plan: Plan, experiment: Experiment) -> Rej
     return None
 
 
-def alive(state: LabState, run: RunId) -> RunState | Rejection:
+def expect_alive(state: LabState, run: RunId) -> RunState | Rejection:
     found = state.runs.get(run)
     return found or Rejection("no_run", f"There is no run {run} that has not ended.")
 
 
 @decides(PauseRun)
 def pause_run(state: LabState, command: PauseRun) -> Decision:
-    run = alive(state, command.run)
+    run = expect_alive(state, command.run)
     if isinstance(run, Rejection):
         return run
     if run.paused:
@@ -292,7 +292,7 @@ def pause_run(state: LabState, command: PauseRun) -> Decision:
 
 @decides(ResumeRun)
 def resume_run(state: LabState, command: ResumeRun) -> Decision:
-    run = alive(state, command.run)
+    run = expect_alive(state, command.run)
     if isinstance(run, Rejection):
         return run
     if not run.paused:

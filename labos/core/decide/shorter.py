@@ -9,7 +9,7 @@ import msgspec
 
 from labos.core.actions import Action, ActionDiscovered, ActionStatus
 from labos.core.bench import parts, removal
-from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
 from labos.core.decide.contents import contents_events, list_recorded
 from labos.core.decide.endings import record_end, under_way
 from labos.core.effects import AnyEffect, Carrying, Needs, hand_of, list_carried, places
@@ -125,8 +125,8 @@ def report_shorter_log(state: LabState, command: ReportShorterLog) -> Decision:
 def record_journal(
     state: LabState, module: ModuleName, found: Sequence[FoundAction], beyond: int
 ) -> list[Event]:
-    """The events for what a module's journal knows and the log does not: actions, of which the labware is
-    uncertain now, and that it was told of a log up to the position ``beyond`` (0: it was not)."""
+    """The events for what a module's journal knows and the log does not: actions, whose labware is uncertain
+    now, and that the node was told of a log up to the position ``beyond`` (0: it was not)."""
     actions, doubted = state.actions, state.modules.by_name[module]
     known = {*actions.discovered, *actions.settled, *actions.ended.get(module, ())}
     found = [
@@ -199,13 +199,13 @@ def _doubt_labware(state: LabState, module: ModuleName, found: Sequence[FoundAct
     for name, known in maybe.items():
         possible = (*dict.fromkeys(place for place in known if place), GONE)
         on = state.bench.labware[name].on
-        why = f"{local(module)} has worked on it, of which the log knows nothing"
+        why = f"{local(module)} has worked on it, and the log does not know how"
         events.append(LabwareUncertain(name, "", possible, why, on=on))
     return events
 
 
 def list_to_say(state: LabState) -> list[StationName]:
-    """The stations of which a person has still to speak on the round; a hotel by its shelves."""
+    """The stations that a person still has to report on the round; a hotel by its shelves."""
     shorter, bench = state.shorter, state.bench
     if not shorter.since:
         return []
@@ -227,7 +227,11 @@ def say_contents(state: LabState, command: SayContents) -> Decision:
     station = state.bench.stations.get(command.station)
     if station is None:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
-    wrong = _refuse_without_round(state) or many(state, command.station) or _refuse_at_work(state, command)
+    wrong = (
+        _refuse_without_round(state)
+        or refuse_hotel(state, command.station)
+        or _refuse_at_work(state, command)
+    )
     if wrong:
         return wrong
     events = contents_events(state, station, command.contents, command.by)
@@ -268,7 +272,9 @@ def confirm_stations(state: LabState, command: ConfirmStations) -> Decision:
                 f"Say what stands there: labos bench round --say {local(name)}=WHAT",
             )
         wrong = (
-            wrong or many(state, name) or _refuse_at_work(state, _say_as_recorded(state, name, command.by))
+            wrong
+            or refuse_hotel(state, name)
+            or _refuse_at_work(state, _say_as_recorded(state, name, command.by))
         )
     if wrong:
         return wrong
@@ -295,7 +301,7 @@ def _refuse_at_work(state: LabState, command: SayContents) -> Rejection | None:
     """Why a word about a station would be old soon: something moves there, or it is asked how a motion that
     the log knows has ended. That is answered first; what is said afterwards counts."""
     name, bench = command.station, state.bench
-    busy = strange_motion(state, workcell_of(name))
+    busy = find_strange_motion(state, workcell_of(name))
     if busy:
         return Rejection(
             "in_motion",
@@ -331,7 +337,7 @@ def _refuse_asked_first(state: LabState, action: Action) -> Rejection:
     )
 
 
-def strange_motion(state: LabState, cell: str) -> str:
+def find_strange_motion(state: LabState, cell: str) -> str:
     """A module of a workcell (of any, if empty) that is at work with nothing that the log asked of it."""
     for name, module in state.modules.by_name.items():
         if cell in ("", workcell_of(name)) and module.status == ModuleStatus.BUSY and not module.in_flight:
@@ -351,7 +357,7 @@ def finish_round(state: LabState, by: str, note: str) -> Decision:
             f"Nobody has said what stands at {named}.",
             "Go round the bench and say it: labos bench round",
         )
-    busy = strange_motion(state, "")
+    busy = find_strange_motion(state, "")
     if busy:
         return Rejection(
             "in_motion",

@@ -14,12 +14,12 @@ from labos.core.actions import (
     ActionUnknown,
     EffectsDone,
 )
-from labos.core.branches import inert
+from labos.core.branches import is_inert
 from labos.core.canonical import canonical
 from labos.core.conditions import by_key, holds
 from labos.core.decide._base import Command, Decision, decides
 from labos.core.decide.endings import fail_run, give_up
-from labos.core.decide.outcomes import find_carried_off, question_about, uncertain
+from labos.core.decide.outcomes import find_carried_off, mark_uncertain, question_about
 from labos.core.decide.waiting import ask_about_waiting_device
 from labos.core.effects import Requires, Sets, list_carried, list_moved
 from labos.core.expressions import ExpressionError
@@ -68,7 +68,7 @@ def doubt(
     if maybe is None:
         seen = find_carried_off(state, action)
         moves = [move for move in list_moved(action.effects) if move.labware not in seen]
-        maybe = [uncertain(action, effect, why) for effect in moves]
+        maybe = [mark_uncertain(action, effect, why) for effect in moves]
     return [*events, *maybe, question_about(state, action, why, maybe)]
 
 
@@ -119,7 +119,7 @@ def handle_failure(state: LabState, event: ActionFailed | ActionRejected | StepU
     elif isinstance(event, ActionRejected):
         effects = "none"
     else:
-        effects, kind = "none" if inert(plan, step) else "all", "experiment"
+        effects, kind = "none" if is_inert(plan, step) else "all", "experiment"
     tried_again = reset_by(plan, step)
     if tried_again is not None:
         # A module that cannot be reset is as good as another failure of the step it serves.

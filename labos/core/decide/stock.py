@@ -10,7 +10,7 @@ from labos.core.bench import Station, arrival, count_taking, parts
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import withdraw_answered
 from labos.core.effects import list_carried
-from labos.core.expiry import DATE, first_old
+from labos.core.expiry import DATE, find_first_expired
 from labos.core.ids import (
     SHARED,
     ExperimentId,
@@ -34,7 +34,7 @@ from labos.core.model import PlanStep
 from labos.core.registry import Event
 from labos.core.resources import Level, ResourceReplenished, sum_needed
 from labos.core.runs import PENDING, SETTLED
-from labos.core.shelves import vacant
+from labos.core.shelves import list_vacant
 from labos.core.state import LabState
 
 MOST_AWAITED = 100
@@ -139,7 +139,7 @@ def load_station(state: LabState, command: LoadStation) -> Decision:
     kind = parts(command.labware)[0]
     if not spec.admits(kind):
         return Rejection("not_accepted", f"{name} {spec.why_not(kind)}.")
-    shelves = vacant(state.bench, command.station) if command.station in state.bench.shelves else None
+    shelves = list_vacant(state.bench, command.station) if command.station in state.bench.shelves else None
     room = spec.capacity - found.count if shelves is None else len(shelves)
     if not room and found.labware:
         held = ", ".join(found.labware[-3:])
@@ -252,7 +252,7 @@ def _lacks(step: PlanStep, level: Level, module: ModuleName, resource: str, toda
     if step.module != module:
         return False
     amount = sum_needed(step.effects, resource)
-    return amount > level.level or first_old(level, amount, today) is not None
+    return amount > level.level or find_first_expired(level, amount, today) is not None
 
 
 def _takes(step: PlanStep, stack: StationName) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from labos.core.decide._base import Command, Decision, Rejection, decides, many
+from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.modules import LocationTaught
 from labos.core.state import LabState
@@ -29,7 +29,7 @@ def teach_location(state: LabState, command: TeachLocation) -> Decision:
         return Rejection("no_module", f"There is no module {local(command.module)}.")
     if command.station not in state.bench.stations:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
-    shelved = many(state, command.station)
+    shelved = refuse_hotel(state, command.station)
     if shelved:
         return shelved
     if module.in_flight:

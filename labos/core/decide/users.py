@@ -120,7 +120,7 @@ def _grant(user: str, role: Role, scope: str) -> RoleGranted:
 @decides(EraseUser)
 def erase_user(state: LabState, command: EraseUser) -> Decision:
     if command.user not in state.users.known:
-        return no_user(command.user)
+        return refuse_unknown_user(command.user)
     return [UserErased(command.user)]
 
 
@@ -128,7 +128,7 @@ def erase_user(state: LabState, command: EraseUser) -> Decision:
 def disable_user(state: LabState, command: DisableUser) -> Decision:
     user = state.users.known.get(command.user)
     if user is None:
-        return no_user(command.user)
+        return refuse_unknown_user(command.user)
     if user.disabled:
         return []
     return _last_admin(state, command.user) or [UserDisabled(command.user)]
@@ -138,7 +138,7 @@ def disable_user(state: LabState, command: DisableUser) -> Decision:
 def enable_user(state: LabState, command: EnableUser) -> Decision:
     user = state.users.known.get(command.user)
     if user is None:
-        return no_user(command.user)
+        return refuse_unknown_user(command.user)
     return [UserEnabled(command.user)] if user.disabled else []
 
 
@@ -166,7 +166,7 @@ def add_member(state: LabState, command: AddMember) -> Decision:
     if command.group not in state.shares.groups:
         return _no_group(command.group)
     if command.user not in state.users.known:
-        return no_user(command.user)
+        return refuse_unknown_user(command.user)
     present = state.shares.group_of.get(command.user)
     if present == command.group:
         return []
@@ -210,7 +210,7 @@ def revoke_role(state: LabState, command: RevokeRole) -> Decision:
     return last or [RoleRevoked(command.subject, command.scope)]
 
 
-def no_user(name: str) -> Rejection:
+def refuse_unknown_user(name: str) -> Rejection:
     return Rejection("no_user", f"There is no user {name!r} who may act.", "List them: labos user list")
 
 
@@ -235,7 +235,7 @@ def _bad_id(what: str, name: str, known: list[str]) -> Rejection | None:
 def _bad_subject(state: LabState, subject: str) -> Rejection | None:
     kind, _, name = subject.partition(":")
     if kind == "user":
-        return None if name in state.users.known else no_user(name)
+        return None if name in state.users.known else refuse_unknown_user(name)
     if kind == "group":
         return None if name in state.shares.groups else _no_group(name)
     return Rejection("no_subject", f"A role cannot be given to {subject!r}.", "Say user:ID or group:NAME.")

@@ -17,7 +17,7 @@ from labos.core.actions import Action, ActionFailed, ActionStatus, EffectsDone
 from labos.core.bench import Station
 from labos.core.decide._base import Decision, Report, decides
 from labos.core.decide.actions import FinishAction, finish
-from labos.core.decide.outcomes import effect_events, uncertain
+from labos.core.decide.outcomes import effect_events, mark_uncertain
 from labos.core.decide.steps import doubt
 from labos.core.effects import Carrying, list_carried, list_moved
 from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
@@ -25,7 +25,7 @@ from labos.core.labware import LabwareUncertain, StationObserved
 from labos.core.registry import Event
 from labos.core.runs import RunStatus
 from labos.core.state import LabState
-from labos.core.watching import ends
+from labos.core.watching import list_end_stations
 
 GONE = StationName("")
 
@@ -62,7 +62,7 @@ def verify_action(state: LabState, command: VerifyAction) -> Decision:
     verdicts = [
         _judge_motion(state, action, effect, sights)
         for effect in list_carried(action.effects)
-        if {*ends((effect,))} & {*action.looks}
+        if {*list_end_stations((effect,))} & {*action.looks}
     ]
     what = _describe_sights(sights.values()) or command.unseen
     why = f"{local(action.module)} says that {action.name!r} is done; {what}"
@@ -83,7 +83,7 @@ def is_disturbed(state: LabState, action: Action) -> bool:
     return any(
         other.id != action.id
         and other.status in (ActionStatus.REQUESTED, ActionStatus.ACCEPTED)
-        and {*ends(other.effects)} & {*action.looks}
+        and {*list_end_stations(other.effects)} & {*action.looks}
         for other in state.actions.within(workcell_of(action.module))
     )
 
@@ -168,7 +168,7 @@ def _find_whereabouts(
     it may have fallen down."""
     found: list[LabwareUncertain] = []
     for effect in list_moved(action.effects):
-        event = uncertain(action, effect, why)
+        event = mark_uncertain(action, effect, why)
         stands = {place: _was_seen_at(state, action, effect, place, sights) for place in event.places}
         certain = [place for place, is_there in stands.items() if is_there]
         left = certain or [*(place for place in event.places if stands[place] is not False), GONE]

@@ -55,7 +55,7 @@ def ask_for_work(
     )
 
 
-def work_on(state: LabState, action: Action) -> Intervention | None:
+def find_work(state: LabState, action: Action) -> Intervention | None:
     """The inbox entry of an action, if it is planned work."""
     question = state.interventions.about(action.id)
     return question if question is not None and isinstance(question.topic, PlannedWork) else None

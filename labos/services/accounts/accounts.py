@@ -212,7 +212,7 @@ class Accounts:
 
     async def check_again(self, keys: Collection[str]) -> None:
         """Ask the database whether the credentials with these keys are still good: another process may have
-        taken them back. Whoever waits for the end of one is told."""
+        taken them back. Listeners for the end of one are told."""
         for digest, (known, _) in list(self._known.items()):
             if known.key not in keys:
                 continue
@@ -227,7 +227,7 @@ class Accounts:
     # -- inside --------------------------------------------------------------------------------
 
     def end_of_user(self, user: str) -> None:
-        """The user may not act any more: whoever follows with a credential of theirs is cut off."""
+        """The user may not act any more: streams that were opened with a credential of theirs are cut off."""
         self._forget(lambda credential: credential.user == user)
 
     def _forget(self, which: Which) -> None:

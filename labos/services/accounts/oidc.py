@@ -150,8 +150,8 @@ class Provider:
     async def finish(
         self, answer: Mapping[str, str], browser: str, *, by_command_line: bool = False
     ) -> ProviderClaims:
-        """Whom the provider has sent back. What came with the browser is good once, and on the way only on
-        which it was sent. Raises NotSignedIn."""
+        """The person whom the provider has sent back. What came with the browser is good once, and on the way
+        only on which it was sent. Raises NotSignedIn."""
         pending = self._pending.pop(answer.get("state", ""), None)
         if pending is None or self.clock.monotonic() - pending.since >= PENDING_S:
             raise wrong("nobody went there from here, or too long ago")
@@ -177,7 +177,7 @@ class Provider:
         client: ProviderClient,
         nonce: str = "",
     ) -> ProviderClaims:
-        """Whom the tokens mean that the provider has given to ``client``. Raises NotSignedIn."""
+        """The person whom the provider's tokens for ``client`` name. Raises NotSignedIn."""
         claims = await self._verify(http, known, tokens.id_token, client.id, nonce)
         return await self._with_user_info(http, known, tokens, claims)
 

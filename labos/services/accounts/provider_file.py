@@ -44,10 +44,10 @@ class CommandLine(Part):
 
 class ProviderFile(Part):
     """``issuer`` is the provider's own name, a URL. ``lab`` is the address under which browsers reach the
-    lab. ``command_line``: people may sign in from it, too. ``new_users``: whoever the provider knows may
-    look, under an id that the lab makes; else an admin says who is who (`labos user link`). ``groups`` and
-    ``roles`` say what the values of ``groups_claim`` mean here; at each sign-in exactly those that are named
-    are given and taken."""
+    lab. ``command_line``: people may sign in from it, too. ``new_users``: everybody whom the provider knows
+    may look, under an id that the lab makes; else an admin says who is who (`labos user link`). ``groups``
+    and ``roles`` say what the values of ``groups_claim`` mean here; at each sign-in exactly those that are
+    named are given and taken."""
 
     labos: Literal[1] = 1
     issuer: SecureUrl

@@ -154,7 +154,7 @@ class Computing:
             return self._open[where]
 
     def _forget(self, where: str, executor: Executor, error: BaseException) -> None:
-        """A pool of which one worker died takes nothing more: the next attempt opens another."""
+        """A pool takes nothing more after one of its workers died: the next attempt opens another."""
         if not isinstance(error, BrokenProcessPool):
             return
         with self._lock:

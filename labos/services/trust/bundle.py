@@ -1,11 +1,11 @@
-"""A bundle: a run, an experiment or a campaign as a file, with all that proves it to whoever has the lab's
-public key.
+"""A bundle: a run, an experiment or a campaign as a file, with all that proves it to somebody who has the
+lab's public key.
 
 A zip file. Nothing in it is believed for itself: events are in the tree whose root is signed, payloads and
 files have the digests that the events name.
 
 ===================  ========================================================================
-``bundle.json``      what of which lab (for people; it is checked against the events)
+``bundle.json``      what it is and from which lab (for people; it is checked against the events)
 ``checkpoint.note``  the signed root
 ``checkpoint.tsr``   its time stamp, if there is one
 ``rotation.notes``   changes of the lab's key, if there were any

@@ -111,7 +111,7 @@ class TrustedKeys:
         for note in rotations:
             size, old, fresh = _rotation(note)
             if old not in self.keys:
-                continue  # says nothing to whoever does not trust the old one
+                continue  # it proves nothing if the old one is not trusted
             if note.signers([old, fresh]) != [old, fresh]:
                 raise BadInput(
                     f"A change of the key {old.name} is not signed by both keys.",

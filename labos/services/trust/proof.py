@@ -1,4 +1,4 @@
-"""Checks a bundle offline: whoever has the lab's public key needs nothing else."""
+"""Checks a bundle offline: nothing but the lab's public key is needed."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from labos.core.envelope import GENESIS, damage
+from labos.core.envelope import GENESIS, find_damage
 from labos.core.merkle import Edge, leaf_hash
 from labos.errors import BadInput, LogDamaged
 from labos.private import make_folder, replace_file
@@ -77,7 +77,7 @@ def grow(log: Log, kept: StoredTree) -> Growth:
         _check_same(log, kept, previous)
     after, added = before.copy(), []
     for record in log.read(kept.size, head.position):
-        if fault := damage(previous, record):
+        if fault := find_damage(previous, record):
             raise _report_damage(record.head.position, fault)
         leaf = leaf_hash(record.envelope)
         after.add(leaf)

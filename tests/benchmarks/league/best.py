@@ -13,9 +13,9 @@ from pathlib import Path
 import msgspec
 
 from tests.benchmarks.league.cases import Case, cases
-from tests.benchmarks.league.check import Times, faults, makespan, missed
+from tests.benchmarks.league.check import Times, count_missed, faults, makespan
 from tests.benchmarks.league.rules import Problem, problem_of
-from tests.benchmarks.league.score import BEST, Known, known, played, times_of
+from tests.benchmarks.league.score import BEST, Known, play_case, read_best, times_of
 
 STEP_S = 5
 
@@ -111,15 +111,17 @@ def _alike(problem: Problem) -> list[tuple[int, int]]:
 def improve(case: Case, seconds: float) -> Known:
     """The best that is known of a case now."""
     problem = problem_of(case.cell, case.works)
-    hint = times_of(case, played(case))
-    before = known().get(case.key)
+    hint = times_of(case, play_case(case))
+    before = read_best().get(case.key)
     found, bound = search(problem, hint, seconds)
     if found is None:
         return before or Known(
-            makespan(hint) - case.rest_s, missed(problem, hint), f"online, nothing found in {seconds:.0f} s"
+            makespan(hint) - case.rest_s,
+            count_missed(problem, hint),
+            f"online, nothing found in {seconds:.0f} s",
         )
     assert not faults(problem, found), faults(problem, found)
-    assert not missed(problem, found)
+    assert not count_missed(problem, found)
     length, bound = makespan(found) - case.rest_s, bound - case.rest_s
     how = "proven" if length <= bound else f"found in {seconds:.0f} s, none is below {bound:,.0f} s"
     if before is not None and (before.makespan_s, "proven" not in before.how) <= (length, how != "proven"):
@@ -138,7 +140,9 @@ def main() -> None:
             continue
         now = improve(case, options.seconds)
         print(f"{case.name}: {now.makespan_s:,.0f} s, {now.how}", flush=True)
-        Path(BEST).write_bytes(msgspec.json.format(msgspec.json.encode({**known(), case.key: now})) + b"\n")
+        Path(BEST).write_bytes(
+            msgspec.json.format(msgspec.json.encode({**read_best(), case.key: now})) + b"\n"
+        )
 
 
 if __name__ == "__main__":

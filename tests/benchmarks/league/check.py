@@ -25,13 +25,13 @@ def faults(problem: Problem, times: Times) -> list[str]:
     ]
     return missing or [
         *_order(problem, times),
-        *_taken_twice(problem, times),
-        *_crowded(problem, times),
+        *_list_taken_twice(problem, times),
+        *_list_crowded(problem, times),
         *_together(problem, times),
     ]
 
 
-def missed(problem: Problem, times: Times) -> int:
+def count_missed(problem: Problem, times: Times) -> int:
     """How many windows a task started too late for."""
     return sum(
         clock.within_s is not None and times[number][0] > times[clock.anchor][1] + clock.within_s + SLACK_S
@@ -64,7 +64,7 @@ def _order(problem: Problem, times: Times) -> list[str]:
     return found
 
 
-def _taken_twice(problem: Problem, times: Times) -> list[str]:
+def _list_taken_twice(problem: Problem, times: Times) -> list[str]:
     using: defaultdict[str, list[int]] = defaultdict(list)
     for number, task in enumerate(problem.tasks):
         for name in task.takes:
@@ -77,7 +77,7 @@ def _taken_twice(problem: Problem, times: Times) -> list[str]:
     return found
 
 
-def _crowded(problem: Problem, times: Times) -> list[str]:
+def _list_crowded(problem: Problem, times: Times) -> list[str]:
     changes: defaultdict[str, list[tuple[float, int]]] = defaultdict(list)
     for stay in problem.stays:
         changes[stay.place].append((times[stay.first][0] + SLACK_S, 1))

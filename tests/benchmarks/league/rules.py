@@ -144,13 +144,13 @@ class _Reader:
 
     def _carry(self, number: int, task: int, step: PlanStep) -> None:
         for what in list_carried(step.effects):
-            for place in self._counted(what.emptied):
+            for place in self._list_counted(what.emptied):
                 if place in self._open:
                     self.stays.append(Stay(number, place, self._open.pop(place), task))
-            for place in self._counted(what.filled):
+            for place in self._list_counted(what.filled):
                 self._open[place] = task
 
-    def _counted(self, place: str) -> list[str]:
+    def _list_counted(self, place: str) -> list[str]:
         spec = self.stations.get(place)
         if spec is None or spec.kind in ("stack", "waste"):
             return []

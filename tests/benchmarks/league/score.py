@@ -12,7 +12,7 @@ from labos.planner.planner import Planner
 from labos.planner.solve import solve
 from tests.benchmarks.figures import Figure, Report, times
 from tests.benchmarks.league.cases import Case, cases
-from tests.benchmarks.league.check import Times, faults, makespan, missed
+from tests.benchmarks.league.check import Times, count_missed, faults, makespan
 from tests.benchmarks.league.play import Outcome, Player
 from tests.benchmarks.league.rules import problem_of
 
@@ -55,11 +55,11 @@ class Score(msgspec.Struct, frozen=True):
         return self.ratio <= MUST and not self.too_many_missed
 
 
-def known() -> dict[str, Known]:
+def read_best() -> dict[str, Known]:
     return msgspec.json.decode(BEST.read_bytes(), type=dict[str, Known]) if BEST.exists() else {}
 
 
-def played(case: Case, *, planner: bool = False) -> Outcome:
+def play_case(case: Case, *, planner: bool = False) -> Outcome:
     return Player(case.cell, case.stock, planner=_planner() if planner else None).play(case.works)
 
 
@@ -81,13 +81,13 @@ def times_of(case: Case, outcome: Outcome) -> Times:
 
 def score(case: Case, *, planner: bool = False) -> Score:
     """Play a case. Raises AssertionError if what came of it cannot have happened."""
-    outcome = played(case, planner=planner)
+    outcome = play_case(case, planner=planner)
     problem, done = problem_of(case.cell, case.works), times_of(case, outcome)
     wrong = faults(problem, done)
     assert not wrong, f"{case.name}: {wrong[0]}"
-    late = missed(problem, done)
+    late = count_missed(problem, done)
     assert late == outcome.breaches, f"{case.name}: {late} windows missed, {outcome.breaches} told"
-    return Score(case, makespan(done) - case.rest_s, late, known().get(case.key))
+    return Score(case, makespan(done) - case.rest_s, late, read_best().get(case.key))
 
 
 def figure(found: Score, planned: Score | None) -> Figure:

@@ -6,10 +6,10 @@ import pytest
 
 from tests.benchmarks.league import slab
 from tests.benchmarks.league.cases import Case, cases
-from tests.benchmarks.league.check import Times, faults, makespan, missed
+from tests.benchmarks.league.check import Times, count_missed, faults, makespan
 from tests.benchmarks.league.play import Player
 from tests.benchmarks.league.rules import Problem, problem_of
-from tests.benchmarks.league.score import Score, known, played, score, times_of
+from tests.benchmarks.league.score import Score, play_case, read_best, score, times_of
 from tests.benchmarks.league.table import row, verdicts
 
 SMALL = (
@@ -27,7 +27,7 @@ def small(name: str) -> Case:
 @pytest.fixture(scope="module")
 def played_once() -> tuple[Problem, Times]:
     case = small("2 PCR + 1 picker × 3")
-    return problem_of(case.cell, case.works), times_of(case, played(case))
+    return problem_of(case.cell, case.works), times_of(case, play_case(case))
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -44,11 +44,11 @@ def test_one_arm_does_as_well_as_was_proven_possible() -> None:
 
 
 def test_every_case_has_a_best_known_schedule() -> None:
-    assert {case.key for case in cases()} == set(known())
+    assert {case.key for case in cases()} == set(read_best())
 
 
 def test_what_is_known_of_what_others_have_published_is_not_worse() -> None:
-    best = known()
+    best = read_best()
     for case in cases():
         if case.published_s:
             assert best[case.key].makespan_s <= case.published_s
@@ -125,10 +125,10 @@ def test_two_that_wait_for_what_nobody_has_submitted_are_a_fault() -> None:
 
 def test_windows_are_counted_by_the_checker_itself() -> None:
     case = small("one arm, 8 plates, within 120 s")
-    problem, times = problem_of(case.cell, case.works), times_of(case, played(case))
+    problem, times = problem_of(case.cell, case.works), times_of(case, play_case(case))
     late = {n: (a + 500.0, b + 500.0) if n % 5 > 1 else (a, b) for n, (a, b) in times.items()}
-    assert missed(problem, times) == 0
-    assert missed(problem, late) == 8
+    assert count_missed(problem, times) == 0
+    assert count_missed(problem, late) == 8
     assert makespan(late) == makespan(times) + 500.0
 
 

@@ -17,10 +17,10 @@ from tests.integration.adapter.scenario import play
 from tests.integration.bus.contract import until
 from tests.support.foreign import python_of
 from tests.support.proxy import Proxy
-from tests.support.reader import ReaderProcess, reading
+from tests.support.reader import ReaderProcess, describe_reader
 
 run = partial(play, limit_s=90.0)
-DESCRIPTION = reading("wei_tcp_node")
+DESCRIPTION = describe_reader("wei_tcp_node")
 LONG = {"patience_s": 3600.0}
 
 WEI_CLIENT = """

@@ -17,12 +17,12 @@ from tests.integration.adapter.bench import Bench
 from tests.integration.adapter.scenario import play
 from tests.integration.bus.contract import until
 from tests.support.cable import Cable
-from tests.support.reader import ReaderProcess, reading
+from tests.support.reader import ReaderProcess, describe_reader
 
 pytest.importorskip("zmq", reason="needs labos-sdl[zmq]")
 
 run = partial(play, limit_s=90.0)
-DESCRIPTION = reading("wei_zmq_node")
+DESCRIPTION = describe_reader("wei_zmq_node")
 UNHEARD = b'{"action_handle": "measure", "action_vars": {"assay": "unheard"}}'
 WEI_CLIENT = """
 import sys

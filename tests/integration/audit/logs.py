@@ -54,7 +54,7 @@ def project(log: GrowingLog, database: AuditDatabase) -> int:
     return Projector(log, database).catch_up()
 
 
-def everything(url: str) -> dict[str, list[tuple[Any, ...]]]:
+def read_everything(url: str) -> dict[str, list[tuple[Any, ...]]]:
     """All rows of all views."""
     with open_asker(url) as asker:
         return {

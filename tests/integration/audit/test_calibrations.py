@@ -66,43 +66,45 @@ def ask(
     return ask_
 
 
-def relied_on(ask: Ask, *words: str) -> list[str]:
+def list_relied_on(ask: Ask, *words: str) -> list[str]:
     return list(json.loads(ask("provenance", *words, "--json"))["facts"]["calibrations"])
 
 
-def linked(ask: Ask, *words: str, end: str = "cause", kind: str = "calibration") -> set[str]:
+def list_linked(ask: Ask, *words: str, end: str = "cause", kind: str = "calibration") -> set[str]:
     links: list[dict[str, Any]] = json.loads(ask("provenance", *words, "--json"))["links"]
     return {link[end]["name"] for link in links if link[end]["kind"] == kind}
 
 
 def test_an_action_relied_on_what_was_in_force_then(ask: Ask, story: Story) -> None:
-    assert relied_on(ask, f"{story.before}#1") == [story.first, story.other]
-    assert relied_on(ask, f"{story.after}#1") == [story.other, story.second]
+    assert list_relied_on(ask, f"{story.before}#1") == [story.first, story.other]
+    assert list_relied_on(ask, f"{story.after}#1") == [story.other, story.second]
 
 
 def test_a_run_and_a_result_relied_on_those_of_their_actions(ask: Ask, story: Story) -> None:
-    assert relied_on(ask, story.before) == [story.first, story.other]
-    assert relied_on(ask, story.after) == [story.other, story.second]
-    assert linked(ask, story.before) == {story.first, story.other}
-    assert {story.first, story.other} <= linked(ask, f"{story.before}#3")
-    assert story.second not in linked(ask, f"{story.before}#3")
+    assert list_relied_on(ask, story.before) == [story.first, story.other]
+    assert list_relied_on(ask, story.after) == [story.other, story.second]
+    assert list_linked(ask, story.before) == {story.first, story.other}
+    assert {story.first, story.other} <= list_linked(ask, f"{story.before}#3")
+    assert story.second not in list_linked(ask, f"{story.before}#3")
 
 
 def test_a_plate_and_a_well_are_asked_at_any_moment(ask: Ask, story: Story) -> None:
-    assert linked(ask, "P1/A1", "--at", str(story.between)) == {story.first, story.other}
-    assert linked(ask, "P1/A1") == linked(ask, "P1") == {story.first, story.other, story.second}
+    assert list_linked(ask, "P1/A1", "--at", str(story.between)) == {story.first, story.other}
+    assert list_linked(ask, "P1/A1") == list_linked(ask, "P1") == {story.first, story.other, story.second}
 
 
 def test_what_has_expired_and_what_nobody_recorded_is_not_there(ask: Ask, story: Story) -> None:
-    assert relied_on(ask, f"{story.before}#3") == []  # of the camera, whose calibration is of the day before
+    assert (
+        list_relied_on(ask, f"{story.before}#3") == []
+    )  # of the camera, whose calibration is of the day before
     told = ask("provenance", f"{story.before}#0")  # of the arm, which was never calibrated
     assert "calibrations" not in told.partition("Links")[0]
-    assert story.stale not in linked(ask, f"{story.before}#3")
+    assert story.stale not in list_linked(ask, f"{story.before}#3")
 
 
 def test_what_hangs_on_a_calibration(ask: Ask, story: Story) -> None:
-    def hanging(calibration: str, kind: str) -> set[str]:
-        return linked(ask, f"calibration:{calibration}", "--down", end="effect", kind=kind)
+    def list_hanging(calibration: str, kind: str) -> set[str]:
+        return list_linked(ask, f"calibration:{calibration}", "--down", end="effect", kind=kind)
 
     assert f"result of {story.before} #3" in ask(
         "provenance", f"calibration:{story.first}", "--down", "--only", "result"
@@ -110,8 +112,8 @@ def test_what_hangs_on_a_calibration(ask: Ask, story: Story) -> None:
     later = ask("provenance", f"calibration:{story.second}", "--down", "--only", "action")
     assert f"({story.after} #1" in later
     assert f"({story.before} " not in later
-    assert len(hanging(story.second, "result")) == 1
-    assert hanging(story.stale, "action") == hanging(story.stale, "result") == set()
+    assert len(list_hanging(story.second, "result")) == 1
+    assert list_hanging(story.stale, "action") == list_hanging(story.stale, "result") == set()
 
 
 def test_prov_and_sql_name_it(ask: Ask, story: Story) -> None:

@@ -15,7 +15,7 @@ from labos.audit import database
 from labos.audit.tables import VIEWS
 from labos.cli.app import main
 from tests.support.audited import audit_lab, before_the_pool
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_a_person_asks_at_a_prompt_and_changes_nothing(home: Path) -> None:
     """At a real terminal: a question of two lines, one that would change something, Ctrl-D."""
     leader, follower = os.openpty()
     argv = [sys.executable, "-m", "labos", "sql", "--home", str(home)]
-    with running(argv, stdin=follower, stdout=follower, stderr=follower) as asking:
+    with run_process(argv, stdin=follower, stdout=follower, stderr=follower) as asking:
         os.close(follower)
         said = b""
 

@@ -27,7 +27,7 @@ from tests.foreign.make import ROOT
 from tests.integration.audit.logs import GrowingLog, project
 from tests.support.audited import MEASURED, PLATE, audit_lab, finish_with
 from tests.support.foreign import python_of
-from tests.support.processes import running
+from tests.support.processes import run_process
 from tests.unit.services.logbook import Logbook, save
 
 SOURCE = b"# the workflow as somebody wrote it\n"
@@ -421,7 +421,7 @@ def test_an_export_follows_the_log(tmp_path: Path) -> None:
         "--home",
         home,
     ]
-    with running(
+    with run_process(
         command,
         stdout=subprocess.PIPE,
         # A shell that runs the tests in the background has Ctrl-C ignored.

@@ -15,11 +15,11 @@ from labos.audit.projector import Projector
 from labos.audit.tables import VERSION
 from labos.errors import LogTooNew, StoreUnavailable
 from labos.store import open_store
-from tests.integration.audit.logs import GrowingLog, everything, golden, project
+from tests.integration.audit.logs import GrowingLog, golden, project, read_everything
 from tests.integration.store.conftest import BACKENDS
 from tests.integration.store.test_backup import Writing, notes
 from tests.support.lab_process import until
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_a_killed_projector_leaves_nothing_out_and_repeats_nothing(url: str, tmp
     again = open_audit(url)
     assert project(log, again) == log.end
     again.close()
-    assert everything(url) == everything(fresh(tmp_path, log))
+    assert read_everything(url) == read_everything(fresh(tmp_path, log))
 
 
 def test_two_projectors_at_once_do_the_work_once(
@@ -71,7 +71,7 @@ def test_two_projectors_at_once_do_the_work_once(
     assert first.mark() == second.mark()
     first.close()
     second.close()
-    assert everything(url) == everything(fresh(tmp_path, log))
+    assert read_everything(url) == read_everything(fresh(tmp_path, log))
 
 
 def test_what_is_not_expected_is_not_written(url: str) -> None:
@@ -91,7 +91,7 @@ def test_tables_of_another_log_are_made_anew(url: str, tmp_path: Path, end: int)
     other = GrowingLog(golden("real-1"))
     assert project(other, first) == other.end
     first.close()
-    assert everything(url) == everything(fresh(tmp_path, other))
+    assert read_everything(url) == read_everything(fresh(tmp_path, other))
 
 
 def test_older_tables_are_made_anew_and_newer_ones_refused(
@@ -110,7 +110,7 @@ def test_older_tables_are_made_anew_and_newer_ones_refused(
         monkeypatch.setattr(module, "VERSION", VERSION + 2)
     assert project(log, made) == log.end
     made.close()
-    assert everything(url) == everything(fresh(tmp_path, log))
+    assert read_everything(url) == read_everything(fresh(tmp_path, log))
 
 
 def test_tables_of_a_damaged_file_are_refused_with_a_remedy(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_both_databases_say_the_same(url: str, postgres_url: str, monkeypatch: p
             log.end = end
             assert project(log, made) == end
         made.close()
-    lite, server = everything(url), everything(postgres_url)
+    lite, server = read_everything(url), read_everything(postgres_url)
     for view, rows in lite.items():
         same = [tuple(float(v) if isinstance(v, bool | int) else v for v in row) for row in rows]
         told = [tuple(float(v) if isinstance(v, bool | int) else v for v in row) for row in server[view]]
@@ -152,7 +152,7 @@ def test_a_projector_that_stands_still_holds_nobody_up(store_url: str, tmp_path:
         "--database",
         store_url,
     ]
-    with running([sys.executable, "-m", "labos", *words], stdout=subprocess.DEVNULL) as other:
+    with run_process([sys.executable, "-m", "labos", *words], stdout=subprocess.DEVNULL) as other:
         tables = open_audit(store_url)
         until(lambda: tables.is_made, "it has begun")
         for end in (2000, 3000):

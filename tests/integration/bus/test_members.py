@@ -43,7 +43,7 @@ class Site:
         self.log = folder / "bus.log"
 
     @contextmanager
-    def running(self) -> Iterator[None]:
+    def run_node(self) -> Iterator[None]:
         words = ["bus", "--listen", self.endpoint, "--cert", str(self.bus.folder)]
         with self.log.open("ab") as log:
             process = subprocess.Popen([sys.executable, "-m", "labos", *words], stdout=log, stderr=log)
@@ -105,7 +105,7 @@ def test_a_kernel_brings_the_list_in_which_it_stands_and_each_newer_one(site: Si
             await guard.close()
             await kernel.close()
 
-    with site.running():
+    with site.run_node():
         until(lambda: "The bus runs" in site.log.read_text(), "the bus runs")
         asyncio.run(lead())
     assert "members_received" in site.log.read_text()
@@ -138,7 +138,7 @@ def test_a_kernel_elsewhere_has_the_list_from_the_bus(site: Site) -> None:
                 await guard.close()
                 await bus.close()
 
-    with site.running():
+    with site.run_node():
         until(lambda: "The bus runs" in site.log.read_text(), "the bus runs")
         asyncio.run(lead())
 
@@ -171,7 +171,7 @@ def test_a_node_cannot_send_a_list_and_a_stranger_neither_hears_one(site: Site) 
         for bus in (kernel, node):
             await bus.close()
 
-    with site.running():
+    with site.run_node():
         until(lambda: "The bus runs" in site.log.read_text(), "the bus runs")
         asyncio.run(lead())
 

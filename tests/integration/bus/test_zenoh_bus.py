@@ -19,7 +19,7 @@ from labos.errors import BusError, NoAnswer
 from labos.ports import Bus
 from tests.integration.bus.contract import KEY, BusContract, echo, until
 from tests.integration.ports import free_endpoint
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 
 class TestTwoClients(BusContract):
@@ -211,4 +211,4 @@ def test_a_bus_that_nobody_closed_does_not_keep_the_process() -> None:
 
 def python(code: str, *args: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
     here = Path(__file__).parents[3]
-    return running([sys.executable, "-c", code, *args], cwd=here)
+    return run_process([sys.executable, "-c", code, *args], cwd=here)

@@ -10,7 +10,7 @@ import pytest
 
 from labos.client import AsyncExperiment, AsyncLabClient, LabClient, LabUnreachable, RunFailed
 from labos.errors import BadInput, NotFound
-from tests.support.reading import WORKFLOW, reading_lab
+from tests.support.reading import WORKFLOW, open_reading_lab
 
 READ = {"text": WORKFLOW, "name": "read.yaml"}
 AT_ONCE = 64
@@ -18,7 +18,7 @@ AT_ONCE = 64
 
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with reading_lab(tmp_path_factory.mktemp("reading")) as running:
+    with open_reading_lab(tmp_path_factory.mktemp("reading")) as running:
         with LabClient(running.url) as client:
             client.place("hidex.default", "plate96", "ada")
             client.give("P1", "shared", "ada")

@@ -33,7 +33,7 @@ from labos.services.globus import (
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from tests.integration.client import computations as work
-from tests.support.globus import TOKEN, Globus, serving
+from tests.support.globus import TOKEN, Globus, serve
 
 sdk = pytest.importorskip("globus_sdk")
 pytest.importorskip("globus_compute_sdk")
@@ -64,7 +64,7 @@ def lab(url: str) -> Iterator[LabClient]:
 
 @pytest.fixture
 def fake() -> Iterator[Fake]:
-    with serving() as (globus, url):
+    with serve() as (globus, url):
         yield Fake(globus, url)
 
 

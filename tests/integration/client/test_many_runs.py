@@ -21,7 +21,7 @@ from labos.client import Experiment, LabClient, RunFailed
 from labos.client._results import RunResult
 from labos.client._runs import MOST_STREAMS
 from labos.errors import BadInput, NotFound
-from tests.support.reading import WORKFLOW, reading_lab
+from tests.support.reading import WORKFLOW, open_reading_lab
 
 READ = {"text": WORKFLOW, "name": "read.yaml"}
 
@@ -33,7 +33,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def lab(home: Path) -> Iterator[LabClient]:
-    with reading_lab(home.parent) as running, LabClient(running.url) as client:
+    with open_reading_lab(home.parent) as running, LabClient(running.url) as client:
         client.place("hidex.default", "plate96", "ada")
         client.give("P1", "shared", "ada")
         yield client

@@ -17,7 +17,7 @@ from labos.client import LabClient
 from labos.settings import Settings
 from labos.spec import parse_workcell
 from tests.support.lab_process import until
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 CELL = """
 labos: 1
@@ -78,7 +78,7 @@ def test_a_planner_that_is_killed_leaves_a_lab_that_goes_on(lab: LabThread, tmp_
     """Killed when runs wait by its advice; they and what comes later are done as without it."""
     pytest.importorskip("ortools")
     argv = [sys.executable, "-m", "labos", "planner", "--home", str(tmp_path / "lab"), "--seconds", "2"]
-    with LabClient(lab.url) as client, running([*argv, "--user", "ada"]) as process:
+    with LabClient(lab.url) as client, run_process([*argv, "--user", "ada"]) as process:
         client.control("pause", "lab", "ada")
         runs = [
             client.submit(flow("cutting", "cut", "cut"), user="ada"),

@@ -27,7 +27,7 @@ from labos.client import (
 from labos.errors import BadInput, NotFound, Refused
 from labos.services.compute import ComputeFailed
 from tests.integration.client import computations as work
-from tests.support.reading import WORKFLOW, reading_lab
+from tests.support.reading import WORKFLOW, open_reading_lab
 
 READ = {"text": WORKFLOW, "name": "read.yaml"}
 
@@ -35,7 +35,7 @@ READ = {"text": WORKFLOW, "name": "read.yaml"}
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabClient]:
     folder = tmp_path_factory.mktemp("reading")
-    with reading_lab(folder) as running, LabClient(running.url) as client:
+    with open_reading_lab(folder) as running, LabClient(running.url) as client:
         client.place("hidex.default", "plate96", "ada")
         client.give("P1", "shared", "ada")
         yield client

@@ -140,7 +140,7 @@ class Site:
             assert row is not None
             return int(row[0]), str(row[1])
 
-    def standing_by(self) -> str:
+    def has_standby(self) -> str:
         with psycopg.connect(f"postgresql://postgres@/labos?host={self.database.folder}") as connection:
             rows = connection.execute(
                 "SELECT application_name FROM pg_stat_activity WHERE application_name LIKE 'labos standby %' "
@@ -164,9 +164,9 @@ def test_the_page_installs_a_lab_and_upgrades_it(site: Site) -> None:
             _await_chapter(site, last)
             last = part.heading
         if part.heading.startswith("Upgrade") and part.hosts == ("k1",):
-            until(lambda: f"{NEW} on k2" in site.standing_by(), "the newer version stands by on k2")
+            until(lambda: f"{NEW} on k2" in site.has_standby(), "the newer version stands by on k2")
         if part.heading.startswith("Upgrade") and part.commands.count("\n") == 0:
-            until(lambda: f"{NEW} on k1" in site.standing_by(), "the newer version stands by on k1")
+            until(lambda: f"{NEW} on k1" in site.has_standby(), "the newer version stands by on k1")
         if part.heading == "The kernel" and "members.json" in part.commands:
             members = site.hosts["k1"].folder / "root/var/lib/labos/lab/pki/members.json"
             until(partial(_names_kernel, members), "the kernel has its certificate")
@@ -177,7 +177,7 @@ def test_the_page_installs_a_lab_and_upgrades_it(site: Site) -> None:
             print(re.findall(r"The kernel .*", said))
     epoch, owner = site.kernel()
     assert (epoch, owner.rpartition(" ")[2]) == (3, "k1")
-    until(lambda: f"{NEW} on k2" in site.standing_by(), "k2 stands by again")
+    until(lambda: f"{NEW} on k2" in site.has_standby(), "k2 stands by again")
 
 
 def _names_kernel(members: Path) -> bool:
@@ -190,7 +190,7 @@ def _await_chapter(site: Site, heading: str) -> None:
     look = Part("", ("k1",), "LABOS_HOME=/var/lib/labos/lab labos nodes")
     holds: dict[str, Callable[[], Any]] = {
         "The kernel": lambda: site.kernel()[1].endswith("on k1"),
-        "The other kernel": lambda: "on k2" in site.standing_by(),
+        "The other kernel": lambda: "on k2" in site.has_standby(),
         "The HTTP interface": lambda: served.exists() and "serves the lab" in served.read_text(),
         "A node": lambda: re.search(r"rpl/sealer .*IDLE", site.say(look)),
     }

@@ -40,7 +40,7 @@ class Issuer(msgspec.Struct, frozen=True):
 
 
 @contextmanager
-def running_provider(folder: Path) -> Iterator[Issuer]:
+def run_provider(folder: Path) -> Iterator[Issuer]:
     modules, port, lab_port = node_modules_of("oidc"), free_port(), free_port()
     way_back = f"http://127.0.0.1:{lab_port}/login/oidc/callback"
     command = ["node", ROOT / "tests" / "foreign" / "oidc_provider.mjs", str(port), way_back, modules]

@@ -39,7 +39,7 @@ PLACED = [
 RUN = {"workflow": {"text": FLOW}, "user": "ada", "workcell": "rpl", "place": PLACED}
 
 
-def standing(state: LabState) -> list[bool]:
+def list_standing(state: LabState) -> list[bool]:
     return [holds(state, place) for place in (SEALER, CAMERA)]
 
 
@@ -48,7 +48,7 @@ def holds(state: LabState, station: str) -> bool:
 
 
 def list_submitted(state: LabState) -> list[bool]:
-    return [*standing(state), any(run.workflow == "f" for run in state.runs.queued.values())]
+    return [*list_standing(state), any(run.workflow == "f" for run in state.runs.queued.values())]
 
 
 class Copies:
@@ -150,7 +150,7 @@ def test_a_refused_run_leaves_nothing_of_its_labware(lab: LabThread) -> None:
             assert http.post("/runs", json=body, headers={"idempotency-key": "k"}).status_code in (400, 409)
         assert http.get("/health").json()["position"] == before
         state = lab.runtime.kernel.state
-        assert standing(state) == [False, False]
+        assert list_standing(state) == [False, False]
         world = lab.runtime.world("rpl")
         assert world.at("sealer.default") == world.at("camera_module.plate_station") == []
         assert http.post("/runs", json=RUN, headers={"idempotency-key": "k"}).status_code == 201

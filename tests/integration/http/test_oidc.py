@@ -16,7 +16,7 @@ from labos.core.decide.users import DisableUser, EnableUser
 from tests.integration.http.provider import (
     Issuer,
     lab_with_provider,
-    running_provider,
+    run_provider,
     sign_in_at_provider,
 )
 from tests.integration.http.signed import execute
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def issuer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Issuer]:
-    with running_provider(tmp_path_factory.mktemp("provider")) as found:
+    with run_provider(tmp_path_factory.mktemp("provider")) as found:
         yield found
 
 

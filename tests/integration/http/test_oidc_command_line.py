@@ -25,7 +25,7 @@ from tests.foreign.make import ROOT
 from tests.integration.http.provider import (
     Issuer,
     lab_with_provider,
-    running_provider,
+    run_provider,
     sign_in_at_provider,
 )
 
@@ -36,7 +36,7 @@ BROWSER = f"{sys.executable} -m tests.integration.http.provider bob %s &"
 
 @pytest.fixture(scope="module")
 def issuer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Issuer]:
-    with running_provider(tmp_path_factory.mktemp("provider")) as found:
+    with run_provider(tmp_path_factory.mktemp("provider")) as found:
         yield found
 
 

@@ -213,11 +213,11 @@ def test_too_many_tries_are_not_even_looked_at(lab: LabThread, monkeypatch: pyte
     passwords = gate_of(lab).accounts._passwords
     compare = passwords._compare
 
-    def counting(hash_: str, password: str) -> bool:
+    def count(hash_: str, password: str) -> bool:
         hashed.append(password)
         return bool(compare(hash_, password))
 
-    monkeypatch.setattr(passwords, "_compare", counting)
+    monkeypatch.setattr(passwords, "_compare", count)
     with client_of(lab) as stranger:
         for _ in range(OF_USER):
             is_problem(stranger.post("/login", json={"user": "bob", "password": "x"}), 401, "not_signed_in")

@@ -42,7 +42,7 @@ class Answering:
 
 
 @contextmanager
-def answering(
+def answer_on(
     end: FarEnd, script: dict[bytes, bytes | Callable[[], None]], stop: bytes = b"\r\n"
 ) -> Iterator[Answering]:
     device = Answering(end, script, stop)

@@ -37,7 +37,7 @@ from labos.link import (
     read_transcript,
     replay,
 )
-from tests.integration.link.far import answering
+from tests.integration.link.far import answer_on
 
 
 def names_its_question(question: bytes, answer: bytes) -> bool:
@@ -76,14 +76,14 @@ def link(wire: Wire) -> Iterator[Link]:
 
 
 def test_asks_and_hears(link: Link, end: FarEnd) -> None:
-    with answering(end, {b"T?": b"T 22.5\r\n", b"H?": b"H 40\r\n"}) as device:
+    with answer_on(end, {b"T?": b"T 22.5\r\n", b"H?": b"H 40\r\n"}) as device:
         assert link.exchange(b"T?") == b"T 22.5"
         assert link.exchange(b"H?") == b"H 40"
         assert device.heard == [b"T?", b"H?"]
 
 
 def test_silence_is_no_reply_and_takes_no_longer_than_allowed(link: Link, end: FarEnd) -> None:
-    with answering(end, {}):
+    with answer_on(end, {}):
         link.open()
         began = time.monotonic()
         with pytest.raises(NoReply, match="does not answer") as told:
@@ -93,7 +93,7 @@ def test_silence_is_no_reply_and_takes_no_longer_than_allowed(link: Link, end: F
 
 
 def test_half_a_reply_is_no_reply_and_spoils_no_other(link: Link, end: FarEnd) -> None:
-    with answering(end, {b"A": b"A on", b"B": b"B off\r\n"}):
+    with answer_on(end, {b"A": b"A on", b"B": b"B off\r\n"}):
         with pytest.raises(HalfReply, match="A on"):
             link.exchange(b"A", 0.15)
         assert link.exchange(b"B") == b"B off"
@@ -103,7 +103,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(link: Link, end: FarEnd) ->
     def late() -> None:
         threading.Timer(0.2, end.write, [b"door open\r\n"]).start()
 
-    with answering(end, {b"door?": late, b"lid?": b"lid closed\r\n"}):
+    with answer_on(end, {b"door?": late, b"lid?": b"lid closed\r\n"}):
         with pytest.raises(NoReply):
             link.exchange(b"door?", 0.1)
         assert link.exchange(b"lid?") == b"lid closed"
@@ -111,7 +111,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one(link: Link, end: FarEnd) ->
 
 def test_answers_that_name_their_question_are_told_apart(wire: Wire, end: FarEnd) -> None:
     link = Link(wire, Terminated(), answers=names_its_question)
-    with answering(end, {b"A 1": b"B 2\r\nA ok\r\n", b"C 1": b"A ok\r\n"}):
+    with answer_on(end, {b"A 1": b"B 2\r\nA ok\r\n", b"C 1": b"A ok\r\n"}):
         assert link.exchange(b"A 1") == b"A ok"
         with pytest.raises(StrayReply, match="no answer to b'C 1'"):
             link.exchange(b"C 1", 0.15)
@@ -122,7 +122,7 @@ def test_garbage_is_told_from_a_message(wire: Wire, end: FarEnd) -> None:
     framing = Checked(Terminated(), lambda message: b"%02X" % (sum(message) % 256), 2)
     link = Link(wire, framing, late_s=0.1)
     good, bad = b"on%02X" % (sum(b"on") % 256), b"of%02X" % (sum(b"on") % 256)
-    with answering(end, {framing.pack(b"A")[:-2]: good + b"\r\n", framing.pack(b"B")[:-2]: bad + b"\r\n"}):
+    with answer_on(end, {framing.pack(b"A")[:-2]: good + b"\r\n", framing.pack(b"B")[:-2]: bad + b"\r\n"}):
         assert link.exchange(b"A") == b"on"
         with pytest.raises(Garbled, match="check sum"):
             link.exchange(b"B")
@@ -131,7 +131,7 @@ def test_garbage_is_told_from_a_message(wire: Wire, end: FarEnd) -> None:
 
 
 def test_unplugged_in_mid_exchange(link: Link, end: FarEnd) -> None:
-    with answering(end, {b"T?": end.unplug}):
+    with answer_on(end, {b"T?": end.unplug}):
         with pytest.raises(LinkLost) as told:
             link.exchange(b"T?", 2.0)
         assert told.value.effects == "unknown"
@@ -139,7 +139,7 @@ def test_unplugged_in_mid_exchange(link: Link, end: FarEnd) -> None:
 
 
 def test_comes_back_by_itself_and_does_not_hammer(link: Link, end: FarEnd) -> None:
-    with answering(end, {b"T?": b"T 22.5\r\n"}) as device:
+    with answer_on(end, {b"T?": b"T 22.5\r\n"}) as device:
         assert link.exchange(b"T?") == b"T 22.5"
         end.unplug()
         with pytest.raises(LinkError):
@@ -158,7 +158,7 @@ def test_comes_back_by_itself_and_does_not_hammer(link: Link, end: FarEnd) -> No
 
 def test_another_device_at_the_same_address(wire: Wire, end: FarEnd) -> None:
     link = Link(wire, Terminated(), identify=ask_who)
-    with answering(end, {b"WHO": b"sealer 17\r\n", b"GO": b"gone\r\n"}) as device:
+    with answer_on(end, {b"WHO": b"sealer 17\r\n", b"GO": b"gone\r\n"}) as device:
         assert link.exchange(b"GO") == b"gone"
         end.unplug()
         link.close()
@@ -174,7 +174,7 @@ def test_another_device_at_the_same_address(wire: Wire, end: FarEnd) -> None:
 def test_who_does_not_say_who_it_is_is_not_asked_anything(wire: Wire, end: FarEnd) -> None:
     link = Link(wire, Terminated(), identify=ask_who, expected="sealer 17")
     with (
-        answering(end, {b"WHO": b"seal"}) as device,
+        answer_on(end, {b"WHO": b"seal"}) as device,
         pytest.raises(NotConnected, match="does not say who it is"),
     ):
         link.exchange(b"GO")
@@ -204,7 +204,7 @@ def test_messages_with_a_length_may_hold_anything(tmp_path: Path) -> None:
     end = TcpEnd()
     link = Link(TcpWire(end.host, end.port), LengthPrefixed(2))
     whole = bytes(range(256)) * 3
-    with answering(end, {}, stop=b"?") as device:
+    with answer_on(end, {}, stop=b"?") as device:
         packed = LengthPrefixed(2).pack(whole)
         device.script[b"\0\2a"] = lambda: (end.write(packed[:100]), end.write(packed[100:]))  # type: ignore[func-returns-value]
         assert link.exchange(b"a?") == whole
@@ -213,7 +213,7 @@ def test_messages_with_a_length_may_hold_anything(tmp_path: Path) -> None:
 
 def test_a_transcript_holds_every_byte_and_replays(link: Link, end: FarEnd, tmp_path: Path) -> None:
     path = tmp_path / "talk.txt"
-    with keep_transcript(path), answering(end, {b"A\t": b"\\ \x00\xff\r\n", b"B": b"no end"}):
+    with keep_transcript(path), answer_on(end, {b"A\t": b"\\ \x00\xff\r\n", b"B": b"no end"}):
         assert link.exchange(b"A\t") == b"\\ \x00\xff"
         with pytest.raises(HalfReply):
             link.exchange(b"B", 0.1)
@@ -234,7 +234,7 @@ def test_a_transcript_holds_every_byte_and_replays(link: Link, end: FarEnd, tmp_
 
 def test_a_transcript_replays_over_a_real_wire(link: Link, end: FarEnd, tmp_path: Path) -> None:
     path = tmp_path / "talk.txt"
-    with keep_transcript(path), answering(end, {b"A": b"1\r\n", b"B": b"2\r\n"}):
+    with keep_transcript(path), answer_on(end, {b"A": b"1\r\n", b"B": b"2\r\n"}):
         assert [link.exchange(b"A"), link.exchange(b"B")] == [b"1", b"2"]
         link.close()
     stage = PtyEnd()

@@ -91,7 +91,7 @@ def test_a_receiver_gets_each_span_as_it_was(receiver: Receiver) -> None:
 
 
 def test_a_lab_sends_traces_of_its_runs_and_counts_them(receiver: Receiver, tmp_path: Path) -> None:
-    with running(tmp_path, receiver.url) as lab, LabClient(lab.url) as client:
+    with run_receiver(tmp_path, receiver.url) as lab, LabClient(lab.url) as client:
         run = client.submit("pcr", user="ada")
         client.cancel(run, "ada")
         trace = trace_id(client.health()["lab"], run)
@@ -107,7 +107,7 @@ def test_a_receiver_that_is_away_costs_spans_and_nothing_else(kind: str, tmp_pat
         port = silent.getsockname()[1]
         if kind == "refuses":
             silent.close()
-        with running(tmp_path, f"http://127.0.0.1:{port}") as lab, LabClient(lab.url) as client:
+        with run_receiver(tmp_path, f"http://127.0.0.1:{port}") as lab, LabClient(lab.url) as client:
             run = client.submit("pcr", user="ada")
             client.cancel(run, "ada")
             assert client.status(run).status == "cancelled"
@@ -130,7 +130,7 @@ def test_an_address_that_is_none_is_refused_and_leaves_nothing_behind(
 
 
 @contextmanager
-def running(folder: Path, otlp: str) -> Iterator[LabThread]:
+def run_receiver(folder: Path, otlp: str) -> Iterator[LabThread]:
     cell = load_workcell(find_spec("workcells", "rpl"), descriptions())
     settings = Settings.make(folder / "lab", speed=5000.0, simulate=True, otlp=otlp)
     with LabThread(settings, [cell], nodes="none") as lab:

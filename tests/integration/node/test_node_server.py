@@ -354,11 +354,11 @@ def test_what_ran_when_the_node_died_is_interrupted_and_never_runs_again(check: 
         await server.close()
         arms: list[Arm] = []
 
-        def moving(arm: Arm) -> None:
+        def move(arm: Arm) -> None:
             arm.idle = False
             arms.append(arm)
 
-        await here.node(prepare=moving)
+        await here.node(prepare=move)
         about = await kernel.about()
         assert [(o.action, o.attempt, o.status) for o in about.open] == [
             ("a1", 1, "finished"),

@@ -462,7 +462,7 @@ def erase(scene: Scene, words: Kept) -> None:
     scene.book.write([WordsErased("", "personal", "ada", (digest,), (scene.book.position,))])
 
 
-def kept_by_the_outbox(scene: Scene, text: str) -> bool:
+def list_kept(scene: Scene, text: str) -> bool:
     return any(text.encode() in file.read_bytes() for file in scene.folder.glob("notifications.db*"))
 
 
@@ -471,7 +471,7 @@ def test_a_message_that_waits_is_sent_without_what_was_erased(scene: Scene) -> N
     words = quarantine(scene, "Zoë Quux dropped it")
     scene.turn()  # there is no mail server yet
     assert [state for _, _, state in scene.states()] == ["waiting", "waiting"]
-    assert not kept_by_the_outbox(scene, "Quux")
+    assert not list_kept(scene, "Quux")
     erase(scene, words)
     with mail_server(scene.post, scene.smtp_port):
         scene.turn(60)
@@ -489,7 +489,7 @@ def test_a_message_that_was_sent_is_out_of_reach_and_shown_without_what_was_eras
     scene.turn(60)  # modules have a minute of grace
     (letter,) = scene.post.letters
     assert "Zoë Quux dropped it" in letter.get_content()
-    assert not kept_by_the_outbox(scene, "Quux")
+    assert not list_kept(scene, "Quux")
     erase(scene, words)
     scene.turn(15 * 60)
     ((_, body),) = scene.hook.calls

@@ -75,19 +75,19 @@ def test_setup_tells_of_the_module_asked_for_and_of_no_other(tmp_path: Path) -> 
             await lab.kernel.execute(ApplyWorkcell(cell), "ada")
             bus = await open_bus(connect=[lab.bus_endpoint])
 
-            async def told(payload: bytes) -> bytes:
+            async def list_told(payload: bytes) -> bytes:
                 return await bus.query(Keys(lab.kernel.lab).setup, payload, 5.0)
 
             try:
                 for name in ("a", "b"):
-                    reply = await told(msgspec.json.encode(SetupRequest(f"cell/{name}")))
+                    reply = await list_told(msgspec.json.encode(SetupRequest(f"cell/{name}")))
                     assert reply.count(b"secret of") == 1
                     assert f"secret of {name}".encode() in reply
                     assert reply.count(b"rest://") == 1
                 odd = ["", "a", "cell/c", "cell/*", "**", "other/a", "cell/a/b", "x" * 100_000, "\x00"]
                 asked = [msgspec.json.encode(SetupRequest(name)) for name in odd]
                 for payload in [*asked, b"", b"{}", b"[" * 100_000, b'{"module": 1}', b"\xff", b'"\xff"']:
-                    reply = msgspec.json.decode(await told(payload), type=SetupReply)
+                    reply = msgspec.json.decode(await list_told(payload), type=SetupReply)
                     assert reply.unknown
                     assert len(reply.unknown) < 1000
                     assert reply == SetupReply(unknown=reply.unknown), "nothing else is told"

@@ -97,15 +97,15 @@ def test_a_node_without_a_heartbeat_keeps_nobody_out(tmp_path: Path) -> None:
                 await server.start()
                 return server
 
-            def believed() -> str:
+            def is_believed() -> str:
                 known = kernel.state.modules.by_name[MODULE]
                 return "" if known.status == "GONE" else known.instance
 
             first = await node()
-            await until(lambda: believed() == first.instance, 10.0)
+            await until(lambda: is_believed() == first.instance, 10.0)
             await first.close()
             second = await node()
-            await until(lambda: believed() == second.instance, 10.0)
+            await until(lambda: is_believed() == second.instance, 10.0)
             assert MODULE not in registry.rejected
 
     asyncio.run(main())

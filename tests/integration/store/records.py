@@ -55,7 +55,7 @@ def write_records(store: SqlEventStore, n: int) -> Head:
 
 
 @contextmanager
-def hearing() -> Iterator[list[MutableMapping[str, Any]]]:
+def hear_journal() -> Iterator[list[MutableMapping[str, Any]]]:
     """What the program says in its journal inside the block; tests are silent otherwise."""
     before = structlog.get_config()
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(0))

@@ -16,7 +16,7 @@ from labos.errors import LogDamaged
 from labos.runtime.follower import Follower
 from labos.runtime.ledger import load
 from labos.store import SqlEventStore, first_damage, forget_end, migrate, restore_log
-from tests.integration.store.records import LAB, Tamper, batch, flip, hearing, raw, write_records
+from tests.integration.store.records import LAB, Tamper, batch, flip, hear_journal, raw, write_records
 from tests.unit.services.logbook import Logbook
 
 Open = Callable[..., SqlEventStore]
@@ -124,7 +124,7 @@ def test_a_forged_snapshot_is_not_used(
             if digest is not None:
                 database.run("UPDATE snapshot SET digest = ?", digest)
             database.run("UPDATE snapshot SET data = ?", forged)
-        with hearing() as told:
+        with hear_journal() as told:
             folded, number = load(opened(store_url), end=kept.head())
         assert number == len(book.records), "the log is folded from its beginning"
         assert [line["event"] for line in told].count("snapshot_not_used") == 1

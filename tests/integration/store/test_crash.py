@@ -71,7 +71,7 @@ def eventually(action: Callable[[], object], expected: type[Exception], within_s
 
 
 @contextmanager
-def standing_still(url: str, where: str) -> Iterator[None]:
+def freeze_writer(url: str, where: str) -> Iterator[None]:
     """The session of a writer that has moved the head and stands still in the midst of its rows."""
     session = psycopg.connect(url, application_name="labos-frozen-w")
     rows: Any = None
@@ -100,7 +100,7 @@ def _append_in_doubt(store: SqlEventStore, head: Head, records: list[Record]) ->
 
 
 @contextmanager
-def committing(database: Raw) -> Iterator[None]:
+def commit_repeatedly(database: Raw) -> Iterator[None]:
     """Commits one small write after another, until its session is ended."""
 
     def work() -> None:
@@ -114,7 +114,7 @@ def committing(database: Raw) -> Iterator[None]:
     thread.join()
 
 
-def _waiting(database: Raw) -> int:
+def _find_waiting(database: Raw) -> int:
     """The session whose commit waits for a standby, once there is one."""
     waiting = "SELECT pid FROM pg_stat_activity WHERE wait_event = 'SyncRep'"
     deadline = time.monotonic() + 10
@@ -231,7 +231,7 @@ class TestLease:
         """Its lease is over before it has been silent for long: it is not yet known to be frozen."""
         frozen, successor = opened(postgres_url), opened(postgres_url)
         old = frozen.claim(LAB, "frozen", 0.1)
-        with standing_still(postgres_url, where):
+        with freeze_writer(postgres_url, where):
             eventually(lambda: _expect(successor.find_holder().lease_left_s <= 0), AssertionError)
             assert successor.claim(LAB, "successor", LEASE_S).epoch == old.epoch + 1
         with pytest.raises(Fenced):
@@ -334,11 +334,11 @@ class TestBrokenConnection:
             database.run("ALTER SYSTEM SET synchronous_standby_names = 'nobody'")
             database.run("SELECT pg_reload_conf()")
             # Commits wait from the moment on at which the checkpointer has read this: another one shows it.
-            with committing(other):
-                _let_go(database, _waiting(database))
+            with commit_repeatedly(other):
+                _let_go(database, _find_waiting(database))
             append = threading.Thread(target=_append_in_doubt, args=(store, head, records))
             append.start()
-            _let_go(database, _waiting(database))
+            _let_go(database, _find_waiting(database))
             append.join()
             database.run("ALTER SYSTEM RESET synchronous_standby_names")
             database.run("SELECT pg_reload_conf()")

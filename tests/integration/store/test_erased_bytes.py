@@ -27,7 +27,7 @@ from labos.services.words_check import check_words
 from labos.store import SqlEventStore, grant_writer, migrate
 from tests.integration.store.records import LAB, LEASE_S
 from tests.integration.store.test_roles import Roles
-from tests.integration.store.test_words import erasing, pause_with_words
+from tests.integration.store.test_words import make_erasure, pause_with_words
 from tests.support.postgres import PostgresServer
 from tests.unit.services.logbook import Logbook
 
@@ -57,7 +57,7 @@ def files_with(server: PostgresServer, text: str, below: str = "base") -> list[P
     return [file for file in files if text.encode() in file.read_bytes()]
 
 
-def written(store: SqlEventStore, number: int = 200) -> tuple[Head, list[Kept]]:
+def make_log(store: SqlEventStore, number: int = 200) -> tuple[Head, list[Kept]]:
     """A log with so many texts that nobody may read, and one that stays."""
     head = store.claim(LAB, "test", LEASE_S)
     texts = []
@@ -71,7 +71,7 @@ def written(store: SqlEventStore, number: int = 200) -> tuple[Head, list[Kept]]:
 
 
 def erase(store: SqlEventStore, head: Head, texts: list[Kept]) -> None:
-    store.append(head, [erasing(head, *texts)])
+    store.append(head, [make_erasure(head, *texts)])
 
 
 @pytest.mark.parametrize("works_as", ["owner", "writer"])
@@ -82,7 +82,7 @@ def test_nothing_of_the_text_is_left_in_the_files_of_postgres(
     migrate(roles.owners_url)
     grant_writer(roles.owners_url, roles.writer)
     store = opened(roles.owners_url if works_as == "owner" else roles.writers_url)
-    head, texts = written(store)
+    head, texts = make_log(store)
     with psycopg.connect(roles.owners_url, autocommit=True) as owner:
         owner.execute("ANALYZE words")  # as the server does by itself, some day
     assert files_with(server, NOBODY)
@@ -105,7 +105,7 @@ def test_nothing_of_the_text_is_left_in_the_files_of_postgres(
 def test_who_looks_at_an_older_state_does_not_keep_the_text(server: PostgresServer, opened: Open) -> None:
     url = server.create_database("lab")
     store = opened(url)
-    head, texts = written(store, 20)
+    head, texts = make_log(store, 20)
     with psycopg.connect(url) as reader:
         reader.execute("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ")
         reader.execute("SELECT count(*) FROM event")
@@ -120,7 +120,7 @@ def test_who_reads_the_table_meanwhile_is_not_waited_for_for_long(
     """As a dump of the database does: the kernel must go on. It is said, and can be done later."""
     url = server.create_database("lab")
     store = opened(url)
-    head, texts = written(store, 20)
+    head, texts = make_log(store, 20)
     scrub = ["scrub", "--database", url, "--home", str(tmp_path)]
     with psycopg.connect(url) as reader:
         reader.execute("LOCK TABLE words IN ACCESS SHARE MODE")
@@ -144,7 +144,7 @@ def test_samples_that_the_server_took_in_a_database_of_before_go_too(
     store = opened(url)
     with psycopg.connect(url, autocommit=True) as owner:
         owner.execute("ALTER TABLE words ALTER COLUMN text SET STATISTICS -1")
-        head, texts = written(store)
+        head, texts = make_log(store)
         owner.execute("ANALYZE words")
         query = "SELECT histogram_bounds::text FROM pg_stats WHERE tablename = 'words' AND attname = 'text'"
         (sampled,) = owner.execute(query).fetchone() or ("",)
@@ -160,7 +160,7 @@ def test_the_write_ahead_log_keeps_it_until_its_files_go(server: PostgresServer,
     """What the docs say that a server's administrator can do."""
     url = server.create_database("lab")
     store = opened(url)
-    head, texts = written(store, 20)
+    head, texts = make_log(store, 20)
     erase(store, head, texts)
     assert store.scrub() == ""
     assert files_with(server, NOBODY, "pg_wal")

@@ -17,7 +17,7 @@ from labos.node.journal_file import FileJournalFile
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
 from labos.store import FolderBlobs, backup, open_store, tighten
-from tests.integration.store.records import hearing, write_records
+from tests.integration.store.records import hear_journal, write_records
 from tests.unit.services.logbook import two_users
 
 pytestmark = pytest.mark.skipif("os.name == 'nt'", reason="Windows has other rights")
@@ -98,7 +98,7 @@ def test_what_is_open_is_closed_with_one_line(tmp_path: Path) -> None:
     home.chmod(0o755)
     for path in home.iterdir():
         path.chmod(0o644)
-    with hearing() as told:
+    with hear_journal() as told:
         store = open_store(f"sqlite:///{home / 'labos.db'}", home=home)
         write_records(store, 0)
     store.close()

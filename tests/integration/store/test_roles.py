@@ -18,7 +18,7 @@ from labos.errors import BadInput, NotFound, Refused, StoreUnavailable
 from labos.store import SqlEventStore, first_damage, grant_writer, lease_holder, migrate
 from tests.docs.markdown import DOCS
 from tests.integration.store.records import LAB, batch, write_records
-from tests.integration.store.test_words import erasing, pause_with_words
+from tests.integration.store.test_words import make_erasure, pause_with_words
 from tests.support.postgres import PostgresServer
 
 pytestmark = pytest.mark.postgres
@@ -99,7 +99,7 @@ def test_a_writer_keeps_and_erases_words_also_where_it_was_there_before_them(
     head = store.claim(LAB, "test", 30.0)
     record, words = pause_with_words(head, "a cold")
     head = store.append(head, [record])
-    store.append(head, [erasing(head, words)])
+    store.append(head, [make_erasure(head, words)])
     assert store.words_of([words.reference])[words.reference].is_erased
     assert "labos db writer" in store.scrub()  # it was granted nothing since
     grant_writer(roles.owners_url, roles.writer)
@@ -213,6 +213,6 @@ def test_a_role_that_finds_the_views_first(postgres_server: PostgresServer, open
         head = store.claim(LAB, "test", 30.0)
         record, words = pause_with_words(head, f"a cold of {each}")
         head = store.append(head, [record])
-        store.append(head, [erasing(head, words)])
+        store.append(head, [make_erasure(head, words)])
         assert store.scrub() == ""
         store.close()

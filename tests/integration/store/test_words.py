@@ -31,7 +31,7 @@ def pause_with_words(after: Head, text: str, salt: bytes = SALT, actor: str = "b
     return msgspec.structs.replace(record, words=(words,)), words
 
 
-def erasing(after: Head, *words: Kept, because: str = "personal") -> Record:
+def make_erasure(after: Head, *words: Kept, because: str = "personal") -> Record:
     digests = tuple(each.reference.removeprefix(PREFIX) for each in words)
     event = WordsErased("", because, "ada", digests, (1,))
     payload = msgspec.json.decode(encode(event))
@@ -45,7 +45,7 @@ def test_words_come_and_go_with_their_events(store: SqlEventStore) -> None:
     assert store.words_of([words.reference, f"{PREFIX}{'0' * 64}"]) == {words.reference: words}
     assert [(each.words, each.position, each.erased_at) for each in store.all_words()] == [(words, 1, 0)]
     assert check_words(store).faults == ()
-    head = store.append(head, [erasing(head, words)])
+    head = store.append(head, [make_erasure(head, words)])
     gone = Kept(words.reference, b"", "")
     assert store.words_of([words.reference]) == {words.reference: gone}
     assert [each.erased_at for each in store.all_words()] == [2]
@@ -78,7 +78,7 @@ def test_words_of_a_user_are_found(store: SqlEventStore) -> None:
     assert len({words.reference for words in texts.values()}) == 4
     named = [texts[name].reference for name in ("bo", "robot for bo")]
     assert store.words_by("bo") == [(1, named[0]), (3, named[1])]
-    store.append(head, [erasing(head, texts["bo"])])
+    store.append(head, [make_erasure(head, texts["bo"])])
     assert store.words_by("bo") == [(3, named[1])]
 
 
@@ -88,7 +88,7 @@ def test_the_log_is_searched_for_words_that_stand_beside_it(store: SqlEventStore
     head = store.append(head, [record, *batch(msgspec.structs.replace(head, position=1, hash=record.hash))])
     assert [r.head.position for r in store.select(LogQuery(mentions="Zoë Quux"))] == [1]
     assert [r.head.position for r in store.select(LogQuery(mentions="100 % of"))] == [1]
-    store.append(head, [erasing(head, words)])
+    store.append(head, [make_erasure(head, words)])
     assert list(store.select(LogQuery(mentions="Zoë Quux"))) == []
 
 
@@ -121,7 +121,7 @@ def test_words_that_are_put_back_after_they_were_erased_are_found(
     head = store.claim(LAB, "test", LEASE_S)
     record, words = pause_with_words(head, TEXT)
     head = store.append(head, [record])
-    store.append(head, [erasing(head, words)])
+    store.append(head, [make_erasure(head, words)])
     engine = sqlalchemy.create_engine(parse_url(store_url))
     with engine.begin() as connection:
         connection.execute(
@@ -140,7 +140,7 @@ def test_erasures_are_noted_beside_the_database(
     head = store.append(head, [record])
     file = tmp_path / "labos.erased"
     assert not file.exists()
-    store.append(head, [erasing(head, words)])
+    store.append(head, [make_erasure(head, words)])
     assert [(e.lab, e.reference, e.position) for e in read_erasures(file)] == [(LAB, words.reference, 2)]
     assert store.erasures() == {words.reference: 2}
     file.write_bytes(b'{"lab":"torn')  # a kernel died before it was written
@@ -166,7 +166,7 @@ def test_nothing_of_the_text_is_left_in_the_files_of_sqlite(
     files = [tmp_path / "lab.db", tmp_path / "lab.db-wal"]
     assert any(mark in file.read_bytes() for file in files)
     for words in kept:
-        head = store.append(head, [erasing(head, words)])
+        head = store.append(head, [make_erasure(head, words)])
     assert store.scrub() == ""
     assert not any(mark in file.read_bytes() for file in tmp_path.iterdir())
     assert first_damage(store) is None

@@ -110,7 +110,7 @@ Answer = Callable[[str, str, bytes], tuple[int, str, bytes]]
 
 
 @contextmanager
-def serving(answer: Answer) -> Iterator[str]:
+def serve_http(answer: Answer) -> Iterator[str]:
     """A real HTTP server; ``answer(method, path, body)`` gives status, type and body."""
 
     class Handler(BaseHTTPRequestHandler):

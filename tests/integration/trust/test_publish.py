@@ -28,8 +28,8 @@ from labos.services.trust.publish import Targets, publish
 from labos.services.trust.tree import TREE_FILE, grow, read_tree
 from labos.services.trust.witness import Witness, encode_request, parse_request
 from labos.store import open_store
-from tests.integration.trust.conftest import NAME, Lab, chain_anew, run_openssl, serving
-from tests.support.processes import running
+from tests.integration.trust.conftest import NAME, Lab, chain_anew, run_openssl, serve_http
+from tests.support.processes import run_process
 from tests.unit.services.logbook import two_users
 
 RECORDS = two_users().records
@@ -37,7 +37,7 @@ END = len(RECORDS)
 
 
 @contextmanager
-def witnessing(lab: Lab, folder: Path) -> Iterator[str]:
+def run_witness(lab: Lab, folder: Path) -> Iterator[str]:
     """A witness that serves HTTP, in a thread."""
     keys = SigningKeys(folder)
     if not (folder / "keys").exists():
@@ -81,7 +81,7 @@ def test_a_checkpoint_is_put_on_a_server(lab: Lab) -> None:
         kept[path] = body
         return 201, "text/plain", b""
 
-    with serving(take) as url:
+    with serve_http(take) as url:
         said = lab.ask("checkpoint", "--to", f"{url}/lab1")
     assert f"Kept in {url}/lab1" in said
     assert kept == {f"/lab1/{name_of(END)}": (lab.safe / name_of(END)).read_bytes()}
@@ -89,7 +89,7 @@ def test_a_checkpoint_is_put_on_a_server(lab: Lab) -> None:
 
 def test_a_place_that_takes_nothing_keeps_the_others_from_nothing(lab: Lab, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with serving(lambda *_: (403, "text/plain", b"")) as url:
+    with serve_http(lambda *_: (403, "text/plain", b"")) as url:
         said = lab.ask(
             *("checkpoint", "--to", url, "--to", str(tmp_path / "file"), "--to", str(tmp_path / "good")),
             code=1,
@@ -168,7 +168,7 @@ def test_a_log_on_postgres_is_signed_as_well(tmp_path: Path, postgres_url: str) 
 
 
 def test_a_witness_cosigns_what_continues(lab: Lab, tmp_path: Path) -> None:
-    with witnessing(lab, tmp_path / "other") as url:
+    with run_witness(lab, tmp_path / "other") as url:
         lab.write(RECORDS[: END - 5])
         for file in (lab.home / TREE_FILE, *(lab.home / "checkpoints").iterdir()):
             file.unlink()
@@ -195,11 +195,11 @@ def test_a_witness_cosigns_what_continues(lab: Lab, tmp_path: Path) -> None:
 
 def test_a_witness_does_not_cosign_another_story(lab: Lab, tmp_path: Path) -> None:
     """The lab's own folder is made to forget everything; the witness, restarted meanwhile, does not."""
-    with witnessing(lab, tmp_path / "other") as url:
+    with run_witness(lab, tmp_path / "other") as url:
         assert lab.publish(url).faults == ()
     head = msgspec.structs.replace(RECORDS[6].head, actor="mallory")
     forged = chain_anew([*RECORDS[:6], msgspec.structs.replace(RECORDS[6], head=head), *RECORDS[7:]])
-    with witnessing(lab, tmp_path / "other") as url:
+    with run_witness(lab, tmp_path / "other") as url:
         for story, said in ((forged, "409"), (forged[:-3], "it was cut off"), (RECORDS, "")):
             lab.write(story)
             shutil.rmtree(lab.home / "checkpoints")
@@ -251,7 +251,7 @@ def test_a_witness_runs_as_a_command(lab: Lab, tmp_path: Path) -> None:
         "--home",
         str(home),
     ]
-    with running(argv, stdout=subprocess.PIPE, text=True) as process:
+    with run_process(argv, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         url = process.stdout.readline().split()[-1].rstrip(".")
         said = lab.ask("checkpoint", "--witness", url, "--witness-key", key.text, "--json")
@@ -301,7 +301,7 @@ def authority(folder: Path) -> Iterator[str]:
         )
         return 200, "application/timestamp-reply", (folder / "r.tsr").read_bytes()
 
-    with serving(stamp) as url:
+    with serve_http(stamp) as url:
         yield url
 
 
@@ -328,7 +328,7 @@ def test_a_time_stamp_is_kept_and_checked(lab: Lab, tmp_path: Path) -> None:
 
 def test_an_authority_that_gives_no_time_stamp(lab: Lab) -> None:
     pytest.importorskip("rfc3161_client")
-    with serving(lambda *_: (200, "application/timestamp-reply", b"junk")) as url:
+    with serve_http(lambda *_: (200, "application/timestamp-reply", b"junk")) as url:
         made = lab.publish(stamp=url)
     assert "gave none" in made.faults[0]
     assert not made.stamped
@@ -347,7 +347,7 @@ def test_a_checkpoint_follows_each_so_many_events(lab: Lab) -> None:
     (lab.home / TREE_FILE).unlink()
     argv = [sys.executable, "-m", "labos", "checkpoint", "--follow", "--every", "3", "--to", str(lab.safe)]
     argv += ["--home", str(lab.home), "--json"]
-    with running(argv, stdout=subprocess.PIPE, text=True) as process:
+    with run_process(argv, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         sizes = [next_size(process.stdout)]
         store = open_store(f"sqlite:///{lab.home / 'labos.db'}", home=lab.home)

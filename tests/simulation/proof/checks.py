@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from labos.core.actions import ActionDiscovered, ActionRequested
-from labos.core.envelope import GENESIS, damage
+from labos.core.envelope import GENESIS, find_damage
 from labos.core.lab import KernelStarted
 from labos.core.registry import decode
 from labos.core.shorter import LogFoundShorter
@@ -60,7 +60,7 @@ def findings(lab: SimulatedLab, state: LabState, obedience: Obedience) -> list[s
     found += [f"surprise: {line}" for line in surprises(lab)]
     found += [f"fence: {line}" for line in obedience.wrong]
     found += [f"lease: {name} was replaced while it worked" for name in lab.store.usurped]
-    found += [f"end: {line}" for line in hanging(lab, state)]
+    found += [f"end: {line}" for line in list_hanging(lab, state)]
     return found
 
 
@@ -68,7 +68,7 @@ def chain(lab: SimulatedLab) -> Iterator[str]:
     """Gapless, linked, and recorded-at never goes back."""
     previous, position, recorded_at = GENESIS, 0, 0
     for record in lab.store.records:
-        fault = damage(previous, record)
+        fault = find_damage(previous, record)
         if fault:
             yield f"{record.head.position}: {fault}"
         if record.head.position != position + 1:
@@ -137,7 +137,7 @@ def surprises(lab: SimulatedLab) -> Iterator[str]:
                 yield f"{process.name}: {error!r}"
 
 
-def hanging(lab: SimulatedLab, state: LabState) -> Iterator[str]:
+def list_hanging(lab: SimulatedLab, state: LabState) -> Iterator[str]:
     """Runs that have not ended although nobody is asked about them."""
     left = [*state.runs.active.values(), *state.runs.queued.values()]
     for run, stops in causes(state, left, lab.store.head().recorded_at).items():

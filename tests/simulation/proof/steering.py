@@ -80,7 +80,7 @@ class Steered(Faults):
 
     def chance(self, fault: str, point: str = "") -> float:
         if fault == "crash":
-            rare = self._slipped()
+            rare = self._let_slip()
             if point not in self.plan.points or self.crashes[point] >= MOST_DEATHS + rare:
                 return 0.0
             if rare:
@@ -99,7 +99,7 @@ class Steered(Faults):
         self.tell("delay")
         return self.rng.uniform(LONG_S, LONGEST_DELAY_S)
 
-    def _slipped(self) -> bool:
+    def _let_slip(self) -> bool:
         """Hands move seldom: what follows a slip is tried more often than what follows other faults."""
         return any(fault == "mishap" and self.now() - at <= NEAR_S for fault, at in self.occurred[-3:])
 

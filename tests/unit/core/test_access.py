@@ -29,7 +29,7 @@ def test_what_is_in_flight_ends_first_and_nothing_starts() -> None:
     lab = make_held()
     assert lab.types()[-1] == "workcell.access_requested"
     assert lab.code("R2") == "access"
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.pump()
     assert lab.types()[-1] == "workcell.access_granted"
     assert lab.pump() == []
@@ -45,7 +45,7 @@ def test_arms_are_parked_before_it_is_granted_and_not_after() -> None:
     lab.do(RequestAccess(CELL, "ada", "", (SubmitRun(home, "ada"),)))
     assert lab.pump() == ["R1#0"]
     assert lab.types()[-1] == "action.requested"
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.pump()
     assert lab.types()[-1] == "workcell.access_granted"
     lab.submit(home)

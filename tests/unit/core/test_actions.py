@@ -30,7 +30,7 @@ from tests.support.bench import (
 )
 
 
-def carrying(more: int = 1) -> tuple[Driver, ActionId]:
+def start_carrying(more: int = 1) -> tuple[Driver, ActionId]:
     """A run whose plate is on its way from a to b; ``more`` steps follow."""
     lab = small()
     steps = [step("arm", take("stack", "a")), step("arm", move("a", "b")), *[step("cam")] * more]
@@ -47,7 +47,7 @@ def find_last_type(lab: Driver) -> str:
 
 
 def test_a_request_names_everything_and_reserves() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     event = lab.log[-1].event
     assert event.TYPE == "action.requested"
     assert (event.attempt, event.epoch, event.journal) == (1, 1, "journal-cell/arm")  # type: ignore[attr-defined]
@@ -60,7 +60,7 @@ def test_a_request_names_everything_and_reserves() -> None:
 
 
 def test_accepting_is_recorded_once() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     assert lab.do(AcceptAction(action, 2, lab.now)) == []
     assert [e.TYPE for e in lab.accept(action)] == ["action.accepted"]
     assert lab.accept(action) == []
@@ -81,7 +81,7 @@ def test_a_query_does_not_occupy_its_module() -> None:
 
 
 def test_a_final_refusal_fails_the_run() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.refuse(action)
     assert find_last_type(lab) == "run.failed"
     assert lab.where("P1") == "a"
@@ -90,7 +90,7 @@ def test_a_final_refusal_fails_the_run() -> None:
 
 
 def test_a_transient_refusal_waits_until_the_module_says_idle_again() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.refuse(action, final=False)
     assert lab.run("R1").steps[1].status == PENDING
     assert lab.code("R1", 1) == "module_busy"
@@ -99,20 +99,20 @@ def test_a_transient_refusal_waits_until_the_module_says_idle_again() -> None:
 
 
 def test_a_refused_action_of_a_cancelled_run_ends_it() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.do(CancelRun(lab.run("R1").id))
     lab.refuse(action, final=False)
     assert find_last_type(lab) == "run.cancelled"
 
 
 def test_a_refusal_of_another_attempt_says_nothing() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     assert lab.do(RefuseAction(action, 2, "no")) == []
 
 
 def test_a_refusal_after_doubt_takes_question_and_uncertainty_back() -> None:
     """Else nobody could ever find the plate again: the answer would meet no open action."""
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.doubt(action)
     lab.refuse(action, final=False)
     assert lab.questions() == []
@@ -125,7 +125,7 @@ def test_a_refusal_after_doubt_takes_question_and_uncertainty_back() -> None:
 
 
 def test_success_moves_and_goes_on() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.accept(action)
     lab.finish(action)
     assert lab.where("P1") == "b"
@@ -184,7 +184,7 @@ def test_variables_of_labware_that_the_action_does_not_name_are_nobodys() -> Non
 
 
 def test_failed_with_nothing_done() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.fail(action, "none")
     assert lab.where("P1") == "a"
     assert find_last_type(lab) == "run.failed"
@@ -193,7 +193,7 @@ def test_failed_with_nothing_done() -> None:
 
 
 def test_failed_with_everything_done() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.fail(action, "all")
     assert lab.where("P1") == "b"
     assert "P1 at b" in lab.question("failed_run").text
@@ -201,7 +201,7 @@ def test_failed_with_everything_done() -> None:
 
 @pytest.mark.parametrize(("effects", "kind"), [("all", "failed_run"), ("unknown", "lost_labware")])
 def test_a_reason_that_is_a_sentence_ends_in_one_full_stop(effects: str, kind: str) -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.fail(action, effects, "It stands askew. Teach the place again.")
     text = lab.question(kind).text
     assert "Teach the place again. " in text
@@ -210,7 +210,7 @@ def test_a_reason_that_is_a_sentence_ends_in_one_full_stop(effects: str, kind: s
 
 @pytest.mark.parametrize("effects", ["partial", "unknown"])
 def test_failed_half_way_loses_the_labware_and_asks(effects: str) -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.fail(action, effects)
     labware = lab.state.bench.labware["P1"]  # type: ignore[index]
     assert labware.station == ""
@@ -231,7 +231,7 @@ def test_a_regrip_station_is_one_of_the_places() -> None:
 
 @pytest.mark.parametrize(("choice", "place"), [("source", "a"), ("target", "b"), ("gone", None)])
 def test_a_person_finds_lost_labware(choice: str, place: str | None) -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.fail(action)
     lab.answer(lab.question("lost_labware"), choice)
     if place is None:
@@ -243,7 +243,7 @@ def test_a_person_finds_lost_labware(choice: str, place: str | None) -> None:
 
 
 def test_where_lost_labware_may_be_nobody_puts_anything_and_its_arm_takes_nothing() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.fail(action)
     lab.stock("c", 1)
     for source, target in [("c", "a"), ("c", "b")]:
@@ -343,7 +343,7 @@ def test_a_cancelled_run_that_then_fails_has_failed() -> None:
 
 
 def test_doubt_asks_with_concrete_choices() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.doubt(action)
     assert lab.doubt(action) == []
     assert lab.do(DoubtAction(ActionId("A9"), "x")) == []
@@ -359,7 +359,7 @@ def test_doubt_asks_with_concrete_choices() -> None:
     [("done", "b", DONE, ""), ("not_done", "a", PENDING, ""), ("gone", None, None, "run.failed")],
 )
 def test_each_answer_about_a_move(choice: str, place: str | None, step_after: int | None, end: str) -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.doubt(action)
     lab.keep_picture()
     lab.answer(lab.question("unknown_action"), choice)
@@ -405,7 +405,7 @@ def test_each_answer_about_an_action_that_carries_nothing(choice: str) -> None:
 
 
 def test_a_done_answer_to_the_last_step_completes_the_run() -> None:
-    lab, action = carrying(more=0)
+    lab, action = start_carrying(more=0)
     lab.doubt(action)
     lab.answer(lab.question(), "done")
     assert find_last_type(lab) == "run.completed"
@@ -418,7 +418,7 @@ def test_a_done_answer_to_the_last_step_completes_the_run() -> None:
     [(True, "all", "b"), (False, "all", "b"), (False, "none", "a"), (False, "unknown", "")],
 )
 def test_the_node_answers_before_the_person(succeeded: bool, effects: Any, place: str) -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.doubt(action)
     lab.do(FinishAction(action, 1, succeeded, effects, error="jam"))
     assert lab.questions("unknown_action") == []
@@ -439,7 +439,7 @@ def test_the_node_answers_before_the_person(succeeded: bool, effects: Any, place
 def test_a_result_after_the_answer_is_evidence(
     choice: str, succeeded: bool, effects: Any, contradicts: bool
 ) -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.doubt(action)
     lab.answer(lab.question(), choice)
     late = FinishAction(action, 1, succeeded, effects, error="late")
@@ -455,14 +455,14 @@ def test_a_result_after_the_answer_is_evidence(
 
 
 def test_a_result_that_comes_twice_says_nothing() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.finish(action)
     assert lab.do(FinishAction(action, 1, False, "unknown")) == []
 
 
 def test_a_result_out_of_another_journal_ends_nothing() -> None:
     """The request was meant for one journal: whoever else answers was not asked."""
-    lab, action = carrying()
+    lab, action = start_carrying()
     for journal, attempt in (("journal-cell/cam", 1), ("forged", 1), ("journal-cell/arm", 2), ("forged", 0)):
         said = FinishAction(action, attempt, True, "all", journal=journal)
         assert lab.reject(said).code == ("no_attempt" if attempt != 1 else "other_journal")
@@ -476,7 +476,7 @@ def test_a_result_out_of_another_journal_ends_nothing() -> None:
 
 
 def test_an_attempt_that_can_never_run_is_followed_by_the_next() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     assert lab.do(ResendAction(action, 2, "j")) == []
     lab.do(ResendAction(action, 1, "other journal"))
     known = lab.state.actions.open[action]
@@ -492,7 +492,7 @@ def test_an_attempt_that_can_never_run_is_followed_by_the_next() -> None:
 
 
 def test_an_attempt_that_never_ran_ends_a_cancelled_run() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     lab.do(CancelRun(lab.run("R1").id))
     lab.do(ResendAction(action, 1, "j"))
     assert find_last_type(lab) == "run.cancelled"
@@ -502,7 +502,7 @@ def test_an_attempt_that_never_ran_ends_a_cancelled_run() -> None:
 
 
 def test_the_last_ended_and_settled_actions_are_remembered_within_bounds() -> None:
-    lab, action = carrying()
+    lab, action = start_carrying()
     actions = lab.state.actions
     pattern = actions.open[action]
     for number in range(SETTLED_KEPT + 5):

@@ -218,7 +218,7 @@ class Chaos:
             if number == picture:
                 self.lab.keep_picture()
 
-    def evening(self) -> None:
+    def end_day(self) -> None:
         """Everybody behaves, and nothing is left over."""
         lab = self.lab
         for _ in range(400):
@@ -249,7 +249,7 @@ class Chaos:
         raise AssertionError(lab.describe_stuck())
 
 
-def nothing_left(lab: Driver) -> None:
+def check_nothing_left(lab: Driver) -> None:
     state = lab.state
     assert state.approvals.open == state.approvals.alike == {}
     assert state.actions.open == state.bench.reserved == state.bench.haunted == state.bench.searched == {}
@@ -266,8 +266,8 @@ def nothing_left(lab: Driver) -> None:
 def live_through(rng: random.Random, length: int) -> Driver:
     chaos = Chaos(rng)
     chaos.day(length)
-    chaos.evening()
-    nothing_left(chaos.lab)
+    chaos.end_day()
+    check_nothing_left(chaos.lab)
     chaos.lab.check_log()
     return chaos.lab
 

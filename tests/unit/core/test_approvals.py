@@ -16,7 +16,7 @@ from tests.support.bench import Driver, plan, small, step
 from tests.unit.core.test_rights import make_peopled
 
 
-def burning(steps: int = 1) -> Plan:
+def make_burning(steps: int = 1) -> Plan:
     return plan(step("dev"), *(step("dev", dangerous="laser") for _ in range(steps)), name="burn")
 
 
@@ -33,7 +33,7 @@ def answer(lab: Driver, run: str, by: str, choice: str = "approve") -> ResolveIn
 def test_a_run_waits_until_a_second_person_has_approved_it() -> None:
     lab = make_peopled()
     lab.do(GrantRole("user:ada", "operator"))
-    lab.do(SubmitRun(burning(), "ada"), "ada")
+    lab.do(SubmitRun(make_burning(), "ada"), "ada")
     assert lab.code("R1") == "unapproved"
     assert lab.pump() == []
     found = lab.reject(answer(lab, "R1", "ada"), "ada")
@@ -52,7 +52,7 @@ def test_a_program_is_no_second_person_whoever_it_acts_for() -> None:
     lab = make_peopled()
     lab.do(ApplyPolicy("p", Policy(programs=False)))
     lab.do(GrantRole("user:robot", "operator"))
-    lab.do(SubmitRun(burning(), "ada"), on_behalf("robot", "ada"))
+    lab.do(SubmitRun(make_burning(), "ada"), on_behalf("robot", "ada"))
     for actor in ("robot", on_behalf("robot", "olga")):
         assert lab.reject(answer(lab, "R1", actor), actor).code == "second_person"
     # Not even if it says no more than the person's name.
@@ -65,7 +65,7 @@ def test_a_program_is_no_second_person_whoever_it_acts_for() -> None:
 
 def test_who_does_not_approve_cancels_it() -> None:
     lab = small()
-    run = lab.submit(burning(), "ada")
+    run = lab.submit(make_burning(), "ada")
     lab.do(answer(lab, run, "ada", "refuse"))
     assert lab.state.runs.get(run) is None
     assert not lab.state.interventions.open
@@ -74,16 +74,16 @@ def test_who_does_not_approve_cancels_it() -> None:
 
 def test_the_question_goes_with_the_run() -> None:
     lab = small()
-    run = lab.submit(burning(), "ada")
+    run = lab.submit(make_burning(), "ada")
     lab.do(CancelRun(RunId(run)))
     assert not lab.state.interventions.open
 
 
 def test_others_of_the_same_shape_do_not_wait_with_it() -> None:
     lab = small()
-    first = lab.submit(burning(), "ada")
+    first = lab.submit(make_burning(), "ada")
     second = lab.submit(plan(step("dev"), step("dev"), name="burn"), "ada")
-    third = lab.submit(burning(), "ada")
+    third = lab.submit(make_burning(), "ada")
     assert lab.pump() == [f"{second}#0"]
     lab.do(answer(lab, third, "bo"))
     assert (lab.code(first), lab.run(third).unapproved) == ("unapproved", False)
@@ -92,7 +92,7 @@ def test_others_of_the_same_shape_do_not_wait_with_it() -> None:
 
 def test_the_question_names_the_steps_and_whose_run_it_is() -> None:
     lab = small()
-    run = lab.submit(burning(7), "ada")
+    run = lab.submit(make_burning(7), "ada")
     text = question_of(lab, run).text
     assert text.startswith("Run R1 (burn) of ada does what is dangerous: ")
     assert text.count("(laser)") == 5
@@ -102,7 +102,7 @@ def test_the_question_names_the_steps_and_whose_run_it_is() -> None:
 def test_users_are_not_needed_for_it() -> None:
     """In an open lab the names that people say have to differ."""
     lab = small()
-    run = lab.submit(burning(), "ada")
+    run = lab.submit(make_burning(), "ada")
     assert lab.reject(answer(lab, run, "ada")).code == "second_person"
     lab.do(AddUser("ada"))
     lab.do(AddUser("bo"))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labos.core.arguments import describe_arg, flaw, names_of
+from labos.core.arguments import describe_arg, find_flaw, names_of
 from labos.core.model import ActionSpec, Arg
 from labos.node.arguments import problems
 from labos.spec.arguments import bind
@@ -35,7 +35,7 @@ TIME = Arg("time", "float", unit="s", minimum=0.5, maximum=9.9, aliases=("second
     ],
 )
 def test_what_is_wrong_with_a_value(arg: Arg, value: Any, told: str) -> None:
-    assert flaw(arg, value) == told
+    assert find_flaw(arg, value) == told
 
 
 def test_what_an_argument_takes_is_said_in_words() -> None:

@@ -60,7 +60,7 @@ def booking(lab: Driver, name: str) -> Booking:
     return lab.state.bookings.open[name]
 
 
-def shared() -> Driver:
+def make_shared() -> Driver:
     """A lab with an admin, an operator, and two submitters, one of them in a group."""
     lab = small()
     for user in ("root", "op", "ada", "bo", "cy"):
@@ -299,7 +299,7 @@ def check_denied(lab: Driver, command: Command, actor: str) -> str:
 
 @pytest.mark.parametrize("own", [{"user": "ada"}, {"group": "chemistry"}], ids=["self", "group"])
 def test_a_submitter_books_for_oneself_or_the_own_group(own: dict[str, str]) -> None:
-    lab = shared()
+    lab = make_shared()
     name = book(lab, terms(1, 2, **own), by="ada", actor="ada")  # type: ignore[arg-type]
     lab.do(ChangeBooking(name, terms(2, 3, **own), "ada", lab.now), "ada")  # type: ignore[arg-type]
     assert check_denied(lab, CancelBooking(name, "bo"), "bo") == "not_yours"
@@ -312,7 +312,7 @@ def test_a_submitter_books_for_oneself_or_the_own_group(own: dict[str, str]) -> 
     ids=["others", "maintenance", "repeated"],
 )
 def test_what_only_an_operator_books(what: NewTerms) -> None:
-    lab = shared()
+    lab = make_shared()
     assert check_denied(lab, MakeBooking(DEV, what, "ada", lab.now), "ada") == "no_right"
     name = book(lab, what, by="op", actor="op")
     refused = check_denied(lab, ChangeBooking(name, what, "cy", lab.now), "cy")
@@ -320,7 +320,7 @@ def test_what_only_an_operator_books(what: NewTerms) -> None:
 
 
 def test_nobody_books_in_the_name_of_another() -> None:
-    lab = shared()
+    lab = make_shared()
     assert check_denied(lab, MakeBooking(DEV, terms(1, 2, "bo"), "bo", lab.now), "ada") == "not_you"
     lab.do(AddUser("bot", "service"))
     lab.do(GrantRole("user:bot", "submitter", "cell"))
@@ -330,7 +330,7 @@ def test_nobody_books_in_the_name_of_another() -> None:
 
 
 def test_by_force_only_an_admin_books() -> None:
-    lab = shared()
+    lab = make_shared()
     book(lab, terms(1, 3), by="op", actor="op")
     assert (
         check_denied(lab, MakeBooking(DEV, terms(2, 4, "cy"), "op", lab.now, force=True), "op") == "no_right"
@@ -340,7 +340,7 @@ def test_by_force_only_an_admin_books() -> None:
 
 
 def test_an_operator_cancels_what_others_have_booked_and_those_for_whom_it_is_give_it_back() -> None:
-    lab = shared()
+    lab = make_shared()
     mine = book(lab, terms(1, 2, "ada"), by="ada", actor="ada")
     lab.do(CancelBooking(mine, "op"), "op")
     given = book(lab, terms(1, 2, "bo"), by="op", actor="op")
@@ -348,7 +348,7 @@ def test_an_operator_cancels_what_others_have_booked_and_those_for_whom_it_is_gi
 
 
 def test_a_submitter_has_a_quota_and_an_operator_has_none() -> None:
-    lab = shared()
+    lab = make_shared()
     far = terms(24 * 15, 24 * 15 + 1, "ada")
     assert lab.reject(MakeBooking(DEV, far, "ada", lab.now), "ada").code == "too_far"
     for hour in (1, 30, 60):
@@ -363,7 +363,7 @@ def test_a_submitter_has_a_quota_and_an_operator_has_none() -> None:
 
 
 def test_the_policy_says_how_much_whoever_is_no_operator_may_book() -> None:
-    lab = shared()
+    lab = make_shared()
     limits = BookingLimits(hours=12.0, total_hours=30.0, days_ahead=30)
     lab.do(ApplyPolicy("d", Policy(bookings=limits)), "root")
 
@@ -393,7 +393,7 @@ def test_the_policy_says_how_much_whoever_is_no_operator_may_book() -> None:
 
 
 def test_unknown_users_are_refused_where_users_are_known() -> None:
-    assert shared().reject(MakeBooking(DEV, terms(1, 2, "eve"), "op", START), "op").code == "no_user"
+    assert make_shared().reject(MakeBooking(DEV, terms(1, 2, "eve"), "op", START), "op").code == "no_user"
 
 
 # -- what may start --------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labos.core.calibrations import MOST_CALIBRATIONS, Calibration, first_to_expire
+from labos.core.calibrations import MOST_CALIBRATIONS, Calibration, find_first_expiry
 from labos.core.decide.calibrations import CalibrateModule
 from labos.core.ids import ModuleName
 from labos.core.modules import ModuleCalibrated
@@ -21,7 +21,7 @@ def calibrate(what: str = "", until: str = "", **told: str) -> CalibrateModule:
     return CalibrateModule(ARM, "ada", what, until=until, **told)
 
 
-def known(lab: Driver) -> dict[str, Calibration]:
+def find_calibrations(lab: Driver) -> dict[str, Calibration]:
     return lab.state.modules.by_name[ARM].calibrations
 
 
@@ -32,11 +32,11 @@ def test_the_last_one_of_each_kind_counts() -> None:
     recorded = lab.do(calibrate("force", "2027-03-01", certificate="K-2", file="d" * 64, why="a wrong date"))
     told = ("ada", "force", "K-2", "d" * 64, "2027-03-01", "a wrong date")
     assert recorded == [ModuleCalibrated(ARM, *told)]
-    assert {name: (one.certificate, one.until) for name, one in known(lab).items()} == {
+    assert {name: (one.certificate, one.until) for name, one in find_calibrations(lab).items()} == {
         "force": ("K-2", "2027-03-01"),
         "reach": ("", "2027-02-01"),
     }
-    assert first_to_expire(known(lab)) == "2027-02-01"
+    assert find_first_expiry(find_calibrations(lab)) == "2027-02-01"
     lab.check_log()
 
 

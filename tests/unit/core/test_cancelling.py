@@ -43,7 +43,7 @@ def under_way(steps: int, flow: Plan | None = None) -> tuple[Driver, str]:
     run = lab.submit(flow or with_way_out(*OUT))
     for _ in range(steps):
         lab.pump()
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
     lab.pump()
     return lab, run
 
@@ -51,8 +51,8 @@ def under_way(steps: int, flow: Plan | None = None) -> tuple[Driver, str]:
 def goes(lab: Driver, run: str) -> list[int]:
     """Cancel a run and let everything end; the steps of its way out that were done."""
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    while lab.flying():
-        lab.finish(lab.flying()[0])
+    while lab.list_flying():
+        lab.finish(lab.list_flying()[0])
         lab.pump()
     leaving = [entry.event for entry in lab.log if isinstance(entry.event, RunLeaving)]
     assert lab.types()[-1] == "run.cancelled"
@@ -81,14 +81,14 @@ def test_the_way_depends_on_where_it_stands_when_nothing_is_in_flight(in_flight:
 def test_a_run_whose_last_step_ends_well_is_complete() -> None:
     lab, run = under_way(5)
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.types()[-1] == "run.completed"
 
 
 def test_the_steps_that_are_needed_follow_one_another_over_those_that_are_not() -> None:
     lab, run = under_way(3)
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{run}#6"]
     assert lab.code(run, 9) == "after"
 
@@ -96,7 +96,7 @@ def test_the_steps_that_are_needed_follow_one_another_over_those_that_are_not() 
 def test_its_states_tell_that_it_leaves() -> None:
     lab, run = under_way(1)
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.pump()
     assert lab.run(run).status == "leaving"
     assert lab.run(run).statuses[:6] == [DONE, DONE, SKIPPED, SKIPPED, SKIPPED, SKIPPED]
@@ -106,7 +106,7 @@ def test_its_states_tell_that_it_leaves() -> None:
 def test_labware_may_stay() -> None:
     lab, run = under_way(1)
     lab.do(CancelRun(run, stay=True))  # type: ignore[arg-type]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.types()[-1] == "run.cancelled"
     assert lab.question("failed_run")
     assert lab.at("dev.n1")
@@ -115,12 +115,12 @@ def test_labware_may_stay() -> None:
 def test_a_run_on_its_way_out_can_be_left_where_it_is() -> None:
     lab, run = under_way(0)
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.pump()
     assert lab.run(run).status == "leaving"
     assert lab.do(CancelRun(run)) == []  # type: ignore[arg-type]
     lab.do(CancelRun(run, stay=True))  # type: ignore[arg-type]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.pump()
     assert lab.types()[-1] == "run.cancelled"
     assert lab.at("b")
@@ -142,11 +142,11 @@ def test_a_paused_run_leaves_too() -> None:
 def test_a_failure_while_it_waits_for_the_end_does_not_keep_it() -> None:
     lab, run = under_way(1)
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    lab.fail(lab.flying()[0], "none")
+    lab.fail(lab.list_flying()[0], "none")
     lab.pump()
     assert lab.run(run).steps[7].status == IN_FLIGHT  # from a to b
-    while lab.flying():
-        lab.finish(lab.flying()[0])
+    while lab.list_flying():
+        lab.finish(lab.list_flying()[0])
         lab.pump()
     assert lab.types()[-1] == "run.cancelled"
 
@@ -154,7 +154,7 @@ def test_a_failure_while_it_waits_for_the_end_does_not_keep_it() -> None:
 def test_where_nobody_knows_where_its_labware_is_it_goes_nowhere() -> None:
     lab, run = under_way(1)
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    lab.fail(lab.flying()[0], "unknown")
+    lab.fail(lab.list_flying()[0], "unknown")
     lab.pump()
     assert "run.leaving" not in lab.types()
     assert lab.types()[-1] == "run.cancelled"
@@ -164,9 +164,9 @@ def test_where_nobody_knows_where_its_labware_is_it_goes_nowhere() -> None:
 def test_a_step_of_the_way_out_that_fails_ends_it_with_a_question() -> None:
     lab, run = under_way(0)
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.pump()
-    lab.fail(lab.flying()[0], "none", "jam")
+    lab.fail(lab.list_flying()[0], "none", "jam")
     assert lab.types()[-1] == "run.cancelled"
     assert "its way out failed" in lab.question("failed_run").text
 
@@ -175,7 +175,7 @@ def test_a_way_out_that_is_blocked_for_good_is_given_up() -> None:
     lab, run = under_way(0, with_way_out(step("arm", move("a", "c"))))
     lab.stock("c", 1)
     lab.do(CancelRun(run))  # type: ignore[arg-type]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.pump()
     assert lab.types()[-1] == "run.cancelled"
     assert "its way out is blocked" in lab.question("failed_run").text

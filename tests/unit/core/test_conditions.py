@@ -63,7 +63,7 @@ def test_a_condition_is_true_or_false_and_nothing_else() -> None:
         holds(condition("1 + 2"), {})
 
 
-def expecting(policy: OnError | None = None) -> tuple[Driver, str]:
+def make_expecting(policy: OnError | None = None) -> tuple[Driver, str]:
     lab = small()
     first = step("cam", expect=condition("0 < result.x <= 1"), on_error=policy)
     run = lab.submit(plan(first, step("dev"), feeds=(0,)))
@@ -72,14 +72,14 @@ def expecting(policy: OnError | None = None) -> tuple[Driver, str]:
 
 
 def test_a_result_as_expected_goes_on() -> None:
-    lab, run = expecting()
+    lab, run = make_expecting()
     lab.finish("A1", {"x": 0.5})
     assert lab.pump() == [f"{run}#1"]
 
 
 @pytest.mark.parametrize("result", [{"x": 2}, {"y": 0.5}, None])
 def test_a_result_out_of_range_is_an_experiment_error(result: object) -> None:
-    lab, _ = expecting()
+    lab, _ = make_expecting()
     lab.finish("A1", result)
     event = lab.log[-1].event
     assert isinstance(event, RunFailed)
@@ -90,7 +90,7 @@ def test_a_result_out_of_range_is_an_experiment_error(result: object) -> None:
 
 
 def test_a_result_out_of_range_follows_on_error() -> None:
-    lab, run = expecting(OnError("ask", may_skip=True))
+    lab, run = make_expecting(OnError("ask", may_skip=True))
     lab.finish("A1", {"x": 2})
     assert lab.run(run).statuses == [FAILED, PENDING]
     assert lab.pump() == []
@@ -98,7 +98,7 @@ def test_a_result_out_of_range_follows_on_error() -> None:
     assert lab.pump() == [f"{run}#0"]
     lab.finish("A2", {"x": 1})
     assert lab.results(run) == {0: {"x": 1}}
-    lab, run = expecting(OnError("skip", may_skip=True))
+    lab, run = make_expecting(OnError("skip", may_skip=True))
     lab.finish("A1", {"x": 2})
     assert lab.run(run).statuses == [SKIPPED, PENDING]
     assert not lab.results(run), "nobody reads what was not as it should be"

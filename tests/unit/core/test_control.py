@@ -52,7 +52,7 @@ def test_of_a_paused_experiment_nothing_starts_but_others_go_on() -> None:
     lab.do(ResumeStarts(experiment, "ada"))
     assert lab.pump() == [f"{mine}#0"]
     lab.do(PauseStarts(experiment, "ada"))
-    lab.finish(lab.flying()[-1])
+    lab.finish(lab.list_flying()[-1])
     lab.end(experiment)
     assert lab.state.lab.paused == {}
 
@@ -110,11 +110,11 @@ def test_a_cancelled_experiment_closes_when_its_runs_have_ended() -> None:
     refused = lab.reject(SubmitRun(plan(step("cam")), "ada", experiment=experiment))
     assert refused.code == "no_experiment"
     assert lab.do(CancelExperiment(experiment, "ada")) == []
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.state.runs.get(run) is None
     lab.pump()
     assert "experiment.closing" in lab.types()
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.types()[-1] == "experiment.ended"
     lab.check_log()
 

@@ -43,7 +43,7 @@ SALT = b"0123456789abcdef"
 HOUR = 3_600_000_000_000
 
 
-def referring(kept: dict[str, str]) -> Callable[[str], str]:
+def make_reference_writer(kept: dict[str, str]) -> Callable[[str], str]:
     def put(text: str) -> str:
         reference = reference_of(SALT, text)
         kept[reference] = text
@@ -55,7 +55,7 @@ def referring(kept: dict[str, str]) -> Callable[[str], str]:
 def obey(lab: Driver, command: Command, actor: str = "bo") -> tuple[list[Event], dict[str, str]]:
     """What a command leads to whose words stand beside the log, and these words."""
     kept: dict[str, str] = {}
-    written = carry_out(lab.state, command, lab.write, actor, referring(kept))
+    written = carry_out(lab.state, command, lab.write, actor, make_reference_writer(kept))
     assert not isinstance(written, Rejection), written
     return written, kept
 
@@ -120,7 +120,7 @@ def test_events_state_and_longer_sentences_refer_to_the_words() -> None:
 def test_what_is_nested_and_what_stands_in_parts_is_referred_to() -> None:
     terms = NewTerms(begins=1, ends=2, user="bo", why="course")
     kept: dict[str, str] = {}
-    made = refer_to_words(MakeBooking("dev", terms, "bo", 0), referring(kept))
+    made = refer_to_words(MakeBooking("dev", terms, "bo", 0), make_reference_writer(kept))
     assert kept == {made.terms.why: "course"}
     assert list(words_in(MakeBooking("dev", terms, "bo", 0))) == [("course", "why")]
 
@@ -145,7 +145,7 @@ def test_a_changed_booking_keeps_its_reason() -> None:
 )
 def test_what_nobody_wrote_stays(command: Command) -> None:
     kept: dict[str, str] = {}
-    assert refer_to_words(command, referring(kept)) == command
+    assert refer_to_words(command, make_reference_writer(kept)) == command
     assert kept == {}
 
 
@@ -157,7 +157,7 @@ def test_words_are_measured_before_they_are_referred_to(why: str) -> None:
         TakeOut(ModuleName(f"{CELL}/dev"), why, 0),
         MakeBooking(f"{CELL}/dev", NewTerms(begins=1, ends=2, why=why), "bo", 0),
     ):
-        found = decide(lab.state, command, "bo", referring({}))
+        found = decide(lab.state, command, "bo", make_reference_writer({}))
         assert isinstance(found, Rejection)
         assert found.code == BAD_TEXT
 
@@ -223,7 +223,7 @@ def test_what_is_no_erasure_is_refused(changes: dict[str, Any], code: str) -> No
     assert refused.code == code
 
 
-def waiting() -> Driver:
+def make_waiting_lab() -> Driver:
     lab = small()
     lab.do(ApplyPolicy("d", Policy(erasure=True)), "ada")
     (asked,) = lab.do(EraseWords("personal", "ada", make_found(), (1,)), "ada")
@@ -233,7 +233,7 @@ def waiting() -> Driver:
 
 
 def test_by_policy_a_second_person_agrees() -> None:
-    lab = waiting()
+    lab = make_waiting_lab()
     again = EraseWords("personal", "ada", make_found(), (1,), erasure="X1")
     refused = decide(lab.state, again, "ada")
     assert isinstance(refused, Rejection)
@@ -250,7 +250,7 @@ def test_by_policy_a_second_person_agrees() -> None:
 
 
 def test_what_waits_can_be_refused() -> None:
-    lab = waiting()
+    lab = make_waiting_lab()
     assert lab.do(RefuseErasure("X1", "olga"), "olga") == [ErasureRefused("X1", "olga")]
     assert lab.state.erasures.open == {}
     (asked,) = lab.do(EraseWords("personal", "ada", make_found(), (1,)), "ada")
@@ -259,6 +259,6 @@ def test_what_waits_can_be_refused() -> None:
 
 
 def test_runs_go_on_through_all_of_it() -> None:
-    lab = waiting()
+    lab = make_waiting_lab()
     lab.submit(plan(step("cam")))
     assert isinstance(lab.do(PauseStarts("*", "ada"))[0], StartsPaused)

@@ -34,13 +34,13 @@ def make_stocked(*packs: tuple[str, float, float]) -> Driver:
     return lab
 
 
-def sealing(lab: Driver, amount: float = 2) -> RunId:
+def make_sealing(lab: Driver, amount: float = 2) -> RunId:
     return lab.submit(plan(step("dev", consumes("foil", amount)), step("dev", consumes("foil", amount))))
 
 
 def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
     lab = make_stocked(("A", 10, 0))
-    run = sealing(lab)
+    run = make_sealing(lab)
     lab.step(run)
     lab.wait(DAY_S)
     found = lab.check_start(run, 1)
@@ -57,15 +57,15 @@ def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
 
 def test_a_run_is_not_let_in_that_would_come_to_an_old_pack_half_way() -> None:
     lab = make_stocked(("A", 3, 30), ("B", 10, -1))
-    assert isinstance(lab.check_start(sealing(lab, 1)), tuple), "the fresh one is enough"
-    found = lab.check_start(sealing(lab, 2))
+    assert isinstance(lab.check_start(make_sealing(lab, 1)), tuple), "the fresh one is enough"
+    found = lab.check_start(make_sealing(lab, 2))
     assert isinstance(found, Wait)
     assert (found.code, found.names[2]) == ("expired", "B")
 
 
 def test_a_workcell_may_let_them_be_used() -> None:
     lab = make_stocked(("A", 10, -1))
-    run = sealing(lab)
+    run = make_sealing(lab)
     assert isinstance(lab.check_start(run), Wait)
     cell = small_cell()
     modules = tuple(msgspec.structs.replace(module, expired="warn") for module in cell.modules)
@@ -75,7 +75,7 @@ def test_a_workcell_may_let_them_be_used() -> None:
 
 def test_who_waits_for_a_fresh_pack_is_named() -> None:
     lab = make_stocked(("A", 10, 0))
-    run = sealing(lab)
+    run = make_sealing(lab)
     lab.step(run)
     fresh = Replenish(DEV, "foil", 0, "B", "", True)
     (in_time,) = lab.do(msgspec.structs.replace(fresh, today=today(lab)))
@@ -89,7 +89,7 @@ def test_who_waits_for_a_fresh_pack_is_named() -> None:
 
 def test_a_pack_is_not_taken_out_while_it_is_being_used() -> None:
     lab = make_stocked(("A", 10, 30))
-    lab.start(sealing(lab))
+    lab.start(make_sealing(lab))
     assert lab.reject(Replenish(DEV, "foil", 0, "B", "", True)).code == "in_use"
 
 

@@ -58,7 +58,7 @@ def test_what_is_put_down_wakes_who_waits_for_the_hand() -> None:
     for _ in range(8):
         started += lab.pump()
         assert lab.find_missed() == []
-        for action in lab.flying():
+        for action in lab.list_flying():
             lab.finish(action)
     assert f"{waiting}#0" in started
     assert not lab.state.runs.active

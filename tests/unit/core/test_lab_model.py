@@ -263,13 +263,13 @@ class Lab(RuleBasedStateMachine):
     def a_flight(self, pick: int, *, silent: bool | None = None) -> tuple[str, Flight] | None:
         """Something in flight; if there is nothing, something begins that may."""
 
-        def flying() -> list[tuple[str, Flight]]:
+        def list_flying() -> list[tuple[str, Flight]]:
             return [(a, f) for a, f in self.model.flying.items() if silent in (None, f.unknown)]
 
-        if not flying() and self.free_to_start():
+        if not list_flying() and self.free_to_start():
             self.start(*pick_from(self.free_to_start(), pick))
             self.the_lab_is_as_the_model()
-        return pick_from(flying(), pick) if flying() else None
+        return pick_from(list_flying(), pick) if list_flying() else None
 
     def come_to(self, flight: Flight, where: str) -> str:
         """The arm carries its plate so far and no further, if it was not silent before."""

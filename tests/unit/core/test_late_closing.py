@@ -15,7 +15,7 @@ KIND = "closing_waits"
 R2 = RunId("R2")
 
 
-def closing() -> Driver:
+def make_closing() -> Driver:
     """An experiment that has ended; its closing workflow looks for a plate at b, and it stands at a."""
     lab = small()
     name = lab.experiment(closing=route("b", "trash", name="clear"))
@@ -32,7 +32,7 @@ def look_in(lab: Driver, seconds: float, deadlines: Deadlines) -> list[object]:
 
 
 def test_somebody_is_told_once() -> None:
-    lab, deadlines = closing(), Deadlines()
+    lab, deadlines = make_closing(), Deadlines()
     assert look_in(lab, CLOSING_S - 1, deadlines) == []
     (asked,) = look_in(lab, 2, deadlines)
     assert isinstance(asked, InterventionRequested)
@@ -46,7 +46,7 @@ def test_somebody_is_told_once() -> None:
 
 
 def test_it_ends_by_an_answer_and_its_labware_stays_where_it_is() -> None:
-    lab = closing()
+    lab = make_closing()
     look_in(lab, CLOSING_S + 1, Deadlines())
     lab.answer(lab.question(KIND), "end")
     assert lab.state.experiments.open == {}
@@ -57,7 +57,7 @@ def test_it_ends_by_an_answer_and_its_labware_stays_where_it_is() -> None:
 
 @pytest.mark.parametrize("how", ["begins", "is cancelled"])
 def test_the_question_ends_with_what_it_is_about(how: str) -> None:
-    lab = closing()
+    lab = make_closing()
     look_in(lab, CLOSING_S + 1, Deadlines())
     if how == "begins":
         lab.stock("b", 1)

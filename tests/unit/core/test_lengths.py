@@ -6,7 +6,7 @@ import pytest
 
 from labos.core.lengths import ENOUGH, KEPT, find_drifts
 from labos.core.model import Plan
-from labos.planning.forecast import MARGIN, length, spread, usual
+from labos.planning.forecast import MARGIN, find_longest_time, find_spread, find_usual_time
 from tests.support.bench import SECOND, Driver, full, module, plan, refold, station, step, workcell
 
 CELL = workcell([module("dev"), module("cam")], [station("dev.nest")])
@@ -27,14 +27,14 @@ def test_what_was_planned_counts_until_there_are_enough_times() -> None:
     lab, what = Driver(CELL), work()
     for takes in (14.0,) * (ENOUGH - 1):
         carry_out(lab, what, takes)
-    assert usual(lab.state, what.steps[0]) == 10 * SECOND
-    assert length(lab.state, what.steps[0]) == 11 * SECOND
+    assert find_usual_time(lab.state, what.steps[0]) == 10 * SECOND
+    assert find_longest_time(lab.state, what.steps[0]) == 11 * SECOND
     carry_out(lab, what, 15.0)
-    assert usual(lab.state, what.steps[0]) == 14 * SECOND
-    assert length(lab.state, what.steps[0]) == pytest.approx(14 * MARGIN * SECOND)
+    assert find_usual_time(lab.state, what.steps[0]) == 14 * SECOND
+    assert find_longest_time(lab.state, what.steps[0]) == pytest.approx(14 * MARGIN * SECOND)
     carry_out(lab, what, 20.0)
-    assert length(lab.state, what.steps[0]) == 20 * SECOND
-    shortest = length(lab.state, what.steps[0]) - spread(lab.state, what.steps[0])
+    assert find_longest_time(lab.state, what.steps[0]) == 20 * SECOND
+    shortest = find_longest_time(lab.state, what.steps[0]) - find_spread(lab.state, what.steps[0])
     assert shortest == pytest.approx(15 * (2 - MARGIN) * SECOND)
 
 
@@ -53,19 +53,19 @@ def test_arguments_count_and_new_ones_take_as_long_as_others() -> None:
     for _ in range(ENOUGH):
         carry_out(lab, work(program=1), 5.0)
         carry_out(lab, work(program=2), 50.0)
-    assert usual(lab.state, work(program=1).steps[0]) == 5 * SECOND
-    assert usual(lab.state, work(program=2).steps[0]) == 50 * SECOND
-    slower = usual(lab.state, work(20.0, program=3).steps[0])
+    assert find_usual_time(lab.state, work(program=1).steps[0]) == 5 * SECOND
+    assert find_usual_time(lab.state, work(program=2).steps[0]) == 50 * SECOND
+    slower = find_usual_time(lab.state, work(20.0, program=3).steps[0])
     assert slower in (10 * SECOND, 100 * SECOND)  # half or five times of what was planned, as of the others
-    assert usual(lab.state, plan(step("cam", duration_s=7.0)).steps[0]) == 7 * SECOND
+    assert find_usual_time(lab.state, plan(step("cam", duration_s=7.0)).steps[0]) == 7 * SECOND
 
 
 def test_one_interruption_does_not_make_everybody_wait() -> None:
     lab, what = Driver(CELL), work()
     for takes in (10.0, 10.0, 10.0, 3600.0):
         carry_out(lab, what, takes)
-    assert usual(lab.state, what.steps[0]) == 10 * SECOND
-    assert length(lab.state, what.steps[0]) < 21 * SECOND
+    assert find_usual_time(lab.state, what.steps[0]) == 10 * SECOND
+    assert find_longest_time(lab.state, what.steps[0]) < 21 * SECOND
 
 
 def test_what_a_person_does_or_nobody_knew_tells_nothing() -> None:

@@ -188,7 +188,7 @@ def test_two_runs_whose_recoveries_cross_are_not_let_in_together() -> None:
     )
     lab.stock("stack", 4)
 
-    def crossing(here: str, there: str) -> Plan:
+    def make_crossing(here: str, there: str) -> Plan:
         main = plan(
             step("arm", take("stack", here)),
             step(here.partition(".")[0], on_error=OnError("run")),
@@ -198,7 +198,7 @@ def test_two_runs_whose_recoveries_cross_are_not_let_in_together() -> None:
         away = msgspec.structs.replace(step("arm", move(there, "bin")), key="away", part=1, after=(3,))
         return msgspec.structs.replace(main, steps=(*main.steps, over, away))
 
-    first, second = lab.submit(crossing("one.n", "two.n")), lab.submit(crossing("two.n", "one.n"))
+    first, second = lab.submit(make_crossing("one.n", "two.n")), lab.submit(make_crossing("two.n", "one.n"))
     assert lab.pump() == [f"{first}#0"]
     lab.finish("A1")
     assert lab.pump() == [f"{first}#1"], "the second would stand where the first may have to go"

@@ -64,12 +64,12 @@ def screen(rows: int = 10, user: str = "ada", terms: Terms = Terms(), **more: An
     return SubmitCampaign("screen", user, "work", "cell", rows, "t", "d", terms, **more)
 
 
-def waiting(lab: Driver, subject: str) -> Proposal:
+def find_proposal(lab: Driver, subject: str) -> Proposal:
     return lab.state.approvals.open[subject]
 
 
 def approve(lab: Driver, subject: str, by: str = "olga", **more: Any) -> list[Event]:
-    digest = waiting(lab, subject).digest
+    digest = find_proposal(lab, subject).digest
     return lab.do(ApproveProposal(subject, digest, by, **more), by)
 
 
@@ -148,7 +148,7 @@ def test_a_program_cannot_have_more_rights_than_that() -> None:
     lab = lab_with()
     lab.do(GrantRole("user:robot", "operator"), "root-1")
     lab.do(SubmitRun(work(), "robot"), "robot")
-    digest = waiting(lab, "R1").digest
+    digest = find_proposal(lab, "R1").digest
     for actor in ("robot", on_behalf("robot", "olga")):
         by = "olga" if " " in actor else actor
         found = lab.reject(ApproveProposal("R1", digest, by), actor)
@@ -180,7 +180,7 @@ def test_the_first_submissions_of_a_user_wait() -> None:
     # What is refused does not count.
     lab.do(RefuseProposal("R5", "olga"), "olga")
     lab.do(SubmitRun(work(), "bo"), "bo")
-    assert "0 of the first 2" in waiting(lab, "R6").why[0].text
+    assert "0 of the first 2" in find_proposal(lab, "R6").why[0].text
 
 
 def test_dangerous_steps_wait_also_where_the_workcell_asks_for_no_second_person() -> None:
@@ -189,7 +189,7 @@ def test_dangerous_steps_wait_also_where_the_workcell_asks_for_no_second_person(
     lab.do(StartExperiment("app", "ada", work(hazard="hot")), "ada")
     lab.do(screen(demand=Demand(dangers=("burn on dev (laser)",))), "ada")
     assert [codes(lab, name) for name in ("R1", "E1", "C1")] == [["dangerous"]] * 3
-    assert "s0 on dev (laser)" in waiting(lab, "R1").why[0].text
+    assert "s0 on dev (laser)" in find_proposal(lab, "R1").why[0].text
     # An approval of the campaign is one of its dangers.
     approve(lab, "C1")
     assert len(feed(lab, work(hazard="laser"))) == 4
@@ -243,7 +243,10 @@ def test_whoever_wants_it_approved_says_so() -> None:
     lab.do(screen(propose=True), "ada")
     assert lab.pump() == []
     assert {*lab.state.approvals.open} == {"R1", "E1", "C1"}
-    assert lab.reject(ApproveProposal("R1", waiting(lab, "R1").digest, "ada"), "ada").code == "own_approval"
+    assert (
+        lab.reject(ApproveProposal("R1", find_proposal(lab, "R1").digest, "ada"), "ada").code
+        == "own_approval"
+    )
     approve(lab, "R1", "bo")
     assert lab.pump() == ["R1#0"]
 
@@ -267,18 +270,21 @@ def test_the_lab_itself_is_not_asked() -> None:
 def test_nobody_approves_what_is_their_own() -> None:
     lab = lab_with(above=Budget(lab_time_s=1.0))
     lab.do(SubmitRun(work(), "olga"), "olga")
-    found = lab.reject(ApproveProposal("R1", waiting(lab, "R1").digest, "olga"), "olga")
+    found = lab.reject(ApproveProposal("R1", find_proposal(lab, "R1").digest, "olga"), "olga")
     assert (found.code, found.message) == (
         "own_approval",
         "R1 is olga's own, and the lab's policy wants somebody else to approve it.",
     )
-    assert lab.reject(ApproveProposal("R1", waiting(lab, "R1").digest, "bo"), "bo").code == "no_right"
+    assert lab.reject(ApproveProposal("R1", find_proposal(lab, "R1").digest, "bo"), "bo").code == "no_right"
     # Nor by the question in the inbox, and nor for a program that acts in one's name.
     question = lab.question("approval")
     assert lab.reject(ResolveIntervention(question.id, "approve", "olga"), "olga").code == "own_approval"
     lab.do(GrantRole("user:ada", "operator"))
     lab.do(SubmitRun(work(), "ada"), ROBOT)
-    assert lab.reject(ApproveProposal("R2", waiting(lab, "R2").digest, "ada"), "ada").code == "own_approval"
+    assert (
+        lab.reject(ApproveProposal("R2", find_proposal(lab, "R2").digest, "ada"), "ada").code
+        == "own_approval"
+    )
     approve(lab, "R1", "root-1")
     assert lab.pump() == ["R1#0"]
 
@@ -298,7 +304,7 @@ def test_a_policy_may_let_operators_approve_their_own() -> None:
 def test_only_what_was_looked_at_is_approved(seen: str) -> None:
     lab = lab_with()
     lab.do(screen(), ROBOT)
-    digest = waiting(lab, "C1").digest
+    digest = find_proposal(lab, "C1").digest
     assert lab.reject(ApproveProposal("C1", seen or digest[:11], "olga"), "olga").code == "changed"
     lab.do(ApproveProposal("C1", digest[:12], "olga"), "olga")
 
@@ -306,7 +312,7 @@ def test_only_what_was_looked_at_is_approved(seen: str) -> None:
 def test_what_was_changed_after_it_was_looked_at_cannot_run_under_its_digest() -> None:
     lab = lab_with()
     lab.do(screen(terms=Terms(budget=Budget(runs=1))), ROBOT)
-    seen, question = waiting(lab, "C1").digest, lab.question("approval")
+    seen, question = find_proposal(lab, "C1").digest, lab.question("approval")
     lab.do(AmendCampaign(C1, Terms(budget=Budget(runs=10))), ROBOT)
     assert lab.reject(ApproveProposal("C1", seen, "olga"), "olga").code == "changed"
     assert lab.reject(ResolveIntervention(question.id, "approve", "olga"), "olga").code == "no_intervention"
@@ -331,11 +337,11 @@ def test_a_run_is_what_it_was_when_it_was_proposed() -> None:
     ):
         lab.do(SubmitRun(work(), "ada", payload, pins=pins), ROBOT)
         name = f"R{lab.state.runs.named}"
-        assert (waiting(lab, name).before, waiting(lab, name).changed) == ("R1", changed)
+        assert (find_proposal(lab, name).before, find_proposal(lab, name).changed) == ("R1", changed)
         assert lab.code(name) == "not_approved"
     files = plan(step("dev"), name="work", files={"a.py": "ff"})
     lab.do(SubmitRun(files, "ada", {"time": 3}, pins={"workflow": "w1"}), ROBOT)
-    assert waiting(lab, "R5").changed == ("file:a.py",)
+    assert find_proposal(lab, "R5").changed == ("file:a.py",)
 
 
 def test_an_approval_may_change_priority_and_terms() -> None:
@@ -350,7 +356,7 @@ def test_an_approval_may_change_priority_and_terms() -> None:
     assert lab.run("R2").priority == 2
     lab.do(StartExperiment("app", "ada", priority=4), ROBOT)
     assert (
-        lab.reject(ApproveProposal("E1", waiting(lab, "E1").digest, "olga", terms=Terms()), "olga").code
+        lab.reject(ApproveProposal("E1", find_proposal(lab, "E1").digest, "olga", terms=Terms()), "olga").code
         == "no_such_change"
     )
     approve(lab, "E1", priority=1)
@@ -406,13 +412,13 @@ def test_a_change_by_which_a_campaign_may_do_more_waits_and_the_campaign_goes_on
     lab.do(screen(terms=small_one, demand=Demand(module_time_s=36_000.0)), "ada")
     assert not codes(lab, "C1")
     amend(lab, Terms(budget=Budget(lab_time_s=7200.0)), "ada")
-    assert (waiting(lab, "C1").kind, codes(lab, "C1")) == ("amendment", ["budget"])
+    assert (find_proposal(lab, "C1").kind, codes(lab, "C1")) == ("amendment", ["budget"])
     campaign = lab.state.campaigns.open[C1]
     assert (campaign.status, campaign.terms) == (CampaignStatus.OPEN, small_one)
     assert feed(lab)
     # Another change takes its place; one that asks for less is made at once.
     amend(lab, Terms(), "ada")
-    assert "any lab time" in waiting(lab, "C1").why[0].text
+    assert "any lab time" in find_proposal(lab, "C1").why[0].text
     amend(lab, Terms(budget=Budget(lab_time_s=60.0), tags=("x",)), "ada")
     assert campaign.terms.budget.lab_time_s == 60.0
     approve(lab, "C1", terms=Terms(budget=Budget(lab_time_s=5000.0)))
@@ -475,7 +481,7 @@ def test_runs_of_an_experiment_wait_for_it_and_for_themselves() -> None:
     lab.do(SubmitRun(work(), "ada", experiment=E1), ROBOT)
     lab.do(SubmitRun(work(), "ada", experiment=E1), "ada")
     assert (codes(lab, "R1"), codes(lab, "R2")) == (["program", "experiment"], ["experiment"])
-    found = lab.reject(ApproveProposal("R1", waiting(lab, "R1").digest, "olga"), "olga")
+    found = lab.reject(ApproveProposal("R1", find_proposal(lab, "R1").digest, "olga"), "olga")
     assert found.code == "experiment_first"
     approve(lab, "E1")
     assert lab.pump() == ["R2#0"]
@@ -504,7 +510,7 @@ def test_further_runs_alike_go_on_if_the_operator_says_so() -> None:
     assert codes(lab, f"R{lab.state.runs.named}") == ["program", "experiment"]
     lab.do(CancelExperiment(E1, "ada"), "ada")
     lab.pump()
-    for action in lab.flying():
+    for action in lab.list_flying():
         lab.finish(action)
     lab.pump()
     assert "E1" not in lab.state.approvals.alike

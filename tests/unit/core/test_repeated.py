@@ -49,11 +49,11 @@ def test_its_reason_is_kept_and_nothing_changes(name: str) -> None:
     ask, subject, what = REQUESTS[name]
     lab = lab_at_work()
     assert lab.do(ask("spilled"))
-    before = lab.state.bench, lab.run(R1).status, lab.state.lab.paused, lab.flying()
+    before = lab.state.bench, lab.run(R1).status, lab.state.lab.paused, lab.list_flying()
     again = lab.do(ask("wrong plate"))
     assert RequestRepeated(subject, what, "wrong plate") in again
     assert {type(event) for event in again} == {RequestRepeated}
-    assert (lab.state.bench, lab.run(R1).status, lab.state.lab.paused, lab.flying()) == before
+    assert (lab.state.bench, lab.run(R1).status, lab.state.lab.paused, lab.list_flying()) == before
     lab.check_log()
 
 

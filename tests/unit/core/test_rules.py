@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from labos.core import reasons
-from labos.core.binding import explain_missing, same, usable_at
+from labos.core.binding import explain_missing, find_usable, is_same
 from labos.core.decide.lab import DeclareStation
 from labos.core.decide.nodes import LoseNode, ReportState, TakeOut
 from labos.core.holding import find_other_holder
@@ -13,7 +13,7 @@ from labos.core.ids import LabwareId, Owner, RunId
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import StationSpec
 from labos.core.modules import VariableSet
-from labos.core.rules import module_free
+from labos.core.rules import check_module_free
 from labos.core.waits import Wait, party
 from tests.support.bench import (
     Driver,
@@ -66,7 +66,7 @@ def test_a_module_has_to_be_there_well_and_idle() -> None:
     lab.do(TakeOut(dev, "service"))
     assert wait(lab, run).names == ("cell/dev", "service")
     missing = step("laser")
-    found = module_free(lab.state, lab.run(run), missing)
+    found = check_module_free(lab.state, lab.run(run), missing)
     assert found is not None
     assert (found.code, found.blocked) == ("no_module", True)
 
@@ -402,7 +402,7 @@ def test_variables_of_module_and_labware_have_to_fit() -> None:
     ],
 )
 def test_a_variable_that_was_never_set_counts_as_false(actual: object, wanted: object, fits: bool) -> None:
-    assert same(actual, wanted) is fits
+    assert is_same(actual, wanted) is fits
 
 
 # -- whose labware ----------------------------------------------------------------------------------
@@ -422,7 +422,7 @@ def test_a_run_uses_its_own_labware_before_its_experiments_its_users_and_what_is
     for expected in reversed(owners):
         if expected == "user:bob":
             continue
-        found = usable_at(lab.state, lab.run(run), hotel.name)
+        found = find_usable(lab.state, lab.run(run), hotel.name)
         assert found is not None
         assert found.owner == expected
         lab.write(LabwareHandedOver(found.id, "", Owner("user:bob")))
@@ -460,7 +460,7 @@ def test_why_there_is_nothing_to_use() -> None:
     assert (wait(lab, other).code, wait(lab, other).blocked) == ("nothing_there", True)
     assert wait(lab, lab.submit(route("a", "c", arm="arm2"))).code == "in_motion"
     assert explain_missing(lab.state, lab.run(run), "cell/nowhere").code == "still_to_come"  # type: ignore[arg-type]
-    assert usable_at(lab.state, lab.run(run), "cell/nowhere") is None  # type: ignore[arg-type]
+    assert find_usable(lab.state, lab.run(run), "cell/nowhere") is None  # type: ignore[arg-type]
 
 
 def test_uncertain_labware_makes_only_its_places_wait() -> None:

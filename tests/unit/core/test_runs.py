@@ -391,7 +391,7 @@ def test_a_reference_that_leads_nowhere_is_named(reference: list[Any]) -> None:
     assert answer.startswith("v: the result of step 's0' has no ")
 
 
-def feeding(beside: bool = False) -> Plan:
+def make_plan_with_use(beside: bool = False) -> Plan:
     steps = [
         step("dev", key="measure"),
         step("dev", key="use", after=(0,), args={"v": {"$result": [0, "od"]}}),
@@ -403,7 +403,7 @@ def feeding(beside: bool = False) -> Plan:
 
 def test_only_results_that_are_needed_are_kept() -> None:
     lab = small()
-    run = lab.submit(feeding(beside=True))
+    run = lab.submit(make_plan_with_use(beside=True))
     lab.step(run, 0, {"od": 0.7})
     lab.step(run, 2, {"not": "needed"})
     assert lab.results(run) == {0: {"od": 0.7}}
@@ -413,7 +413,7 @@ def test_only_results_that_are_needed_are_kept() -> None:
 
 def test_a_step_that_cannot_be_filled_in_fails_its_run() -> None:
     lab = small()
-    run = lab.submit(feeding())
+    run = lab.submit(make_plan_with_use())
     lab.step(run, 0, {"other": 1})
     lab.start(run, 1)
     end = lab.log[-1].event
@@ -423,7 +423,7 @@ def test_a_step_that_cannot_be_filled_in_fails_its_run() -> None:
 
 def test_it_fails_only_after_what_is_in_flight() -> None:
     lab = small()
-    run = lab.submit(feeding(beside=True))
+    run = lab.submit(make_plan_with_use(beside=True))
     lab.step(run, 0, {"other": 1})
     action = lab.start(run, 2)
     lab.start(run, 1)

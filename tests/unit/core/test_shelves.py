@@ -204,9 +204,9 @@ def test_who_waits_for_a_shelf_is_woken() -> None:
     made = lab(1)
     first, second = made.submit(carry("stack", "hotel", "a")), made.submit(carry("stack", "hotel", "b"))
     assert made.pump() == [f"{first}#0"]
-    made.finish(made.flying()[0])
+    made.finish(made.list_flying()[0])
     assert made.pump() == [f"{first}#1"]
-    made.finish(made.flying()[0])
+    made.finish(made.list_flying()[0])
     assert f"{second}#0" in made.pump()
     assert made.find_missed() == []
 

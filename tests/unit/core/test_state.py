@@ -161,7 +161,7 @@ def nowhere(state: LabState) -> None:
     state.bench.labware[LabwareId("P1")].station = StationName("")
 
 
-def missing_there(state: LabState) -> None:
+def list_missing(state: LabState) -> None:
     station_of(state, "a").labware.clear()
 
 
@@ -212,7 +212,7 @@ def out_of_the_queue(state: LabState) -> None:
         (not_knowing, "P1 stands at cell/dev.n1 but knows nothing of it"),
         (in_two_minds, "P1 is both at cell/a and uncertain"),
         (nowhere, "P1 is nowhere"),
-        (missing_there, "P1 is not exactly once at cell/a"),
+        (list_missing, "P1 is not exactly once at cell/a"),
         (set_unknown_carrier, "P1 is moved by A99, which is not open"),
         (set_unknown_owner, "P1 is missing among what user:eve owns"),
         (twice_at_work, "carries out two exclusive actions at once"),

@@ -16,7 +16,7 @@ DEV = ModuleName(f"{CELL}/dev")
 KIND = "device_waits"
 
 
-def waiting() -> tuple[Driver, ActionId]:
+def make_waiting_lab() -> tuple[Driver, ActionId]:
     """A device that pauses in the midst of a step, and says so."""
     lab = small()
     action = lab.start(lab.submit(plan(step("dev"), step("dev"))))
@@ -33,7 +33,7 @@ def look_in(lab: Driver, seconds: float) -> list[object]:
 
 
 def test_somebody_is_told_once_and_the_step_goes_on() -> None:
-    lab, action = waiting()
+    lab, action = make_waiting_lab()
     assert look_in(lab, WAITS_S - 1) == []
     (asked,) = look_in(lab, 2)
     assert isinstance(asked, InterventionRequested)
@@ -50,7 +50,7 @@ def test_somebody_is_told_once_and_the_step_goes_on() -> None:
 
 
 def test_whoever_has_noted_it_is_not_asked_again_but_of_the_next_one() -> None:
-    lab, action = waiting()
+    lab, action = make_waiting_lab()
     look_in(lab, WAITS_S + 1)
     lab.answer(lab.question(KIND), "noted")
     lab.do(ReportState(DEV, "ERROR", "The door is open."))
@@ -66,7 +66,7 @@ def test_whoever_has_noted_it_is_not_asked_again_but_of_the_next_one() -> None:
 
 @pytest.mark.parametrize("how", ["finished", "failed", "refused", "unknown", "gone"])
 def test_the_question_ends_with_what_it_is_about(how: str) -> None:
-    lab, action = waiting()
+    lab, action = make_waiting_lab()
     look_in(lab, WAITS_S + 1)
     assert lab.questions(KIND)
     match how:

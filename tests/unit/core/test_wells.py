@@ -43,7 +43,7 @@ def read_volumes(lab: Driver) -> dict[str, float]:
 def failure(lab: Driver, run: RunId) -> str:
     """Why the run failed when its pouring was to start; nothing was asked of the device."""
     events = lab.do(lab.start_command(run, 1))
-    assert not lab.flying()
+    assert not lab.list_flying()
     (failed,) = [event for event in events if isinstance(event, RunFailed)]
     assert failed.kind == "experiment"
     return failed.why

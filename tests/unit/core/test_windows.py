@@ -168,7 +168,7 @@ def test_a_breach_outside_is_noticed_in_time() -> None:
     lab.wait(100.1)
     lab.pump()
     assert lab.run(run).is_breached(0)
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{run}#0"]
 
 
@@ -233,7 +233,7 @@ def test_go_on_lets_the_step_start_late() -> None:
     lab, run = late()
     lab.answer(lab.question(), "go_on")
     assert lab.pump() == [f"{run}#2"]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.types()[-1] == "run.completed"
     lab.check_log()
 
@@ -371,5 +371,5 @@ def test_what_is_asked_while_everybody_waits_blocks_nobody_else() -> None:
     lab, _ = late()
     other = lab.submit(route("stack", "b", "trash"))
     assert lab.pump() == [f"{other}#0"]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{other}#1"]

@@ -6,13 +6,13 @@ from labos.core.decide.nodes import ReportState
 from labos.core.ids import ModuleName
 from labos.core.waits import Wait
 from labos.planning.explain import remedy, sentence
-from labos.planning.timetable import timetable
+from labos.planning.timetable import make_timetable
 from tests.support.bench import Driver, module, move, needs, plan, route, station, step, workcell
 
 Z = "cell/z"
 
 
-def shared() -> Driver:
+def make_shared() -> Driver:
     """Two arms; ``a`` and ``b`` lie in one zone, ``c`` and ``d`` in none; ``gantry`` is in it."""
     lab = Driver(
         workcell(
@@ -36,7 +36,7 @@ def wait(lab: Driver, run: str, index: int = 0) -> Wait:
 
 
 def test_an_arm_stays_out_while_another_is_in_the_zone() -> None:
-    lab = shared()
+    lab = make_shared()
     lab.stock("b", 1)
     first = lab.start(lab.submit(route("stack", "a", "e")))
     other = lab.submit(route("b", "c", arm="arm2"))
@@ -48,7 +48,7 @@ def test_an_arm_stays_out_while_another_is_in_the_zone() -> None:
 
 
 def test_a_module_with_a_zone_of_its_own_is_there_whenever_it_acts() -> None:
-    lab = shared()
+    lab = make_shared()
     lab.stock("b", 1)
     going = lab.start(lab.submit(plan(step("gantry"), step("cam"))))
     assert lab.code(lab.submit(route("b", "c"))) == "zone_busy"
@@ -59,14 +59,14 @@ def test_a_module_with_a_zone_of_its_own_is_there_whenever_it_acts() -> None:
 
 
 def test_who_lifts_something_at_a_station_reaches_into_its_zone() -> None:
-    lab = shared()
+    lab = make_shared()
     lab.stock("a", 1)
     lab.start(lab.submit(plan(step("arm", needs("a")))))
     assert lab.code(lab.submit(route("stack", "b", arm="arm2"))) == "zone_busy"
 
 
 def test_the_end_of_an_action_wakes_who_waits_for_the_zone() -> None:
-    lab = shared()
+    lab = make_shared()
     lab.stock("b", 1)
     lab.submit(plan(step("arm", move("b", "c")), step("cam")))
     waiting = lab.submit(route("stack", "a", arm="arm2"))
@@ -77,7 +77,7 @@ def test_the_end_of_an_action_wakes_who_waits_for_the_zone() -> None:
 
 
 def test_an_arm_that_failed_bars_the_zone_until_it_is_idle() -> None:
-    lab = shared()
+    lab = make_shared()
     lab.stock("b", 1)
     action = lab.start(lab.submit(route("b", "c")))
     lab.do(ReportState(ModuleName("cell/arm"), "ERROR", "jam"))
@@ -89,13 +89,13 @@ def test_an_arm_that_failed_bars_the_zone_until_it_is_idle() -> None:
     healed = lab.submit(plan(step("arm", action="reset", recovers=True)))
     lab.pump()
     assert lab.code(other) == "zone_barred", "the reset does not wait for the zone, others do"
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert healed not in lab.state.runs.active
     assert f"{other}#0" in lab.pump()
 
 
 def test_a_gantry_that_failed_in_its_own_zone_bars_it_too() -> None:
-    lab = shared()
+    lab = make_shared()
     lab.fail(lab.start(lab.submit(plan(step("gantry")))))
     lab.do(ReportState(ModuleName("cell/gantry"), "ERROR", "jam"))
     assert lab.code(lab.submit(route("stack", "a"))) == "zone_barred"
@@ -105,7 +105,7 @@ def test_a_gantry_that_failed_in_its_own_zone_bars_it_too() -> None:
 
 def test_safety_counts_who_waits_for_a_barred_zone_as_stuck() -> None:
     """Its labware is an obstacle then: nobody may rely on its going away."""
-    lab = shared()
+    lab = make_shared()
     inside = lab.submit(route("stack", "c", "b", "e", arm="arm2"))
     lab.step(inside)
     lab.stock("a", 1)
@@ -121,5 +121,5 @@ def test_a_timetable_knows_zones() -> None:
         [module("arm"), module("arm2")], [station("a", zone=Z), station("b", zone=Z), station("c")]
     )
     both = plan(step("arm", move("a", "c")), step("arm2", move("b", "c")), parallel=True)
-    assert [slot.start_s for slot in timetable(both).slots] == [0, 0]
-    assert [slot.start_s for slot in timetable(both, cell).slots] == [0, 1]
+    assert [slot.start_s for slot in make_timetable(both).slots] == [0, 0]
+    assert [slot.start_s for slot in make_timetable(both, cell).slots] == [0, 1]

@@ -200,13 +200,15 @@ class Oven(Node):
         return f"cooled by {rate}"
 
 
-def offering(more: dict[str, Any], world: World) -> Node:
+def make_offering(more: dict[str, Any], world: World) -> Node:
     description = extend(Oven.describe(), Extends.model_validate(more))
     return extend_node(Oven, description)(Setup("oven", "cell", world=world, pace=PACE))
 
 
 def test_arguments_that_a_driver_does_not_know_are_kept_from_it(world: World) -> None:
-    oven = offering({"actions": {"bake": {"args": {"recipe": {}}}, "cool": {"args": {"why": {}}}}}, world)
+    oven = make_offering(
+        {"actions": {"bake": {"args": {"recipe": {}}}, "cool": {"args": {"why": {}}}}}, world
+    )
     do(oven, "bake", time=3.0, recipe="cake.yaml")
     assert Oven.baked[-1] == 3.0
     assert asyncio.iscoroutinefunction(oven.methods()["bake"])
@@ -215,14 +217,14 @@ def test_arguments_that_a_driver_does_not_know_are_kept_from_it(world: World) ->
 
 
 def test_an_action_that_a_driver_does_not_know_takes_its_time_and_no_more(world: World) -> None:
-    oven = offering({"actions": {"grill": {"args": {"how": {}}, "duration": 2}}}, world)
+    oven = make_offering({"actions": {"grill": {"args": {"how": {}}, "duration": 2}}}, world)
     assert do(oven, "grill", how="well done") is None
     assert [motion.verb for motion in world.motions() if motion.device == "oven"] == ["grill"]
 
 
 def test_an_action_that_replaces_the_drivers_is_not_asked_of_it(world: World) -> None:
     before = list(Oven.baked)
-    oven = offering({"actions": {"bake": {"args": {"recipe": {}}, "replaces": True}}}, world)
+    oven = make_offering({"actions": {"bake": {"args": {"recipe": {}}, "replaces": True}}}, world)
     do(oven, "bake", recipe="bread")
     assert Oven.baked == before
     assert [arg.name for arg in oven.describe().actions[0].args] == ["recipe"]
@@ -230,12 +232,12 @@ def test_an_action_that_replaces_the_drivers_is_not_asked_of_it(world: World) ->
 
 def test_the_door_of_the_drivers_device_is_left_alone(world: World) -> None:
     world.gate("oven", "oven.tray", shut=True)
-    offering({"actions": {"grill": {}}}, world).methods()
+    make_offering({"actions": {"grill": {}}}, world).methods()
     assert world.is_shut("oven.tray"), "also when the node is started again"
 
 
 def test_an_emergency_stop_ends_what_the_driver_does_not_know(world: World) -> None:
-    oven = offering({"actions": {"grill": {"duration": 1_000_000}}}, world)
+    oven = make_offering({"actions": {"grill": {"duration": 1_000_000}}}, world)
     grill = oven.methods()["grill"]
 
     async def body() -> None:

@@ -11,7 +11,7 @@ from labos.node import Crash
 from labos.node._outcome import outcome_of
 
 
-async def failing(error: Exception) -> None:
+async def fail(error: Exception) -> None:
     raise error
 
 
@@ -26,5 +26,5 @@ async def failing(error: Exception) -> None:
     ],
 )
 def test_a_collision_is_told_from_other_errors(error: Exception, effects: str, collided: bool) -> None:
-    outcome = asyncio.run(outcome_of("transfer", failing(error), broken_off=lambda: False))
+    outcome = asyncio.run(outcome_of("transfer", fail(error), broken_off=lambda: False))
     assert (outcome.succeeded, outcome.effects, outcome.collided) == (False, effects, collided)

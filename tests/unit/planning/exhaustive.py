@@ -19,7 +19,7 @@ from labos.core.rules import examine
 from labos.core.state import from_picture, picture
 from labos.core.waits import Wait
 from labos.planning.safety import Safety
-from labos.planning.scheduler import ready
+from labos.planning.scheduler import list_ready_steps
 from labos.planning.stuck import find_block
 from tests.support.bench import (
     Driver,
@@ -168,7 +168,9 @@ class Explored:
         """What the rules let start."""
         queued = [r for r in lab.state.runs.queued.values() if newcomers and find_block(lab.state, r) is None]
         for run in [*lab.state.runs.active.values(), *queued]:
-            steps = ready(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
+            steps = (
+                list_ready_steps(lab.state, run) if run.has_started else lab.state.runs.plans[run.plan].starts
+            )
             for index in steps:
                 kept = [h.module for h in lab.state.runs.plan_of(run).holds if h.first == index]
                 others = [who for name in kept for who in lab.state.runs.list_holders(name) if who != run.id]
@@ -183,7 +185,7 @@ class Explored:
     def ends(self, key: Key) -> list[Key]:
         """What may be next if nothing is started: each action in flight may be the first that ends."""
         found = []
-        for action in self.at(key).flying():
+        for action in self.at(key).list_flying():
             for fails in (False, True):
                 lab = self.at(key)
                 if not fails:

@@ -139,7 +139,7 @@ class Mixed:
             elif number == on and off >= 0 and route[off] not in ("trash", "pile"):
                 groups.append([Item(step(rng.choice(ARMS), move("lids", "trash")))])
             if number + 1 < len(route):
-                groups += [*self.work_at(here), self.carrying(here, route[number + 1])]
+                groups += [*self.work_at(here), self.start_carrying(here, route[number + 1])]
         last: Item | None = None
         for item in (item for group in groups for item in group):
             item.after += [last] if last is not None else []
@@ -161,7 +161,7 @@ class Mixed:
             return [[Item(step(rng.choice(["dev", "sealer", "press"])))]]
         return [[Item(step("cam", exclusive=False))]] if rng.random() < 0.2 else []
 
-    def carrying(self, here: str, there: str) -> list[Item]:
+    def start_carrying(self, here: str, there: str) -> list[Item]:
         """One transfer, perhaps with a change of grip or by the device itself, or two steps with the
         labware in the hand between them."""
         rng = self.rng

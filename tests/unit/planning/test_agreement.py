@@ -169,7 +169,7 @@ def describe_floor(floor: Floor, mover: Actor) -> dict[str, Any]:
     }
 
 
-def standing(bench: Bench) -> Counter[tuple[str, str, bool]]:
+def list_standing(bench: Bench) -> Counter[tuple[str, str, bool]]:
     """Where what R1 may use stands, of which type, and whether with a lid."""
     usable = (MINE, USERS, SHARED)
     return Counter(
@@ -220,8 +220,8 @@ def disagreement(trial: Trial) -> str:
         return f"the floor sees an action in flight as {flying}, and afterwards {done}"
     if after is not None and describe_floor(*after) != done:
         return f"the floor moves to {describe_floor(*after)}, the log to {done}"
-    if on_paper(dry) != standing(trial.state.bench):
-        return f"on paper {on_paper(dry)} stands there, on the bench {standing(trial.state.bench)}"
+    if on_paper(dry) != list_standing(trial.state.bench):
+        return f"on paper {on_paper(dry)} stands there, on the bench {list_standing(trial.state.bench)}"
     return ""
 
 

@@ -43,7 +43,7 @@ def at_work(*others: Plan) -> Driver:
     lab.pump()
     for seconds in (40.0, 30.0):
         lab.wait(seconds)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         lab.pump()
     for other in others:
         lab.submit(other)
@@ -57,7 +57,7 @@ def one_comes(lab: Driver) -> list[str]:
     lab.submit(QUICK)
     started = lab.pump()
     for seconds in (40.0, 30.0):
-        for action in lab.flying()[1:]:
+        for action in lab.list_flying()[1:]:
             lab.wait(seconds)
             lab.finish(action)
         started += lab.pump()
@@ -74,7 +74,7 @@ def test_whoever_would_block_the_shared_place_waits_outside() -> None:
     assert lab.pump() == ["R3#0"]
     for seconds in (40.0, 30.0):
         lab.wait(seconds)
-        lab.finish(lab.flying()[-1])
+        lab.finish(lab.list_flying()[-1])
         assert "R2#0" not in lab.pump()
     text = why(lab, "R2")
     assert text.startswith("it waits outside until dev.nest is free (at about ")
@@ -87,7 +87,7 @@ def test_it_is_let_in_in_time() -> None:
     lab.pump()
     for seconds in (40.0, 30.0):
         lab.wait(seconds)
-        lab.finish(lab.flying()[-1])
+        lab.finish(lab.list_flying()[-1])
         lab.pump()
     alarm = lab.scheduler.next_wake()
     assert alarm is not None
@@ -129,7 +129,7 @@ def test_what_takes_too_long_is_looked_at_again_with_pauses() -> None:
     lab.pump()
     for seconds in (40.0, 30.0):
         lab.wait(seconds)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         lab.pump()
     lab.submit(slow)
     lab.do(PauseRun(lab.submit(QUICK), "ada"))

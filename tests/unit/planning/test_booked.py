@@ -77,7 +77,7 @@ def test_whoever_has_booked_goes_on_in_time() -> None:
     )
     waits, goes = lab.submit(visit(), user="bo"), lab.submit(visit(), user="cy")  # type: ignore[arg-type]
     assert lab.pump() == [f"{goes}#0"]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{goes}#1"]
     assert not lab.run(waits).has_started
 
@@ -118,7 +118,7 @@ def test_a_run_that_never_fits_as_a_whole_is_let_in_if_each_of_its_stays_has_a_g
     book(lab, "dev", 60 * 24 - 30, 60 * 24, rule="FREQ=DAILY")
     book(lab, "cam", 60, 60 * 24 + 15, rule="FREQ=DAILY")  # free from 15 to 60 minutes past
     assert lab.pump() == [f"{run}#0"]
-    action = lab.flying()[0]
+    action = lab.list_flying()[0]
     lab.wait(40 * 60)
     lab.finish(action)
     assert lab.pump() == []
@@ -138,7 +138,7 @@ def test_bookings_without_a_gap_are_said_and_nobody_waits_in_silence() -> None:
     assert "labos bookings dev" in remedy(wait)
     short = lab.submit(visit(10), user="cy")  # type: ignore[arg-type]
     assert lab.pump() == [f"{short}#0"], "nobody waits with it"
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.step(short, 1)
     lab.step(short, 2)
     lab.do(CancelBooking("B1", "op"))
@@ -149,7 +149,7 @@ def test_a_run_inside_that_has_no_gap_any_more_is_an_obstacle_and_no_reason_to_w
     lab = small()
     stands = lab.submit(visit(60))  # type: ignore[arg-type]
     lab.pump()
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     book(lab, "dev", 5, 60 * 24 - 10, rule="FREQ=DAILY")
     lab.pump()
     assert wait_of(lab, stands).code == "no_gap"
@@ -164,7 +164,7 @@ def test_safety_takes_runs_for_stuck_while_a_booking_has_begun() -> None:
     lab = small()
     run = lab.submit(visit(10))  # type: ignore[arg-type]
     lab.pump()
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     book(lab, "dev", 5, 60)
     lab.pump()
     assert wait_of(lab, run).code == "booked_soon"
@@ -225,7 +225,7 @@ def test_others_are_looked_at_apart_though_their_runs_are_alike() -> None:
     started = []
     for _ in range(4):
         started += lab.pump()
-        for action in lab.flying():
+        for action in lab.list_flying():
             lab.finish(action)
     assert started == [f"{names[1]}#0", f"{names[3]}#0"]
 
@@ -241,7 +241,7 @@ def test_what_is_booked_does_not_keep_younger_ones_out(begins_min: float) -> Non
     for _ in range(20):
         lab.submit(plan(step("arm", duration_s=1.0)), user="cy")
         done += len(lab.pump())
-        for action in lab.flying():
+        for action in lab.list_flying():
             lab.finish(action)
     assert done == 20
 

@@ -15,15 +15,15 @@ from tests.support.bench import plan, step
 from tests.unit.planning.window_game import OPEN, Game, State
 
 
-def lasting(what: PlanStep, seconds: float, *windows: Window) -> PlanStep:
+def make_lasting(what: PlanStep, seconds: float, *windows: Window) -> PlanStep:
     return msgspec.structs.replace(what, duration_s=seconds, windows=windows)
 
 
 def test_a_window_breaks_where_what_comes_between_takes_too_long() -> None:
     what = plan(
-        lasting(step("dose"), 10),
-        lasting(step("seal"), 30),
-        lasting(step("read"), 5, Window(0, within_s=32)),
+        make_lasting(step("dose"), 10),
+        make_lasting(step("seal"), 30),
+        make_lasting(step("read"), 5, Window(0, within_s=32)),
     )
     [kept] = certify(what, spread=0.05).windows
     assert (kept.is_kept, kept.path) == (True, ())
@@ -33,32 +33,32 @@ def test_a_window_breaks_where_what_comes_between_takes_too_long() -> None:
 
 
 def test_a_clock_is_started_late_enough_for_what_is_beside_it() -> None:
-    beside = [lasting(step("a"), 5), lasting(step("b"), 50)]
-    read = lasting(step("c", after=(0, 1)), 1, Window(0, within_s=0))
+    beside = [make_lasting(step("a"), 5), make_lasting(step("b"), 50)]
+    read = make_lasting(step("c", after=(0, 1)), 1, Window(0, within_s=0))
     [window] = certify(plan(*beside, read, parallel=True)).windows
     assert window.is_kept
 
 
 def test_two_that_must_end_at_about_the_same_time_depend_on_their_spread() -> None:
-    beside = [lasting(step("a"), 50), lasting(step("b"), 50)]
-    read = lasting(step("c", after=(0, 1)), 1, Window(0, within_s=8), Window(1, within_s=8))
+    beside = [make_lasting(step("a"), 50), make_lasting(step("b"), 50)]
+    read = make_lasting(step("c", after=(0, 1)), 1, Window(0, within_s=8), Window(1, within_s=8))
     found = certify(plan(*beside, read, parallel=True))
     assert [window.breaks_by_s for window in found.windows] in ([0, 4], [0, 2], [2, 2], [4, 0], [2, 0])
     assert certify(plan(*beside, read, parallel=True), spread=0.08).is_kept
 
 
 def test_steps_on_one_module_exclude_each_other() -> None:
-    apart = [lasting(step("a"), 10), lasting(step("b"), 60)]
-    read = lasting(step("b", after=(0,)), 1, Window(0, within_s=20))
+    apart = [make_lasting(step("a"), 10), make_lasting(step("b"), 60)]
+    read = make_lasting(step("b", after=(0,)), 1, Window(0, within_s=20))
     [window] = certify(plan(*apart, read, parallel=True)).windows
     assert window.is_kept  # the first one on b is done before a ends
 
 
 def test_a_wait_counts_and_can_be_kept() -> None:
     what = plan(
-        lasting(step("a"), 5),
-        lasting(step("b"), 10, Window(0, wait_s=60)),
-        lasting(step("c"), 1, Window(0, within_s=70)),
+        make_lasting(step("a"), 5),
+        make_lasting(step("b"), 10, Window(0, wait_s=60)),
+        make_lasting(step("c"), 1, Window(0, within_s=70)),
     )
     wait, within = certify(what).windows
     assert (wait.is_kept, within.breaks_by_s) == (True, 1.0)
@@ -66,14 +66,14 @@ def test_a_wait_counts_and_can_be_kept() -> None:
 
 
 def test_what_another_run_starts_is_left_out() -> None:
-    what = plan(lasting(step("a"), 5, Window(None, within_s=1, of="other", of_step="x")))
+    what = plan(make_lasting(step("a"), 5, Window(None, within_s=1, of="other", of_step="x")))
     found = certify(what)
     assert (found.windows, found.left_out, found.is_kept) == ((), (what.steps[0].key,), True)
 
 
 def test_long_plans_take_little_time() -> None:
-    steps = [lasting(step(f"m{n % 7}"), 10, Window(max(0, n - 4), within_s=35)) for n in range(1, 61)]
-    what = plan(lasting(step("m0"), 10), *steps)
+    steps = [make_lasting(step(f"m{n % 7}"), 10, Window(max(0, n - 4), within_s=35)) for n in range(1, 61)]
+    what = plan(make_lasting(step("m0"), 10), *steps)
     took = []
     for _ in range(3):
         begun = time.perf_counter()
@@ -94,7 +94,7 @@ def random_plan(rng: random.Random) -> tuple[Plan, list[tuple[int, int]]]:
                 wait = rng.choice((0, 0, 0, 1, 2))
                 most = None if wait and rng.random() < 0.3 else wait + rng.randint(0, 4)
                 windows.append(Window(anchor, wait_s=wait, within_s=most))
-        steps.append(lasting(step(rng.choice("abcd"), after=before), 1, *windows))
+        steps.append(make_lasting(step(rng.choice("abcd"), after=before), 1, *windows))
         least = rng.randint(1, 3)
         ranges.append((least, least + rng.choice((0, 1, 1, 2, 3))))
     return plan(*steps, parallel=True), ranges

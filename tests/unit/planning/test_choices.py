@@ -103,13 +103,13 @@ def play(lab: Driver) -> float:
     """Carry everything out, each action in its time; returns how long it took (s)."""
     began, ends = lab.now, dict[ActionId, float]()
     lab.pump()
-    while lab.flying():
-        for action in lab.flying():
+    while lab.list_flying():
+        for action in lab.list_flying():
             known = lab.state.actions.open[action]
             run = lab.state.runs.active[known.run]
             takes = lab.state.runs.plan_of(run).steps[known.step].duration_s
             ends.setdefault(action, known.requested_at / 1e9 + takes)
-        action = min(lab.flying(), key=lambda a: ends[a])
+        action = min(lab.list_flying(), key=lambda a: ends[a])
         lab.wait(max(0.0, ends[action] - lab.now / 1e9))
         lab.finish(action)
         lab.pump()
@@ -190,7 +190,7 @@ def test_who_has_its_plate_at_the_module_stays_bound_to_it() -> None:
     lab = lab_with(600)
     lab.pump()
     for _ in range(3):
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         lab.pump()
     break_down(lab, "a")
     lab.pump()
@@ -321,7 +321,7 @@ def test_nobody_is_trapped_when_modules_fail_and_come_back(kind: str, seeds: ran
             if not lab.state.modules.by_name[full(name)].in_flight:  # type: ignore[index]
                 break_down(lab, name, rng.choice(["ERROR", "IDLE", "IDLE"]))
                 lab.pump()
-            for action in lab.flying()[:1]:
+            for action in lab.list_flying()[:1]:
                 lab.wait(1.0)
                 lab.finish(action)
                 lab.pump()

@@ -9,7 +9,7 @@ from labos.core.ids import RunId
 from labos.core.model import Plan
 from labos.core.shares import Group, Member
 from labos.core.state import picture
-from labos.planning.due import UNDATED, DueDates, time_left
+from labos.planning.due import UNDATED, DueDates, find_time_left
 from labos.planning.hindsight import TimeRange
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.waiting import PATIENCE
@@ -105,7 +105,7 @@ def test_inside_too_the_run_that_is_due_first_goes_first() -> None:
     for action in [a.id for a in lab.state.actions.open.values() if a.run != first]:
         lab.finish(action)
     assert lab.pump() == []
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{hasty}#1"]
     assert lab.run(calm).id == calm
 
@@ -114,9 +114,9 @@ def test_time_left_is_the_longest_chain_of_what_is_not_done() -> None:
     lab = small()
     whole = plan(step("dev", key="a", duration_s=100.0), step("cam", key="b", duration_s=50.0), name="two")
     run = lab.submit(whole, due_at=lab.now + HOUR)
-    assert time_left(lab.state, lab.run(run)) == 150 * SECOND
+    assert find_time_left(lab.state, lab.run(run)) == 150 * SECOND
     lab.step(run)
-    assert time_left(lab.state, lab.run(run)) == 50 * SECOND
+    assert find_time_left(lab.state, lab.run(run)) == 50 * SECOND
     assert DueDates().rank(lab.state, lab.run(run)) == lab.run(run).due_at - 50 * SECOND
     assert DueDates().rank(lab.state, lab.run(lab.submit(READ))) == UNDATED
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import pytest
 
 from tests.unit.planning.exhaustive import Count, Explored, SmallCell
-from tests.unit.planning.test_safety_at_once import crossing
+from tests.unit.planning.test_safety_at_once import make_crossing
 
 KINDS = (
     ("holds",),
@@ -39,7 +39,7 @@ def test_no_start_that_safety_allows_takes_away_anybodys_way_to_the_end() -> Non
 
 @pytest.mark.parametrize("first", range(4))
 def test_there_is_no_dead_end_where_two_cross_and_one_keeps_a_module(first: int) -> None:
-    count = Explored(crossing(first, first)).count()
+    count = Explored(make_crossing(first, first)).count()
     assert (count.unsafe_allowed, count.dead_ends, count.safe_refused) == (0, 0, 0), count
 
 

@@ -128,7 +128,7 @@ def test_who_needs_what_is_lent_waits_for_the_end_of_that_run_and_for_nobody() -
     assert found.reason.sentence == f"run {first} works on P1 at a until it ends"
     lab.pump()
     for _ in range(4):
-        for action in lab.flying():
+        for action in lab.list_flying():
             lab.finish(action)
         lab.pump()
     assert lab.types().count("run.completed") == 2

@@ -62,7 +62,7 @@ def test_a_module_that_another_holds_is_named() -> None:
 def test_a_run_that_will_come_to_rest_in_the_way_is_named() -> None:
     lab = through("hall", "out")
     assert lab.pump() == ["R1#0"]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.submit(plan(step("arm", take("stack", "dev.nest")), step("arm", move("dev.nest", "out"), key="end")))
     assert "'end' needs room at out, where labware of R1 comes to rest" in cause(lab, "R2")
 

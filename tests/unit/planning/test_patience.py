@@ -36,7 +36,7 @@ def count_overtaken(lab: Driver, old: RunId, rounds: int, priority: int = 9) -> 
             return before
         before += len(started)
         lab.wait(60.0)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
     return before
 
 
@@ -44,7 +44,7 @@ def inside(lab: Driver) -> RunId:
     """An old run of no priority whose next step has to wait for ``dev``."""
     old = lab.submit(OLD)
     lab.pump()
-    first = lab.flying()[0]
+    first = lab.list_flying()[0]
     lab.submit(YOUNG, user="bob", priority=9)
     lab.pump()
     lab.finish(first)
@@ -63,8 +63,8 @@ def test_priority_goes_first_until_then() -> None:
     for _ in range(PATIENCE - 1):
         lab.submit(YOUNG, user="bob", priority=9)
     order: list[str] = []
-    while lab.flying():
-        lab.finish(lab.flying()[0])
+    while lab.list_flying():
+        lab.finish(lab.list_flying()[0])
         order += lab.pump()
     assert order[-1] == f"{old}#1"
     assert len(order) == PATIENCE
@@ -114,7 +114,7 @@ def test_a_cell_is_emptied_for_one_that_needs_two_places_at_once() -> None:
         started += lab.pump()
         if f"{old}#1" in started:
             break
-        flying = [lab.state.actions.open[name] for name in lab.flying()]
+        flying = [lab.state.actions.open[name] for name in lab.list_flying()]
         lab.finish(min(flying, key=lambda action: action.module == "cell/cam").id)
     assert f"{old}#1" in started
     assert len(lab.state.runs.queued) == 2

@@ -45,30 +45,32 @@ class Fixed:
         return Schedule(tuple(starts), 0.0, 0.0, False)
 
 
-def asked(planner: Planner, lab: Driver) -> SuggestOrder | None:
+def find_order(planner: Planner, lab: Driver) -> SuggestOrder | None:
     return planner.suggest(lab.state, "cell", list_waiting(lab.state, "cell"), lab.now)
 
 
 def test_a_better_order_is_suggested() -> None:
     lab, first, second = waits()
-    order = asked(Planner(solver=Fixed(second, first)), lab)
+    order = find_order(Planner(solver=Fixed(second, first)), lab)
     assert order is not None
     assert order.steps[0].run == second
 
 
 def test_an_order_that_is_no_better_is_not_suggested() -> None:
     lab, first, second = waits()
-    assert asked(Planner(solver=Fixed(first, second)), lab) is None
+    assert find_order(Planner(solver=Fixed(first, second)), lab) is None
 
 
 def test_an_order_that_came_out_worse_is_taken_back() -> None:
     lab, first, second = waits()
-    lab.do(asked(Planner(solver=Fixed(second, first)), lab) or pytest.fail("it is better"))
-    assert asked(Planner(solver=Fixed(second, first)), lab) is None, "as good as what was suggested before"
+    lab.do(find_order(Planner(solver=Fixed(second, first)), lab) or pytest.fail("it is better"))
+    assert find_order(Planner(solver=Fixed(second, first)), lab) is None, (
+        "as good as what was suggested before"
+    )
     lab = Driver(CELL)
     second, first = lab.submit(both("both")), lab.submit(cut("cut"))
     suggest(lab, (first, 0, 0.0), (first, 1, 1.0), (second, 0, 2.0))
-    order = asked(Planner(solver=Fixed(first, second)), lab)
+    order = find_order(Planner(solver=Fixed(first, second)), lab)
     assert order is not None
     assert order.steps == ()
 
@@ -76,7 +78,7 @@ def test_an_order_that_came_out_worse_is_taken_back() -> None:
 def test_nothing_is_changed_by_looking() -> None:
     lab, first, second = waits()
     before = lab.state.position
-    asked(Planner(solver=Fixed(second, first)), lab)
+    find_order(Planner(solver=Fixed(second, first)), lab)
     assert lab.state.position == before
     assert set(lab.state.runs.queued) == {first, second}
     assert lab.state.suggestions.orders == {}
@@ -109,5 +111,5 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     for task, start in zip(problem.tasks, found.starts_s, strict=True):
         assert not task.shut or start + task.duration_s <= 700.0 or start >= 1500.0
     assert found.makespan_s == 2700.0
-    order = asked(Planner(), lab)
+    order = find_order(Planner(), lab)
     assert order is None or order.steps[0].run == second

@@ -15,7 +15,7 @@ from labos.core.ids import StationName
 from labos.planning.scheduler import Scheduler
 from tests.support.bench import CELL, Driver, elsewhere
 from tests.support.seeds import few_and_many
-from tests.unit.core.test_any_order import Chaos, nothing_left
+from tests.unit.core.test_any_order import Chaos, check_nothing_left
 from tests.unit.planning.cases import Case
 
 FEW, MANY = 12, 120
@@ -135,8 +135,8 @@ class Day(Chaos):
 def test_on_bad_days_too_everybody_is_woken(seed: int) -> None:
     day = Day(random.Random(seed))
     day.day(60)
-    day.evening()
-    nothing_left(day.lab)
+    day.end_day()
+    check_nothing_left(day.lab)
     day.lab.check_log()
 
 
@@ -159,7 +159,7 @@ def test_after_somebody_has_reached_in_everybody_goes_on(seeds: range) -> None:
             started = lab.pump()
             assert not (started and lab.state.lab.access), started
             assert lab.find_missed() == [], lab.describe_stuck()
-            if lab.state.lab.access and not lab.flying():
+            if lab.state.lab.access and not lab.list_flying():
                 lab.do(EndAccess(CELL, "ada"))
                 lab.pump()
                 assert lab.find_missed() == [], lab.describe_stuck()

@@ -54,11 +54,11 @@ def picture(takes: float) -> Plan:
     return plan(step("cam", duration_s=takes), name=f"picture {takes}")
 
 
-def waiting(lab: Driver, what: Plan | None = None, **more: float) -> str:
+def start_clock(lab: Driver, what: Plan | None = None, **more: float) -> str:
     """A run whose clock has just been started by its step on ``dev``."""
     run = lab.submit(what or read(**more))
     assert lab.pump()[0] == f"{run}#0"
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.pump()
     return run
 
@@ -77,7 +77,7 @@ def code(lab: Driver, run: str, index: int = 0) -> str:
 
 def test_who_would_still_be_there_at_the_deadline_waits_and_is_told_for_whom() -> None:
     lab = small()
-    waiting(lab)
+    start_clock(lab)
     run = lab.submit(picture(takes=95.0))
     assert lab.pump() == []
     wait = why(lab, run)
@@ -90,14 +90,14 @@ def test_who_would_still_be_there_at_the_deadline_waits_and_is_told_for_whom() -
 
 def test_who_ends_in_time_is_not_stopped() -> None:
     lab = small()
-    waiting(lab)
+    start_clock(lab)
     run = lab.submit(picture(takes=90.0))
     assert lab.pump() == [f"{run}#0"]
 
 
 def test_durations_pass_at_the_pace_of_the_lab() -> None:
     lab = Driver(workcell([module("dev"), module("cam")], []), pace=10.0)
-    waiting(lab)
+    start_clock(lab)
     assert code(lab, lab.submit(picture(takes=95.0))) == "reserved"
     assert code(lab, lab.submit(picture(takes=85.0))) == ""
     lab.wait(6.0)
@@ -106,11 +106,11 @@ def test_durations_pass_at_the_pace_of_the_lab() -> None:
 
 def test_the_wait_ends_with_the_step_that_it_was_for() -> None:
     lab = small()
-    waiting(lab)
+    start_clock(lab)
     lab.submit(picture(takes=95.0))
     lab.wait(60.0)
     assert lab.pump() == ["R1#1"]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == ["R2#0"]
     assert lab.find_missed() == []
 
@@ -123,7 +123,7 @@ def test_nothing_is_held_after_the_deadline() -> None:
     reads = lab.submit(plan(step("dev"), step("cam", needs("cam.nest"), windows=(window,))))
     assert lab.pump() == [f"{reads}#0"]
     lab.do(UnloadStation(StationName("cell/cam.nest"), by="ada"))
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == []
     run = lab.submit(picture(takes=300.0))
     assert lab.pump() == []
@@ -165,7 +165,7 @@ def test_the_way_to_the_step_is_reserved_too() -> None:
     lab = small()
     lab.stock("a", 1)
     window = Window(0, 60.0, 100.0)
-    waiting(
+    start_clock(
         lab,
         plan(
             step("dev"),
@@ -181,7 +181,7 @@ def test_the_way_to_the_step_is_reserved_too() -> None:
 def test_a_wait_on_the_way_counts() -> None:
     """The arm has to be done 50 s before the deadline, for the step after it has to wait so long."""
     lab = small()
-    waiting(
+    start_clock(
         lab,
         plan(
             step("dev"),
@@ -208,7 +208,7 @@ def make_carried_to(place: str) -> Plan:
 @pytest.mark.parametrize(("between", "stopped"), [(60.0, ""), (95.0, "reserved")])
 def test_labware_counts_until_its_run_carries_it_away(between: float, stopped: str) -> None:
     lab = small()
-    waiting(lab, make_carried_to("b"))
+    start_clock(lab, make_carried_to("b"))
     guest = plan(
         step("arm2", take("stack", "b")), step("cam", duration_s=between), step("arm2", move("b", "trash"))
     )
@@ -217,14 +217,14 @@ def test_labware_counts_until_its_run_carries_it_away(between: float, stopped: s
 
 def test_labware_that_comes_to_rest_where_somebody_has_to_be_stays_away() -> None:
     lab = small()
-    waiting(lab, make_carried_to("b"))
+    start_clock(lab, make_carried_to("b"))
     assert code(lab, lab.submit(plan(step("arm2", take("stack", "b"))))) == "reserved"
     assert code(lab, lab.submit(plan(step("arm2", take("stack", "c"))))) == ""
 
 
 def test_where_there_is_room_for_more_nobody_waits() -> None:
     lab = small()
-    waiting(lab, make_carried_to("hotel"))
+    start_clock(lab, make_carried_to("hotel"))
     for expected in ("", "", "reserved"):
         run = lab.submit(plan(step("arm2", take("stack", "hotel"))))
         assert code(lab, run) == expected
@@ -235,7 +235,7 @@ def test_where_there_is_room_for_more_nobody_waits() -> None:
 @pytest.mark.parametrize(("between", "stopped"), [(60.0, ""), (95.0, "reserved")])
 def test_a_deck_is_taken_by_whoever_stands_on_it(between: float, stopped: str) -> None:
     lab = small()
-    waiting(lab, plan(step("cam"), step("dev", windows=(Window(0, 60.0, 100.0),))))
+    start_clock(lab, plan(step("cam"), step("dev", windows=(Window(0, 60.0, 100.0),))))
     guest = plan(
         step("arm", take("stack", "dev.n2")),
         step("cam", duration_s=between),
@@ -247,7 +247,7 @@ def test_a_deck_is_taken_by_whoever_stands_on_it(between: float, stopped: str) -
 @pytest.mark.parametrize(("between", "stopped"), [(60.0, ""), (95.0, "reserved")])
 def test_a_lid_that_is_shut_counts_until_it_is_opened(between: float, stopped: str) -> None:
     lab = small()
-    waiting(lab, plan(step("cam"), step("dev", windows=(Window(0, 60.0, 100.0),))))
+    start_clock(lab, plan(step("cam"), step("dev", windows=(Window(0, 60.0, 100.0),))))
     guest = plan(
         step("dev", sets("lid", "shut")), step("cam", duration_s=between), step("dev", sets("lid", "open"))
     )
@@ -257,7 +257,7 @@ def test_a_lid_that_is_shut_counts_until_it_is_opened(between: float, stopped: s
 @pytest.mark.parametrize(("between", "stopped"), [(60.0, ""), (95.0, "reserved")])
 def test_a_module_that_a_plan_holds_counts_until_it_lets_go(between: float, stopped: str) -> None:
     lab = small()
-    waiting(lab, plan(step("cam"), step("dev", windows=(Window(0, 60.0, 100.0),))))
+    start_clock(lab, plan(step("cam"), step("dev", windows=(Window(0, 60.0, 100.0),))))
     steps = (step("arm", duration_s=1.0), step("arm", duration_s=between), step("arm", duration_s=500.0))
     assert code(lab, lab.submit(plan(*steps, holds=(hold("dev", 0, 1),)))) == stopped
 
@@ -284,7 +284,7 @@ def test_its_own_run_and_experiment_are_stopped_only_while_that_keeps_the_window
     assert code(lab, lab.submit(picture(95.0))) == "reserved"
     lab.wait(60.0)
     assert lab.pump()[0] == f"{run}#2"
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert code(lab, run, 1) == ""
 
 
@@ -310,9 +310,9 @@ def test_of_two_that_reserve_against_each_other_the_earlier_deadline_goes_first(
     assert code(lab, sooner, 1) == ""
     assert lab.pump() == [f"{sooner}#1"]
     order = [f"{sooner}#1"]
-    while lab.flying():
+    while lab.list_flying():
         lab.wait(50.0)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         order += lab.pump()
     assert order[:2] == [f"{sooner}#1", f"{sooner}#2"]
     assert len(order) == 4
@@ -493,7 +493,7 @@ def test_a_clock_that_runs_outside_does_not_wait_for_an_elder() -> None:
 
 def test_a_clock_is_not_started_for_a_time_that_is_taken() -> None:
     lab = small()
-    first = waiting(lab, read(60.0, 62.0, takes=60.0))
+    first = start_clock(lab, read(60.0, 62.0, takes=60.0))
     second = lab.submit(read(50.0, 55.0, takes=60.0))
     assert lab.pump() == []
     wait = why(lab, second)
@@ -506,7 +506,7 @@ def test_a_clock_is_not_started_for_a_time_that_is_taken() -> None:
 
 def test_a_clock_is_started_where_both_find_their_time() -> None:
     lab = small()
-    waiting(lab, read(60.0, 62.0, takes=60.0))
+    start_clock(lab, read(60.0, 62.0, takes=60.0))
     second = lab.submit(read(130.0, 200.0, takes=60.0))
     assert lab.pump() == [f"{second}#0"]
 
@@ -515,7 +515,7 @@ def test_a_stay_and_the_work_during_it_count_once() -> None:
     """A plate is brought to ``dev``, worked on and carried away: 132 s in all. Then there is time."""
     lab = small()
     lab.stock("a", 1)
-    waiting(
+    start_clock(
         lab,
         plan(
             step("cam"),
@@ -561,7 +561,7 @@ def test_a_clock_is_not_started_while_what_is_in_flight_lasts_too_long() -> None
 
 def test_without_an_end_a_window_reserves_nothing() -> None:
     lab = small()
-    waiting(lab, within=None)
+    start_clock(lab, within=None)
     assert lab.scheduler.reservations.open(lab.state, lab.now) == []
     assert code(lab, lab.submit(picture(1000.0))) == ""
 
@@ -584,7 +584,7 @@ def cost(queued: int) -> tuple[int, int]:
     lab = small()
     lab.careful = False
     counting = lab.scheduler.reservations = Counting()
-    waiting(lab, read(500.0, 600.0))
+    start_clock(lab, read(500.0, 600.0))
     for number in range(queued):
         lab.submit(plan(step("cam", duration_s=20.0), name="short"), user=f"u{number % 2}")
         lab.submit(picture(takes=5000.0), user=f"u{number % 2}")
@@ -592,7 +592,7 @@ def cost(queued: int) -> tuple[int, int]:
     counting.looked_at, before = 0, lab.scheduler.evaluations
     for _ in range(10):
         lab.wait(1.0)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         lab.pump()
     return counting.looked_at, lab.scheduler.evaluations - before
 
@@ -628,7 +628,7 @@ def live(rng: random.Random, lab: Driver) -> None:
     for _ in range(3000):
         lab.pump()
         assert lab.find_missed() == [], lab.describe_stuck()
-        flying = lab.flying()
+        flying = lab.list_flying()
         if flying:
             action = lab.state.actions.open[rng.choice(flying)]
             took = lab.state.runs.plan_of(lab.run(action.run)).steps[action.step].duration_s
@@ -667,7 +667,7 @@ def test_nobody_stands_still_because_of_reservations(how: str) -> None:
 
 def test_a_scheduler_that_starts_anew_decides_alike() -> None:
     lab = small()
-    waiting(lab)
+    start_clock(lab)
     run = lab.submit(picture(takes=300.0))
     assert [w.code for _, w in Scheduler().waits(lab.state, lab.run(run), lab.now)] == ["reserved"]
 
@@ -678,7 +678,7 @@ def test_stations_without_a_module_are_reserved_by_name() -> None:
     )
     lab.stock("stack", 5)
     window = Window(0, 60.0, 100.0)
-    waiting(lab, plan(step("dev"), step("arm", take("stack", "b"), windows=(window,))))
+    start_clock(lab, plan(step("dev"), step("arm", take("stack", "b"), windows=(window,))))
     wait = why(lab, lab.submit(plan(step("arm2", take("stack", "b")))))
     assert wait is not None
     assert wait.names[0] == "cell/b"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from labos.core.model import Window
 from labos.planning.explain import sentence
 from tests.support.bench import Driver, module, move, plan, station, step, workcell
-from tests.unit.planning.test_reservations import waiting, why
+from tests.unit.planning.test_reservations import start_clock, why
 
 
 def in_one_zone() -> Driver:
@@ -23,7 +23,7 @@ def in_one_zone() -> Driver:
 def test_a_zone_is_kept_for_the_arm_that_has_to_be_there_in_time() -> None:
     lab = in_one_zone()
     carried = step("arm", move("x", "a"), key="over", duration_s=10.0, windows=(Window(0, 60.0, 100.0),))
-    waiting(lab, plan(step("dev", duration_s=10.0), carried))
+    start_clock(lab, plan(step("dev", duration_s=10.0), carried))
     run = lab.submit(plan(step("arm2", move("y", "b"), duration_s=95.0)))
     assert lab.pump() == []
     wait = why(lab, run)
@@ -32,7 +32,7 @@ def test_a_zone_is_kept_for_the_arm_that_has_to_be_there_in_time() -> None:
     assert "zone:cell/z" in wait.on
     lab.wait(60.0)
     assert lab.pump() == ["R1#1"]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{run}#0"]
     assert lab.find_missed() == []
 

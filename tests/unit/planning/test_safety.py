@@ -531,7 +531,7 @@ def test_who_finds_that_its_labware_does_not_fit_is_in_the_way(why: str) -> None
     needing = lab.submit(route("stack", "z", "x", "trash", arm="arm2"))
     other = lab.submit(route("stack", "z", "trash", arm="arm2"))
     assert lab.pump() == [f"{other}#0"]
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     lab.work(random.Random(0))
     assert other not in lab.state.runs.active
     waits = lab.scheduler.waits(lab.state, lab.run(needing), lab.now)

@@ -33,7 +33,7 @@ from tests.unit.planning.test_safety import nests, works
 # -- steps that do several things at once ----------------------------------------------------------
 
 
-def crossing(first: int, last: int) -> Driver:
+def make_crossing(first: int, last: int) -> Driver:
     """Two that cross each other; one keeps the sealer from a step on that carries its plate."""
     lab = Driver(
         workcell(
@@ -56,12 +56,12 @@ def crossing(first: int, last: int) -> Driver:
 def test_who_takes_hold_of_a_module_and_carries_labware_in_one_step_traps_nobody(first: int) -> None:
     for last in range(first, 4):
         for seed in range(20):
-            lab = crossing(first, last)
+            lab = make_crossing(first, last)
             assert works(lab, seed), (last, seed, lab.describe_stuck())
 
 
 def test_the_motions_of_a_step_follow_one_another_in_a_witness() -> None:
-    lab = crossing(1, 2)
+    lab = make_crossing(1, 2)
     lab.step("R1", 0)
     lab.step("R2", 0)
     safety = Safety()
@@ -126,7 +126,7 @@ def test_nobody_keeps_a_module_whose_door_another_has_left_shut() -> None:
 # -- steps in flight that may fail -----------------------------------------------------------------
 
 
-def recovering(*steps: PlanStep, failing: int, rescue: Sequence[PlanStep]) -> Plan:
+def make_recovering(*steps: PlanStep, failing: int, rescue: Sequence[PlanStep]) -> Plan:
     """A plan of which one step may fail and is then made good by others."""
     main = plan(*steps)
     policy = OnError("run", "go_on")
@@ -144,7 +144,7 @@ def test_what_is_carried_to_the_waste_may_fail_and_be_recovered_from() -> None:
     lab = nests("x", "y")
     rescue = [step("arm2", move("x", "y")), step("arm2", move("y", "trash"))]
     steps = [step("arm", take("stack", "x")), step("arm", move("x", "trash"))]
-    lab.submit(recovering(*steps, failing=1, rescue=rescue))
+    lab.submit(make_recovering(*steps, failing=1, rescue=rescue))
     lab.pump()
     lab.finish("A1")
     assert lab.pump() == ["R1#1"]
@@ -171,7 +171,7 @@ def test_a_step_that_may_fail_keeps_the_place_it_came_from_until_it_has_ended() 
         lab.stock("stack", 5)
         rescue = [step("arm", move("dev.n", "y")), step("arm", move("y", "trash"))]
         steps = [step("arm2", take("stack", "dev.n")), step("arm2", move("dev.n", "trash"))]
-        lab.submit(recovering(*steps, failing=1, rescue=rescue))
+        lab.submit(make_recovering(*steps, failing=1, rescue=rescue))
         lab.submit(plan(step("arm", take("stack", "y")), step("dev"), step("arm", move("y", "trash"))))
 
         def end(_: random.Random, action: ActionId, lab: Driver = lab) -> None:
@@ -193,7 +193,7 @@ def test_a_run_that_went_on_without_a_step_that_changes_nothing_is_still_on_its_
         step("arm", move("x", "y")),
         step("arm", move("y", "trash")),
     ]
-    what = recovering(*steps, failing=3, rescue=rescue)
+    what = make_recovering(*steps, failing=3, rescue=rescue)
     skipped = msgspec.structs.replace(what.steps[1], on_error=OnError("skip", may_skip=True))
     run = lab.submit(msgspec.structs.replace(what, steps=(what.steps[0], skipped, *what.steps[2:])))
     lab.pump()

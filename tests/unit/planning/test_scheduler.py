@@ -48,8 +48,8 @@ def use_lab_time(lab: Driver, **seconds: float) -> None:
 def sequence(lab: Driver) -> list[str]:
     """The order in which everything runs on the one module that all want."""
     started = lab.pump()
-    while lab.flying():
-        lab.finish(lab.flying()[0])
+    while lab.list_flying():
+        lab.finish(lab.list_flying()[0])
         started += lab.pump()
     return started
 
@@ -87,10 +87,10 @@ def test_users_take_turns() -> None:
         lab.submit(QUERY, user=user)
     order = []
     lab.pump()
-    while lab.flying():
+    while lab.list_flying():
         order.append(next(iter(lab.state.actions.open.values())).run)
         lab.wait(10)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         lab.pump()
     assert order == ["R1", "R4", "R2", "R5", "R3"]
 
@@ -123,7 +123,7 @@ def test_a_closing_window_goes_before_everything() -> None:
     lab.submit(QUERY, priority=9)
     blocker = lab.start(lab.submit(plan(step("dev"))), 0)
     lab.pump()
-    for action in lab.flying():
+    for action in lab.list_flying():
         if action != blocker:
             lab.finish(action)
     lab.pump()
@@ -219,7 +219,7 @@ def evaluations(queued: int) -> float:
     events, counted = len(lab.log), lab.scheduler.evaluations
     for _ in range(20):
         lab.wait(1)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         lab.pump()
     return (lab.scheduler.evaluations - counted) / (len(lab.log) - events)
 
@@ -240,7 +240,7 @@ def test_ten_queued_cost_as_much_as_two_thousand() -> None:
         lab.pump()
         before, events = lab.scheduler.evaluations, len(lab.log)
         for _ in range(8):
-            lab.finish(lab.flying()[0])
+            lab.finish(lab.list_flying()[0])
             lab.pump()
         return (lab.scheduler.evaluations - before) / (len(lab.log) - events)
 
@@ -304,7 +304,7 @@ def test_a_queue_of_higher_priority_does_not_keep_a_run_out_for_ever() -> None:
     while lab.run(low).status == "queued":
         while len(lab.state.runs.queued) < 3:
             lab.submit(QUERY, user="ada", priority=9)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         passed += len(lab.pump())
         assert passed <= PATIENCE * PRIORITY_WEIGHT + 1, "it waits and waits"
     assert passed > PATIENCE * PRIORITY_WEIGHT, "priority goes first until then"
@@ -392,9 +392,9 @@ def test_an_elder_of_higher_need_is_let_in_once_the_cell_empties() -> None:
         lab.submit(plan(*route("stack", place, "trash").steps, name=f"n{number % 2}"), user="ada")
     order: list[str] = []
     lab.pump()
-    while lab.flying():
+    while lab.list_flying():
         lab.wait(1)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         order += [s.partition("#")[0] for s in lab.pump() if s.endswith("#0")]
     assert elder in order
     assert order.index(elder) <= PATIENCE + 4, order

@@ -233,7 +233,7 @@ def test_no_planner_holds_a_lab_up(kind: str) -> None:
             break
         lab.wait(500.0)
         ticking = [a.id for a in lab.state.actions.open.values() if a.module in TICKING]
-        for action in [*ticking[:-1], *(each for each in lab.flying() if each not in ticking)]:
+        for action in [*ticking[:-1], *(each for each in lab.list_flying() if each not in ticking)]:
             lab.finish(action)
         assert (lab.now - begun) / SECOND < 3 * 4 * (MOST_S + 1000.0), lab.describe_stuck()
     assert lab.state.runs.get(broken) is not None

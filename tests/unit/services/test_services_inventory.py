@@ -13,7 +13,7 @@ STACK = StationName(full("stack"))
 TODAY = "2026-06-01"
 
 
-def sealing(lab: Driver, seconds: float = 10.0, **more: object) -> str:
+def make_sealing(lab: Driver, seconds: float = 10.0, **more: object) -> str:
     return lab.submit(plan(step("dev", consumes("foil", 2), duration_s=seconds), name="seal"), **more)
 
 
@@ -25,7 +25,7 @@ def make_with_foil(level: float) -> Driver:
 
 def test_the_run_that_finds_too_little_is_named_with_its_time() -> None:
     lab = make_with_foil(5)
-    runs = [sealing(lab) for _ in range(4)]
+    runs = [make_sealing(lab) for _ in range(4)]
     found = inventory(lab.state, lab.now, TODAY)
     (foil,) = [left for left in found.resources if left.resource == "foil"]
     assert (foil.level, foil.promised) == (5, 8)
@@ -38,7 +38,7 @@ def test_the_run_that_finds_too_little_is_named_with_its_time() -> None:
 
 def test_who_has_priority_uses_it_first() -> None:
     lab = make_with_foil(3)
-    last, first = sealing(lab), sealing(lab, priority=5)
+    last, first = make_sealing(lab), make_sealing(lab, priority=5)
     assert first != last
     out = next(left.runs_out for left in inventory(lab.state, lab.now, TODAY).resources if left.runs_out)
     assert out.run == last

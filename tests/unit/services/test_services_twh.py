@@ -129,7 +129,7 @@ def minutes(stretch_ns: int) -> float:
     return stretch_ns / SECOND / MINUTE
 
 
-def working(*more: tuple[float, str, Event], until: float | None = None) -> TwhReport:
+def measure_with(*more: tuple[float, str, Event], until: float | None = None) -> TwhReport:
     """R1 runs from minute 0; ``more`` happens at its minutes."""
     told = [*preface(), (0.0, "ada", make_submitted("R1")), (0.0, "labos", RunStarted(RunId("R1")))]
     told += [(minute * MINUTE, actor, event) for minute, actor, event in more]
@@ -137,15 +137,18 @@ def working(*more: tuple[float, str, Event], until: float | None = None) -> TwhR
 
 
 def test_now_counts_while_something_runs() -> None:
-    report = working(until=30)
+    report = measure_with(until=30)
     assert report.lab.working
     assert minutes(report.lab.current.worked_ns) == 30
     assert minutes(report.lab.longest.worked_ns) == 30
-    assert minutes(working((10, "labos", RunCompleted(RunId("R1"), 1)), until=30).lab.current.worked_ns) == 10
+    assert (
+        minutes(measure_with((10, "labos", RunCompleted(RunId("R1"), 1)), until=30).lab.current.worked_ns)
+        == 10
+    )
 
 
 def test_a_withdrawn_question_is_no_intervention() -> None:
-    report = working(
+    report = measure_with(
         (10, "m/x", make_asked("I1", "R1")),
         (15, "labos", make_answered("I1", "withdrawn", "labos")),
         until=20,
@@ -160,18 +163,18 @@ def test_to_approve_a_submission_is_no_intervention() -> None:
         InterventionId("I1"), "approval", "R2", "?", (Choice("approve", ""),), run="R2"
     )
     approved = InterventionResolved(InterventionId("I1"), "approve", "olga")
-    report = working((5, "labos", question), (6, "olga", approved))
+    report = measure_with((5, "labos", question), (6, "olga", approved))
     assert report.lab.interventions == 0
 
 
 def test_an_answer_about_a_module_concerns_what_is_alive_there() -> None:
-    report = working(
+    report = measure_with(
         (10, "m/x", make_asked("I1", module="rpl/sealer")), (15, "bo", make_answered("I1")), until=20
     )
     assert report.lab.interventions == report.workcells["rpl"].interventions == 1
     assert report.runs["R1"].interventions == 1
     assert minutes(report.runs["R1"].longest.worked_ns) == 15
-    other = working(
+    other = measure_with(
         (10, "m/x", make_asked("I1", module="other/sealer")), (15, "bo", make_answered("I1")), until=20
     )
     assert other.workcells["rpl"].interventions == 0
@@ -180,13 +183,13 @@ def test_an_answer_about_a_module_concerns_what_is_alive_there() -> None:
 
 def test_a_module_putting_itself_out_is_no_person() -> None:
     put_back = ModulePutBack(ModuleName("rpl/sealer"))
-    assert working((10, "rpl/sealer", put_back)).lab.interventions == 0
-    assert working((10, "labos", put_back)).lab.interventions == 0
-    assert working((10, "ada", put_back)).lab.interventions == 1
+    assert measure_with((10, "rpl/sealer", put_back)).lab.interventions == 0
+    assert measure_with((10, "labos", put_back)).lab.interventions == 0
+    assert measure_with((10, "ada", put_back)).lab.interventions == 1
 
 
 def test_time_without_a_kernel_counts_for_nothing() -> None:
-    report = working((10, "rpl/x", make_succeeded("R1")), (70, "labos", KernelStarted(2, "1")), until=80)
+    report = measure_with((10, "rpl/x", make_succeeded("R1")), (70, "labos", KernelStarted(2, "1")), until=80)
     assert minutes(report.lab.current.worked_ns) == 20
     assert report.lab.interventions == 0
 
@@ -253,15 +256,15 @@ def test_a_refill_in_time_is_planned_and_one_that_is_awaited_a_rescue() -> None:
     report = measure(book.records)
     assert (report.lab.interventions, report.lab.planned) == (1, 5)
     awaited = ResourceReplenished(ModuleName("rpl/sealer"), "foil", 5, "F3", "", (RunId("R1"),))
-    late = working((10, "ada", awaited))
+    late = measure_with((10, "ada", awaited))
     assert (late.lab.interventions, late.lab.planned) == (1, 0)
 
 
 def test_emptying_a_waste_in_time_is_planned_and_making_room_for_who_waits_a_rescue() -> None:
     trash = StationName("rpl/wc.trash")
-    in_time = working((10, "ada", StationUnloaded(trash, 4)), (20, "ada", WasteEmptied(trash)))
+    in_time = measure_with((10, "ada", StationUnloaded(trash, 4)), (20, "ada", WasteEmptied(trash)))
     assert (in_time.lab.interventions, in_time.lab.planned) == (0, 2)
-    late = working((10, "ada", StationUnloaded(trash, 4, (RunId("R1"),))))
+    late = measure_with((10, "ada", StationUnloaded(trash, 4, (RunId("R1"),))))
     assert (late.lab.interventions, late.lab.planned) == (1, 0)
 
 

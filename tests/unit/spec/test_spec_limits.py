@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.processes import running
+from tests.support.processes import run_process
 
 MEMORY_MB = 768
 """Address space that the reading process gets; Python with LabOS' models takes some 200 MB."""
@@ -58,7 +58,7 @@ for line in sys.stdin:
 def reader() -> Iterator[subprocess.Popen[str]]:
     code = READER.format(memory=MEMORY_MB * 1024 * 1024, timeout_s=TIMEOUT_S)
     pipe = subprocess.PIPE
-    with running([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True) as process:
+    with run_process([sys.executable, "-c", code], stdin=pipe, stdout=pipe, text=True) as process:
         yield process
 
 

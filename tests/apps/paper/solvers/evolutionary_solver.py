@@ -31,7 +31,7 @@ class EvolutionaryColorSolver:
         else:
             best, _ = cls._find_best_color(current_plate, target_color, None)
             parts = [tuple(max(v * rng.gauss(1, 0.25), 1) for v in cls.tried[best]) for _ in range(pop_size)]
-        cls.tried = [filled(part) for part in parts]
+        cls.tried = [fill_up(part) for part in parts]
         return cls.tried
 
     @classmethod
@@ -46,7 +46,7 @@ class EvolutionaryColorSolver:
         return math.dist(color, target_color)
 
 
-def filled(parts: tuple[float, ...]) -> Mixture:
+def fill_up(parts: tuple[float, ...]) -> Mixture:
     """A full well, with as much of each as a pipette takes at least."""
     free = WELL_UL - 3 * LEAST_UL
     a, b, c = (round(LEAST_UL + free * part / sum(parts), 1) for part in parts)
