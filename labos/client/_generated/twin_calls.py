@@ -242,7 +242,7 @@ class AsyncCalls:
         return await self.threads.call(self.sync.emergency_stop, target, by)
 
     async def enable_user(self, user: str, by: str) -> None:
-        """Let a user who was disabled act again."""
+        """Let a disabled user act again."""
         await self.threads.call(self.sync.enable_user, user, by)
 
     async def end_experiment(self, experiment: str, why: str = "ended", user: str = "") -> None:

@@ -22,7 +22,7 @@ class GeneratedWords(Calls):
         """Erase what people wrote into events. The texts are deleted, with the salts of their digests; the
         events stay, and the log verifies as before. Each is shown as ``(erased)`` from then on. That, who did
         it and why is an event. Where the policy says ``erasure: true``, nothing is done before a second admin
-        has agreed. ``because``: a code: ``request`` (the person who wrote it, or of whom it tells, asked for
+        has agreed. ``because``: a code: ``request`` (the person who wrote it, or whom it is about, asked for
         it), ``personal`` (it tells of a person what does not belong there), ``secret`` (it holds a password,
         or what is confidential), ``mistake`` (it was written in the wrong place), ``retention`` (it was kept
         for as long as the rules say), ``order`` (a court or an authority ordered it). ``records``: positions
@@ -31,14 +31,14 @@ class GeneratedWords(Calls):
         return self._post("/words/erasures", {"because": because, "by": by, "records": records, "user": user})
 
     def approve_erasure(self, erasure: str, by: str) -> dict[str, Any]:
-        """Agree, as the second person, that words are erased. Whoever asked cannot agree. What stands there
-        now is erased. Returns ``erasure``, ``erased``, ``records``, ``position``, ``left``. Raises
-        Refused."""
+        """Agree, as the second person, that words are erased. The user who asked for it cannot agree. What
+        stands there now is erased. Returns ``erasure``, ``erased``, ``records``, ``position``, ``left``.
+        Raises Refused."""
         return self._post(f"/words/erasures/{in_path(erasure)}/approve", {"by": by})
 
     def refuse_erasure(self, erasure: str, by: str) -> str:
-        """Do not erase what waits for a second person. Nothing is erased. Whoever asked may take it back so.
-        Raises Refused."""
+        """Do not erase what waits for a second person. Nothing is erased. The user who asked may take it back
+        this way. Raises Refused."""
         found: str = self._post(f"/words/erasures/{in_path(erasure)}/refuse", {"by": by}, repeat=True)[
             "erasure"
         ]

@@ -180,7 +180,7 @@ OPERATIONS = (
         path="/users/{user}/enable",
         handler=enable_user,
         client=Method("enable_user", take=None, repeat=True),
-        summary="Let a user who was disabled act again",
+        summary="Let a disabled user act again",
         tag="people",
         needs="admin",
         problems=("refused",),
