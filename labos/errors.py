@@ -6,7 +6,7 @@ LabosError
 │   ├── Refused              a command that the rules forbid here and now
 │   │   ├── KeyReused        an idempotency key that belongs to another request
 │   │   ├── AlreadyDone      a request that was carried out, whose answer is not known any more
-│   │   └── Forbidden        whoever asks may not
+│   │   └── Forbidden        the user may not do this
 │   └── NotFound             a name that nobody in this lab bears
 ├── NotSignedIn              nobody knows who asks
 ├── TooManyTries             somebody has tried to sign in too often
@@ -96,7 +96,7 @@ class AlreadyDone(Refused):
 
 
 class Forbidden(Refused):
-    """Whoever asks may not; the remedy says who may."""
+    """The user may not do this; the remedy says who may."""
 
 
 class NotFound(BadInput):
@@ -124,7 +124,7 @@ class StoreUnavailable(StoreError):
 
 
 class CommitInDoubt(StoreUnavailable):
-    """What was to be written may be on disk, or not: whoever asks for it once more may get it twice."""
+    """What was to be written may be on disk, or not: asking for it once more may do it twice."""
 
 
 class KernelAway(LabosError):

@@ -44,7 +44,7 @@ class LogQuery(msgspec.Struct, frozen=True):
 class EventLine(msgspec.Struct, frozen=True):
     """A record of the log, as HTTP sends it and clients read it. ``time`` is ``recorded_at`` (UTC
     nanoseconds) for people; ``version`` counts the events of its ``stream``; ``correlation`` is the run or
-    experiment of which it is a part; ``causation`` the id of the event from which it follows, or the mark of
+    experiment that it is a part of; ``causation`` the id of the event from which it follows, or the mark of
     the request that asked for it (``request:…``); ``hash`` links it to the event before."""
 
     position: int
@@ -77,7 +77,7 @@ class EventStore(Protocol):
 
     def release(self, epoch: int, *, to_standby: bool = False) -> None:
         """Give the lease back, so that the next kernel need not wait for it to expire; with ``to_standby``
-        the lab counts as abandoned, and whoever stands by for it takes over at once."""
+        the lab counts as abandoned, and a standby takes over at once."""
 
     def append(self, expected: Head, records: Sequence[Record]) -> Head:
         """Write records behind ``expected``, all or none, synced to disk on return.
@@ -206,7 +206,7 @@ class Bus(Protocol):
     part and ``**`` for any number."""
 
     async def query(self, key: str, payload: bytes, timeout_s: float) -> bytes:
-        """Ask whoever serves ``key``. Raises NoAnswer if nobody answers in time, which says
+        """Ask the process that serves ``key``. Raises NoAnswer if nobody answers in time, which says
         nothing about whether the request was carried out."""
 
     async def serve(self, key: str, handler: Handler) -> Handle: ...

@@ -72,7 +72,7 @@ class HttpEnd:
             thread.start()
 
     def unplug(self) -> None:
-        """Whoever asks something loses the line."""
+        """The client that asks loses the line."""
         server, self._server = self._server, None
         if server is not None:
             server.shutdown()

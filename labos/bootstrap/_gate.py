@@ -62,8 +62,8 @@ def expect_tls(settings: Settings) -> None:
         )
     if not settings.bus and not settings.is_secure and not settings.open_to_network:
         raise BadInput(
-            f"The bus would listen on {settings.host}, and asks nobody for a certificate: whoever reaches it "
-            "can speak for a node.",
+            f"The bus would listen on {settings.host}, and asks nobody for a certificate: everybody "
+            "who reaches it can speak for a node.",
             remedy="Make it a secure one (--secure), leave --host out, or add --open-to-network if only what "
             "you trust is in that network.",
         )
@@ -99,7 +99,8 @@ def expect_users(settings: Settings, kernel: LabKernel) -> None:
     if kernel.state.users.is_open and (not is_own or settings.behind_proxy):
         where = "the lab through a proxy" if is_own else settings.host
         raise BadInput(
-            f"Other computers reach {where}, and this lab has no users: whoever reaches it could command it.",
+            f"Other computers reach {where}, and this lab has no users: everybody who reaches it could "
+            "command it.",
             remedy=f"Add the first user before, on this computer: labos user add NAME --home {settings.home} "
             "(or say --first-user NAME).",
         )
@@ -172,7 +173,7 @@ def _remove(settings: Settings) -> None:
 
 
 class _Disabled:
-    """A user who was disabled follows no more."""
+    """The streams of a disabled user are ended."""
 
     def __init__(self, accounts: Accounts) -> None:
         self._accounts = accounts

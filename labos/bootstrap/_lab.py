@@ -203,7 +203,7 @@ def _cut_short(kernel: Kernel, killed: Sequence[str]) -> list[str]:
     try:
         open_ = list(kernel.state.actions.open.values())
     except StoreError:
-        return []  # whoever reads the log next finds them
+        return []  # the next reader of the log finds them
     cut = [action for action in open_ if action.module in killed and action.status != ActionStatus.UNKNOWN]
     return [f"{local(action.module)}.{action.name} of {action.run}" for action in cut]
 

@@ -55,6 +55,6 @@ class MembersExchange:
                 _log.warning("members_received", folder=str(self._received.folder))
             self._refused = ""
         except LabosError as error:
-            if error.message != self._refused:  # whoever sends it, sends it again
+            if error.message != self._refused:  # the sender sends it again
                 self._refused = error.message
                 _log.warning("members_refused", why=error.message)

@@ -14,7 +14,7 @@ from labos.node.protocol import SetupReply
 
 def with_own_settings(told: SetupReply, path: Path, module: str) -> SetupReply:
     """What the lab tells of a module, with what the settings file of this computer says in the place of its
-    ``config``. Raises SpecError, and BadInput for a secret of which it is not said where it may go."""
+    ``config``. Raises SpecError, and BadInput for a secret without a place where it may go."""
     if not path.is_file():
         return told
     # Few computers have such a file: the others' nodes need not load what reads it.

@@ -54,7 +54,7 @@ class Standby:
             ending.cancel()
 
     async def _hang_up_at(self, end: asyncio.Event) -> None:
-        """Whoever wants to end it need not wait for a database that is frozen."""
+        """It can be ended without waiting for a database that is frozen."""
         await end.wait()
         self._store.hang_up()
 

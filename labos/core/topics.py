@@ -406,7 +406,7 @@ class ClosingWaits(Topic, frozen=True, tag="closing_waits"):
 
 
 class SecondPerson(Topic, frozen=True, tag="second_person"):
-    """A run does what is dangerous, and waits until somebody else than its user has looked at it."""
+    """A run has a dangerous step, and waits until somebody other than its user has checked it."""
 
     KIND: ClassVar[str] = "second_person"
     SUBJECT: ClassVar[str] = "run"

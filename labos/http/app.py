@@ -54,7 +54,7 @@ def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> 
 
 
 def _other_routes(api: Api) -> list[Route]:
-    """What is asked by programs that know nothing of the API: probes, and whoever collects figures."""
+    """What is asked by programs that know nothing of the API: health probes, and collectors of metrics."""
 
     async def describe(request: Request) -> Response:
         """The description of the API (OpenAPI 3.1)."""

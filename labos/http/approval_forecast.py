@@ -13,15 +13,15 @@ from labos.planning.lab_forecast import LabForecast
 
 
 class ProposalForecast(msgspec.Struct, frozen=True):
-    """What a proposal would bring: when it starts and ends, when a person is needed, whom it delays, what
-    stands in its way, and of each consumable what it needs by its plan and what is left."""
+    """What a proposal would bring: when it starts and ends, when a person is needed, which runs it delays,
+    what stands in its way, and of each consumable what it needs by its plan and what is left."""
 
     forecast: LabForecast
     consumables: dict[str, ConsumableEstimate]
 
 
 async def forecast_proposal(service: LabService, proposal: Proposal) -> ProposalForecast:
-    """Raises BadInput for an experiment, of which nobody knows what it will ask for; Refused."""
+    """Raises BadInput for an experiment, as nobody knows what it will ask for; Refused."""
     if proposal.kind == "experiment":
         raise BadInput(
             f"What the experiment {proposal.subject} will bring cannot be forecast: its application decides "

@@ -297,7 +297,7 @@ class RunCancel(By, forbid_unknown_fields=True):
 
 
 class RunSignature(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """The record of a run, an experiment or a campaign is signed, by whoever asks."""
+    """The record of a run, an experiment or a campaign is signed, by the user who asks."""
 
     meaning: Annotated[Meaning, says("`authored`, `responsible`, `reviewed`, `approved` or `rejected`")]
     password: Annotated[Secret, says("the password, once more")]

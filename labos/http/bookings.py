@@ -37,7 +37,7 @@ class NewBooking(By, forbid_unknown_fields=True, kw_only=True):
     target: Annotated[Name, says("a module or a workcell")]
     begins_at: Annotated[Time, says(BEGINS)]
     ends_at: Annotated[Time, says(ENDS)]
-    whom: Annotated[Name, says(WHOM + "; left out: whoever asks")] = ""
+    whom: Annotated[Name, says(WHOM + "; left out: the user who asks")] = ""
     maintenance: Annotated[bool, says(NOBODY)] = False
     why: Annotated[Line, says(WHY)] = ""
     zone: Annotated[Name, says(ZONE)] = "UTC"
@@ -274,7 +274,7 @@ def change_terms(state: LabState, booking: Booking, body: BookingChange) -> NewT
 
 
 def _find_owner(state: LabState, said: str, by: str) -> tuple[str, str]:
-    """The user or the group that is meant; whoever asks if nobody is named. Raises BadInput."""
+    """The user or the group that is meant; the user who asks if nobody is named. Raises BadInput."""
     kind, colon, name = said.partition(":")
     if not said:
         return person_of(by), ""

@@ -16,7 +16,7 @@ async def calibrate(service: LabService, name: str, told: NewCalibration, by: st
     module = service.module(name)
     command = CalibrateModule(module, by, told.what, told.certificate, "", told.until, told.why)
     if told.report:
-        check(service, command, by)  # whoever may not, or says it wrong, leaves no file behind
+        check(service, command, by)  # a request that is refused leaves no file behind
         file = await asyncio.to_thread(service.parts.blobs.put, told.report)
         command = CalibrateModule(module, by, told.what, told.certificate, file, told.until, told.why)
     await service.kernel.execute(command, by)

@@ -96,7 +96,7 @@ class Desk:
         async def receive() -> Message:
             if arriving:
                 return arriving.pop()
-            await asyncio.Event().wait()  # whoever asks stays until the answer is there
+            await asyncio.Event().wait()  # the client stays connected until the answer is there
             raise AssertionError
 
         async def send(message: Message) -> None:
@@ -123,7 +123,7 @@ class Desk:
         }
         try:
             await self._app(scope, receive, send)
-        except Exception:  # it has told whoever asks; its server would write the rest down, too
+        except Exception:  # the application has answered already; its server would log the rest, too
             _log.exception("request_failed", path=asked.path)
         return status, headers, bytes(body)
 

@@ -102,7 +102,7 @@ class Forecasts:
         return await self._process.answer(ask, keep)
 
     def _read(self, upto: int) -> tuple[LookBack, list[Row]]:
-        """What is known of the forecasts of the past, and the records of which it is not."""
+        """What is known of past forecasts, and the records that are not yet learned from."""
         log = self._service.parts.store
         known = self._known
         if known is None:

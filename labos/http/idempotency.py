@@ -1,4 +1,4 @@
-"""The answers to requests with an idempotency key, kept for whoever asks again.
+"""The answers to requests with an idempotency key, kept for a repetition of the request.
 
 They are kept in memory. A process that was started since knows by the log that a request was carried out
 (``runtime.marks``), and works out from it what it was answered (``recorded``). What the log knows of the keys

@@ -32,8 +32,9 @@ _log = structlog.get_logger(__name__)
 
 
 class Who(msgspec.Struct, frozen=True):
-    """Whoever asks. ``user`` is empty in a lab without users, where the request says a name (``open``), and
-    for the owner of the lab's folder (``home``), who may look, stop modules, and help users to sign in."""
+    """The user who asks. ``user`` is empty in a lab without users, where the request says a name (``open``),
+    and for the owner of the lab's folder (``home``), who may look, stop modules, and help users to sign
+    in."""
 
     how: Literal["open", "home", "token", "session"]
     user: str = ""
@@ -42,8 +43,8 @@ class Who(msgspec.Struct, frozen=True):
 
     @property
     def actor(self) -> str:
-        """The name under which the log knows whoever has signed in: a service account with whom it acts
-        for."""
+        """The name in the log of the user who has signed in: a service account with the person for whom it
+        acts for."""
         return on_behalf(self.user, self.behalf) if self.behalf else self.user
 
     @property
@@ -104,9 +105,9 @@ class Gate:
     async def admit(
         self, request: Request, need: Need, *, by_home: bool = False, by_link: bool = False
     ) -> Who:
-        """Whoever sends a request that needs so much. ``by_home``: the owner of the lab's folder may do it;
-        ``by_link``: a token may stand in the address, if it is good for looking only. Raises NotSignedIn,
-        Forbidden."""
+        """The user who sends a request that needs such a role. ``by_home``: the owner of the lab's folder may
+        do it; ``by_link``: a token may stand in the address, if it is good for looking only. Raises
+        NotSignedIn, Forbidden."""
         try:
             who = await (self._by_link(request) if by_link else self.identify(request))
             self._check(who, need, by_home)
@@ -117,7 +118,7 @@ class Gate:
         return who
 
     def confirm(self, who: Who, need: Need) -> None:
-        """An API process says who asks: whoever could not have signed in is not believed. Raises
+        """An API process says who asks: a name that could not have signed in is not believed. Raises
         NotSignedIn, Forbidden."""
         users = self.users()
         if who.how == "home" or (who.how == "open") is not users.is_open:
@@ -129,7 +130,7 @@ class Gate:
         self._check(who, need, by_home=False)
 
     async def _by_link(self, request: Request) -> Who:
-        """Whoever asks by an address that holds a token: such an address is kept in many places. Raises
+        """The user who asks by an address that holds a token: such an address is kept in many places. Raises
         NotSignedIn, Forbidden."""
         shown = request.query_params.get("token", "")[:200]
         if not shown or request.headers.get("authorization"):
@@ -142,7 +143,7 @@ class Gate:
         return Who("token", credential.user, "", credential)
 
     async def identify(self, request: Request) -> Who:
-        """Whoever asks, whatever for. Raises NotSignedIn, Forbidden."""
+        """The user who asks, for any kind of request. Raises NotSignedIn, Forbidden."""
         shown = _bearer(request)
         if shown.startswith(HOME):
             if not self._home or not hmac.compare_digest(digest_of(shown), self._home):
@@ -216,8 +217,8 @@ def _bearer(request: Request) -> str:
 
 
 def _expect_own_page(request: Request) -> None:
-    """A browser adds its cookie whoever asked it to send something; it also says which page asked. That an
-    ``Origin`` is this server is looked at before. Raises Forbidden."""
+    """A browser adds its cookie, whichever page asked it to send something; it also says which page asked.
+    That an ``Origin`` is this server is looked at before. Raises Forbidden."""
     headers = request.headers
     if headers.get("origin") or headers.get("sec-fetch-site") == "same-origin":
         return

@@ -26,7 +26,7 @@ Headers = tuple[tuple[bytes, bytes], ...]
 
 
 class SentOn(msgspec.Struct, frozen=True, tag="request"):
-    """A request of somebody whom the API process has let in."""
+    """A request of a user whom the API process has admitted."""
 
     method: str
     path: str

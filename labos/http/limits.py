@@ -66,7 +66,7 @@ def says(meaning: str) -> msgspec.Meta:
 
 Person = Annotated[str, msgspec.Meta(max_length=LONGEST_PERSON, pattern=ONE_LINE)]
 """Somebody's name. ``check_person`` tells which names are not a person's."""
-WHO_ASKS = says("who asks; not read in a lab that has users: there it is whoever has signed in")
+WHO_ASKS = says("who asks; not read in a lab that has users: there it is the user who has signed in")
 Asker = Annotated[Person, WHO_ASKS]
 """Who asks: a field for labs without users."""
 Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME, pattern=ONE_LINE)]
@@ -113,7 +113,7 @@ def check_person(name: str, field: str) -> str:
 
 
 def name_in_emergency(said: str) -> str:
-    """A name for whoever asks for an emergency stop, which nobody's name is a reason to refuse."""
+    """The name of the person who asks for an emergency stop. No name is a reason to refuse one."""
     name = "".join(char if char.isprintable() and char != "/" else " " for char in said[:LONGEST_PERSON])
     return "somebody" if name.strip().casefold() in ("", OWN_NAME) else name
 

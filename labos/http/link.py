@@ -105,7 +105,7 @@ class KernelLink:
                     self.notes = reply.notes
                     self._kernel.suspended = reply.notes.suspended
             except KernelAway:
-                pass  # whoever asks for something hears of it
+                pass  # the next request is told of it
             except Exception:
                 _log.exception("kernel_not_greeted")
             await asyncio.sleep(HELLO_S)

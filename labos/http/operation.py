@@ -101,27 +101,27 @@ class Call:
 
     @property
     def user(self) -> str:
-        """Who asks: whoever has signed in; in a lab without users by the header LabOS-User. Raises
-        BadInput."""
+        """The user who asks: the one who has signed in; in a lab without users by the header LabOS-User.
+        Raises BadInput."""
         return self.who.actor if self.who.is_known else wire.asker(self.request)
 
     @cached_property
     def viewer(self) -> Viewer | None:
-        """What whoever asks sees of campaigns; None: everything."""
+        """What the user who asks sees of campaigns; None: everything."""
         return viewer_of(self.kernel.state, self.who.actor) if self.who.is_known else None
 
     @cached_property
     def hidden(self) -> frozenset[CampaignId]:
-        """The campaigns that whoever asks does not see."""
+        """The campaigns that the user who asks does not see."""
         return find_hidden(self.kernel.state, self.viewer)
 
     def expect_seen(self, campaign: str) -> None:
-        """Raises NotFound for a campaign that whoever asks does not see, as for one that is not there."""
+        """Raises NotFound for a campaign that the user does not see, as for one that is not there."""
         if campaign in self.hidden:
             raise NotFound(f"There is no campaign {campaign!r}.", remedy="List them: labos campaign list")
 
     def expect_run_seen(self, run: str) -> None:
-        """Raises NotFound for a run that is alive, of a campaign that whoever asks does not see."""
+        """Raises NotFound for a run that is alive, of a campaign that the user does not see."""
         known = self.kernel.state.runs.get(run)
         if known is not None and known.campaign in self.hidden:
             raise NotFound(f"There is no run {run!r}.", remedy="List them: labos runs")
@@ -170,8 +170,8 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     wrong besides what may with each request; ``example`` is a body, ``example_answer`` what is answered.
     ``answer`` is for handlers that return a whole ``Response``; ``media`` are its content types.
     ``headers`` are those that it reads of its own. ``logs_key``: the log bears the idempotency key, so that a
-    repetition is known after a restart, too. ``needs`` is the least role of whoever asks, ``nobody`` for what
-    somebody asks who has not signed in yet; ``by_home``: the owner of the lab's folder may do it;
+    repetition is known after a restart, too. ``needs`` is the least role of the user who asks, ``nobody`` for
+    what somebody asks who has not signed in yet; ``by_home``: the owner of the lab's folder may do it;
     ``by_link``: a token of scope viewer may stand in the address. ``secret``: the answer is not kept for a
     repetition. ``at_kernel``: only the kernel's process can answer. ``recall`` tells from the events of a
     request what was answered, where the handler cannot be asked once more."""

@@ -65,7 +65,7 @@ class GroupView(msgspec.Struct, frozen=True):
 
 
 class UserList(msgspec.Struct, frozen=True):
-    """``open``: there are none, and whoever reaches the lab may do everything."""
+    """``open``: there are none, and everybody who reaches the lab may do everything."""
 
     users: list[UserView]
     open: bool

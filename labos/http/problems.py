@@ -27,7 +27,7 @@ class Kind(msgspec.Struct, frozen=True):
 PROBLEMS: dict[str, Kind] = {
     "bad_input": Kind(400, "The request cannot be used"),
     "not_signed_in": Kind(401, "Nobody knows who asks"),
-    "forbidden": Kind(403, "Whoever asks may not"),
+    "forbidden": Kind(403, "Not allowed"),
     "not_found": Kind(404, "Nothing bears that name"),
     "method_not_allowed": Kind(405, "The path does not take this method"),
     "too_slow": Kind(408, "The body did not come in time"),

@@ -58,7 +58,7 @@ class RestrictedCampaigns:
                     )
 
     def forget(self) -> None:
-        """Something may be in the log of which nobody was told."""
+        """The log may contain events that this listener was not told of."""
         self._is_read = False
 
     async def read(self) -> None:
@@ -72,7 +72,7 @@ class RestrictedCampaigns:
         return list(self._log.select(LogQuery(types=(SUBMITTED,))))
 
     def shows(self, viewer: Viewer | None, type_: str, stream: str, correlation: str) -> bool:
-        """Whether an event is shown to somebody (None: to whoever sees everything)."""
+        """Whether an event is shown to a viewer (None: one who sees everything)."""
         if viewer is None or not self._restricted:
             return True
         of = self._restricted.get(correlation) or self._restricted.get(stream)

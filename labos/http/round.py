@@ -1,4 +1,4 @@
-"""A person goes round a bench of which the log has lost sight, and says what stands where."""
+"""A person goes round the bench after the log lost its end, and says what stands where."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class RoundReport(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 
 class Evidence(msgspec.Struct, frozen=True):
-    """Who knows of a later position than the log, and of which."""
+    """A module or file that knows of a later position than the log has, and that position."""
 
     by: str
     knows: str
@@ -95,8 +95,9 @@ class RoundRefusal(msgspec.Struct, frozen=True):
 
 
 class RoundResult(msgspec.Struct, frozen=True):
-    """The stations of which was ``said`` what stands there, what was ``refused``, and what is ``left``;
-    ``answered``: the question that asked for the round is answered, or ``why_not`` though nothing is left."""
+    """The stations that were reported (``said``), the ones whose report was ``refused``, and those that are
+    ``left``; ``answered``: the question that asked for the round is answered, or ``why_not`` though nothing
+    is left."""
 
     said: list[str]
     refused: list[RoundRefusal]

@@ -43,7 +43,7 @@ BUSY = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: %b\r\nconnection: clo
 class _Server(uvicorn.Server):
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Signals belong to whoever runs the lab."""
+        """Signals are handled by the process that runs the lab."""
         yield
 
 

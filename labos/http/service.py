@@ -242,7 +242,7 @@ class LabService:
         keep: bool = True,
     ) -> Compiled:
         """``loads`` is what will have been put on the bench when it is submitted. With ``keep``, files and
-        text are kept for whoever submits it. Raises SpecError, SpecErrors, BadInput."""
+        text are kept for those who submit it. Raises SpecError, SpecErrors, BadInput."""
         cell = self.workcell(await self.workcell_for(workflow, workcell))
         bench = with_loads(self.bench(cell.name), loads)
         simulated = self.parts.simulated
@@ -434,8 +434,8 @@ class LabService:
             raise error_of(lacks)
 
     def hear(self, experiment: str, actor: str) -> None:
-        """The application lives. Raises Forbidden for somebody else's: whoever keeps it alive goes on with
-        it."""
+        """The application lives. Raises Forbidden for somebody else's: the program that keeps it alive goes
+        on with it."""
         self.check_noting(experiment, actor)
         self._heard[ExperimentId(experiment)] = self.parts.clock.monotonic()
 

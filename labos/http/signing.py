@@ -65,7 +65,7 @@ class NewToken(msgspec.Struct, forbid_unknown_fields=True):
     label: Annotated[Line, says("what it is for")] = ""
     scope: Annotated[Need, says("the most that it is good for")] = "submitter"
     days: Annotated[Days, says("how long it is good")] = float(TOKEN_DAYS)
-    user: Annotated[Name, says("whose it is, if not that of whoever asks; for admins")] = ""
+    user: Annotated[Name, says("whose it is, if not the asking user's own; for admins")] = ""
 
 
 class MadeToken(msgspec.Struct, frozen=True):
@@ -81,7 +81,7 @@ class Tokens(msgspec.Struct, frozen=True):
 
 class NewPassword(msgspec.Struct, forbid_unknown_fields=True):
     password: Annotated[Secret, says("the new one, of 10 characters at least")]
-    present: Annotated[Secret, says("the present one, of whoever changes their own")] = ""
+    present: Annotated[Secret, says("the present one; needed by a user who changes their own")] = ""
 
 
 class PersonDetails(msgspec.Struct, forbid_unknown_fields=True):
@@ -97,7 +97,7 @@ class ProviderIdentity(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class People(msgspec.Struct, frozen=True):
-    """Those users of whom a name or an address is known. Addresses are told to admins, and to each their
+    """The users with a known name or address. Addresses are told to admins, and to each user their
     own."""
 
     people: list[Person]
@@ -108,7 +108,7 @@ class UserReference(msgspec.Struct, frozen=True):
 
 
 def is_admin(call: Call) -> bool:
-    """Whether whoever asks may help others to sign in."""
+    """Whether the user who asks may help others to sign in."""
     if not call.who.is_known:
         return call.who.how == "home"
     state = call.kernel.state

@@ -185,7 +185,7 @@ class Tail:
             self._begin, self._size = gone.position, self._size - len(gone.data)
 
     def on_reopened(self) -> None:
-        """The log was read again: something may be in it of which nobody was told."""
+        """The log was read again: it may contain events that this listener was not told of."""
         self._restricted.forget()
         self._begin_at(self._durable())
 
@@ -328,7 +328,7 @@ class Tail:
         return self._begin <= after <= self._end
 
     def _begin_at(self, position: int) -> None:
-        """Nothing is kept; whoever was up to date reads the log for what may be missing."""
+        """Nothing is kept; followers that were up to date read the log for what may be missing."""
         self._lines.clear()
         self._size = 0
         self._begin = self._end = self._flushed = position

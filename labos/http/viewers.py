@@ -100,7 +100,7 @@ class Viewers:
         """What is new is told with the next commit."""
 
     def cut(self, key: str) -> None:
-        """End the streams of whoever has shown this."""
+        """End the streams that were opened with this credential."""
         if self._link is None:
             return
         try:

@@ -124,7 +124,7 @@ class ModuleView(msgspec.Struct, frozen=True):
 
 class StationView(msgspec.Struct, frozen=True):
     """A station. ``stock`` counts the pieces without names on a stack, ``level`` those in a waste; ``hotel``
-    is the hotel of which it is a shelf."""
+    is the hotel that it belongs to as a shelf."""
 
     name: str
     kind: str

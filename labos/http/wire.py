@@ -46,8 +46,8 @@ _log = structlog.get_logger(__name__)
 async def read_body(
     request: Request, arriving: BodyReader, kind: type[T], most: int = SMALL_BODY, *, asker: str = ""
 ) -> T:
-    """The request's JSON, checked against the limits. Whoever has signed in is its ``asker``, whatever it
-    says. Raises BadInput."""
+    """The request's JSON, checked against the limits. The user who has signed in is its ``asker``, whatever
+    it says. Raises BadInput."""
     raw = await arriving.read(request, most)
     try:
         told = msgspec.json.decode(raw or b"{}", type=kind)
@@ -117,7 +117,7 @@ def key_of(request: Request) -> str:
 
 
 def position_of(request: Request) -> int:
-    """The position in the log that whoever asks knows of; 0 if none is said. Raises BadInput."""
+    """The position in the log that the client knows of; 0 if none is said. Raises BadInput."""
     said = request.headers.get(POSITION, "0")
     if not (said.isascii() and said.isdecimal() and len(said) <= 19):
         raise BadInput(f"The header LabOS-Position is {said[:40]!r}.", remedy="Write a whole number.")

@@ -25,7 +25,7 @@ MOST_ROWS = 100_000
 
 
 class Span(Part):
-    """Numbers from one to another, of which a Latin hypercube takes some; ``whole`` numbers only, if it
+    """Numbers from one to another; a Latin hypercube takes some of them; ``whole`` numbers only, if it
     says so."""
 
     from_: float = Field(alias="from")

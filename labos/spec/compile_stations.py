@@ -21,7 +21,7 @@ from labos.spec.stations import Stations, plain_place
 WASTE = ("trash", "waste")
 WASTE_CAPACITY = 50
 CLAIMED = ("nest", "deck")
-"""Kinds of station whose labware belongs to whoever holds the module."""
+"""Kinds of station whose labware belongs to the run that holds the module."""
 
 
 def compile_stations(
@@ -136,7 +136,7 @@ class _StationCompiler:
         return found
 
     def add_locations(self) -> None:
-        """Places that were taught, and by whom they can be reached."""
+        """Places that were taught, and the arms that can reach them."""
         for owner, places in self.file.locations.items():
             if owner not in self.modules and owner != "workcell":
                 tell = self.remarks.warning if self.foreign else self.remarks.error
@@ -184,7 +184,7 @@ class _StationCompiler:
                     self._put(msgspec.structs.replace(station, reach_of={**station.reach_of, labware: arms}))
 
     def keep_off_stacks(self, kinds: Sequence[str]) -> None:
-        """Labware types of which one may not stand upon another."""
+        """Labware types that may not stand upon one another."""
         for station in list(self.stations.values()):
             if not kinds or station.kind != "stack" or station.capacity == 1:
                 continue
@@ -300,7 +300,7 @@ class _StationCompiler:
         """Who looks there, and when."""
         if entry.observer is None:
             if entry.verify is not None:
-                message = f"{place!r} says when it is looked at, but not by whom."
+                message = f"{place!r} says when it is looked at, but not by which observer."
                 self.remarks.error(
                     message, ("stations", place, "verify"), "Add `observer:`, or leave it out."
                 )

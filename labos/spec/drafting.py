@@ -23,7 +23,7 @@ from labos.spec.stations import Stations, plain_place
 from labos.spec.uses import ResultUse, Use
 
 DURATION_S = 10.0
-"""How long an action is assumed to take of which nobody says it."""
+"""How long an action is assumed to take if nobody says it."""
 
 SOURCES = ("source", "from", "pos1", "pick", "start", "source_location", "from_location")
 TARGETS = ("target", "to", "pos2", "place", "end", "destination", "target_location", "to_location", "dest")

@@ -1,7 +1,7 @@
 """What of a module's ``config`` only a file on the lab's own disk may say: files, programs and secrets of the
 computer on which its node runs.
 
-Whoever sends a workcell over the network could otherwise have the node read any file, run any program, or
+A user who sends a workcell over the network could otherwise have the node read any file, run any program, or
 send a password to an address of their own.
 """
 

@@ -108,4 +108,4 @@ class PlanCheck:
 
 
 def _ignore(index: int, message: str, remedy: str) -> None:
-    """What was told before is not told again."""
+    """What was reported before is not reported again."""

@@ -399,7 +399,7 @@ class StepPlanner:
             if isinstance(effect, Consumes) and isinstance(effect.amount, str):
                 used |= later & arguments_of(effect.amount)
             if isinstance(effect, Consumes) and effect.resource in module.units.keys() - module.levels.keys():
-                continue  # a liquid of which nobody said how much there is
+                continue  # a liquid of unknown volume
             if used and not isinstance(effect, Transfers | Draws):
                 names = ", ".join(sorted(used))
                 self.remarks.error(

@@ -18,7 +18,7 @@ from labos.spec.validation import validate
 
 
 class BookingsEntry(Part):
-    """What whoever is no operator may book. ``total_hours`` are those still to come, of all bookings
+    """What users who are no operators may book. ``total_hours`` are those still to come, of all bookings
     together; 24, or as many as one booking may have."""
 
     hours: float | None = Field(default=None, gt=0, le=8_784)

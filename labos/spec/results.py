@@ -38,7 +38,7 @@ WHOLE = {"str", "int", "float", "bool"}
 
 def check_results(plan: Plan, described: Mapping[ModuleName, Description], remarks: Remarks) -> None:
     """Tell of each argument that is given a result of another kind. A result that an action does not
-    declare, or of which a field is read, may be anything."""
+    declare, or with a field that is read, may be anything."""
     actions: dict[int, ActionSpec] = {}
     for index, step in enumerate(plan.steps):
         spec = described[step.module].action(step.action) if step.module in described else None

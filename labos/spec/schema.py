@@ -180,7 +180,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "required": "whether the payload must hold it",
         "description": _PEOPLE,
     },
-    "AnyModule": {"any": "the modules of which one does the step"},
+    "AnyModule": {"any": "the modules that may do the step: one of them does it"},
     "StepEntry": {
         "name": "the step's name",
         "module": "the module's name; `any <driver>` or `{any: [a, b]}`: one of them; `same as <step>`",
@@ -188,7 +188,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "args": "the action's arguments, by name or alias; `payload.x` stands for a value of the payload",
         "use": "another workflow file, whose steps stand here; instead of `module` and `action`",
         "payload": "the payload of the file that is used; the whole payload, if left out",
-        "for_each": "a list, for each element of which the entry stands once",
+        "for_each": "a list: the entry is repeated for each of its elements",
         "when": "a condition on the payload; if it is false, the entry is left out",
         "after": "names of steps that must be done first; the one before it, if left out",
         "wait": "it starts no sooner than a time after another step's end",
@@ -323,7 +323,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "workflow": "a workflow file beside this one, or a packaged workflow",
         "workcell": "where, if the lab has several",
         "payload": "values that all rows have",
-        "rows": "where the rows come from, each of which is one run",
+        "rows": "where the rows come from; each row is one run",
         "priority": "higher goes first",
         "deadline": "when it should be over: 2026-05-04T10:30, in the lab's time unless it names a zone, or "
         "12h from now; its runs go first once time is short",
@@ -387,8 +387,8 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "deadlines": "whether campaigns with a deadline wait",
         "own": "whether an operator may approve what is the operator's own",
         "erasure": "whether people's words are erased only when a second admin has agreed",
-        "priority": "the highest priority of whoever is no operator and has no quota for it",
-        "bookings": "what whoever is no operator may book",
+        "priority": "the highest priority for users who are no operators and have no quota for it",
+        "bookings": "what users who are no operators may book",
     },
     "BookingsEntry": {
         "hours": "hours of one booking; as many as all together, if left out",

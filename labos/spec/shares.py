@@ -27,7 +27,7 @@ class QuotaEntry(Part):
 
 
 class MemberEntry(Part):
-    """A user: the weight among those beside whom it stands, and a quota."""
+    """A user: the weight among the users of the same list, and a quota."""
 
     weight: Weight = 1.0
     quota: QuotaEntry = QuotaEntry()

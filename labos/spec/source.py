@@ -133,7 +133,7 @@ def plain(value: Any) -> Any:
 
 def read(path: str | Path, *, last_wins: bool = False) -> Source:
     """Read a YAML file. A key that stands twice is refused; with ``last_wins`` it is noted in
-    the source's ``doubles`` instead, for whoever knows the file's dialect. Raises SpecError."""
+    the source's ``doubles`` instead, for code that knows the file's dialect. Raises SpecError."""
     path = Path(path)
     try:
         with path.open("rb") as stream:
@@ -204,7 +204,7 @@ def parse(
 
 
 def _plainly(problem: str) -> str:
-    """The parser's words where they would mean nothing to whoever wrote the file."""
+    """Plain words for the parser's messages that would mean nothing to the author of the file."""
     if problem == "expected <block end>, but found '?'":
         return "a key stands here whose indentation fits nothing above it"
     if problem == "expected <block end>, but found '-'":

@@ -269,7 +269,7 @@ class Unroller:
     def _transfer(
         self, node: LayoutNode, key: str, frame: UnrolledFile, path: Path_, scope: Mapping[str, Any]
     ) -> None:
-        """Lay out the steps that carry labware from one station to another, whoever does it."""
+        """Lay out the steps that carry labware from one station to another, with any arm."""
         entry = node.entry
         try:
             ends = fill(entry.args, scope, frame.needed)
@@ -388,7 +388,7 @@ class Unroller:
 
 
 def _is_transfer(entry: StepEntry) -> bool:
-    """Whether a step says what is carried where, and not by whom."""
+    """Whether a step says what is carried where, and not by which arm."""
     return entry.action == TRANSFER and not entry.module
 
 

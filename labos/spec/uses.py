@@ -45,7 +45,7 @@ class Use(msgspec.Struct, frozen=True):
 
 def read_uses(sources: Iterable[Source]) -> list[Use]:
     """What the workflows among these files ask of modules that they name. Files that cannot be read are left
-    out: whoever reads them says why."""
+    out: the reader of the file says why."""
     return [use for source in sources for use in _uses_of(source)]
 
 

@@ -26,7 +26,7 @@ class ApiReadings(msgspec.Struct, frozen=True):
 
 
 class ApiMetrics:
-    """Updated by whoever asks."""
+    """Updated at each scrape."""
 
     def __init__(self) -> None:
         self.of_process = _ApiGroup()

@@ -204,7 +204,7 @@ class EventMetrics(MetricGroup):
         self.begin_with(self._state())
 
     def begin_with(self, state: LabState) -> None:
-        """Take what is under way from a state of which no later event was heard."""
+        """Take what is under way from a state; no later event was seen yet."""
         self._drivers = {name: m.driver or m.spec.driver for name, m in state.modules.by_name.items()}
         self._cells = OrderedDict((name, known.plan.workcell) for name, known in state.runs.plans.items())
         self._runs.clear()

@@ -18,7 +18,7 @@ WORKFLOWS, USERS = 50, 100
 
 
 class KernelMetrics:
-    """Made once for each kernel; ``of_events`` listens to it. The others are updated by whoever asks."""
+    """Made once for each kernel; ``of_events`` listens to it. The others are updated at each scrape."""
 
     def __init__(self, state: Callable[[], LabState]) -> None:
         workflows, users = BoundedNames(WORKFLOWS), BoundedNames(USERS)

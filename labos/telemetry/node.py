@@ -1,6 +1,6 @@
 """The metrics of a node's process, and the small server at which Prometheus asks for them.
 
-They have no labels of the module: what asks knows whom it asks.
+They have no labels of the module: the collector knows which module it asks.
 """
 
 from __future__ import annotations

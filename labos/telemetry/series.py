@@ -1,6 +1,6 @@
 """Metrics that stay cheap however many series they have: written down when they change, joined when asked.
 
-A lab of a thousand modules has tens of thousands of series, of which few change between two scrapes. Each
+A lab of a thousand modules has tens of thousands of series, and few of them change between two scrapes. Each
 line of the answer is kept as text and made anew only when its value has changed. The parts of
 ``prometheus_client`` serve everything else: a registry can be handed to its exposition and its servers.
 """

@@ -9,7 +9,7 @@ A trace has these spans, each inside the one before it:
 
 ``send`` and ``report`` are the bus and the node's journal. ``device`` ends at the time that the node's clock
 told, if that lies within the action. An action outside of runs has a trace of its own. Ids are derived from
-the lab's id and the names in the log, so that whoever knows a run finds its trace.
+the lab's id and the names in the log, so that a run's trace is found by the run's name.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class SpanRecorder:
         self.begin_with(self._state())
 
     def begin_with(self, state: LabState) -> None:
-        """Take what is under way from a state of which no later event was heard."""
+        """Take what is under way from a state; no later event was seen yet."""
         self._lab = state.lab.id
         self._runs.clear()
         self._actions.clear()

@@ -1,6 +1,6 @@
 """Drives a CANopen drive of the profile CiA 402, by service data objects.
 
-A drive goes on by itself, whoever has lost sight of it. What it shows afterwards is of this attempt if it is
+A drive goes on by itself when the connection is lost. What it shows afterwards is of this attempt if it is
 still powered, in the mode that was asked for, and has the target that was asked for; a drive that was
 switched off meanwhile is not. What starts a motion is an edge of one bit, and it is given once.
 """

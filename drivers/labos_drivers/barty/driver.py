@@ -173,7 +173,7 @@ class BartyDriver(Wired):
             )
 
     def _delete_last(self) -> None:
-        """A script is kept until the next dose: whoever takes it up again finds how it ended."""
+        """A script is kept until the next dose: after a restart one can still see how it ended."""
         last, self._dose = self._dose, None
         if last is not None:
             self._ask(protocol.PROCD, last.script)

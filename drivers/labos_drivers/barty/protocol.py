@@ -4,8 +4,9 @@ A question is four little-endian words (command, p1, p2, length of what follows)
 answer repeats the first three, with the result (negative: an error) as the fourth. ``PROCP`` alone is
 answered with as many further bytes as its result says: a status and ten parameters.
 
-A dose is a script that the daemon keeps and runs by itself, so that a pump stops on time even if whoever
-started it has died. A script marks in its parameters that it has begun, whose it is, and that it has ended.
+A dose is a script that the daemon keeps and runs by itself, so that a pump stops on time even if the client
+that started it has died. A script marks in its parameters that it has begun, whose it is, and that it has
+ended.
 
 Sources: joan2937/pigpio, pigpio.py, command.c, pigpio.h (commands, scripts, limits); AD-SDL/barty_module,
 src/barty_interface.py (pins, directions, rate).

@@ -202,7 +202,7 @@ class Gateway:
             self._keep(self._end_of(entry["id"], action, look))
 
     def _end_of(self, name: str, action: str, work: Callable[[Path], Any]) -> dict[str, Any]:
-        """How an action ended, of which ``work`` knows."""
+        """How an action in ``work`` ended."""
         folder = self._folder / name
         end: dict[str, Any] = {"id": name, "action": action}
         try:

@@ -14,7 +14,7 @@ USUAL, LATE = 0.6, 1.5
 
 class OperatorSimulator(Arm):
     """Hands that carry plates. With the configuration ``alone: false`` they do nothing by
-    themselves: whoever confirms the work moves the plates of the simulated bench. ``late`` is how
+    themselves: the person who confirms the work moves the plates of the simulated bench. ``late`` is how
     often the work is late (0 to 1)."""
 
     def __init__(self, setup: Setup) -> None:

@@ -74,7 +74,7 @@ class Running:
         self._folder = Path(tempfile.mkdtemp(prefix="labos-opentrons-"))
         protocol = self._folder / name
         protocol.write_bytes(content)
-        # The settings of whoever started us are none of the robot's.
+        # The settings of the process that started us are none of the robot's.
         environment = {**os.environ, "OT_API_CONFIG_DIR": str(self._folder / "robot")}
         with self._said.open("wb") as said, self._wrong.open("wb") as wrong:
             self._process = subprocess.Popen(

@@ -121,7 +121,7 @@ class _Module:
 
 
 class _Rack:
-    """Labware, of which the name says what it is."""
+    """Labware that is identified by its name."""
 
     def __init__(self, deck: _Deck, name: str) -> None:
         self._deck = deck

@@ -61,7 +61,7 @@ class Hand:
         return Fingers("shut") if width_mm < SHUT_MM else Fingers("unknown")
 
     def likely_grip(self, width_mm: float, kind: str) -> Grip:
-        """In which grip something is held of which only the width is known."""
+        """The grip in which something is held, from its width alone."""
         return self.grip("wide" if width_mm > BETWEEN_GRIPS_MM else "narrow", kind)
 
     def grasp(self, grip: Grip, width_mm: float) -> None:

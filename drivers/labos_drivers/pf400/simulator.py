@@ -112,7 +112,7 @@ class PF400Simulator(Arm):
         self._was_freed = False
 
     def look(self) -> dict[str, Any]:
-        """As the controller, it tells nothing of free mode of which nobody has told it."""
+        """As the controller does, it reports free mode only if it was set through the controller."""
         told = {"free": self.is_free} if self.is_free or self._was_freed else {}
         return {**super().look(), **told}
 

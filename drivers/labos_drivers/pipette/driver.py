@@ -23,7 +23,7 @@ WHO = "a pump that speaks DT"
 
 
 class Stroke(msgspec.Struct, frozen=True):
-    """From where to where the plunger goes, in steps: what is journalled, so that whoever comes later can
+    """From where to where the plunger goes, in steps: what is journalled, so that the next process can
     tell by its position how far it came."""
 
     start: int

@@ -1,6 +1,6 @@
 """Drives a PLC by its mapping.
 
-A PLC goes on by itself, whoever has lost sight of it. So a poll that fails is asked again for a while, and
+A PLC goes on by itself when the connection is lost. So a poll that fails is asked again for a while, and
 what is seen afterwards is believed only if the PLC shows that it is the attempt that was begun: by the
 number of the handshake, or because its program was not started anew (``boot``) since it took the start.
 Nothing that moves is ever written twice.

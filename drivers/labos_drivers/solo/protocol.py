@@ -1,7 +1,7 @@
 """SOLOSoft's protocol files (``.hso``), as far as what must not be sent can be told from them.
 
 Text with carriage return and line feed: the plate at each of eight positions, a line each, then the
-steps, each of which ends with a line ``!@#$``. Source: AD-SDL/hudson-liquidhandling,
+steps; each ends with a line ``!@#$``. Source: AD-SDL/hudson-liquidhandling,
 src/liquidhandling/hudson/SoloSoft.py and docs/SoloSoft.md.
 """
 

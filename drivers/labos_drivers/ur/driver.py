@@ -233,7 +233,7 @@ class URDriver(Wired):
 
     @contextmanager
     def _watched(self) -> Iterator[Iterator[str]]:
-        """The states of its program from now on: as it tells them in real time, of which none is missed,
+        """The states of its program from now on: as it tells them in real time, where none is missed,
         else as it answers when it is asked. One that has stopped while the arm still moves plays on."""
         if self._stream is None:
             yield self._asked_again()

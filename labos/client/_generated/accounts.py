@@ -74,8 +74,8 @@ class GeneratedAccounts(Calls):
         return self._get("/whoami")
 
     def tokens(self, user: str = "") -> list[dict[str, Any]]:
-        """Tokens of programs. Without their secrets, which the lab does not know. ``user``: whose, if not
-        those of whoever asks; for admins."""
+        """Tokens of programs. Without their secrets, which the lab does not know. ``user``: whose, if not the
+        asking user's own; for admins."""
         found: list[dict[str, Any]] = self._get("/tokens", user=user)["tokens"]
         return found
 
@@ -84,7 +84,7 @@ class GeneratedAccounts(Calls):
     ) -> dict[str, Any]:
         """Make a token for a program. The secret is told this once. A token that makes another one outlives
         it, and allows more than it, never. ``label``: what it is for. ``scope``: the most that it is good
-        for. ``days``: how long it is good. ``user``: whose it is, if not that of whoever asks; for admins.
+        for. ``days``: how long it is good. ``user``: whose it is, if not the asking user's own; for admins.
         Returns ``token``, ``secret``. Raises NotFound, Refused."""
         return self._post("/tokens", {"label": label, "scope": scope, "days": days, "user": user})
 
@@ -99,7 +99,7 @@ class GeneratedAccounts(Calls):
 
     def set_password(self, user: str, password: str, present: str = "") -> None:
         """Change a user's password. All sessions of the user end; tokens stay. ``password``: the new one, of
-        10 characters at least. ``present``: the present one, of whoever changes their own."""
+        10 characters at least. ``present``: the present one; needed by a user who changes their own."""
         self._post(f"/users/{in_path(user)}/password", {"password": password, "present": present})
 
     def set_person(self, user: str, *, name: str | None = None, mail: str | None = None) -> None:
@@ -113,7 +113,7 @@ class GeneratedAccounts(Calls):
         self._post(f"/users/{in_path(user)}/erase", {}, repeat=True)
 
     def link_identity(self, user: str, issuer: str, subject: str) -> None:
-        """Say whom an identity provider means by a user. Whom an identity provider calls so is this user.
-        ``issuer``: the identity provider, as ``https://login.example.org``. ``subject``: what it calls the
-        user (the claim ``sub``)."""
+        """Say whom an identity provider means by a user. The person with this name at the identity provider
+        is this user. ``issuer``: the identity provider, as ``https://login.example.org``. ``subject``: what
+        it calls the user (the claim ``sub``)."""
         self._post(f"/users/{in_path(user)}/identity", {"issuer": issuer, "subject": subject}, repeat=True)

@@ -35,7 +35,7 @@ class GeneratedBookings(Calls):
         somebody has booked already it is refused, unless an admin forces it; over maintenance it is refused
         in any case. ``target``: a module or a workcell. ``begins_at``: when it begins (UTC nanoseconds).
         ``ends_at``: when it ends (UTC nanoseconds). ``whom``: for whom: a group or a user; ``group:NAME`` or
-        ``user:ID`` where both are called so; left out: whoever asks. ``maintenance``: for maintenance:
+        ``user:ID`` where both are called so; left out: the user who asks. ``maintenance``: for maintenance:
         nobody's runs. ``why``: what for. ``zone``: the time zone by whose clock it is shown and repeated, as
         ``Europe/Zurich``. ``rule``: how often it comes again, as in iCalendar: ``FREQ=WEEKLY;BYDAY=MO,TH``;
         empty: once. ``last_at``: the latest begin of one that is repeated (UTC nanoseconds); 0: without end.

@@ -31,10 +31,10 @@ class GeneratedCampaigns(Calls):
         """Check a campaign and submit it. It is checked row by row; if a row cannot be carried out, nothing
         is submitted, and ``details`` of the problem names each fault with its row. ``text``: the campaign
         file. ``workflow``: the workflow, with the files that it names. ``user``: who asks; not read in a lab
-        that has users: there it is whoever has signed in. ``name``: what errors call the file. ``files``: the
-        table that it names, in base64, by the name that it has for it. ``dry_run``: only check it.
-        ``propose``: it waits for an approval, whatever the policy says. Returns ``campaign``, ``estimate``,
-        ``approval``. Raises NotFound, Refused, BadInput."""
+        that has users: there it is the user who has signed in. ``name``: what errors call the file.
+        ``files``: the table that it names, in base64, by the name that it has for it. ``dry_run``: only check
+        it. ``propose``: it waits for an approval, whatever the policy says. Returns ``campaign``,
+        ``estimate``, ``approval``. Raises NotFound, Refused, BadInput."""
         return self._post(
             "/campaigns",
             {
@@ -131,15 +131,16 @@ class GeneratedCampaigns(Calls):
         request: str = "",
     ) -> dict[str, Any]:
         """Submit a campaign once more. It has the same rows and the same workflow, and is checked like a new
-        one. It is whoever asks who gets it. A campaign that has ended can be cloned, too. What is left out is
-        as in the campaign that is cloned, but for its deadline: the clone has none. ``priority``: of rows
-        that are submitted from now on. ``deadline``: a time, or how long from now (``12h``); empty for none.
-        ``runs``: so many runs at most; 0 for no limit. ``lab_time_s``: so much module time at most; 0 for no
-        limit. ``consumables``: so much at most, by kind of consumable. ``tags``: its tags, in place of those
-        it has. ``until``: the stop rule; empty for none. ``stop_after``: so many rows may fail; 0 for however
-        many. ``name``: of the new campaign; that of the first one if empty. ``visibility``: who sees it: lab,
-        group or private. ``dry_run``: only check it. ``propose``: it waits for an approval, whatever the
-        policy says. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused, BadInput."""
+        one. It is the user who asks who gets it. A campaign that has ended can be cloned, too. What is left
+        out is as in the campaign that is cloned, but for its deadline: the clone has none. ``priority``: of
+        rows that are submitted from now on. ``deadline``: a time, or how long from now (``12h``); empty for
+        none. ``runs``: so many runs at most; 0 for no limit. ``lab_time_s``: so much module time at most; 0
+        for no limit. ``consumables``: so much at most, by kind of consumable. ``tags``: its tags, in place of
+        those it has. ``until``: the stop rule; empty for none. ``stop_after``: so many rows may fail; 0 for
+        however many. ``name``: of the new campaign; that of the first one if empty. ``visibility``: who sees
+        it: lab, group or private. ``dry_run``: only check it. ``propose``: it waits for an approval, whatever
+        the policy says. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused,
+        BadInput."""
         return self._post(
             f"/campaigns/{in_path(campaign)}/clone",
             {

@@ -33,12 +33,12 @@ class GeneratedForecasts(Calls):
     ) -> dict[str, Any]:
         """When a run would start and end, without submitting it. Nothing is submitted, nothing is kept. It is
         taken as approved. ``workflow``: the workflow, with the files that it names. ``user``: who asks; not
-        read in a lab that has users: there it is whoever has signed in. ``payload``: values for the workflow.
-        ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0. ``experiment``: the
-        experiment it belongs to; it must be the user's. ``place``: labware that was put on the bench for it;
-        recorded with the run, or not at all. ``propose``: it waits for an approval, whatever the policy says.
-        ``due``: when it should be over: a time, or how long from now (``12h``); empty: never. Returns
-        ``forecast``, ``warnings``. Raises NotFound, Refused, BadInput."""
+        read in a lab that has users: there it is the user who has signed in. ``payload``: values for the
+        workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
+        ``experiment``: the experiment it belongs to; it must be the user's. ``place``: labware that was put
+        on the bench for it; recorded with the run, or not at all. ``propose``: it waits for an approval,
+        whatever the policy says. ``due``: when it should be over: a time, or how long from now (``12h``);
+        empty: never. Returns ``forecast``, ``warnings``. Raises NotFound, Refused, BadInput."""
         return self._post(
             "/runs/forecast",
             {
@@ -70,10 +70,10 @@ class GeneratedForecasts(Calls):
         """What a campaign would need and bring, without submitting it. It is checked row by row; nothing is
         submitted, nothing is kept. It is taken as approved. ``text``: the campaign file. ``workflow``: the
         workflow, with the files that it names. ``user``: who asks; not read in a lab that has users: there it
-        is whoever has signed in. ``name``: what errors call the file. ``files``: the table that it names, in
-        base64, by the name that it has for it. ``dry_run``: only check it. ``propose``: it waits for an
-        approval, whatever the policy says. Returns ``estimate``, ``forecast``. Raises NotFound, Refused,
-        BadInput."""
+        is the user who has signed in. ``name``: what errors call the file. ``files``: the table that it
+        names, in base64, by the name that it has for it. ``dry_run``: only check it. ``propose``: it waits
+        for an approval, whatever the policy says. Returns ``estimate``, ``forecast``. Raises NotFound,
+        Refused, BadInput."""
         return self._post(
             "/campaigns/forecast",
             {

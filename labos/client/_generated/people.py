@@ -36,7 +36,7 @@ class GeneratedPeople(Calls):
         self._post(f"/users/{in_path(user)}/disable", {"by": by}, repeat=True)
 
     def enable_user(self, user: str, by: str) -> None:
-        """Let a user who was disabled act again. Raises Refused."""
+        """Let a disabled user act again. Raises Refused."""
         self._post(f"/users/{in_path(user)}/enable", {"by": by}, repeat=True)
 
     def groups(self) -> list[dict[str, Any]]:

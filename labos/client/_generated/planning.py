@@ -52,7 +52,7 @@ class GeneratedPlanning(Calls):
     ) -> dict[str, Any]:
         """What a run of a workflow would be, without submitting it. Nothing is submitted, nothing is kept.
         ``workflow``: the workflow, with the files that it names. ``user``: who asks; not read in a lab that
-        has users: there it is whoever has signed in. ``payload``: values for the workflow. ``workcell``:
+        has users: there it is the user who has signed in. ``payload``: values for the workflow. ``workcell``:
         needed if the lab has several. ``priority``: higher goes first; 0. ``experiment``: the experiment it
         belongs to; it must be the user's. ``place``: labware that was put on the bench for it; recorded with
         the run, or not at all. ``propose``: it waits for an approval, whatever the policy says. ``due``: when

@@ -36,8 +36,8 @@ class GeneratedRuns(Calls):
         request: str = "",
     ) -> dict[str, Any]:
         """Queue a run of a workflow. ``workflow``: the workflow, with the files that it names. ``user``: who
-        asks; not read in a lab that has users: there it is whoever has signed in. ``payload``: values for the
-        workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
+        asks; not read in a lab that has users: there it is the user who has signed in. ``payload``: values
+        for the workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
         ``experiment``: the experiment it belongs to; it must be the user's. ``place``: labware that was put
         on the bench for it; recorded with the run, or not at all. ``propose``: it waits for an approval,
         whatever the policy says. ``due``: when it should be over: a time, or how long from now (``12h``);
@@ -95,11 +95,12 @@ class GeneratedRuns(Calls):
         """Begin an experiment. An application begins. It must be heard of every 30 s from now on (a note, or
         a heartbeat), else a person is asked. A run of it that would leave labware elsewhere than at its
         ``parking`` stations, in storage or in a waste is refused. ``name``: its name. ``user``: who asks; not
-        read in a lab that has users: there it is whoever has signed in. ``closing``: a workflow as for a run,
-        that clears away what the experiment leaves parked. ``parking``: stations where it may leave labware
-        between its runs; left out: anywhere. ``payload``: values for the closing workflow. ``workcell``:
-        needed if the lab has several. ``priority``: of its runs; 0. ``propose``: it waits for an approval,
-        whatever the policy says. Returns ``experiment``, ``approval``. Raises NotFound, Refused, BadInput."""
+        read in a lab that has users: there it is the user who has signed in. ``closing``: a workflow as for a
+        run, that clears away what the experiment leaves parked. ``parking``: stations where it may leave
+        labware between its runs; left out: anywhere. ``payload``: values for the closing workflow.
+        ``workcell``: needed if the lab has several. ``priority``: of its runs; 0. ``propose``: it waits for
+        an approval, whatever the policy says. Returns ``experiment``, ``approval``. Raises NotFound, Refused,
+        BadInput."""
         return self._post(
             "/experiments",
             {

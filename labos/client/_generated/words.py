@@ -31,14 +31,14 @@ class GeneratedWords(Calls):
         return self._post("/words/erasures", {"because": because, "by": by, "records": records, "user": user})
 
     def approve_erasure(self, erasure: str, by: str) -> dict[str, Any]:
-        """Agree, as the second person, that words are erased. Whoever asked cannot agree. What stands there
-        now is erased. Returns ``erasure``, ``erased``, ``records``, ``position``, ``left``. Raises
-        Refused."""
+        """Agree, as the second person, that words are erased. The user who asked for it cannot agree. What
+        stands there now is erased. Returns ``erasure``, ``erased``, ``records``, ``position``, ``left``.
+        Raises Refused."""
         return self._post(f"/words/erasures/{in_path(erasure)}/approve", {"by": by})
 
     def refuse_erasure(self, erasure: str, by: str) -> str:
-        """Do not erase what waits for a second person. Nothing is erased. Whoever asked may take it back so.
-        Raises Refused."""
+        """Do not erase what waits for a second person. Nothing is erased. The user who asked may take it back
+        this way. Raises Refused."""
         found: str = self._post(f"/words/erasures/{in_path(erasure)}/refuse", {"by": by}, repeat=True)[
             "erasure"
         ]

@@ -179,8 +179,7 @@ class WasteFull(Reason, frozen=True):
 class Occupied(Reason, frozen=True):
     SENTENCE = "{place} is occupied by {what}"
     REMEDY = (
-        "It goes on when a run moves that away; what no run moves any more, take away and say so: "
-        "labos unload {place}"
+        "It goes on when a run moves that away. If no run will, take it away and say so: labos unload {place}"
     )
     WAKES = ("station", "module")
     place: str

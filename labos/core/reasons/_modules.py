@@ -65,7 +65,7 @@ class ModuleBusy(Reason, frozen=True):
 
 
 class Unsettled(Reason, frozen=True):
-    SENTENCE = "nobody knows how {module} ended what it did last"
+    SENTENCE = "it is not known how the last action of {module} ended"
     REMEDY = "Look there and answer what is asked: labos resolve {question}"
     WAKES = ("module",)
     URGENCY = PERSON

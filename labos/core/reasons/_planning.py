@@ -68,7 +68,7 @@ class ClockLater(Reason, frozen=True):
 
 
 class BetterHere(Reason, frozen=True):
-    SENTENCE = "{first} is down, and beyond {step!r} it would stand in others' way"
+    SENTENCE = "{first} is down, and after {step!r} this run would block others"
     WAKES = ("cell", "near", "module")
     URGENCY = PERSON
     step: str
@@ -80,7 +80,7 @@ class BetterHere(Reason, frozen=True):
 
 class NoWayOut(Reason, frozen=True):
     SENTENCE = "once started with {step!r} it could not reach its end now"
-    REMEDY = "It is let in when its way is free; what nobody moves needs a run that takes it away."
+    REMEDY = "It starts when its way is free. If no run moves what is in its way, submit one that does."
     WAKES = ("cell",)
     step: str
     run: str

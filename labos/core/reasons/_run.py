@@ -14,8 +14,8 @@ class Paused(Reason, frozen=True):
 
 
 class Unapproved(Reason, frozen=True):
-    SENTENCE = "it does what is dangerous, and nobody but {user} has looked at it yet"
-    REMEDY = "Ask another operator to look at it and to answer: labos resolve"
+    SENTENCE = "it has a dangerous step, and nobody but {user} has checked it yet"
+    REMEDY = "Ask another operator to check it and to answer: labos resolve"
     WAKES = ("run",)
     URGENCY = PERSON
     user: str

@@ -22,7 +22,7 @@ class OfToken(msgspec.Struct, frozen=True):
 
 
 class TokensQuery(msgspec.Struct, frozen=True):
-    user: Annotated[Name, msgspec.Meta(description="whose, if not those of whoever asks; for admins")] = ""
+    user: Annotated[Name, msgspec.Meta(description="whose, if not the asking user's own; for admins")] = ""
 
 
 async def sign_in(call: Call, body: signing.SignIn) -> Response:
@@ -94,7 +94,7 @@ async def erase_person(call: Call, path: OfUser) -> signing.UserReference:
 
 
 async def link_identity(call: Call, path: OfUser, body: signing.ProviderIdentity) -> signing.UserReference:
-    """Whom an identity provider calls so is this user."""
+    """The person with this name at the identity provider is this user."""
     signing.expect_admin(call.who, call)
     signing.expect_self_or_admin(call, path.user)
     await call.api.gate.accounts.link(body.issuer, body.subject, path.user)

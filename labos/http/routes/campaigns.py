@@ -96,9 +96,9 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
 
 
 async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Response:
-    """It has the same rows and the same workflow, and is checked like a new one. It is whoever asks who gets
-    it. A campaign that has ended can be cloned, too. What is left out is as in the campaign that is cloned,
-    but for its deadline: the clone has none."""
+    """It has the same rows and the same workflow, and is checked like a new one. It is the user who asks who
+    gets it. A campaign that has ended can be cloned, too. What is left out is as in the campaign that is
+    cloned, but for its deadline: the clone has none."""
     call.expect_seen(path.campaign)
     name, estimate = await clone_campaign(call.service, path.campaign, body, body.by, call.key)
     told = CampaignSubmission(name, estimate, sentence(call.kernel.state, name))

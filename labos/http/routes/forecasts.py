@@ -78,7 +78,7 @@ async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForec
 
 
 def hide_others(forecast: LabForecast, call: Call) -> LabForecast:
-    """A forecast without what is expected of campaigns that whoever asks does not see; that they delay, and
+    """A forecast without what is expected of campaigns that the user does not see; that they delay, and
     are delayed, is not said either."""
     hidden = call.hidden
     if not hidden:

@@ -84,7 +84,7 @@ async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
 
 
 def recall_stop(events: list[Event]) -> StopReport:
-    """What was answered to whoever stopped modules: nothing is stopped anew."""
+    """The answer to an earlier stop of modules: nothing is stopped again."""
     (told,) = (event for event in events if isinstance(event, StopReported))
     return StopReport(told.stopped, told.silent)
 

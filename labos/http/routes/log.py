@@ -49,7 +49,7 @@ async def follow_events(call: Call, query: EventFilter) -> Response:
     are served by a process of their own. The more there are, the more events come at once, each second at the
     latest. A follower for which more than 1 MB waits is dropped: its last message is of the type `dropped`,
     and its `id` is where to go on. One that reads nothing for 30 s is cut off. The stream ends with the
-    session or token of whoever follows."""
+    session or token of the follower."""
     wanted = _log_query(query)
     known = wire.header(call.request, "last-event-id")
     if known.isascii() and known.isdecimal() and int(known[:20]) <= WHOLE_NUMBERS[1]:

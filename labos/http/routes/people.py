@@ -172,7 +172,7 @@ OPERATIONS = declare(
         route="POST /users/{user}/enable",
         handler=enable_user,
         client=Method("enable_user", take=None, repeat=True),
-        summary="Let a user who was disabled act again",
+        summary="Let a disabled user act again",
         needs="admin",
         problems=("refused",),
         example={"by": "ada"},

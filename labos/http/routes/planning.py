@@ -65,8 +65,8 @@ class ActionList(msgspec.Struct, frozen=True):
 
 
 class PlannedStep(msgspec.Struct, frozen=True):
-    """A step of a plan, of which ``after`` are the numbers of those before it. ``dangerous`` says how;
-    ``choices`` are the modules of which one will do it, if there are several; ``module`` is one of them."""
+    """A step of a plan; ``after`` are the numbers of the steps before it. ``dangerous`` says how;
+    ``choices`` are the modules that may do it, if there are several; ``module`` is one of them."""
 
     key: str
     module: str

@@ -71,13 +71,13 @@ async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
 
 
 async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureDone:
-    """Whoever asked cannot agree. What stands there now is erased."""
+    """The user who asked for it cannot agree. What stands there now is erased."""
     asked = _find_erasure(call, path.erasure)
     return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
 
 
 async def refuse_erasure(call: Call, path: OfErasure, body: Agreement) -> ErasureReference:
-    """Nothing is erased. Whoever asked may take it back so."""
+    """Nothing is erased. The user who asked may take it back this way."""
     _find_erasure(call, path.erasure)
     await call.kernel.execute(RefuseErasure(path.erasure, body.by), body.by)
     return ErasureReference(path.erasure)

@@ -82,5 +82,5 @@ def test_whoever_waits_for_a_module_in_doubt_hears_of_the_question() -> None:
     first, second = (lab.submit(plan(step("dev"))) for _ in range(2))
     lab.doubt(lab.start(first))
     (reason,) = reasons(lab.state, lab.run(second), lab.now)
-    assert reason.why == "nobody knows how dev ended what it did last"
+    assert reason.why == "it is not known how the last action of dev ended"
     assert "labos resolve I1" in reason.remedy

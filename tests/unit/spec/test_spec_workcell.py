@@ -275,7 +275,7 @@ def test_observers_are_told_what_they_look_at() -> None:
     ("line", "says"),
     [
         ("wc.a: {observer: eys}", "'eys' is no module here. Did you mean 'eye'?"),
-        ("wc.a: {verify: always}", "'wc.a' says when it is looked at, but not by whom."),
+        ("wc.a: {verify: always}", "'wc.a' says when it is looked at, but not by which observer."),
         ("wc.a: {observer: eye, verify: sometimes}", "sometimes"),
         ("wc.trash: {observer: eye}", "What is thrown into 'wc.trash' is gone"),
     ],
