@@ -96,10 +96,8 @@ def show(where: Where, as_json: bool) -> None:
 
 
 @command.command("round", short_help="Check the bench after the log has lost its end.")
-@click.option("--say", "told", multiple=True, metavar="STATION=WHAT", help="What stands at a station.")
-@click.option(
-    "--file", "path", metavar="FILE", help="What stands where: `STATION: WHAT` in each line (YAML)."
-)
+@click.option("--say", "told", multiple=True, metavar="STATION=WHAT", help="The content of a station.")
+@click.option("--file", "path", metavar="FILE", help="A YAML file with `STATION: WHAT` in each line.")
 @click.option("--as-simulated", "simulated", is_flag=True, help="Report the true state of a simulated bench.")
 @click.option(
     "--only-say", is_flag=True, help="Do not complete the check, even if every station is reported."

@@ -270,7 +270,7 @@ def amend(campaign: str, asker: Asker, terms_wanted: dict[str, Any]) -> None:
 @click.option(
     "--visibility",
     type=click.Choice(get_args(Visibility)),
-    help="Who can see it, besides you and operators: everybody, your group, or nobody.",
+    help="The users who can see it, besides you and operators: everybody, your group, or nobody.",
 )
 @terms_options
 @click.option("--dry-run", is_flag=True, help="Only check the campaign; submit nothing.")
