@@ -157,5 +157,5 @@ def _carry_out(floor: Floor, mover: Actor, step: int) -> bool:
         if not may_move(floor, mover, motion):
             return False
         move(floor, mover, motion)
-    mover.motions = tuple(motion for motion in mover.motions if motion.step != step)
+    mover.begin(step)
     return True
