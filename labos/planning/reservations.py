@@ -42,6 +42,7 @@ from labos.planning.forecast import (
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.keeping import CALM_S, Windows
 from labos.planning.layout import down
+from labos.planning.player import FAR
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
 
@@ -120,13 +121,16 @@ class Reservations:
 
     def against(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """For whom a start has to wait; None if it may go ahead. The rules must allow it."""
-        if self.windows.is_due(state, run, step, now, safety):
+        planned = self.windows.begins_at(state, run, step, now, safety)
+        if planned <= now:
             return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)
         wait = self._in_the_way(state, run, step, now, safety, reservations) if reservations else None
         wait = wait or self._not_in_time(state, run, step, now, safety, reservations)
         wait = wait or self.windows.against(state, run, step, now, safety)
         self.refusals += wait is not None
+        if wait is not None and planned < FAR and (wait.until is None or planned < wait.until):
+            return msgspec.structs.replace(wait, until=planned)  # that time comes without an event
         return wait
 
     # -- whom a start would be in the way of ---------------------------------------------------
