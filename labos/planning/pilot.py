@@ -45,6 +45,9 @@ class Entry(msgspec.Struct, frozen=True):
     early: bool = False
 
 
+NOBODY = -1
+"""In place of a run's number: that nobody is let in for now."""
+
 Value = tuple[int, int, int]
 """How good a play was: less is better (see ``Outline.value``)."""
 
@@ -74,36 +77,39 @@ class Pilot:
         waiting = [first.run, *others][:MOST_WAITING]
         base = len(state.runs.inside(cell))
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
-        options: list[tuple[Value, int, Entry | None]] = []
-        tried = 0
+        if not outline.is_safe:
+            return self._explain_nothing(cell) if first.early else first
+        plays: list[tuple[Value, int]] = []
         for number, run in enumerate(waiting):
             step = first.step if not number else state.runs.plans[run.plan].starts[0]
-            if tried >= MOST_OPTIONS or not outline.is_free(base + number, step):
-                continue
-            witness = outline.find_witness(base + number, step)
-            entry = None if witness is None else find_entry(run) if number or first.early else first
-            if witness is None or entry is None:
-                continue
-            tried += 1
-            value = self._play(outline, base + number, step, witness)
-            options.append((value, len(options), entry))
-        moving = any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
-        if moving and outline.flying:
+            witness = None
+            if len(plays) < MOST_OPTIONS and outline.is_free(base + number, step):
+                witness = outline.find_witness(base + number, step)
+            if witness is not None:
+                plays.append((self._play(outline, base + number, step, witness), number))
+        if not first.early and (not plays or plays[0][1]):
+            return first  # the outline does not know how it can be let in
+        if outline.flying and _is_moving(state, cell):
             later = outline.copy()
             later.advance()
             self.plays += 1
-            options.append((later.go_on().value, len(options), None))
-        soon = min((o for o in options if o[2] is None or not o[2].early), default=None)
-        best = min(options, default=None)
-        if best is not None and best != soon and soon is not None:
-            left, end = best[0][0], best[0][1]
-            if left >= soon[0][0] and end > soon[0][1] - MARGIN * (soon[0][1] - now):
-                best = soon
-        if best is None or not outline.is_safe:
-            return self._explain_nothing(cell) if first.early else first
-        if best[2] is not None:
-            return best[2]
-        return self._explain(state, outline, base, first.step, cell)
+            plays.append((later.go_on().value, NOBODY))
+        early: Entry | None = None
+        early_end = 0
+        for value, number in sorted(plays, key=lambda play: (play[0], play[1] == NOBODY, play[1])):
+            if number == NOBODY:
+                entry = None
+            else:
+                entry = first if not number else find_entry(waiting[number])
+                if entry is None:
+                    continue
+                if entry.early:
+                    early, early_end = (entry, value[1]) if early is None else (early, early_end)
+                    continue
+            if early is not None and early_end <= value[1] - MARGIN * (value[1] - now):
+                return early
+            return entry or self._explain(state, outline, base, first.step, cell)
+        return early or first
 
     def _explain_nothing(self, cell: str) -> Wait:
         return Wait(reasons.SoonerLater(), (near_key(cell),))
@@ -142,6 +148,10 @@ class Pilot:
         place = self._ways[cell].names[key].partition(":")[2]
         why = reasons.HoldsUp(str(outline.runs[which[0]].id), place, in_zone(begun[which], "UTC"))
         return Wait(why, on)
+
+
+def _is_moving(state: LabState, cell: str) -> bool:
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
 
 
 def differ(state: LabState, runs: Sequence[RunState], run: RunState) -> bool:
