@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import partial
+from itertools import islice
 
 import msgspec
 
@@ -22,7 +23,7 @@ from labos.core.ids import ExperimentId, InterventionId, ModuleName, RunId, work
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds, options
+from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds, options, queue_key
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
@@ -33,6 +34,7 @@ from labos.planning.deadlines import Deadlines
 from labos.planning.due import UNDATED, DueDates
 from labos.planning.obstacle import obstacle
 from labos.planning.patience import OvertakeCounts
+from labos.planning.pilot import MOST_WAITING, Entry, Pilot, differ
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
@@ -92,6 +94,7 @@ class Scheduler:
         self.patience = OvertakeCounts()
         self.adviser = Adviser()
         self.due_dates = DueDates()
+        self.pilot = Pilot()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
@@ -118,10 +121,18 @@ class Scheduler:
                     self.sleepers.sleep((spot.run.id, spot.step), wait)
 
     def check_start(
-        self, state: LabState, run: RunState | None, step: int, now: int, *, only_asking: bool = False
+        self,
+        state: LabState,
+        run: RunState | None,
+        step: int,
+        now: int,
+        *,
+        only_asking: bool = False,
+        at_once: bool = False,
     ) -> Wait | None:
         """What a step waits for; None if it may start now. Unless the caller is only asking, the
-        step is then taken as started."""
+        step is then taken as started. With ``at_once``, a run starts even if its
+        next place is not free soon."""
         if run is None:
             return Wait(reasons.Gone())
         self.evaluations += 1
@@ -150,7 +161,11 @@ class Scheduler:
                     # It protects nothing any more once it has to wait for a booking.
                     until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
                     return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
-                early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
+                early = (
+                    check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
+                    if not at_once
+                    else None
+                )
                 waited = early is not None and any(
                     run.id == other.id for other in self.room.list_overtaken(state, plan.workcell)
                 )
@@ -211,6 +226,8 @@ class Scheduler:
                     else list_ready_steps(state, run)
                 )
             ]
+        if not run.has_started and any(wait is None for _, wait in found):
+            found = self._waits_outside(state, run, now)
         if run.choices and not run.has_started:
             possible = any(wait is None for _, wait in found)  # one of its plans is enough
             found = [] if possible else [each for i, each in enumerate(found) if each not in found[:i]]
@@ -227,6 +244,7 @@ class Scheduler:
             self._cells = _cells(state)
         for cell in named.get(BENCH, ()):
             self.safety.forget(state, cell)
+            self.pilot.forget(cell)
             self.room.refill(state, cell)
         for cell in named.get(BOOKING, ()):
             self.room.refill(state, cell)
@@ -372,11 +390,13 @@ class Scheduler:
                 # Somebody older than the elder need not wait with the others.
                 run = self.room.oldest(state, bundle) or run
                 start, waits = self._free_start(state, run, now)
-            if start is None:
-                for wait in waits:
+            chosen = self._choose(state, run, start, waits, now)
+            if not isinstance(chosen, Entry):
+                for wait in chosen:
                     self.sleepers.sleep((bundle, 0), wait)
                 return
-            option, free = start
+            run = option = chosen.run
+            free = chosen.step
             self.room.let_in(state, option, urgent=is_urgent(state, run, now))
             self.patience.count_start(state, option, free, self.sleepers)
             yield Start(run.id, free, option.plan if run.choices else "")
@@ -397,6 +417,85 @@ class Scheduler:
                     return (option, step), []
                 waits.append(wait)
         return None, waits
+
+    def _choose(
+        self,
+        state: LabState,
+        run: RunState,
+        start: tuple[RunState, int] | None,
+        waits: list[Wait],
+        now: int,
+        *,
+        only_asking: bool = False,
+    ) -> Entry | list[Wait]:
+        """Who is let in now: a run that may ``start``, another that ranks with it, or nobody, and what the
+        run waits for then."""
+        early = start is None
+        if start is None and waits and all(isinstance(wait.reason, reasons.WouldBlock) for wait in waits):
+            option = options_in_order(state, run, now)[0]
+            start = option, state.runs.plans[option.plan].starts[0]
+        if start is None:
+            return waits
+        option, step = start
+        cell = state.runs.plan_of(option).workcell
+        first = Entry(option, step, early=early)
+        overtaken = run.id in state.runs.windowed or self._is_overtaken(state, run)
+        if overtaken or cell in state.suggestions.orders:
+            return waits if early else first
+        equals = self._list_equals(state, option, now)
+        if not differ(state, [*state.runs.inside(cell), *equals], option):
+            return waits if early else first
+        enter = partial(self._find_entry, state, now=now)
+        chosen = self.pilot.choose(state, first, equals, now, enter)
+        if isinstance(chosen, Wait):
+            return waits if early else [chosen]
+        if chosen == first and not early:
+            return first
+        wait = self.check_start(
+            state, chosen.run, chosen.step, now, at_once=chosen.early, only_asking=only_asking
+        )
+        if wait is not None:
+            return waits if early else first
+        return chosen
+
+    def _waits_outside(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait | None]]:
+        """What a run waits for that may be let in, if it had better not be."""
+        for option in options_in_order(state, run, now):
+            for step in state.runs.plans[option.plan].starts:
+                with self.reservations.only_asking():
+                    wait = self.check_start(state, option, step, now, only_asking=True)
+                    if wait is None:
+                        chosen = self._choose(state, run, (option, step), [], now, only_asking=True)
+                        waits = chosen if isinstance(chosen, list) else []
+                        return [(step, each) for each in waits]
+        return []
+
+    def _find_entry(self, state: LabState, run: RunState, now: int) -> Entry | None:
+        """With which first step a run may be let in now; None if with none."""
+        step = state.runs.plans[run.plan].starts[0]
+        with self.reservations.only_asking():
+            wait = self.check_start(state, run, step, now, only_asking=True)
+            if wait is None:
+                return Entry(run, step)
+            if isinstance(wait.reason, reasons.WouldBlock):
+                wait = self.check_start(state, run, step, now, only_asking=True, at_once=True)
+                return Entry(run, step, early=True) if wait is None else None
+        return None
+
+    def _list_equals(self, state: LabState, run: RunState, now: int) -> list[RunState]:
+        """The first of the runs that wait in a workcell and go neither before a run nor behind it but by
+        their age, the oldest first."""
+        rank = (run.priority, self._make_turn_key(state, now, run)[:-1])
+        cell = state.runs.plan_of(run).workcell
+        found: list[RunState] = []
+        for bundle in self.room.within(cell)[:MOST_WAITING]:
+            for head in self.room.heads(state, bundle):
+                if (head.priority, self._make_turn_key(state, now, head)[:-1]) != rank or find_holds(head):
+                    continue
+                group = state.runs.queue[queue_key(state.runs.shape_of(head), head)]
+                found += [state.runs.queued[name] for name in islice(group, MOST_WAITING)]
+        found = [other for other in found if other.id != run.id and other.id not in state.runs.windowed]
+        return sorted(found, key=lambda other: other.position)
 
     def _list_plans(self, state: LabState, cell: str) -> Iterator[Plan]:
         """Plans of those who are in a workcell, and of some who wait for it: one of each bundle."""

@@ -289,6 +289,8 @@ class Standstill:
                 | reasons.Occupied()
                 | reasons.AfterElder()
                 | reasons.WouldBlock()
+                | reasons.HoldsUp()
+                | reasons.SoonerLater()
                 | reasons.AfterSuggested()
                 | reasons.ClockLater()
                 | reasons.Unsafe()

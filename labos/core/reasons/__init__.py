@@ -53,9 +53,11 @@ from labos.core.reasons._planning import (
     BetterHere,
     ClockLater,
     FollowsLate,
+    HoldsUp,
     NotInTime,
     NoWayOut,
     Reserved,
+    SoonerLater,
     Unsafe,
     WouldBlock,
     WouldDelay,
@@ -136,6 +138,8 @@ AnyReason = (
     | AfterSuggested
     | ClockLater
     | WouldBlock
+    | HoldsUp
+    | SoonerLater
     | BetterHere
     | NoWayOut
     | Unsafe
@@ -160,6 +164,7 @@ __all__ = [
     "Halted",
     "HandFull",
     "Held",
+    "HoldsUp",
     "InMotion",
     "InUse",
     "Key",
@@ -189,6 +194,7 @@ __all__ = [
     "Reserved",
     "RetryLater",
     "Setpoint",
+    "SoonerLater",
     "StackEmpty",
     "StillToCome",
     "TooEarly",

@@ -53,6 +53,21 @@ class WouldBlock(Reason, frozen=True):
     free_at: str
 
 
+class HoldsUp(Reason, frozen=True):
+    SENTENCE = (
+        "it waits outside, because run {run} would otherwise wait for it at {place} until about {until}"
+    )
+    WAKES = ("near",)
+    run: str
+    place: str
+    until: str
+
+
+class SoonerLater(Reason, frozen=True):
+    SENTENCE = "it waits outside, because all would be over later if it were let in now"
+    WAKES = ("near",)
+
+
 class AfterSuggested(Reason, frozen=True):
     SENTENCE = "the planner suggests that {run} goes first, at {place}"
     WAKES = ("cell",)

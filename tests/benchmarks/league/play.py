@@ -73,7 +73,8 @@ class Outcome(msgspec.Struct):
 
 class Player:
     """One workcell with full stacks. ``jitter`` scatters durations by this fraction, either way. A planner
-    looks when runs are submitted; where durations scatter also when runs come or go inside, or are late."""
+    looks when runs are submitted; where durations scatter also when runs come or go inside, or are late.
+    ``together``: nothing starts before all is submitted that waits for nothing, as with a planner."""
 
     def __init__(
         self,
@@ -83,17 +84,20 @@ class Player:
         jitter: float = 0.0,
         seed: int = 0,
         planner: Planner | None = None,
+        *,
+        together: bool = False,
     ) -> None:
         self.cell, self.stock, self.jitter = cell, stock, jitter
         self.random = random.Random(f"league/{seed}")
         self.loop = VirtualLoop()
         self.clock = VirtualClock(self.loop)
         self._plan_with = plan_with
-        self.planner = planner
+        self.planner, self.together = planner, together
         self.watch = CellWatch() if jitter else None
         self._asked = False
         self._seen: set[RunId] = set()
         self._ended = 0
+        self._awaited = 0
         self.outcome = Outcome(0.0, [], 0, {})
         self._begun: dict[tuple[RunId, int], float] = {}
         self._ends: dict[RunId, asyncio.Event] = {}
@@ -119,10 +123,9 @@ class Player:
         for station in self.cell.places:
             kind, count = self.stock.get(station.name, ("", 0))
             self._tell(DeclareStation(station.name, (kind,) * count))
-        if self.planner is not None:
-            self._tell(
-                PauseStarts(WHOLE_LAB, "league")
-            )  # until the planner has seen all that is there at once
+        if self.planner is not None or self.together:
+            self._tell(PauseStarts(WHOLE_LAB, "league"))  # until all is there that is there at once
+        self._awaited = sum(not work.after_s for work in works)
         await asyncio.gather(*(self._do(number, work) for number, work in enumerate(works)))
         self.outcome.makespan_s = max(step.end_s for step in self.outcome.steps)
         await self.kernel.close()
@@ -137,6 +140,10 @@ class Player:
             events = self._tell(replace(run, experiment=experiment))
             name = next(event.run for event in events if isinstance(event, RunSubmitted))
             self.outcome.works[name] = number, index
+            if not index and not work.after_s:
+                self._awaited -= 1
+                if self.together and self.planner is None and not self._awaited:
+                    self._tell(ResumeStarts(WHOLE_LAB, "league"))
             await self._ends.setdefault(name, asyncio.Event()).wait()
         if experiment:
             self._tell(EndExperiment(experiment))

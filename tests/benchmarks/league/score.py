@@ -59,8 +59,9 @@ def read_best() -> dict[str, Known]:
     return msgspec.json.decode(BEST.read_bytes(), type=dict[str, Known]) if BEST.exists() else {}
 
 
-def play_case(case: Case, *, planner: bool = False) -> Outcome:
-    return Player(case.cell, case.stock, planner=_planner() if planner else None).play(case.works)
+def play_case(case: Case, *, planner: bool = False, together: bool = False) -> Outcome:
+    helped = _planner() if planner else None
+    return Player(case.cell, case.stock, planner=helped, together=together).play(case.works)
 
 
 def _planner() -> Planner:
@@ -79,9 +80,9 @@ def times_of(case: Case, outcome: Outcome) -> Times:
     return found
 
 
-def score(case: Case, *, planner: bool = False) -> Score:
+def score(case: Case, *, planner: bool = False, together: bool = False) -> Score:
     """Play a case. Raises AssertionError if what came of it cannot have happened."""
-    outcome = play_case(case, planner=planner)
+    outcome = play_case(case, planner=planner, together=together)
     problem, done = problem_of(case.cell, case.works), times_of(case, outcome)
     wrong = faults(problem, done)
     assert not wrong, f"{case.name}: {wrong[0]}"

@@ -62,6 +62,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.league.table", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="families, or parts of names; all if none")
     parser.add_argument("--online", action="store_true", help="without the planner only")
+    together = "nothing starts online before all is submitted, as with the planner"
+    parser.add_argument("--together", action="store_true", help=together)
     options = parser.parse_args()
     online: list[Score] = []
     planned: list[Score] = []
@@ -69,7 +71,7 @@ def main() -> None:
     print(_line(*["---"] * len(HEADINGS)))
     for case in cases():
         if _is_wanted(case, options.names):
-            online.append(score(case))
+            online.append(score(case, together=options.together))
             if not options.online:
                 planned.append(score(case, planner=True))
             print(row(online[-1], planned[-1] if planned else None), flush=True)

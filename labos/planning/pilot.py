@@ -1,0 +1,164 @@
+"""Who is let in now, with a look a long way ahead.
+
+Where labware stays on its module until the next one is free, whoever is let in now may block the one that
+takes longest much later. So before a run is let in, the workcell is played forward in outline (``outline``)
+with each of the first of those that may be let in, and with nobody for now; that one is let in with which all
+that is known would be over soonest (the pilot method). Nothing is kept from one decision to the next.
+
+It chooses only between runs of equal rank: of the same priority, and of users who have had the same share.
+It has nothing to say where all runs are of one kind, or where it is not known well enough what they will do
+(see ``differ``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import msgspec
+
+from labos.core import reasons
+from labos.core.actions import ActionStatus
+from labos.core.recurrence import in_zone
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.core.waits import Wait
+from labos.planning.outline import Outline, Ways
+from labos.planning.touch import near_key
+
+MOST_WAITING = 8
+"""So many runs that wait take part in a play."""
+
+MOST_OPTIONS = 4
+"""So many of them are tried; with nobody for now, a decision takes one play more than that."""
+
+MARGIN = 0.02
+"""By so much of the time that is left all has to be over sooner for a run to be let in before it can go on
+from its first place."""
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """A run as one of its plans has it, and the first step with which it may be let in. ``early``: by a short
+    forecast it could not go on from there soon."""
+
+    run: RunState
+    step: int
+    early: bool = False
+
+
+NOBODY = -1
+"""In place of a run's number: that nobody is let in for now."""
+
+Value = tuple[int, int, int]
+"""How good a play was: less is better (see ``Outline.value``)."""
+
+
+class Pilot:
+    """Chooses who is let in. ``plays`` counts."""
+
+    def __init__(self) -> None:
+        self._ways: dict[str, Ways] = {}
+        self.plays = 0
+
+    def forget(self, cell: str) -> None:
+        """The bench of a workcell is another than it was."""
+        self._ways.pop(cell, None)
+
+    def choose(
+        self,
+        state: LabState,
+        first: Entry,
+        others: Sequence[RunState],
+        now: int,
+        find_entry: Callable[[RunState], Entry | None],
+    ) -> Entry | Wait:
+        """Who is let in now: ``first``, if all else is equal; or another one for which there is an entry; or
+        nobody, and what ``first`` waits for then."""
+        cell = state.runs.plan_of(first.run).workcell
+        waiting = [first.run, *others][:MOST_WAITING]
+        base = len(state.runs.inside(cell))
+        outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
+        if not outline.is_safe:
+            return self._explain_nothing(cell) if first.early else first
+        plays: list[tuple[Value, int]] = []
+        for number, run in enumerate(waiting):
+            step = first.step if not number else state.runs.plans[run.plan].starts[0]
+            witness = None
+            if len(plays) < MOST_OPTIONS and outline.is_free(base + number, step):
+                witness = outline.find_witness(base + number, step)
+            if witness is not None:
+                plays.append((self._play(outline, base + number, step, witness), number))
+        if not first.early and (not plays or plays[0][1]):
+            return first  # the outline does not know how it can be let in
+        if outline.flying and _is_moving(state, cell):
+            later = outline.copy()
+            later.advance()
+            self.plays += 1
+            plays.append((later.go_on().value, NOBODY))
+        early: Entry | None = None
+        early_end = 0
+        for value, number in sorted(plays, key=lambda play: (play[0], play[1] == NOBODY, play[1])):
+            if number == NOBODY:
+                entry = None
+            else:
+                entry = first if not number else find_entry(waiting[number])
+                if entry is None:
+                    continue
+                if entry.early:
+                    early, early_end = (entry, value[1]) if early is None else (early, early_end)
+                    continue
+            if early is not None and early_end <= value[1] - MARGIN * (value[1] - now):
+                return early
+            return entry or self._explain(state, outline, base, first.step, cell)
+        return early or first
+
+    def _explain_nothing(self, cell: str) -> Wait:
+        return Wait(reasons.SoonerLater(), (near_key(cell),))
+
+    def _play(self, outline: Outline, who: int, step: int, witness: list[int]) -> Value:
+        """What comes of it if somebody is let in now."""
+        self.plays += 1
+        play = outline.copy()
+        play.start(who, step, witness)
+        return play.go_on().value
+
+    def _explain(self, state: LabState, outline: Outline, who: int, step: int, cell: str) -> Wait:
+        """Why somebody had better not be let in now: who inside would wait longest for it."""
+        play = outline.copy()
+        seen: dict[tuple[int, int], tuple[int, int]] = {}
+
+        def see(now: Outline) -> None:
+            held = now.list_held(who)
+            for other in range(len(outline.inside)):
+                for turn in now.turns[other] if outline.inside[other] else ():
+                    key = next((k for k in now.find_in_the_way(other, turn) if k in held), None)
+                    if key is not None:
+                        seen.setdefault((other, turn), (key, now.now))
+
+        witness = outline.find_witness(who, step)
+        if witness is None or not outline.is_free(who, step):
+            return self._explain_nothing(cell)
+        play.start(who, step, witness)
+        play.go_on(see)
+        begun = {(other, turn): at for at, other, turn in play.order}
+        waits = [(begun[which] - at, which, key) for which, (key, at) in seen.items() if which in begun]
+        on = (near_key(cell),)
+        if not waits:
+            return Wait(reasons.SoonerLater(), on)
+        _, which, key = max(waits)
+        place = self._ways[cell].names[key].partition(":")[2]
+        why = reasons.HoldsUp(str(outline.runs[which[0]].id), place, in_zone(begun[which], "UTC"))
+        return Wait(why, on)
+
+
+def _is_moving(state: LabState, cell: str) -> bool:
+    return any(action.status != ActionStatus.UNKNOWN for action in state.actions.within(cell))
+
+
+def differ(state: LabState, runs: Sequence[RunState], run: RunState) -> bool:
+    """Whether some runs are of another kind than this one, and it is known well enough what each will do: no
+    windows have to be kept, no experiment goes on with runs that nobody knows yet, and nobody who waits has a
+    choice of modules."""
+    return any(other.plan != run.plan for other in runs) and not any(
+        other.experiment or state.runs.plans[other.plan].windowed or (other.choices and not other.has_started)
+        for other in (*runs, run)
+    )
