@@ -56,7 +56,7 @@ MOST_BUNDLES = 50
 """So many are asked for what they need: a decision costs no more with a longer queue."""
 
 
-class Start(msgspec.Struct, frozen=True):
+class StepStart(msgspec.Struct, frozen=True):
     """Start this step of this run; ``plan`` is the one to which it binds a run that has several."""
 
     run: RunId
@@ -93,7 +93,7 @@ class Scheduler:
         self._fresh = True
         self._noted: tuple[Iterable[str], list[str]] = ((), [])
 
-    def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[Start]:
+    def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[StepStart]:
         """Starts that are legal and safe, one by one. The caller carries each one out before it
         asks for the next."""
         self._standings.clear()
@@ -106,7 +106,7 @@ class Scheduler:
                 wait = self.check_start(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
                     self.patience.count_start(state, spot.run, spot.step, self.sleepers)
-                    yield Start(spot.run.id, spot.step)
+                    yield StepStart(spot.run.id, spot.step)
                 else:
                     self.sleepers.sleep((spot.run.id, spot.step), wait)
 
@@ -359,7 +359,9 @@ class Scheduler:
             return first
         return self.adviser.find_next(state, first, now)
 
-    def _admissions(self, state: LabState, bundle: str, first: RunState | None, now: int) -> Iterator[Start]:
+    def _admissions(
+        self, state: LabState, bundle: str, first: RunState | None, now: int
+    ) -> Iterator[StepStart]:
         run = first
         while run is not None:
             start, waits = self._free_start(state, run, now)
@@ -374,7 +376,7 @@ class Scheduler:
             option, free = start
             self.room.let_in(state, option, urgent=is_urgent(state, run, now))
             self.patience.count_start(state, option, free, self.sleepers)
-            yield Start(run.id, free, option.plan if run.choices else "")
+            yield StepStart(run.id, free, option.plan if run.choices else "")
             if run.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
             run = self._find_first(state, bundle, now)
@@ -487,4 +489,4 @@ def _cell_of(state: LabState, name: str) -> str | None:
     return cell_of_run(state, name) or None
 
 
-__all__ = ["Scheduler", "Start", "list_ready_steps"]
+__all__ = ["Scheduler", "StepStart", "list_ready_steps"]

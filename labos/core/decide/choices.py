@@ -61,7 +61,7 @@ def compare_plans(first: Plan, others: tuple[Plan, ...]) -> Rejection | None:
     for other in others:
         if other.workcell != first.workcell or [(step.key, step.part) for step in other.steps] != keys:
             return Rejection(
-                "compare_plans",
+                "unlike",
                 f"The plans of {first.workflow!r} for its choices differ in more than their modules.",
                 "Name the `module:` of transfers between modules that are chosen.",
             )
