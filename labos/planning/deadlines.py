@@ -24,7 +24,8 @@ from labos.planning.touch import EVERYTHING
 
 
 class Deadlines:
-    """The times of one state that only moves forward; ``note_changes`` tells of each event's keys."""
+    """The deadlines of one state, which only moves forward; ``note_changes`` is told the keys of each
+    event."""
 
     def __init__(self) -> None:
         self._windows: Alarms[RunId] = Alarms()
@@ -35,7 +36,7 @@ class Deadlines:
         self._filled = False
 
     def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
-        """Work out anew what these keys have touched."""
+        """Recompute the deadlines that these keys concern."""
         keys = list(keys)
         if not self._filled or EVERYTHING in keys:
             self._fill(state)

@@ -161,7 +161,7 @@ class Scheduler:
         return None
 
     def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
-        """Take note of what the keys of events have touched, before anything else is asked."""
+        """Take note of the keys of new events, before anything else is asked."""
         self._noted = keys, self._add_cell_keys(state, keys)
         self.deadlines.note_changes(state, self._noted[1])
 
