@@ -56,6 +56,7 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
             "submitted_at_s": at,
             "started_at_s": None,
             "ended_at_s": None,
+            "due_at_s": seconds(event.due_at) if event.due_at else None,
             "steps": len(steps),
             "steps_done": 0,
             "why": "",

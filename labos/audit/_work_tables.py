@@ -58,6 +58,7 @@ RUNS = Table(
         time("submitted_at", "When it was submitted."),
         time("started_at", "When its first step was requested; null before."),
         time("ended_at", "When it completed, failed or was cancelled; null before."),
+        time("due_at", "When it should be over; null if no time was set."),
         whole("steps", "How many steps its plan has, those for emergencies too."),
         whole("steps_done", "How many of them are done."),
         by_people("why", "Why it was paused or cancelled, or has failed."),

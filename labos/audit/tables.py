@@ -13,7 +13,7 @@ from labos.audit._work_tables import WORK_TABLES
 
 __all__ = ["TABLES", "VERSION", "VIEWS", "Column", "Table", "view_columns"]
 
-VERSION = 8
+VERSION = 9
 """Raise it whenever a table changes, or what stands in it: older ones are then made anew from the log."""
 
 TABLES = (*WORK_TABLES, *BENCH_TABLES, *ENTRY_TABLES)

@@ -6,29 +6,30 @@ import click
 
 from labos.cli._complete import completes
 from labos.cli._options import (
+    Asker,
+    asker_options,
     find_user,
     home_option,
-    json_option,
     json_option_saying,
     user_option,
     why_option,
 )
-from labos.cli._out import show_json, tell
+from labos.cli._out import show_json
 
 
 @click.command("observe")
 @click.argument("station", shell_complete=completes("station"))
 @click.argument("what", required=False, default="")
-@json_option_saying("What follows from it, for a program.")
+@json_option_saying("Print the consequences as JSON, for programs.")
 @user_option
 @home_option
 def observe(station: str, what: str, as_json: bool, user: str | None, home: str | None) -> None:
-    """Report an observation at STATION: empty, how many pieces, labware by its id or barcode, or a
-    labware type; without WHAT: something stands there.
+    """Report an observation at STATION. WHAT is `empty`, the number of pieces, an id or barcode of labware,
+    or a labware type. Without WHAT you report that something stands there.
 
-    Labware of which the lab is not sure where it stands is narrowed down by every station that
-    is observed empty, and settled where it is observed; the question about it is auto-resolved. An
-    observation that contradicts the log opens a question: only the labware concerned waits for it.
+    If the lab does not know where a piece of labware stands, each station that is observed empty excludes
+    one possible place. As soon as the piece is observed, the lab's question about it is auto-resolved. An
+    observation that contradicts the log opens a question. Only runs that need this labware wait for it.
 
     \b
     labos observe pf400.gripper empty
@@ -57,7 +58,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
         for offered in asked["choices"]:
             click.echo(f"      labos resolve {asked['id']} {offered['name']}   {offered['consequence']}")
     if not any(follows[name] for name in ("found", "gone", "uncertain", "answered", "asked")):
-        click.echo(f"Noted: {local(follows['station'])}, {what or 'something stands there'}.")
+        click.echo(f"Recorded: {local(follows['station'])}, {what or 'something stands there'}.")
 
 
 @click.command("give")
@@ -66,27 +67,17 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
     "--to",
     type=click.Choice(["user", "experiment", "shared"]),
     required=True,
-    help="To whom: user NAME, experiment ID, or shared for everybody.",
+    help="The new owner: user NAME, experiment ID, or shared for everybody.",
 )
 @click.argument("name", required=False, default="")
-@click.option("--force", is_flag=True, help="As an operator: it is not yours; say --why.")
+@click.option("--force", is_flag=True, help="For operators: give labware that is not yours; needs --why.")
 @why_option("A note for the log.")
-@user_option
-@home_option
-@json_option
-def give(
-    labware: str,
-    to: str,
-    name: str,
-    force: bool,
-    why: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
-) -> None:
-    """Hand LABWARE over: from then on the runs of its new owner may use it, and yours may not.
+@asker_options
+def give(labware: str, to: str, name: str, force: bool, why: str, asker: Asker) -> None:
+    """Give LABWARE to a new owner. From then on the new owner's runs may use it, and yours may not.
 
-    Refused while a run uses it, while it is carried or worked on, and if it is not yours.
+    The command is refused if the labware is not yours, if a run uses it, or if an action on it is in
+    progress.
 
     \b
     labos give P7 --to user bob
@@ -94,12 +85,10 @@ def give(
     labos give P7 --to shared
     labos give P7 --to user bob --force --why "ada has left"
     """
-    from labos.cli._lab import need_lab
-
     if (to == "shared") == bool(name):
-        raise click.UsageError("Say --to user NAME, --to experiment ID, or --to shared.")
-    with need_lab(home) as client:
+        raise click.UsageError("Give --to user NAME, --to experiment ID, or --to shared.")
+    with asker.lab() as client:
         owner = f"{to}:{name}" if name else to
-        client.give(labware, owner, find_user(user), force=force, note=why)
+        client.give(labware, owner, asker.user, force=force, note=why)
     told = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
-    tell(told, {"labware": labware, "owner": owner}, as_json=as_json)
+    asker.tell(told, {"labware": labware, "owner": owner})

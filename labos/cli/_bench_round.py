@@ -34,7 +34,9 @@ def read_words(text: str, station: str) -> list[str] | None:
     found: list[str] = []
     for part in (part.strip() for part in text.split(",")):
         if not part:
-            raise BadInput(f"{station}: {text!r} is not what stands somewhere.", remedy="Write P7, plate96.")
+            raise BadInput(
+                f"{station}: {text!r} is not a valid content of a station.", remedy="Write P7, plate96."
+            )
         count, times, kind = part.partition("x")
         found += [kind] * int(count) if times and count.isdecimal() and kind else [part]
     return found
@@ -46,7 +48,7 @@ def from_options(told: Sequence[str]) -> Words:
     for text in told:
         name, equals, what = text.partition("=")
         if not equals or not name.strip():
-            raise BadInput(f"{text!r} does not say what stands where.", remedy="Write STATION=WHAT.")
+            raise BadInput(f"{text!r} does not name a station and its content.", remedy="Write STATION=WHAT.")
         words[name.strip()] = read_words(what, name)
     return words
 
@@ -59,15 +61,13 @@ def from_file(path: str) -> Words:
         raise BadInput(f"There is no file {path!r}.", remedy="Write `STATION: WHAT` in each line of one.")
     data: Any = read(path).data
     if not isinstance(data, dict):
-        raise BadInput(f"{path} is no list of stations.", remedy="Write `STATION: WHAT` in each line.")
+        raise BadInput(f"{path} is not a list of stations.", remedy="Write `STATION: WHAT` in each line.")
     words: Words = {}
     for name, value in data.items():
         listed = value if isinstance(value, list) else ["" if value is None else value]
         told = [read_words(str(part), str(name)) for part in listed]
         if len(told) > 1 and None in told:
-            raise BadInput(
-                f"{path}: {name} is said twice.", remedy="Say what stands there, or `as recorded`."
-            )
+            raise BadInput(f"{path}: {name} is given twice.", remedy="Give its content, or `as recorded`.")
         words[str(name)] = None if told == [None] else [piece for part in told for piece in part or ()]
     return words
 
@@ -80,7 +80,7 @@ def say(
     round."""
     stations = {_find_station(view, name)["station"]: told for name, told in words.items() if name != REST}
     if REST in words and words[REST] is not None:
-        raise BadInput(f"`{REST}` can only be `{AS_RECORDED}`.", remedy="Say other stations one by one.")
+        raise BadInput(f"`{REST}` can only be `{AS_RECORDED}`.", remedy="Give other stations one by one.")
     as_recorded: list[str] = []
     contents: dict[str, list[str]] = {}
     for station in view["stations"]:
@@ -100,14 +100,14 @@ def say(
 def _find_station(view: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     found = [s for s in view["stations"] if name in (s["station"], f"{s['workcell']}/{s['station']}")]
     if not found:
-        raise BadInput(f"There is no station {name!r} on this round.", remedy="See: labos bench round --json")
+        raise BadInput(f"This round has no station {name!r}.", remedy="See: labos bench round --json")
     station: Mapping[str, Any] = found[0]
     return station
 
 
 def show(view: Mapping[str, Any]) -> None:
     """Why the round is asked for, and what has still to be said."""
-    click.echo(f"This log ends at position {view['ended']}, and others know more:")
+    click.echo(f"This log ends at position {view['ended']}. Nodes or files know later events:")
     for evidence in view["evidence"]:
         click.echo(f"- {evidence['by']} {evidence['knows']}")
     for action in view["discovered"]:
@@ -115,7 +115,7 @@ def show(view: Mapping[str, Any]) -> None:
         where = "anywhere" if places is None else ", ".join(places) or "no station"
         click.echo(f"- {action['module']} did {action['name']!r} ({action['status']}) at: {where}")
     left = [station for station in view["stations"] if not station["said"]]
-    click.echo(f"To be said: {len(left)} of {len(view['stations'])} stations.")
+    click.echo(f"To report: {len(left)} of {len(view['stations'])} stations.")
     for station in left:
         click.echo(f"  {_line(station)}")
 
@@ -134,8 +134,8 @@ def show_not_known(view: Mapping[str, Any]) -> None:
     """Doors and lids that an action of their module has to bring to where they belong."""
     for module, variables in view["not_known"].items():
         click.echo(
-            f"Not known of {module}: {', '.join(variables)}. Look at it, and bring it to where it belongs: "
-            f"labos do {module} ACTION"
+            f"Not known of {module}: {', '.join(variables)}. Check the module, and move it to its "
+            f"proper position: labos do {module} ACTION"
         )
 
 
@@ -150,7 +150,7 @@ def describe_recorded(station: Mapping[str, Any]) -> str:
     if station["kind"] == "waste":
         return f"{len(station['recorded'])} thrown away"
     if not station["known"] and not station["recorded"]:
-        return "nothing: nobody has ever said"
+        return "nothing: it was never declared"
     pieces: list[str] = []
     for item in station["recorded"]:
         kind = station["types"].get(item.partition("+")[0], "")
@@ -190,11 +190,13 @@ def _ask_others(client: LabClient, cell: str, by: str) -> None:
     left = [s for s in view["stations"] if s["workcell"] == cell and not s["said"]]
     if not left:
         return
-    click.echo(f"In {cell} nothing is known to have been at work at:")
+    click.echo(f"In {cell} no action is known to have been in progress at:")
     for station in left:
         click.echo(f"  {station['station']}: recorded {describe_recorded(station)}")
     names = {station["station"]: station for station in left}
-    text = click.prompt("Which of these are NOT as recorded? (Enter: none)", default="", show_default=False)
+    text = click.prompt(
+        "Which of these differ from the record? (Enter: none)", default="", show_default=False
+    )
     for name in filter(None, (part.strip() for part in text.replace(",", " ").split())):
         if name in names:
             _ask_one(client, view, names.pop(name), by)

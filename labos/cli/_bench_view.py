@@ -100,9 +100,9 @@ def show(sight: BenchView) -> None:
     rows += [("on the floor", _count_kinds(sight.fallen))] if sight.fallen else []
     show_table(("place", "what is there"), rows, title=f"The simulated bench of {sight.workcell}")
     if sight.agrees:
-        click.echo(f"The log says the same (after event {sight.position}).")
+        click.echo(f"The log agrees (after event {sight.position}).")
     else:
-        click.echo(f"The log says otherwise (after event {sight.position}):")
+        click.echo(f"The log differs (after event {sight.position}):")
         for found in sight.differs:
             click.echo(f"- {found}")
     if sight.asked:

@@ -23,10 +23,11 @@ if TYPE_CHECKING:
 @click.option("--urdf", metavar="FOLDER", help="Write a URDF and its meshes into this folder.")
 @json_option
 def describe_command(driver: str, variant: str, urdf: str | None, as_json: bool) -> None:
-    """Show how big DRIVER's instrument is, what of it moves, and where labware stands.
+    """Show the size of DRIVER's instrument, its moving parts, and its places for labware.
 
-    DRIVER is an installed one, a file (shaker.py), or a description.yaml, which is checked. Lengths are
-    in mm, angles in degrees; `from` says where numbers come from, and `assumed` is a guess for drawing.
+    DRIVER is an installed driver, a file (shaker.py), or a description.yaml, which is also checked.
+    Lengths are in mm, angles in degrees. `from` names the source of the numbers. `assumed` marks an
+    estimate that is used only for drawings.
 
     \b
     labos driver describe pf400

@@ -37,8 +37,14 @@ def describe_learning(count: int) -> str:
     from labos.planning.hindsight import ENOUGH
 
     if count < ENOUGH:
-        return f"Of earlier forecasts only {count} can be judged yet: how wide ranges are is partly assumed."
-    return f"Four of five come within their range, by how far off the last {count} forecasts were."
+        return (
+            f"Only {count} earlier forecasts can be compared with the result yet: the width of the ranges is "
+            "partly assumed."
+        )
+    return (
+        "Four of five runs start and end within their range. The ranges come from the errors of the last "
+        f"{count} forecasts."
+    )
 
 
 def _clock(ns: int, now_ns: int) -> str:
@@ -50,6 +56,7 @@ def _clock(ns: int, now_ns: int) -> str:
 def show_runs(found: Mapping[str, Any]) -> None:
     """The runs of a forecast."""
     now = found["now_at"]
+    has_due = any(run["due_at"] for run in found["runs"])
     rows = [
         (
             run["run"],
@@ -58,17 +65,32 @@ def show_runs(found: Mapping[str, Any]) -> None:
             show_expected(run["starts"], now) or "not in sight",
             show_expected(run["ends"], now) or "not in sight",
             show_range(run["ends_alone"], now),
+            *([show_due(run, now)] if has_due else []),
             run["waits"],
         )
         for run in found["runs"]
     ]
-    show_table(("run", "workflow", "user", "starts", "ends", "if nobody else submits", "waits for"), rows)
+    due = ["due"] if has_due else []
+    show_table(
+        ("run", "workflow", "user", "starts", "ends", "if nobody else submits", *due, "waits for"), rows
+    )
     if rows:
         click.echo(describe_learning(found["learned_from"]))
     if found["left_out"]:
         click.echo(f"The first {len(rows)} runs are forecast; {found['left_out']} more wait.")
     if found["cut"]:
-        click.echo("The lab has too much to do: what comes late is not in sight.")
+        click.echo("The lab has too much work: late runs have no forecast.")
+
+
+def show_due(run: Mapping[str, Any], now_ns: int) -> str:
+    """When a run of a forecast is due, and whether that will be kept; empty if it is not due at any time."""
+    from labos.planning.hindsight import TimeRange
+    from labos.services.due import tell_whether_kept
+
+    if not run["due_at"]:
+        return ""
+    kept = tell_whether_kept(run["due_at"], TimeRange(**run["ends"]) if run["ends"] else None)
+    return f"{_clock(run['due_at'], now_ns)}: {kept}"
 
 
 def _workflow(run: Mapping[str, Any]) -> str:
@@ -111,6 +133,8 @@ def show_ways(found: Mapping[str, Any]) -> None:
         if run["run"] in found["new"]:
             click.echo(f"starts:      {show_expected(run['starts'], now) or 'not in sight'}")
             click.echo(f"ends:        {show_expected(run['ends'], now) or 'not in sight'}")
+            if run["due_at"]:
+                click.echo(f"due:         {show_due(run, now)}")
             if run["ends_alone"]:
                 click.echo(f"             {show_range(run['ends_alone'], now)} if nobody else submits")
 

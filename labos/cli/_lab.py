@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from labos.spec import Compiled, CompiledWorkcell, Source
 
 
-CLOSING = "Closing: instruments finish what they are doing, for 30 s at the most (Ctrl-C again: at once)."
+CLOSING = "Closing: waiting for actions in progress, for 30 s at most (Ctrl-C again: at once)."
 
 
 def workcell_file(name: str) -> Path:

@@ -11,7 +11,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from labos.services.times import show_span
+from labos.services.times import show_span, show_time
 
 ENDED_SHOWN = 8
 
@@ -35,8 +35,18 @@ def _runs(state: dict[str, Any], ended: dict[str, str]) -> Table:
         waits = "; ".join(dict.fromkeys(wait["why"] for wait in run["waits"]))
         bar = ProgressBar(total=run["steps"], completed=run["done"], width=16)
         words = escape(doing) if doing else f"[yellow]waits: {escape(waits or 'its turn')}"
+        words += _due(run)
         table.add_row(run["id"], run["workflow"], run["user"], bar, words)
     return table
+
+
+def _due(run: dict[str, Any]) -> str:
+    """When a run is due, in red if that cannot be kept any more."""
+    if not run["due_at"]:
+        return ""
+    late_s = run["late_by_s"]
+    late = f"[red], late by at least {show_span(late_s)}[/]" if late_s > 0 else ""
+    return f"[dim], due {show_time(run['due_at'])[:16]}[/]{late}"
 
 
 def _step(step: dict[str, Any]) -> str:

@@ -95,7 +95,7 @@ class Narrator:
             for line in lines:
                 click.echo(f"            {run} {line}")
             if not does and lines:
-                click.echo(f"            What can be done: labos explain {run}")
+                click.echo(f"            See what to do: labos explain {run}")
         return lines
 
     def follow(self, over: threading.Event) -> None:
@@ -138,7 +138,7 @@ class Narrator:
 def describe_step(step: dict[str, Any]) -> str:
     """A step that a module is at, and how long that still takes; or that nobody knows how it ended."""
     if step.get("state") == "unknown":
-        return f"{step['key']!r}: nobody knows how {step['action']} on {step['module']} ended"
+        return f"{step['key']!r}: it is unknown how {step['action']} on {step['module']} ended"
     left = step.get("left_s")
     words = f"{step['key']!r}: {step['module']} is at {step['action']}"
     return f"{words}, about {show_span(left)} left" if left else words

@@ -28,7 +28,7 @@ from labos.version import VERSION
     "file",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Where the archive goes (labos-node-WORKCELL-MODULE.tar.gz).",
+    help="The file to write (labos-node-WORKCELL-MODULE.tar.gz).",
 )
 @click.option(
     "--option",
@@ -60,11 +60,12 @@ def install(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Make an archive that installs the node of WORKCELL/MODULE on another computer, with Linux and systemd:
-    program, user, settings, certificate and unit.
+    """Write an archive that installs the node of WORKCELL/MODULE on another computer with Linux and systemd:
+    program, user, settings, certificate and systemd unit.
 
-    For a secure bus it holds the node's private key: a certificate is issued if there is none. Copy it over a
-    way that you trust, unpack it there, and run its install.sh as root; again after an upgrade of the lab.
+    For a secure bus the archive contains the node's private key. A certificate is issued if there is none.
+    Copy the archive over a confidential connection, unpack it there, and run its install.sh as root. Repeat
+    this after an upgrade of the lab.
 
     \b
     labos node install rpl/sealer --connect tls/lab.example.org:7447
@@ -76,7 +77,7 @@ def install(
 
     workcell, slash, name = module.partition("/")
     if not slash or not name:
-        raise BadInput(f"{module!r} names no workcell.", remedy="Name WORKCELL/MODULE, such as rpl/sealer.")
+        raise BadInput(f"{module!r} has no workcell.", remedy="Name WORKCELL/MODULE, such as rpl/sealer.")
     settings = Settings.make(home, authority=pki)
     folder = cert.absolute() if cert is not None else _certificate(settings, module, connect)
     requirement = f"labos-sdl[drivers]=={VERSION}"
@@ -102,7 +103,7 @@ def _certificate(settings: Settings, module: str, connect: str) -> Path | None:
     authority, known = Authority(settings.pki), last_kernel(settings.home)
     if not authority.issues or known is None:
         raise BadInput(
-            f"There is no authority in {settings.pki} that could issue a certificate for {module}.",
+            f"{settings.pki} has no certificate authority to issue a certificate for {module}.",
             remedy="Name the node's certificate: --cert FOLDER; or the lab's folder: --home DIR.",
         )
     return authority.ensure(PartyIdentity("node", module, known.lab)).folder

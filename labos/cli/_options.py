@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+import msgspec
 from click.core import ParameterSource
 
 from labos.cli._remote import folder_if_needed
 from labos.errors import BadInput
+
+if TYPE_CHECKING:
+    from labos.client import LabClient
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -48,7 +53,7 @@ database_option = click.option(
 ENDED_SHOWN = 20
 """So many that have ended are listed, unless all are asked for."""
 all_option = click.option(
-    "--all", "everything", is_flag=True, help=f"Also those before the last {ENDED_SHOWN} that ended."
+    "--all", "everything", is_flag=True, help=f"Show all that have ended, not only the last {ENDED_SHOWN}."
 )
 address_option = click.option(
     "--address",
@@ -66,7 +71,7 @@ cert_option = click.option(
     "--cert",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="The folder that `labos pki issue` made, for a secure bus (that in the lab's folder).",
+    help="The folder from `labos pki issue`, for a secure bus (default: the one in the lab's folder).",
 )
 
 
@@ -88,11 +93,52 @@ def json_option_saying(about: str) -> Callable[[F], F]:
 
 json_option = json_option_saying("JSON, for programs.")
 propose_option = click.option(
-    "--propose", is_flag=True, help="It waits for an operator's approval, whatever the policy says."
+    "--propose",
+    is_flag=True,
+    help="Let it wait for an operator's approval, even if the policy does not require one.",
 )
 user_option = click.option(
-    "--user", envvar="LABOS_USER", metavar="NAME", help="Who asks (LABOS_USER; your login if not given)."
+    "--user",
+    envvar="LABOS_USER",
+    metavar="NAME",
+    help="The requesting user (LABOS_USER; your login if not given).",
 )
+
+
+class Asker(msgspec.Struct, frozen=True):
+    """Who asks which lab, and whether the answer is to be JSON: the options ``--user``, ``--home`` and
+    ``--json``, as they were given."""
+
+    name: str | None
+    home: str | None
+    as_json: bool
+
+    @property
+    def user(self) -> str:
+        """The user's name."""
+        return find_user(self.name)
+
+    def lab(self) -> LabClient:
+        """The lab that is asked. Raises NotFound if none runs."""
+        from labos.cli._lab import need_lab
+
+        return need_lab(self.home)
+
+    def tell(self, sentence: str, facts: Any) -> None:
+        """What a command has done."""
+        from labos.cli._out import tell
+
+        tell(sentence, facts, as_json=self.as_json)
+
+
+def asker_options(command: F) -> F:
+    """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
+
+    @wraps(command)
+    def wrap(*args: Any, user: str | None, home: str | None, as_json: bool, **options: Any) -> Any:
+        return command(*args, asker=Asker(user, home, as_json), **options)
+
+    return user_option(home_option(json_option(wrap)))  # type: ignore[return-value]
 
 
 def lab_options(command: F) -> F:
@@ -121,11 +167,15 @@ def web_options(about: str) -> Callable[[F], F]:
                     type=click.Path(dir_okay=False),
                     help="HTTP over TLS: a PEM file with the certificate and those of its issuers.",
                 ),
-                click.option("--tls-key", type=click.Path(dir_okay=False), help="Its key, a PEM file."),
+                click.option(
+                    "--tls-key",
+                    type=click.Path(dir_okay=False),
+                    help="The private key of --tls-cert, a PEM file.",
+                ),
                 click.option(
                     "--behind-proxy",
                     is_flag=True,
-                    help=f"Another program speaks TLS for {about}, and says for whom (X-Forwarded-For): "
+                    help=f"A proxy provides TLS for {about} and sends X-Forwarded-For: "
                     "nobody else may reach its port.",
                 ),
                 click.option(

@@ -7,16 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import (
-    find_user,
-    home_option,
-    json_option,
-    read_result,
-    user_option,
-    wait_option,
-    why_option,
-)
-from labos.cli._out import show_json, tell
+from labos.cli._options import Asker, asker_options, read_result, wait_option, why_option
+from labos.cli._out import show_json
 
 if TYPE_CHECKING:
     from labos.client import RunResult
@@ -24,44 +16,39 @@ if TYPE_CHECKING:
 
 @click.command("cancel")
 @click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
-@wait_option("Wait until what was cancelled has ended.", default=False)
+@wait_option("Wait until all cancelled runs have ended.", default=False)
 @click.option("--stay", is_flag=True, help="Leave labware where it is, even if there are `on_cancel` steps.")
-@why_option("The reason, for the log and for those who ask later.")
-@user_option
-@home_option
-@json_option
-def cancel(
-    target: str, wait: bool, stay: bool, why: str, user: str | None, home: str | None, as_json: bool
-) -> None:
+@why_option("The reason, for the log.")
+@asker_options
+def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
     """Cancel TARGET: a run, an experiment, or the runs of a module, a workcell or the whole `lab`.
 
-    Actions in progress end first. Labware of a run is then cleared away by the `on_cancel` steps of its
-    workflow; if there are none, it stays where it is and a person is asked. An experiment takes no
-    more runs and closes. For a module, the active runs that still need it are cancelled.
+    Actions in progress continue to their end. Then the `on_cancel` steps of the workflow clear the run's
+    labware away. Without such steps the labware stays where it is, and the lab asks a person. A cancelled
+    experiment accepts no more runs and closes. With a module as TARGET, all active runs that still need it
+    are cancelled.
 
     \b
     labos cancel R3 --why "wrong plate"
-    labos cancel R3 --wait    come back when it has ended
-    labos cancel R3 --stay    move no labware any more, even if it is being cleared away
+    labos cancel R3 --wait    wait until it has ended
+    labos cancel R3 --stay    move no more labware, even if it is being cleared away
     labos cancel R3 --why "wrong plate"
-    labos cancel E2           all its runs; then its closing workflow clears away
-    labos cancel E2 --stay    its closing workflow too: all labware stays where it is
-    labos cancel rpl          all runs of a workcell, those that wait too
+    labos cancel E2           all its runs; then its closing workflow clears the labware away
+    labos cancel E2 --stay    without its closing workflow: all labware stays where it is
+    labos cancel rpl          all runs of a workcell, also waiting ones
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        done = client.control("cancel", target, find_user(user), why=why, stay=stay)
+    with asker.lab() as client:
+        done = client.control("cancel", target, asker.user, why=why, stay=stay)
         runs = done["runs"] or ([target] if done["kind"] == "run" else [])
         ends = (client.wait(run) if wait else client.status(run) for run in runs)
-        if as_json:
+        if asker.as_json:
             told = [{"id": end.id, "status": end.status, "why": end.why} for end in ends]
             facts = {"kind": done["kind"], "target": done["target"], "already": done["already"]}
             show_json({**facts, "runs": told})
             return
         if done["already"]:
             is_one = done["kind"] in ("run", "experiment")
-            what = "is being cancelled already" if is_one else "has nothing to cancel"
+            what = "is already being cancelled" if is_one else "has nothing to cancel"
             click.echo(f"{_capital(_target_name(done))} {what}.{_describe_reason(done)}")
         elif done["kind"] != "run":
             click.echo(f"{_target_name(done)}: {len(runs)} run{'' if len(runs) == 1 else 's'} cancelled.")
@@ -81,7 +68,7 @@ def _describe_end(result: RunResult, *, stay: bool) -> str:
         if step.state in ("in flight", "unknown")
     ]
     first = f"as soon as {' and '.join(flying)} has ended" if flying else "next"
-    ends = "it goes its way out" if _has_way_out(result) and not stay else "it ends"
+    ends = "it clears its labware away" if _has_way_out(result) and not stay else "it ends"
     return f"{result.id} is {result.status}: {ends} {first}. Wait for it: labos runs {result.id}"
 
 
@@ -100,47 +87,39 @@ def _target_name(done: dict[str, Any]) -> str:
 @click.command("pause")
 @click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
 @why_option()
-@user_option
-@home_option
-@json_option
-def pause(target: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Start no further step of TARGET until it is resumed: a run, an experiment, a module, a workcell, or
-    the whole `lab`. Actions in progress continue to their end.
+@asker_options
+def pause(target: str, why: str, asker: Asker) -> None:
+    """Pause TARGET: a run, an experiment, a module, a workcell, or the whole `lab`. No further step starts
+    until you resume it. Actions in progress continue to their end.
 
     \b
     labos pause R3
     labos pause pf400 --why "listening to its gripper"
     labos pause lab
     """
-    _change("pause", target, user, home, why, as_json=as_json)
+    _change("pause", target, asker, why)
 
 
 @click.command("resume")
 @click.argument("target", shell_complete=completes("run", "experiment", "module", "workcell", "lab"))
-@user_option
-@home_option
-@json_option
-def resume(target: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Let TARGET go on: a run, an experiment, a module, a workcell, or the whole `lab`.
+@asker_options
+def resume(target: str, asker: Asker) -> None:
+    """Resume TARGET: a run, an experiment, a module, a workcell, or the whole `lab`.
 
     \b
     labos resume R3
     labos resume lab
     """
-    _change("resume", target, user, home, as_json=as_json)
+    _change("resume", target, asker)
 
 
-def _change(
-    verb: str, target: str, user: str | None, home: str | None, why: str = "", *, as_json: bool
-) -> None:
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        done = client.control(verb, target, find_user(user), why=why)
+def _change(verb: str, target: str, asker: Asker, why: str = "") -> None:
+    with asker.lab() as client:
+        done = client.control(verb, target, asker.user, why=why)
     was = " already" if done["already"] else ""
     state = f"is paused{was}" if verb == "pause" else f"goes on{was}"
     facts = {"kind": done["kind"], "target": done["target"], "paused": verb == "pause"}
-    tell(f"{_capital(_target_name(done))} {state}.{_describe_reason(done)}", facts, as_json=as_json)
+    asker.tell(f"{_capital(_target_name(done))} {state}.{_describe_reason(done)}", facts)
 
 
 def _capital(text: str) -> str:
@@ -156,41 +135,32 @@ def _describe_reason(done: dict[str, Any]) -> str:
 @click.argument("intervention", shell_complete=completes("intervention"), required=False)
 @click.argument("choice", required=False)
 @why_option("A note for the log.")
-@click.option("--result", metavar="JSON", help="What a step that was done measured, if later steps read it.")
-@user_option
-@home_option
-@json_option
-def resolve(
-    intervention: str | None,
-    choice: str | None,
-    why: str,
-    result: str | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
-) -> None:
-    """Answer a question of the lab with one of its choices; without arguments, list them.
+@click.option(
+    "--result", metavar="JSON", help="The result of the step, if it was done and later steps read its result."
+)
+@asker_options
+def resolve(intervention: str | None, choice: str | None, why: str, result: str | None, asker: Asker) -> None:
+    """Answer a question of the lab with one of its choices. Without arguments, list the questions.
 
     \b
     labos resolve
     labos resolve I2 done --why "looked at the nest"
     labos resolve I3 done --result '{"od": 0.42}'
     """
-    from labos.cli._lab import need_lab
     from labos.cli._liveness import open_questions
 
     if intervention and choice:
-        with need_lab(home) as client:
-            client.resolve(intervention, choice, find_user(user), why, read_result(result))
+        with asker.lab() as client:
+            client.resolve(intervention, choice, asker.user, why, read_result(result))
         facts = {"id": intervention, "choice": choice}
-        tell(f"{intervention} is answered: {choice}.", facts, as_json=as_json)
+        asker.tell(f"{intervention} is answered: {choice}.", facts)
         return
-    questions = open_questions(home)
-    if as_json:
+    questions = open_questions(asker.home)
+    if asker.as_json:
         show_json(questions)
         return
     if not questions:
-        click.echo("The lab asks nothing.")
+        click.echo("No question is open.")
     for question in questions:
         click.echo(f"{question['id']}  {question['text']}")
         if question["now"] and question["now"] not in question["text"]:
@@ -202,85 +172,72 @@ def resolve(
 @click.command("place")
 @click.argument("station", shell_complete=completes("station"))
 @click.argument("labware")
-@user_option
-@home_option
-@json_option
-def place(station: str, labware: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Report that you put LABWARE, given by its type, on an empty STATION.
+@asker_options
+def place(station: str, labware: str, asker: Asker) -> None:
+    """Report that you put labware on an empty STATION. LABWARE is its type.
 
     \b
     labos place camera_module.plate_station plate96
     """
-    from labos.cli._lab import need_lab, stands_at
+    from labos.cli._lab import stands_at
 
-    with need_lab(home) as client:
-        name = client.place(station, labware, find_user(user))
+    with asker.lab() as client:
+        name = client.place(station, labware, asker.user)
         where = stands_at(client, [name]).get(name, station)
     facts = {"labware": name, "type": labware, "station": where}
-    tell(f"{name or labware} stands at {where}.", facts, as_json=as_json)
+    asker.tell(f"{name or labware} stands at {where}.", facts)
 
 
 @click.command("barcode")
 @click.argument("labware", shell_complete=completes("labware"))
 @click.argument("barcode")
-@click.option("--replace", is_flag=True, help="It had another one; its label was changed.")
-@user_option
-@home_option
-@json_option
-def barcode(
-    labware: str, barcode: str, replace: bool, user: str | None, home: str | None, as_json: bool
-) -> None:
-    """Record that LABWARE has BARCODE: if a reader finds another one there, a person is asked.
+@click.option("--replace", is_flag=True, help="Replace an earlier barcode, because the label was changed.")
+@asker_options
+def barcode(labware: str, barcode: str, replace: bool, asker: Asker) -> None:
+    """Record that LABWARE has BARCODE. If a barcode reader reads another one, the lab asks a person.
 
     \b
     labos barcode P7 LB000815
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.barcode(labware, barcode, find_user(user), replace=replace)
-    tell(f"{labware} bears {barcode}.", {"labware": labware, "barcode": barcode}, as_json=as_json)
+    with asker.lab() as client:
+        client.barcode(labware, barcode, asker.user, replace=replace)
+    asker.tell(f"{labware} has the barcode {barcode}.", {"labware": labware, "barcode": barcode})
 
 
 @click.command("out-of-service")
 @click.argument("module", shell_complete=completes("module"))
-@why_option("The reason, for everybody whose run waits.", required=True)
-@click.option("--until", metavar="TIME", help="When it is back by itself: 2h, 1d12h, 2026-05-04T10:30.")
-@user_option
-@home_option
-@json_option
-def out_of_service(
-    module: str, why: str, until: str | None, user: str | None, home: str | None, as_json: bool
-) -> None:
-    """Take MODULE out of service: what runs there ends, nothing more starts, runs wait for it.
+@why_option("The reason, for users whose runs wait.", required=True)
+@click.option(
+    "--until",
+    metavar="TIME",
+    help="When the module returns to service automatically: 2h, 1d12h, 2026-05-04T10:30.",
+)
+@asker_options
+def out_of_service(module: str, why: str, until: str | None, asker: Asker) -> None:
+    """Take MODULE out of service: its current action ends, no new action starts, and runs wait for it.
 
     \b
     labos out-of-service hidex --why "lamp is being changed" --until 2h
     """
-    from labos.cli._lab import need_lab
     from labos.cli._query import now_ns
     from labos.services.times import parse_until, show_time
 
     back_at = parse_until(until, now_ns()) if until else 0
-    with need_lab(home) as client:
-        client.take_out(module, why, find_user(user), back_at)
+    with asker.lab() as client:
+        client.take_out(module, why, asker.user, back_at)
     told = f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}."
-    tell(told, {"module": module, "in_service": False, "back_at": back_at}, as_json=as_json)
+    asker.tell(told, {"module": module, "in_service": False, "back_at": back_at})
 
 
 @click.command("in-service")
 @click.argument("module", shell_complete=completes("module"))
-@user_option
-@home_option
-@json_option
-def in_service(module: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Put MODULE back in service: runs that wait for it go on.
+@asker_options
+def in_service(module: str, asker: Asker) -> None:
+    """Put MODULE back in service: runs that wait for it continue.
 
     \b
     labos in-service hidex
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.put_back(module, find_user(user))
-    tell(f"{module} is in service.", {"module": module, "in_service": True}, as_json=as_json)
+    with asker.lab() as client:
+        client.put_back(module, asker.user)
+    asker.tell(f"{module} is in service.", {"module": module, "in_service": True})

@@ -48,7 +48,7 @@ def sign_in(client: LabClient, way: Way, port: int, **token: Any) -> dict[str, A
         expected = _way_back(client, begun)
         click.echo(
             f"Open this address in a browser, and sign in there:\n\n  {begun['address']}\n\n"
-            "Its last page cannot be shown. Copy the address of that page, and paste it here.",
+            "The browser cannot show the last page. Copy the address of that page, and paste it here.",
             err=True,
         )
         return _finish(client, begun, _read_pasted(begun, expected), **token)
@@ -77,7 +77,7 @@ def _with_device(client: LabClient, **token: Any) -> dict[str, Any]:
     _expect_page(begun["address"])
     click.echo(
         f"Open this address in a browser, and sign in there:\n\n  {begun['address']}\n\n"
-        f"Its code is {begun['code']}; go on only if the page shows the same one.",
+        f"Its code is {begun['code']}; continue only if the page shows the same code.",
         err=True,
     )
     wait_s = begun["wait_s"]
@@ -103,13 +103,13 @@ def _way_back(client: LabClient, begun: Mapping[str, Any]) -> str:
     parts = urlsplit(found)
     is_own = (parts.scheme, parts.hostname) == ("http", OWN) and not parts.query
     if not is_own or asked.get("state") != [begun["state"]]:
-        raise NotSignedIn("The lab sends the browser somewhere else.", remedy="Ask an admin of the lab.")
+        raise NotSignedIn("The lab sends the browser to another site.", remedy="Ask an admin of the lab.")
     if lab and parts.path != f"/login/{lab}":
         raise NotSignedIn(
             f"The lab at {place} sends you to the sign-in of another one "
             f"({parts.path.removeprefix('/login/')}).",
-            remedy="Name the lab by the address that its oidc.yaml has in `lab:`; if that is what you did, "
-            "do not sign in, and tell who looks after the lab.",
+            remedy="Use the address in `lab:` of the lab's oidc.yaml. If you did, do not sign in, and report "
+            "this to an admin of the lab.",
         )
     return found
 
@@ -122,7 +122,7 @@ def _expect_page(address: str) -> None:
     if parts.scheme == "http" and (parts.hostname == "localhost" or _is_loopback(parts.hostname or "")):
         return
     raise NotSignedIn(
-        f"The lab sends the browser to {address[:100]!r}.", remedy="Tell who looks after the lab."
+        f"The lab sends the browser to {address[:100]!r}.", remedy="Report this to an admin of the lab."
     )
 
 
@@ -143,8 +143,8 @@ def _read_pasted(begun: Mapping[str, Any], expected: str) -> dict[str, str]:
     sent = _parse_answer(query)
     if address != expected or sent.pop("state", "") != begun["state"]:
         raise NotSignedIn(
-            "This is not the address of the page to which this sign-in leads.",
-            remedy=f"It begins with {expected}?",
+            "This is not the address of the last page of this sign-in.",
+            remedy=f"The address begins with {expected}.",
         )
     return sent
 
@@ -155,7 +155,7 @@ def _parse_answer(query: str) -> dict[str, str]:
 
 
 def _give_up() -> NotSignedIn:
-    return NotSignedIn("Nobody has signed in.", remedy="Begin again with `labos login`.")
+    return NotSignedIn("The sign-in was not completed.", remedy="Start again with `labos login`.")
 
 
 class _Listener(HTTPServer):
@@ -205,7 +205,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         is_it = self.server.take(self.path)
-        words = "You can close this page, and go back to the command." if is_it else "Nothing is waited for."
+        words = (
+            "You can close this page and return to the command."
+            if is_it
+            else "The command does not wait for a sign-in."
+        )
         body = PAGE.format(html.escape(words)).encode()
         self.send_response(200 if is_it else 404)
         for name, value in {**HEADERS, "content-length": str(len(body))}.items():

@@ -73,7 +73,8 @@ def rehearse(
         show_json(found)
         return
     click.echo(
-        f"The backup comes back: {found.position} events up to {show_time(done.recorded_at)}, {found.blobs} "
+        f"The backup can be restored: {found.position} events up to {show_time(done.recorded_at)}, "
+        f"{found.blobs} "
         f"blobs; chain, fold and state agree. It took {found.took_s:.1f} s."
     )
     click.echo(compared)
@@ -86,19 +87,20 @@ def _compare(where: Where, done: Restored) -> tuple[int | None, str]:
             head = store.head()
             record = next(store.read(done.position - 1, done.position), None)
     except LabosError as error:
-        return None, f"It was compared with no log: {error.message}"
+        return None, f"It was not compared with a log: {error.message}"
     if not head.position:
-        return None, "It was compared with no log: there is none in this lab's folder."
+        return None, "It was not compared with a log: there is none in this lab's folder."
     if record is None or record.hash.hex() != done.hash:
         raise LogDamaged(
-            f"The backup is whole, and of another log than that of {where.home}: they differ at position "
+            f"The backup is intact, but belongs to another log than that of {where.home}: they "
+            "differ at position "
             f"{done.position} or before.",
             position=done.position,
-            remedy="Name the folder of this lab's backup; or find what was changed: labos verify",
+            remedy="Name the folder of this lab's backup, or find the change: labos verify",
         )
     behind = head.position - done.position
     if not behind:
-        return 0, "The lab's log holds nothing that the backup does not."
+        return 0, "The backup contains all events of the lab's log."
     return behind, (
         f"A restore would lose {behind} events, recorded since {show_time(done.recorded_at)}: labos backup"
     )

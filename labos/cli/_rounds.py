@@ -25,9 +25,7 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
         for station in state["stations"]
         if (name := station["name"]).partition("/")[0] == workcell and name.partition("/")[2] not in hotels
     }
-    click.echo(
-        "What stands there now? Enter: it is as before. Else: empty, or labware by its id (P7) or type."
-    )
+    click.echo("What stands there now? Enter: unchanged. Otherwise: empty, or an id (P7) or type of labware.")
     now: dict[str, list[str]] = {}
     for name, things in standing.items():
         told_now = _ask_station(name, stations[name], f"  {name}: {', '.join(things)}")
@@ -39,7 +37,7 @@ def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence
     click.echo(
         "\n".join(f"  {name}: {' and '.join(told) or EMPTY}" for name, told in now.items()) or "Nothing."
     )
-    click.confirm("Is that all that was changed, and is everybody out?", abort=True)
+    click.confirm("Is this list of changes complete, and does nobody reach in any more?", abort=True)
     return changes
 
 
@@ -63,13 +61,13 @@ def _other(
     """Another station where something stands now, and what; None if there is none. ``hotels`` are those
     that have shelves, by how many."""
     while True:
-        text = click.prompt("Anything elsewhere? STATION=WHAT; Enter: no", default="", show_default=False)
+        text = click.prompt("Other changes? STATION=WHAT; Enter: none", default="", show_default=False)
         if not text.strip():
             return None
         name, equals, what = (part.strip() for part in text.partition("="))
         told = [] if what == EMPTY else _words(what)
         if not equals or not (told or what == EMPTY):
-            click.echo("  Write STATION=WHAT, as wc.shelf=P7.")
+            click.echo("  Write STATION=WHAT, such as wc.shelf=P7.")
         elif name in hotels:
             click.echo(f"  {name} has shelves: {name}.1 to {name}.{hotels[name]}. Name one of them.")
         elif name not in stations:
@@ -84,13 +82,13 @@ def _problem(name: str, station: Mapping[str, Any], told: Sequence[str]) -> str:
     """Why that cannot stand there, as far as it can be told here."""
     if told and (station["kind"] in COUNTED or station["stock"]):
         return (
-            f"What lies in {name} is counted, not named: say kept or empty here, and when you are done: "
+            f"Labware in {name} has no ids: answer kept or empty here, and at the end run: "
             f"labos bench declare {name}=NUMBERxTYPE"
         )
     if len(told) > station["capacity"]:
         return f"{name} has room for {station['capacity']}."
     if EMPTY in told or KEPT in told:
-        return "Write kept, empty, or what stands there."
+        return "Write kept, empty, or the labware."
     return ""
 
 

@@ -22,8 +22,8 @@ def trust_of(
     keys = read_given_keys(public_keys) or SigningKeys(home).public()
     if not keys:
         raise BadInput(
-            "No public key was given to check signatures with.",
-            remedy="Say --public-key FILE: the lab tells it with labos key show.",
+            "No public key was given to check the signatures.",
+            remedy="Give --public-key FILE. The lab prints it with labos key show.",
         )
     return Trust(tuple(keys), tuple(read_given_keys(witnesses)), tsa)
 

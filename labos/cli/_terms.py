@@ -13,14 +13,18 @@ F = TypeVar("F", bound=Callable[..., Any])
 _OPTIONS = (
     click.option("--priority", type=int, help="The priority of rows that are submitted from now on."),
     click.option("--deadline", metavar="TIME", help="2026-05-04T10:30, 12h from now, or empty for none."),
-    click.option("--runs", type=click.IntRange(min=0), help="So many runs at most; 0: no limit."),
-    click.option("--lab-time", metavar="TIME", help="So much module time at most, as `20 h`; 0: no limit."),
+    click.option("--runs", type=click.IntRange(min=0), help="The maximum number of runs; 0: no limit."),
+    click.option("--lab-time", metavar="TIME", help="The maximum module time, such as `20 h`; 0: no limit."),
     click.option(
         "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="So much at most."
     ),
     click.option("--until", metavar="RULE", help="The stop rule; empty for none."),
-    click.option("--stop-after", type=click.IntRange(min=0), help="So many rows may fail; 0: however many."),
-    click.option("--tag", "tags", multiple=True, metavar="TAG", help="Its tags, in place of those it has."),
+    click.option(
+        "--stop-after", type=click.IntRange(min=0), help="Stop after this number of failed rows; 0: never."
+    ),
+    click.option(
+        "--tag", "tags", multiple=True, metavar="TAG", help="New tags, which replace the present ones."
+    ),
 )
 
 

@@ -49,7 +49,9 @@ def expect_zone(name: str | None) -> str:
     try:
         zone_of(name)
     except ValueError:
-        raise BadInput(f"{name!r} is no time zone.", remedy="Write one like Europe/Zurich, or UTC.") from None
+        raise BadInput(
+            f"{name!r} is not a time zone.", remedy="Write one like Europe/Zurich, or UTC."
+        ) from None
     return name
 
 
@@ -100,7 +102,7 @@ def rule_of(every: str | None, rule: str | None) -> str:
     """The rule that ``--every`` or ``--rule`` means; empty for neither. Raises BadInput."""
     if rule is not None:
         if every is not None:
-            raise BadInput("--every and --rule say the same.", remedy="Leave one of them out.")
+            raise BadInput("--every and --rule cannot be combined.", remedy="Leave one of them out.")
         return rule.upper().removeprefix("RRULE:")
     if every is None:
         return ""
@@ -110,7 +112,7 @@ def rule_of(every: str | None, rule: str | None) -> str:
         return f"{EVERY[so_many[2]]};INTERVAL={int(so_many[1])}"
     if said not in EVERY:
         raise BadInput(
-            f"{every!r} is not how often something comes again.",
-            remedy="Write day, week, weekday, month, year or '2 weeks'; all else with --rule.",
+            f"{every!r} is not a valid repetition.",
+            remedy="Write day, week, weekday, month, year or '2 weeks'. Use --rule for other repetitions.",
         )
     return EVERY[said]

@@ -25,7 +25,7 @@ def show_why(found: Losses, shown: list[Twh]) -> None:
     show_table(
         ("cause", "module", "class", "lost", "share", "waits for"),
         [_loss(first, loss) for loss in first.losses],
-        title=f"What {_name(first)} lost",
+        title=f"Losses of {_name(first)}",
     )
     click.echo()
     show_table(

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, user_option, why_option
-from labos.cli._out import tell
+from labos.cli._options import Asker, asker_options, why_option
 from labos.errors import BadInput, NotFound, Refused
 
 if TYPE_CHECKING:
@@ -19,22 +18,30 @@ if TYPE_CHECKING:
 LOOK_S = 0.2
 
 
-@click.command("access", short_help="Reach into a workcell: everything there waits meanwhile.")
+@click.command("access", short_help="Reach into a workcell while its runs wait.")
 @click.argument("workcell", shell_complete=completes("workcell"))
-@why_option("What for: those whose runs wait can read it. With --done: a word about it.")
+@why_option("The reason; users whose runs wait can read it. With --done: a comment.")
 @click.option("--no-park", is_flag=True, help="Leave the arms where they are.")
-@click.option("--timeout", type=float, default=600.0, show_default=True, help="Seconds to wait for it.")
-@click.option("--done", is_flag=True, help="Everybody is out again; the lab goes on.")
+@click.option(
+    "--timeout",
+    type=float,
+    default=600.0,
+    show_default=True,
+    help="How many seconds to wait until nothing moves.",
+)
+@click.option(
+    "--done", is_flag=True, help="Report that nobody reaches into the workcell any more; the lab continues."
+)
 @click.option(
     "--changed",
     multiple=True,
     metavar="STATION=WHAT",
-    help="With --done: what stands there now: `empty`, labware by its id (P7), or a type of labware.",
+    help="With --done: what stands at a station now: `empty`, an id of labware (P7), or a labware type.",
 )
-@click.option("--unchanged", is_flag=True, help="With --done: nothing was changed; ask nothing.")
-@json_option
-@user_option
-@home_option
+@click.option(
+    "--unchanged", is_flag=True, help="With --done: report that nothing was changed, without questions."
+)
+@asker_options
 def command(
     workcell: str,
     why: str,
@@ -43,49 +50,46 @@ def command(
     done: bool,
     changed: tuple[str, ...],
     unchanged: bool,
-    as_json: bool,
-    user: str | None,
-    home: str | None,
+    asker: Asker,
 ) -> None:
-    """Reach into WORKCELL: nothing more starts there, arms that have a home go there, what is in
-    flight ends; then the command reports that nothing moves. Runs wait until you report --done.
+    """Request access, to reach into WORKCELL. No new action starts there, actions in progress end, and arms
+    with a home position move to it. Then the command reports that nothing moves. Runs wait until you report
+    --done.
 
-    This is no safety function: doors, light curtains and emergency stops are what protects you.
-    With --done, report what you changed: everything else is taken to stand as before. On a terminal you
-    are asked, station by station, and confirm at the end; nothing is sent to the lab before that.
+    This is not a safety function: only doors, light curtains and emergency stops protect you. With --done,
+    report what you changed. LabOS assumes that everything else is unchanged. On a terminal, the command asks
+    you about each station, and you confirm at the end. Nothing is sent to the lab before that.
 
     \b
     labos access rpl --why "a plate has slipped"
     labos access rpl --done
     labos access rpl --done --changed sealer.default=empty --changed camera_module.plate_station=P7
     """
-    from labos.cli._lab import need_lab
-
     if (changed or unchanged) and not done:
-        raise click.UsageError("--changed and --unchanged go with --done.")
+        raise click.UsageError("--changed and --unchanged need --done.")
     if changed and unchanged:
-        raise click.UsageError("Say either what was --changed, or that all is --unchanged.")
-    with need_lab(home) as client:
+        raise click.UsageError("Give either --changed or --unchanged.")
+    with asker.lab() as client:
         if done:
             told = [_change(text) for text in changed]
-            if not (changed or unchanged or as_json) and sys.stdin.isatty() and sys.stdout.isatty():
-                _leave_asked(client, workcell, find_user(user), why)
+            if not (changed or unchanged or asker.as_json) and sys.stdin.isatty() and sys.stdout.isatty():
+                _leave_asked(client, workcell, asker.user, why)
                 return
-            client.leave(workcell, find_user(user), told, why)
+            client.leave(workcell, asker.user, told, why)
             changes = [{"station": station, "what": what} for station, what in told]
             facts = {"workcell": workcell, "granted": False, "changed": changes}
-            tell(_goes_on(workcell, told), facts, as_json=as_json)
+            asker.tell(_goes_on(workcell, told), facts)
             return
-        parking = client.enter(workcell, find_user(user), why, park=not no_park)
-        if not as_json:
-            click.echo(f"Nothing more starts in {workcell}.")
+        parking = client.enter(workcell, asker.user, why, park=not no_park)
+        if not asker.as_json:
+            click.echo(f"No new action starts in {workcell}.")
             if parking:
                 click.echo(f"Arms go home: {', '.join(parking)}.")
         _until_granted(client, workcell, timeout)
         state = client.state(waits=False)
     access = state["lab"]["access"].get(workcell)
     doubtful = access["perhaps_moving"] if access is not None else []
-    if as_json:
+    if asker.as_json:
         from labos.cli._out import show_json
 
         show_json(
@@ -100,20 +104,21 @@ def command(
         return
     if doubtful:
         click.echo(
-            f"BEWARE: nobody knows whether all is at rest: {', '.join(doubtful)}. Switch it off first.\n"
-            f"Nothing else moves in {workcell} now, and nothing will until you are out."
+            f"WARNING: it is unknown whether everything has stopped: {', '.join(doubtful)}. Switch "
+            "it off first.\n"
+            f"Nothing else moves in {workcell} now. Nothing will start until you report --done."
         )
     else:
-        click.echo(f"Nothing moves in {workcell} now, and nothing will until you are out.")
+        click.echo(f"Nothing moves in {workcell} now. Nothing will start until you report --done.")
     _guide(state, workcell)
 
 
 def _goes_on(workcell: str, told: list[tuple[str, str]]) -> str:
     if told:
-        return f"{workcell} goes on."
+        return f"{workcell} continues."
     return (
-        f"{workcell} goes on. Nothing was told to have changed: the lab believes that all stands as before "
-        "(--changed says otherwise)."
+        f"{workcell} continues. No change was reported: the lab assumes that all labware stands as before "
+        "(report changes with --changed)."
     )
 
 
@@ -131,7 +136,7 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
                 told = ask(state, workcell, _list_recorded(state, workcell))
             except (click.Abort, KeyboardInterrupt):
                 click.echo(
-                    f"\nNothing was told: {workcell} stays held. Say it again: labos access {workcell} --done"
+                    f"\nNothing was reported: {workcell} stays held. Repeat: labos access {workcell} --done"
                 )
                 raise
         try:
@@ -139,7 +144,7 @@ def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
         except (BadInput, NotFound, Refused) as refused:
             if not told:
                 raise
-            click.echo(f"labos: {refused}\nNothing was taken from what you said. Once more:", err=True)
+            click.echo(f"labos: {refused}\nNone of your answers was recorded. Please answer again:", err=True)
             continue
         click.echo(_goes_on(workcell, told))
         return
@@ -152,7 +157,7 @@ def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
     while True:
         access = client.state(waits=False)["lab"]["access"].get(workcell)
         if access is None:
-            raise NotFound("Somebody has ended the access meanwhile.", remedy="Ask for it again.")
+            raise NotFound("Another user has ended the access meanwhile.", remedy="Request access again.")
         if access["granted"]:
             return
         if access["moving"] and access["moving"] != said:
@@ -161,7 +166,8 @@ def _until_granted(client: LabClient, workcell: str, timeout_s: float) -> None:
         if time.monotonic() > give_up:
             raise NotFound(
                 f"After {timeout_s:g} s it still moves in {workcell}: {', '.join(access['moving'])}.",
-                remedy=f"Ask again to go on waiting, or let it be: labos access {workcell} --done",
+                remedy="Repeat the command to wait longer, or end the access: labos access "
+                f"{workcell} --done",
             )
         time.sleep(LOOK_S)
 
@@ -182,12 +188,12 @@ def _list_recorded(state: dict[str, Any], workcell: str) -> dict[str, list[str]]
 
 
 def _guide(state: dict[str, Any], workcell: str) -> None:
-    click.echo("The lab believes that here stands:")
+    click.echo("According to the lab, these stations hold labware:")
     for name, standing in _list_recorded(state, workcell).items():
         click.echo(f"  {name}: {', '.join(standing)}")
     click.echo(
-        "All other stations are empty, or nobody has spoken of them.\n"
-        f"When you are out:         labos access {workcell} --done\n"
+        "All other stations are empty or unknown.\n"
+        f"At the end:                labos access {workcell} --done\n"
         f"If you took labware away: labos access {workcell} --done --changed STATION=empty\n"
         f"If you moved P7:          labos access {workcell} --done --changed STATION=P7"
     )
@@ -196,5 +202,7 @@ def _guide(state: dict[str, Any], workcell: str) -> None:
 def _change(text: str) -> tuple[str, str]:
     station, equals, what = text.partition("=")
     if not (station.strip() and equals and what.strip()):
-        raise BadInput(f"{text!r} does not say what stands where.", remedy="Write STATION=empty, STATION=P7.")
+        raise BadInput(
+            f"{text!r} does not name a station and its content.", remedy="Write STATION=empty, STATION=P7."
+        )
     return station.strip(), what.strip()

@@ -36,22 +36,22 @@ class Offer(msgspec.Struct, frozen=True):
     metavar="[MODULE|DRIVER]",
 )
 @click.argument("action", required=False, default="")
-@click.option("--drivers", is_flag=True, help="All installed drivers, also where there is a lab.")
+@click.option("--drivers", is_flag=True, help="Show all installed drivers, even if there is a lab.")
 @click.option("--workcell", "file", metavar="FILE", help="The modules of this workcell file.")
 @json_option
 @log_options
 def command(where: Where, name: str, action: str, drivers: bool, file: str | None, as_json: bool) -> None:
-    """What a module can do: its actions, with the arguments that a step of a workflow gives them.
+    """Show the actions of a module, with the arguments for a step of a workflow.
 
-    NAME is a module of the lab (of the workcell file, with --workcell), a driver or a model. Without it:
-    all modules of the lab; where there is no lab, all installed drivers.
+    NAME is a module of the lab (with --workcell: of the workcell file), a driver or a model. Without NAME,
+    the command shows all modules of the lab, or all installed drivers if there is no lab.
 
     \b
     labos actions                         every module, and its actions
     labos actions sealer                  the actions of one module, with units and ranges
     labos actions sealer seal             one action
-    labos actions pf400 --drivers         a driver, whatever the lab calls its modules
-    labos actions --workcell cell.yaml    what the modules of a file can do
+    labos actions pf400 --drivers         a driver, even if a module has the same name
+    labos actions --workcell cell.yaml    the actions of all modules of a file
     """
     offers = list(_offers(where, file, drivers=drivers))
     if name:
@@ -186,9 +186,9 @@ def _about(spec: ActionSpec) -> str:
     if spec.aliases:
         words.append(f"Also written {', '.join(spec.aliases)}.")
     if not spec.exclusive:
-        words.append("The module can do it beside something else.")
+        words.append("The module can do it during another action.")
     if spec.recovers:
-        words.append("It brings the module out of an error.")
+        words.append("It resets the module after an error.")
     if spec.dangerous:
         words.append(f"Dangerous: {spec.dangerous}.")
     return " ".join(filter(None, words)) or "No description."

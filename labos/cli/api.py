@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     metavar="URL",
     envvar="LABOS_ACCOUNTS_URL",
     callback=without_password,
-    help="The database with passwords, tokens and sessions (LABOS_ACCOUNTS_URL; that of the log): needed "
+    help="The database with passwords, tokens and sessions (LABOS_ACCOUNTS_URL; that of the log). Needed "
     "where --database is a read-only replica.",
 )
 @click.option(
@@ -40,8 +40,10 @@ if TYPE_CHECKING:
     show_default=True,
     help="The name of this process: each API process of a lab has its own.",
 )
-@click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
-@click.option("--host", default="127.0.0.1", show_default=True, help="The address on which it listens.")
+@click.option("--http-port", type=int, help="The port of the HTTP interface (a free port if not given).")
+@click.option(
+    "--host", default="127.0.0.1", show_default=True, help="The address on which this process listens."
+)
 @web_options("this process")
 @click.option(
     "--bus", multiple=True, metavar="ENDPOINT", help="The lab's bus (that of the kernel that runs in --home)."
@@ -65,11 +67,12 @@ def command(
 ) -> None:
     """Serve the HTTP interface of a running lab until Ctrl-C, beside the kernel's own.
 
-    It follows the log and answers from it, lets users in, and sends the kernel what it has to decide. Any
-    number of them may run, each with a name and a port of its own: viewers, programs and a proxy then
-    leave the kernel in peace. On the kernel's computer --home is enough. On another one the log has to be on
-    PostgreSQL (--database may be a read-only replica, with --accounts), and the bus a secure one (`labos pki
-    issue api NAME`, then --cert and --bus). See docs/api-processes.md.
+    This process follows the log, answers requests from it, and checks users' credentials. It forwards
+    requests that change something to the kernel. Several such processes may run, each with its own name
+    and port. They take load off the kernel. On the kernel's computer, --home is enough. On another
+    computer, the log has to be on PostgreSQL (--database may be a read-only replica, with --accounts), and
+    the bus has to be secure (`labos pki issue api NAME`, then --cert and --bus). See
+    docs/api-processes.md.
 
     \b
     labos api --http-port 8721

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from labos.cli._options import find_user, home_option, json_option, user_option, why_option
-from labos.cli._out import show_json, show_table, tell
+from labos.cli._options import Asker, asker_options, home_option, json_option, why_option
+from labos.cli._out import show_json, show_table
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
 
@@ -21,16 +21,15 @@ DIGEST_SHOWN = 12
 _subject = click.argument("subject", metavar="ID")
 
 
-@click.command("approvals", short_help="What waits for an approval, and why.")
+@click.command("approvals", short_help="List requests that wait for an approval, and why.")
 @click.argument("subject", metavar="ID", required=False)
-@click.option("--no-forecast", is_flag=True, help="Do not work out what it would bring.")
+@click.option("--no-forecast", is_flag=True, help="Do not forecast the effects of an approval.")
 @home_option
 @json_option
 def approvals(subject: str | None, no_forecast: bool, home: str | None, as_json: bool) -> None:
-    """The runs, campaigns and experiments that wait for an approval by the lab's policy, and changes of
-    campaigns. With an ID: what it asks of the lab, what it would bring if it were approved now (when it
-    starts and ends, whom it delays, what it uses up), and how it differs from what was approved last under
-    its name.
+    """List runs, campaigns, experiments and changes of campaigns that wait for an approval by the lab's
+    policy. With an ID, show what it requests, a forecast for an approval now (start, end, delayed runs,
+    consumption), and the differences from the last approved request with the same name.
 
     \b
     labos approvals
@@ -59,7 +58,7 @@ def approvals(subject: str | None, no_forecast: bool, home: str | None, as_json:
             for p in told
         ]
         show_table(("id", "kind", "name", "user", "since", "because"), rows)
-        click.echo("Look at one: labos approvals ID; answer: labos approve ID, labos refuse ID")
+        click.echo("Details: labos approvals ID; answer: labos approve ID, labos refuse ID")
 
 
 def _forecast(client: LabClient, subject: str, told: dict[str, Any]) -> dict[str, Any] | None:
@@ -77,7 +76,7 @@ def _show_forecast(told: dict[str, Any], subject: str) -> None:
     from labos.cli._forecast import show_campaign, show_change, show_ways
 
     found = told["forecast"]
-    click.echo("If it were approved now:")
+    click.echo("Forecast for an approval now:")
     campaigns = [each for each in found["campaigns"] if each["campaign"] == subject]
     for campaign in campaigns:
         for what, text in show_campaign(campaign, found["now_at"]):
@@ -111,11 +110,11 @@ def _show(told: dict[str, Any]) -> None:
         "dangerous": ", ".join(demand["dangers"]),
         **(_terms(terms) if terms else {}),
         "digest": proposal["digest"][:DIGEST_SHOWN],
-        "approved before": proposal["before"] or "nothing of this name",
+        "approved before": proposal["before"] or "no earlier request with this name",
     }
     show_table(("what", proposal["subject"]), [(what, _plain(text)) for what, text in lines.items() if text])
     for difference in told["differences"]:
-        click.echo(f"{_plain(difference['part'])} is another one:")
+        click.echo(f"{_plain(difference['part'])} differs:")
         for line in difference["lines"]:
             click.echo(f"  {_plain(line)}")
 
@@ -139,23 +138,29 @@ def _plain(text: str) -> str:
 @click.command("approve")
 @_subject
 @click.option(
-    "--digest", metavar="SHA", help="The digest of what you checked; refused if it was changed since."
+    "--digest",
+    metavar="SHA",
+    help="The digest of the version that you checked; refused if it was changed since.",
 )
-@click.option("--priority", type=int, help="Instead of the requested one.")
-@click.option("--deadline", metavar="TIME", help="Of a campaign: 2026-05-04T10:30, 12h, or empty for none.")
-@click.option("--runs", type=click.IntRange(min=0), help="Of a campaign: so many rows at most.")
-@click.option("--lab-time", metavar="TIME", help="Of a campaign: so much module time at most, as `20 h`.")
-@click.option("--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="So much at most.")
+@click.option("--priority", type=int, help="The priority, in place of the requested one.")
+@click.option(
+    "--deadline",
+    metavar="TIME",
+    help="For a campaign: the deadline, 2026-05-04T10:30, 12h, or empty for none.",
+)
+@click.option("--runs", type=click.IntRange(min=0), help="For a campaign: the maximum number of rows.")
+@click.option("--lab-time", metavar="TIME", help="For a campaign: the maximum module time, such as `20 h`.")
+@click.option(
+    "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="The maximum consumption."
+)
 @click.option(
     "--alike",
     is_flag=True,
-    help="Of a run in an experiment: further runs of its workflow there, with other values, need none.",
+    help="For a run in an experiment: approve further runs of the same workflow with other values too.",
 )
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @why_option("A comment, for the log.")
-@user_option
-@home_option
-@json_option
+@asker_options
 def approve(
     subject: str,
     digest: str | None,
@@ -164,20 +169,17 @@ def approve(
     alike: bool,
     yes: bool,
     why: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    asker: Asker,
     **changes: Any,
 ) -> None:
-    """Let the run, campaign or experiment ID go on: as it was proposed, or with changes.
+    """Approve the run, campaign or experiment ID: as it was proposed, or with changes.
 
-    What was looked at is what runs: if it was changed meanwhile, nothing is approved.
+    LabOS approves only the version that you have seen. If it was changed meanwhile, the command is refused.
 
     \b
     labos approve R7 --why "looked at the protocol"
     labos approve C3 --runs 20 --lab-time "10 h"
     """
-    from labos.cli._lab import need_lab
     from labos.cli._terms import amount_of, seconds_of
 
     wanted = {name: value for name, value in changes.items() if value is not None}
@@ -187,34 +189,30 @@ def approve(
         wanted["consumables"] = dict(map(amount_of, consumables))
     if alike:
         wanted["alike"] = True
-    with need_lab(home) as client:
+    with asker.lab() as client:
         if digest is None:
             told = client.approval_of(subject)
             digest = str(told["proposal"]["digest"])
-            if not as_json:
+            if not asker.as_json:
                 _show(told)
             if not yes and sys.stdin.isatty():
                 click.confirm(f"Approve {subject}?", abort=True)
-        approved = client.approve(subject, find_user(user), digest, comment=why, **wanted)
+        approved = client.approve(subject, asker.user, digest, comment=why, **wanted)
     facts = {"subject": subject, "approved": True, "digest": approved}
-    tell(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts, as_json=as_json)
+    asker.tell(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts)
 
 
 @click.command("refuse")
 @_subject
 @why_option("A comment, for the log and for the requester.")
-@user_option
-@home_option
-@json_option
-def refuse(subject: str, why: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Do not let the run, campaign or experiment ID go on: it is cancelled. A change of a campaign is not
-    made, and the campaign goes on as before."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        refused = client.refuse(subject, find_user(user), comment=why)
+@asker_options
+def refuse(subject: str, why: str, asker: Asker) -> None:
+    """Refuse the run, campaign or experiment ID: it is cancelled. If ID is a change of a campaign, the
+    campaign continues without the change."""
+    with asker.lab() as client:
+        refused = client.refuse(subject, asker.user, comment=why)
     facts = {"subject": subject, "approved": False, "digest": refused}
-    tell(f"{subject} is refused.", facts, as_json=as_json)
+    asker.tell(f"{subject} is refused.", facts)
 
 
 def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -229,7 +227,7 @@ def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
     waits = {
         f"submissions of programs{trusted}": policy["programs"],
         f"the first {policy['newcomers']} submissions of each user": policy["newcomers"],
-        "what is dangerous": policy["dangerous"],
+        "dangerous actions": policy["dangerous"],
         f"more than {', '.join(filter(None, budget))}": any(budget),
         "campaigns with a deadline": policy["deadlines"],
     }
@@ -237,13 +235,13 @@ def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
         if is_so:
             yield "waits for approval", what
     yield "erases words", "an admin" + (", when a second one has agreed" if policy["erasure"] else "")
-    yield "approves", "an operator, also what is their own" if policy["own"] else "another operator"
+    yield "approves", "an operator, also for their own requests" if policy["own"] else "another operator"
     if policy["priority"] is not None:
         yield (
             "highest priority",
-            f"{policy['priority']}, of users who are not operators and have no quota for it",
+            f"{policy['priority']}, for users without the role operator and have no quota for it",
         )
     booked = policy["bookings"]
     each = f"{booked['hours']:g} h each, " if booked["hours"] is not None else ""
     amount = f"{each}{booked['total_hours']:g} h to come, {booked['days_ahead']} days ahead"
-    yield "bookings", f"{amount}, of users who are not operators"
+    yield "bookings", f"{amount}, for users without the role operator"

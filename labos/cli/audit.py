@@ -18,18 +18,18 @@ CALM = 10
 """How much the follower stands back behind other processes (``nice``)."""
 
 
-@click.group("audit", cls=Suggesting, short_help="The tables beside the log that SQL is asked of.")
+@click.group("audit", cls=Suggesting, short_help="Manage the tables that SQL queries read.")
 def command() -> None:
-    """Tables beside the log, for questions in SQL (`labos sql`) and dashboards.
+    """Manage the tables for SQL queries (`labos sql`) and dashboards.
 
-    They stand in a file of their own beside a log in SQLite (labos-audit.db beside labos.db), in
-    schemas of their own on PostgreSQL. They hold nothing that is not in the log, and are built again
-    from it whenever they are missing, older than this LabOS, or of another log.
+    For a log in SQLite, the tables are in a separate file beside it (labos-audit.db beside labos.db). On
+    PostgreSQL they are in separate schemas. They contain only data from the log. LabOS builds them again if
+    they are missing, older than this LabOS, or from another log.
     """
 
 
 @command.command("project")
-@click.option("-f", "--follow", is_flag=True, help="Go on with what is added, until Ctrl-C.")
+@click.option("-f", "--follow", is_flag=True, help="Continue with new events, until Ctrl-C.")
 @click.option(
     "--every",
     type=click.FloatRange(min=0.1),
@@ -41,11 +41,11 @@ def command() -> None:
 @json_option
 @log_options
 def project(where: Where, follow: bool, every: float, as_json: bool) -> None:
-    """Bring the tables up to date with the log. `labos sql` and `labos provenance` do that by themselves;
-    for dashboards, run it with --follow.
+    """Update the tables from the log. `labos sql` and `labos provenance` do this themselves. For dashboards,
+    run this command with --follow.
 
-    It may be killed at any moment, and more than one may run: no event is left out or entered twice. It
-    never writes to the log, and the kernel does not wait for it.
+    You can kill this command at any moment, and run several at once: no event is left out or entered twice.
+    It never writes to the log, and the kernel does not wait for it.
 
     \b
     labos audit project              once
@@ -79,7 +79,7 @@ def rebuild(where: Where, as_json: bool) -> None:
 @json_option
 @log_options
 def status(where: Where, as_json: bool) -> None:
-    """How far the tables are behind the log."""
+    """Show how far the tables are behind the log."""
     with open_projector(where) as (store, database, _):
         mark, head = database.prepare(), store.head()
     behind = head.position - mark.position
@@ -96,7 +96,7 @@ def status(where: Where, as_json: bool) -> None:
 @click.argument("role")
 @log_options
 def reader(where: Where, role: str) -> None:
-    """Let ROLE of a PostgreSQL database read the views, and nothing else: for a dashboard.
+    """Let ROLE of a PostgreSQL database read the views, and nothing else. Use such a role for a dashboard.
 
     \b
     CREATE ROLE grafana LOGIN PASSWORD '…';
@@ -105,8 +105,8 @@ def reader(where: Where, role: str) -> None:
     with open_projector(where) as (_, database, projector):
         if database.dialect != "postgresql":
             raise BadInput(
-                "SQLite has no roles: everybody who may read the file may read all of it.",
-                remedy="Let the dashboard's user read the file.",
+                "SQLite has no roles: a user who may read the file may read all of it.",
+                remedy="Give the dashboard's user read permission for the file.",
             )
         projector.catch_up(tell_progress)
         from labos.audit._postgres import PostgresAudit

@@ -20,7 +20,7 @@ key_option = click.option(
     "key_file",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="The key of the seal, for instance made with openssl rand -hex 32.",
+    help="A file with the key of the seal, for instance made with openssl rand -hex 32.",
 )
 
 
@@ -28,7 +28,7 @@ archive_option = click.option(
     "--archive",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Where segments were moved to (labos backup --move-old): those not in FOLDER are read from there.",
+    help="The folder of moved segments (labos backup --move-old), for segments that FOLDER lacks.",
 )
 
 
@@ -39,14 +39,14 @@ archive_option = click.option(
     "archive",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Then move segments older than --keep-days to this folder, such as another disk.",
+    help="After the backup, move segments older than --keep-days to this folder, such as another disk.",
 )
 @click.option(
     "--keep-days",
     type=click.FloatRange(min=0),
     default=365.0,
     show_default=True,
-    help="With --move-old: segments whose newest event is younger stay.",
+    help="With --move-old: keep segments with an event from the last N days.",
 )
 @key_option
 @json_option
@@ -54,20 +54,20 @@ archive_option = click.option(
 def command(
     where: Where, folder: Path, archive: Path | None, keep_days: float, key_file: Path | None, as_json: bool
 ) -> None:
-    """Bring a backup in FOLDER up to the present end of the log. The lab may run meanwhile.
+    """Create a backup in FOLDER, or update it to the present end of the log. The lab may run meanwhile.
 
     \b
     labos backup /safe/lab              the first time: everything
-    labos backup /safe/lab              later: what is new, in a segment of its own
+    labos backup /safe/lab              later: new events, in a new segment
     labos backup /safe/lab --key K      seal the new segment
     labos verify --backup /safe/lab     check it, without a database
-    labos restore /safe/lab --rehearse  try whether it comes back
+    labos restore /safe/lab --rehearse  test whether it can be restored
     labos restore /safe/lab             put it into an empty database
     labos backup /safe/lab --move-old /archive/lab --keep-days 400
 
-    A segment is never changed again. accounts.json (who may sign in: names, addresses, and what passwords and
-    tokens are checked against) is written again each time. The journals of the nodes are not copied: by
-    them LabOS recognises a log that was restored from an older copy.
+    A segment is never changed. The file accounts.json is written again each time: it holds users' names,
+    mail addresses, and the digests of passwords and tokens. The journals of the nodes are not copied.
+    LabOS needs them to recognise a log that was restored from an older copy.
     """
     key = key_of(key_file) if key_file else b""
     known = kernel_file(where.home)
@@ -107,4 +107,8 @@ def command(
     if people.users:
         click.echo(f"The accounts of {people.users} users are in accounts.json.")
     if archive is not None:
-        click.echo(f"{len(moved)} segments were moved to {archive}." if moved else "No segment is so old.")
+        click.echo(
+            f"{len(moved)} segments were moved to {archive}."
+            if moved
+            else "No segment is older than --keep-days."
+        )

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, find_user, json_option, user_option
 from labos.cli._query import Where, log_options, open_database, open_log
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
@@ -18,24 +18,21 @@ from labos.errors import BadInput
 
 @click.group("bench", cls=Suggesting)
 def command() -> None:
-    """What stands on the bench: declare it, or show a simulated one."""
+    """Declare what stands on the bench, or show a simulated bench."""
 
 
 @command.command("declare")
 @click.argument("stations", nargs=-1, metavar="[FILE | STATION=TYPE]...")
-@click.option("--empty", is_flag=True, help="All stations that were not declared yet are empty.")
+@click.option("--empty", is_flag=True, help="Declare all stations that were not declared yet as empty.")
 @click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
-@json_option
-@user_option
-@home_option
-def declare(
-    stations: tuple[str, ...], empty: bool, workcell: str, as_json: bool, user: str | None, home: str | None
-) -> None:
-    """Declare what stands at stations. A station that nobody has declared is unknown, not empty: runs that
+@asker_options
+def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker) -> None:
+    """Declare what stands at stations. A station that was never declared is unknown, not empty. Runs that
     would put something there wait (`labos explain`).
 
-    A station is followed by what stands there, bottom to top; nothing behind `=` is an empty one. A
-    FILE is YAML: a station and its list of types in each line. All of it is declared, or nothing.
+    After a station and `=`, list the labware types from bottom to top. Nothing after `=` declares an empty
+    station. A FILE is YAML: each line has a station and its list of types. If one entry has an error,
+    nothing is declared.
 
     \b
     labos bench declare --empty
@@ -43,40 +40,39 @@ def declare(
     labos bench declare sciclops.tower1=20xplate96
     labos bench declare bench.yaml --empty
     """
-    from labos.cli._lab import need_lab
     from labos.cli._out import show_json
 
     told: dict[str, list[str]] = {}
     for text in stations:
         for name, types in [_read(text)] if "=" in text else _in_file(text):
             if name in told:
-                raise BadInput(f"The station {name} is declared twice.", remedy="Say it once.")
+                raise BadInput(f"The station {name} is given twice.", remedy="Declare it once.")
             told[name] = types
     if not told and not empty:
-        raise click.UsageError("Name stations (STATION=TYPE), a file, or say --empty.")
-    with need_lab(home) as client:
-        found = client.declare(told, find_user(user), workcell=workcell, empty=empty)
-    if as_json:
+        raise click.UsageError("Name stations (STATION=TYPE) or a file, or give --empty.")
+    with asker.lab() as client:
+        found = client.declare(told, asker.user, workcell=workcell, empty=empty)
+    if asker.as_json:
         show_json(found)
         return
     for name, types in found.items():
         click.echo(f"{name}: {_count_types(types)}")
     if not found:
-        click.echo("Everything was declared before.")
+        click.echo("All stations were declared before.")
 
 
 @command.command("show")
 @json_option
 @log_options
 def show(where: Where, as_json: bool) -> None:
-    """Show a simulated bench: what its devices really did, whatever the log says, and where the two
-    differ (exit code 1). It works with and without a running lab, and changes nothing.
+    """Show the true state of a simulated bench, and where it differs from the log (exit code 1). The command
+    works with and without a running lab, and changes nothing.
 
     \b
     labos bench show
-    labos stations       what the log says
+    labos stations       the state according to the log
 
-    What an arm holds or has dropped is shown too. A real bench can only be checked by a person.
+    The command also shows labware that an arm holds or has dropped. Only a person can check a real bench.
     """
     from labos.cli._bench_view import BenchView, read_bench, show
     from labos.cli._out import show_json
@@ -85,7 +81,8 @@ def show(where: Where, as_json: bool) -> None:
     if not benches:
         raise BadInput(
             f"There is no simulated bench in {where.home}.",
-            remedy="A real one can only be checked by a person; `labos stations` shows what the log says.",
+            remedy="Only a person can check a real bench. `labos stations` shows the state "
+            "according to the log.",
         )
     with open_database(where) as store:
         sights: list[BenchView] = [read_bench(store, path) for path in benches]
@@ -98,13 +95,13 @@ def show(where: Where, as_json: bool) -> None:
         raise SystemExit(1)
 
 
-@command.command("round", short_help="Go round the bench of a log that has lost its end.")
-@click.option("--say", "told", multiple=True, metavar="STATION=WHAT", help="What stands at a station.")
+@command.command("round", short_help="Check the bench after the log has lost its end.")
+@click.option("--say", "told", multiple=True, metavar="STATION=WHAT", help="The content of a station.")
+@click.option("--file", "path", metavar="FILE", help="A YAML file with `STATION: WHAT` in each line.")
+@click.option("--as-simulated", "simulated", is_flag=True, help="Report the true state of a simulated bench.")
 @click.option(
-    "--file", "path", metavar="FILE", help="What stands where: `STATION: WHAT` in each line (YAML)."
+    "--only-say", is_flag=True, help="Do not complete the check, even if every station is reported."
 )
-@click.option("--as-simulated", "simulated", is_flag=True, help="Report what a simulated bench really holds.")
-@click.option("--only-say", is_flag=True, help="Leave the question open, even if every station is reported.")
 @json_option
 @user_option
 @log_options
@@ -117,23 +114,23 @@ def round_(
     as_json: bool,
     user: str | None,
 ) -> None:
-    """Report what stands where, after the log has lost its end: its nodes, a checkpoint or a journal know
-    more than it holds, or it was restored from an older copy. Nothing starts before that.
+    """Check the bench, station by station, after the log has lost its end. This is so if nodes, a checkpoint
+    or a journal know later events than the log, or if the log was restored from an older copy. No action
+    starts before the check is complete.
 
-    On a terminal you are asked, station by station; answers are kept if you stop. Where an action that the
-    log does not know has worked, report what stands there; elsewhere `as recorded` is enough. WHAT is
-    `empty`, labware by its id (P7) or, where the log does not know it, by its type (plate96, 20xplate96),
-    with its lid (P7+P8), bottom to top; of a waste the number. A FILE is YAML, and may end with
-    `rest: as recorded`.
+    On a terminal, the command asks you about each station. Your answers are kept if you stop. For a station
+    that a lost action has changed, report what stands there. For all others, `as recorded` is enough. WHAT
+    is `empty`, or the labware from bottom to top: its id (P7), with its lid (P7+P8), or its type if the log
+    does not know it (plate96, 20xplate96). For a waste, WHAT is the number of pieces. A FILE is YAML, and
+    may end with `rest: as recorded`.
 
     \b
-    labos bench round --json                  what is known, and what has to be reported
+    labos bench round --json                  what is known, and which stations you have to report
     labos bench round --say sealer.default=P7 --say peeler.default=empty
     labos bench round --file bench.yaml
 
-    When every station is reported, the question is answered: runs that were under way end, their labware
-    stays where you reported it and belongs to their users; runs that wait are paused (labos resume R7,
-    labos cancel R7).
+    After the last station, the check is complete. Runs that were active end. Their labware stays where you
+    reported it and belongs to their users. Waiting runs are paused (labos resume R7, labos cancel R7).
     """
     from labos.cli._bench_round import ask, from_file, from_options, say, show, show_not_known, show_refused
     from labos.cli._lab import need_lab_of
@@ -143,8 +140,8 @@ def round_(
         view = client.round()
         if not view["intervention"]:
             raise BadInput(
-                "This log is not known to have lost its end: nobody is asked to go round the bench.",
-                remedy="What you see at one station you can say at any time: labos observe STATION WHAT",
+                "This log has not lost its end: no check of the bench is needed.",
+                remedy="You can report a single station at any time: labos observe STATION WHAT",
             )
         words = {**(from_file(path) if path else {}), **from_options(told)}
         if simulated:
@@ -154,7 +151,9 @@ def round_(
             show(view)
             if sys.stdin.isatty() and sys.stdout.isatty():
                 ask(client, find_user(user))
-                only_say = only_say or not click.confirm("Is that all, and is everybody out?")
+                only_say = only_say or not click.confirm(
+                    "Is this complete, and does nobody reach in any more?"
+                )
         finish = not (only_say or (as_json and not words))
         found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}
         if words or finish:
@@ -170,10 +169,10 @@ def round_(
     else:
         show_refused(found["refused"])
         if answered:
-            click.echo(f"{question} is answered: the lab goes on from what was said.")
+            click.echo(f"{question} is answered: the lab continues with your reports.")
             show_not_known(view)
         elif left:
-            click.echo(f"Still to be said: {', '.join(left)}.")
+            click.echo(f"Still to report: {', '.join(left)}.")
         elif found["why_not"]:
             click.echo(f"{question} is not answered: {found['why_not']}")
     if (words or found["why_not"]) and not answered and not only_say:
@@ -190,7 +189,7 @@ def _bench_contents(where: Where) -> dict[str, list[str] | None]:
     if not benches:
         place = where.lab or where.home
         raise BadInput(
-            f"There is no simulated bench in {place}.", remedy="A real one can only be checked by a person."
+            f"There is no simulated bench in {place}.", remedy="Only a person can check a real bench."
         )
     found: dict[str, list[str] | None] = {}
     with open_log(where) as store:
@@ -224,12 +223,12 @@ def _in_file(path: str) -> list[tuple[str, list[str]]]:
         raise BadInput(f"There is no file {path!r}.", remedy="Write STATION=TYPE, or name a YAML file.")
     data: Any = read(path).data
     if not isinstance(data, dict):
-        raise BadInput(f"{path} is no list of stations.", remedy="Write `station: [type]` in each line.")
+        raise BadInput(f"{path} is not a list of stations.", remedy="Write `station: [type]` in each line.")
     found = []
     for name, types in data.items():
         listed = [] if types is None else types if isinstance(types, list) else [types]
         if not all(isinstance(kind, str) for kind in listed):
-            raise BadInput(f"{path}: what stands at {name!r} is no type of labware.")
+            raise BadInput(f"{path}: what stands at {name!r} is not a labware type.")
         found.append(_read(f"{name}={','.join(listed)}"))
     return found
 

@@ -10,25 +10,27 @@ import click
 from labos.cli._bookings import in_words, show_bookings
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, find_user, home_option, json_option, user_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _booking = click.argument("booking", metavar="BOOKING")
-_from = click.option("--from", "begins", metavar="TIME", help="When it begins: 'tomorrow 09:00', 'mon 9:00'.")
-_to = click.option("--to", "ends", metavar="TIME", help="When it ends: 17:00, +2h.")
+_from = click.option("--from", "begins", metavar="TIME", help="The start: 'tomorrow 09:00', 'mon 9:00'.")
+_to = click.option("--to", "ends", metavar="TIME", help="The end: 17:00, +2h.")
 _for = click.option("--for", "whom", metavar="NAME", help="For this group or user; you if not given.")
-_maintenance = click.option("--maintenance", is_flag=True, help="For maintenance: no runs start.")
-_every = click.option("--every", metavar="TIME", help="Again every day, week, weekday, month, '2 weeks'.")
-_rule = click.option("--rule", metavar="RULE", help="Again by a rule of iCalendar: FREQ=WEEKLY;BYDAY=MO,TH.")
-_last = click.option("--until", "last", metavar="TIME", help="The latest time that it comes again.")
+_maintenance = click.option("--maintenance", is_flag=True, help="Book for maintenance: no runs start.")
+_every = click.option("--every", metavar="TIME", help="Repeat it every day, week, weekday, month, '2 weeks'.")
+_rule = click.option(
+    "--rule", metavar="RULE", help="Repeat it by a rule of iCalendar: FREQ=WEEKLY;BYDAY=MO,TH."
+)
+_last = click.option("--until", "last", metavar="TIME", help="The latest time of a repetition.")
 _zone = click.option(
     "--zone", metavar="NAME", help="The time zone of these times; this computer's if not given."
 )
-_force = click.option("--force", is_flag=True, help="Also where others have booked; only an admin can.")
-_why = click.option("--why", metavar="TEXT", help="What for.")
+_force = click.option("--force", is_flag=True, help="Book even if others have booked; for admins.")
+_why = click.option("--why", metavar="TEXT", help="The reason.")
 
 
 def _booking_options(function: F) -> F:
@@ -50,12 +52,13 @@ class _Booking(Suggesting):
         return super().resolve_command(ctx, args)
 
 
-@click.group("book", cls=_Booking, short_help="Book a module or a workcell for a while.")
+@click.group("book", cls=_Booking, short_help="Book a module or a workcell for a period of time.")
 def command() -> None:
     """Book a module or a workcell: for a group, for a user, or for maintenance.
 
-    Runs of others do not start what would still be there then; those that are under way wait and go on
-    afterwards. Nothing is interrupted. `labos bookings` lists them, `labos calendar` shows the week.
+    Runs of other users do not start steps that would still be in progress at the start of the booking.
+    Active runs wait and continue afterwards. Nothing is interrupted. `labos bookings` lists the bookings,
+    `labos calendar` shows those of a week.
 
     \b
     labos book ot2_pcr_alpha --from "tomorrow 09:00" --to 12:00 --for chemistry
@@ -84,9 +87,9 @@ def add(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Book TARGET, a module or a workcell; `add` may be left out.
+    """Book TARGET, a module or a workcell. The word `add` may be left out.
 
-    What is repeated keeps its time by the clock of its time zone when clocks are changed.
+    A repeated booking keeps its local time when daylight saving time begins or ends.
 
     \b
     labos book ot2_pcr_alpha --from "2026-11-26 09:00" --to 17:00 --for chemistry
@@ -98,7 +101,7 @@ def add(
 
     if begins is None or ends is None:
         raise BadInput(
-            f"{target} is booked from when to when?",
+            f"The booking of {target} has no start or no end.",
             remedy=f'labos book {target} --from "tomorrow 09:00" --to 12:00',
         )
     where, now = expect_zone(zone), now_ns()
@@ -120,7 +123,7 @@ def add(
     _tell(found, as_json)
 
 
-@command.command("change", short_help="Change when or for whom a booking is.")
+@command.command("change", short_help="Change the times or the holder of a booking.")
 @_booking
 @_booking_options
 def change(
@@ -139,7 +142,8 @@ def change(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Change BOOKING; what is left out stays. A new begin alone moves its end along.
+    """Change BOOKING. Values without an option stay as they are. With a new start alone, the booking moves
+    and keeps its duration.
 
     \b
     labos book change B3 --from "fri 09:00"
@@ -170,30 +174,24 @@ def change(
     _tell(found, as_json)
 
 
-@command.command("cancel", short_help="Give a booking back, or one time of it.")
+@command.command("cancel", short_help="Cancel a booking, or one time of it.")
 @_booking
-@click.option("--on", metavar="DAY", help="Only the time that begins on this day.")
+@click.option("--on", metavar="DAY", help="Cancel only the time that begins on this day.")
 @_why
-@user_option
-@home_option
-@json_option
-def cancel(
-    booking: str, on: str | None, why: str | None, user: str | None, home: str | None, as_json: bool
-) -> None:
-    """Give BOOKING back: the time is everybody's again. Of one that is repeated, all that is to come, or
-    with --on one time of it.
+@asker_options
+def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
+    """Cancel BOOKING: all users can use the time again. For a repeated booking, this cancels all future
+    times, or with --on one time.
 
     \b
     labos book cancel B3
     labos book cancel B3 --on 2026-12-24 --why holiday
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         begins_at = _time_on(client, booking, on) if on else 0
-        client.cancel_booking(booking, find_user(user), begins_at=begins_at, why=why or "")
+        client.cancel_booking(booking, asker.user, begins_at=begins_at, why=why or "")
     told = f"{booking} is cancelled{f' on {on}' if on else ''}."
-    tell(told, {"booking": booking, "begins_at": begins_at, "cancelled": True}, as_json=as_json)
+    asker.tell(told, {"booking": booking, "begins_at": begins_at, "cancelled": True})
 
 
 @command.command("show")
@@ -201,7 +199,7 @@ def cancel(
 @home_option
 @json_option
 def show(booking: str, home: str | None, as_json: bool) -> None:
-    """When and for whom BOOKING is.
+    """Show the times of BOOKING and for whom it is.
 
     \b
     labos book show B3

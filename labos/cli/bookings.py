@@ -10,12 +10,12 @@ from labos.cli._options import home_option, json_option
 from labos.cli._out import show_json
 
 
-@click.command("bookings", short_help="Which bookings there are.")
+@click.command("bookings", short_help="List bookings.")
 @click.argument("target", required=False, default="", shell_complete=completes("module"))
 @home_option
 @json_option
 def command(target: str, home: str | None, as_json: bool) -> None:
-    """The bookings that are not over, with the time that comes next: all, or those of TARGET, a module or a
+    """List current and future bookings, each with its next time: all, or those of TARGET, a module or a
     workcell.
 
     \b

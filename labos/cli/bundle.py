@@ -19,7 +19,7 @@ from labos.settings import Settings
 from labos.store import create_file, open_blobs
 
 
-@click.command("bundle", short_help="A run, an experiment or a campaign as a file that proves itself.")
+@click.command("bundle", short_help="Write a run, experiment or campaign to a file with its proof.")
 @click.argument("subject", metavar="ID", shell_complete=completes("run", "experiment"))
 @click.option(
     "-o",
@@ -28,32 +28,34 @@ from labos.store import create_file, open_blobs
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Where the bundle goes.",
+    help="The file to write.",
 )
 @click.option(
     "--checkpoint",
     "checkpoint",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="The checkpoint that it rests on (the newest in checkpoints/ of the lab's folder).",
+    help="The checkpoint for the proof (default: the newest in checkpoints/ of the lab's folder).",
 )
-@click.option("--without-words", is_flag=True, help="Leave out what people wrote; it verifies as well.")
+@click.option(
+    "--without-words", is_flag=True, help="Leave out texts that people wrote; the bundle still verifies."
+)
 @json_option
 @log_options
 def command(
     where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool, as_json: bool
 ) -> None:
-    """Write a run's events, plan and files into FILE, with the proof that they are in the log whose
-    checkpoint was signed; of an experiment or a campaign its own events and those of all its runs. Whoever
-    has the lab's public key checks it without network and without the lab:
+    """Write a run's events, plan and files to FILE, with the proof that they are in the log of a signed
+    checkpoint. For an experiment or a campaign, write its own events and those of all its runs. With the
+    lab's public key, anybody can check the file without network and without the lab:
 
     \b
     labos checkpoint
     labos bundle R7 -o R7.zip
     labos verify --bundle R7.zip --public-key lab.pub
 
-    What people wrote (reasons, notes, comments) is in it as long as it was not erased. A bundle that was
-    handed on is not reached by `labos erase`.
+    The bundle includes texts that people wrote (reasons, notes, comments), unless they were erased. `labos
+    erase` cannot change a bundle that was already passed on.
     """
     data, about = make_bundle_of(where, subject, checkpoint, words=not without_words)
     try:

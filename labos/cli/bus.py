@@ -24,13 +24,15 @@ LISTEN = "127.0.0.1:7447"
     help=f"The address to which kernels and nodes connect (tcp/{LISTEN}, tls/{LISTEN} with --secure).",
 )
 @click.option(
-    "--secure", is_flag=True, help="TLS and certificates: each node and kernel can speak only for itself."
+    "--secure",
+    is_flag=True,
+    help="Use TLS and certificates: each node and kernel can send only its own messages.",
 )
 @click.option(
     "--cert",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="The folder of this bus (`labos pki issue bus`), where the authority is elsewhere.",
+    help="The folder of this bus (`labos pki issue bus`), if the certificate authority is elsewhere.",
 )
 @address_option
 @pki_option
@@ -45,12 +47,12 @@ def command(
 ) -> None:
     """Run the bus by itself until Ctrl-C. Kernels and nodes connect to it (`labos up --bus ENDPOINT`).
 
-    Without it the kernel runs the bus, and nodes have no connection while there is no kernel. The bus
-    stores nothing: it may be stopped and started again at any time, and everybody reconnects.
-    A Zenoh router (zenohd) does as well.
+    Without this command the kernel runs the bus, and nodes have no connection while no kernel runs. The
+    bus stores nothing. You can stop and start it at any time; kernels and nodes reconnect. A Zenoh router
+    (zenohd) can take its place.
 
-    With --secure only certificates of the lab's authority are accepted. When one is issued or revoked, the
-    running bus uses the change within two seconds (docs/secure-bus.md).
+    With --secure, the bus accepts only certificates of the lab's certificate authority. It applies new and
+    revoked certificates within two seconds (docs/secure-bus.md).
 
     \b
     labos bus

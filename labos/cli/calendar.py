@@ -11,20 +11,22 @@ from labos.cli._out import show_json
 DAYS = 7
 
 
-@click.command("calendar", short_help="When what is booked.")
+@click.command("calendar", short_help="Show the bookings of a week.")
 @click.argument(
     "target", required=False, default="", metavar="[MODULE|WORKCELL]", shell_complete=completes("module")
 )
-@click.option("--week", "day", metavar="DAY", help="The week of this day; this one if not given.")
-@click.option("--days", type=click.IntRange(1, 60), default=DAYS, show_default=True, help="How many days.")
+@click.option("--week", "day", metavar="DAY", help="The week of this day; the present week if not given.")
+@click.option(
+    "--days", type=click.IntRange(1, 60), default=DAYS, show_default=True, help="The number of days to show."
+)
 @click.option("--zone", metavar="NAME", help="The time zone; this computer's if not given.")
-@click.option("--ical", is_flag=True, help="All bookings as iCalendar, for calendar programs.")
+@click.option("--ical", is_flag=True, help="Print all bookings as iCalendar, for calendar programs.")
 @home_option
 @json_option
 def command(
     target: str, day: str | None, days: int, zone: str | None, ical: bool, home: str | None, as_json: bool
 ) -> None:
-    """The bookings of a week, from Monday on: a bar of 24 hours for each (# booked, m maintenance).
+    """Show the bookings of a week from Monday on: one bar of 24 hours for each (# booked, m maintenance).
 
     \b
     labos calendar

@@ -7,56 +7,49 @@ from pathlib import Path
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, user_option, why_option
+from labos.cli._options import Asker, asker_options, why_option
 from labos.errors import BadInput
 
 
 @click.command("calibrate")
 @click.argument("module", shell_complete=completes("module"))
-@click.option("--what", default="", metavar="TEXT", help="What of it, as `volume`; else all of it.")
+@click.option(
+    "--what",
+    default="",
+    metavar="TEXT",
+    help="The calibrated quantity, such as `volume`; otherwise the whole module.",
+)
 @click.option("--certificate", default="", metavar="TEXT", help="The certificate's number.")
 @click.option(
     "--file",
     "report",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="REPORT",
-    help="The report, to be kept with the lab's files.",
+    help="The report; it is stored with the lab's files.",
 )
 @click.option("--until", default="", metavar="DATE", help="The last day on which it is valid: 2027-01-01.")
 @why_option()
-@user_option
-@home_option
-@json_option
+@asker_options
 def command(
-    module: str,
-    what: str,
-    certificate: str,
-    report: Path | None,
-    until: str,
-    why: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    module: str, what: str, certificate: str, report: Path | None, until: str, why: str, asker: Asker
 ) -> None:
-    """Record that MODULE was calibrated. It counts from now on, for what `labos provenance` says of later
-    actions, and takes the place of the one before it of the same `--what`.
+    """Record that MODULE was calibrated. `labos provenance` shows this calibration for all later actions. It
+    replaces the earlier calibration with the same `--what`.
 
-    To correct a calibration, record it again; to withdraw it, with a day in the past after `--until`. The
-    log keeps them all. No run waits for a calibration, and none stops because one has expired: `labos
-    doctor` warns two weeks before.
+    To correct a calibration, record it again. To withdraw it, record it again with a day in the past as
+    `--until`. The log keeps all of them. No run waits for a calibration, and no run stops because a
+    calibration has expired. `labos doctor` warns two weeks before it expires.
 
     \b
     labos calibrate ot2_cp_gamma --what volume --certificate K-2041 --until 2027-01-01
     labos calibrate hidex --file report.pdf --why "new lamp"
     """
-    from labos.cli._lab import need_lab
-    from labos.cli._out import tell
 
     content = b"" if report is None else _read(report)
-    with need_lab(home) as client:
+    with asker.lab() as client:
         told = client.calibrate(
             module,
-            find_user(user),
+            asker.user,
             what=what,
             certificate=certificate,
             report=content,
@@ -66,7 +59,7 @@ def command(
     of = f"{told['module']} ({what})" if what else told["module"]
     valid = f", valid until {until}" if until else ""
     kept = f" Its report is kept as {told['file']}." if told["file"] else ""
-    tell(f"The calibration of {of} is recorded{valid}.{kept}", told, as_json=as_json)
+    asker.tell(f"The calibration of {of} is recorded{valid}.{kept}", told)
 
 
 def _read(report: Path) -> bytes:
@@ -82,5 +75,5 @@ def _read(report: Path) -> bytes:
     except OSError as error:
         raise BadInput(f"{report} cannot be read: {error.strerror}.", remedy="Check its path.") from None
     if not content:
-        raise BadInput(f"{report} is empty.", remedy="Give the report itself, or leave --file out.")
+        raise BadInput(f"{report} is empty.", remedy="Give another file, or leave --file out.")
     return content

@@ -13,15 +13,14 @@ from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
 from labos.cli._options import (
     ENDED_SHOWN,
+    Asker,
     all_option,
-    find_user,
-    home_option,
+    asker_options,
     json_option,
     propose_option,
-    user_option,
     why_option,
 )
-from labos.cli._out import show_json, show_table, tell
+from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, log_options, open_log
 from labos.cli._terms import terms_options
 from labos.core.viewer import Visibility
@@ -37,9 +36,9 @@ from labos.services.times import show_span, show_time
 _campaign = click.argument("campaign", metavar="ID")
 
 
-@click.group("campaign", cls=Suggesting, short_help="Campaigns: a workflow for each row of a table.")
+@click.group("campaign", cls=Suggesting, short_help="Carry out a workflow for each row of a table.")
 def command() -> None:
-    """A workflow, carried out once for each row of a table.
+    """Carry out a workflow once for each row of a table.
 
     \b
     labos campaign plan screen.yaml       check every row, and estimate what it needs
@@ -52,19 +51,20 @@ def command() -> None:
 
 @command.command("submit")
 @click.argument("file")
-@user_option
-@click.option("--request", default="", metavar="KEY", help="The same key twice is one campaign.")
+@click.option(
+    "--request",
+    default="",
+    metavar="KEY",
+    help="A key of the request: two requests with the same key create one campaign.",
+)
 @propose_option
-@home_option
-@json_option
-def submit(file: str, user: str | None, request: str, propose: bool, home: str | None, as_json: bool) -> None:
-    """Check the campaign FILE, row by row, submit it, and print its id. If a row cannot be carried out,
-    nothing is submitted."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        told = client.submit_campaign(file, user=find_user(user), request=request, propose=propose)
-    if as_json:
+@asker_options
+def submit(file: str, asker: Asker, request: str, propose: bool) -> None:
+    """Check the campaign FILE, row by row, submit it, and print its id. If a row has errors, nothing is
+    submitted."""
+    with asker.lab() as client:
+        told = client.submit_campaign(file, user=asker.user, request=request, propose=propose)
+    if asker.as_json:
         show_json(told)
         return
     if told["approval"]:
@@ -74,23 +74,20 @@ def submit(file: str, user: str | None, request: str, propose: bool, home: str |
 
 @command.command("plan")
 @click.argument("file")
-@user_option
-@home_option
-@json_option
-def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Check the campaign FILE, row by row, estimate what it needs from the lab, and forecast when it starts
-    and ends, whom it delays and when a person is needed. Nothing is submitted.
+@asker_options
+def plan(file: str, asker: Asker) -> None:
+    """Check the campaign FILE, row by row, and estimate which resources and how much time it needs. Forecast
+    when it starts and ends, which runs it delays, and when a person is needed. Nothing is submitted.
 
-    What the busiest module needs for all rows is the least that the campaign takes, in nominal times.
-    The forecast carries the lab on as it is now, with the campaign and without it.
+    The minimum duration of the campaign is the nominal time that its busiest module needs for all rows.
+    The forecast simulates the lab from its present state, with the campaign and without it.
     """
     from labos.cli._forecast import show_campaign, show_change
-    from labos.cli._lab import need_lab
 
-    with need_lab(home) as client:
-        answer = client.forecast_campaign(file, user=find_user(user))
+    with asker.lab() as client:
+        answer = client.forecast_campaign(file, user=asker.user)
     told, forecast = answer["estimate"], answer["forecast"]
-    if as_json:
+    if asker.as_json:
         show_json({**told, "forecast": forecast})
         return
     checked = "" if told["checked"] == told["rows"] else f" ({told['checked']} of them were checked)"
@@ -114,12 +111,12 @@ def plan(file: str, user: str | None, home: str | None, as_json: bool) -> None:
 
 @command.command("list")
 @all_option
-@click.option("--archived", is_flag=True, help="Also those that are archived.")
+@click.option("--archived", is_flag=True, help="Show archived campaigns too.")
 @json_option
 @log_options
 def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None:
-    """Campaigns that have not been completed and the last ones that have; not those that are archived, nor
-    those that are private to others."""
+    """List open campaigns and the last completed ones, without archived campaigns and private campaigns of
+    other users."""
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
         told = [s for s in campaign_histories(store).values() if archived or not s.archived]
@@ -140,8 +137,8 @@ def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None
 @json_option
 @log_options
 def show(where: Where, campaign: str, as_json: bool) -> None:
-    """The progress of a campaign, its terms, and in a lab that runs when it is expected to end (with --json,
-    `labos forecast` tells that)."""
+    """Show the progress and the terms of a campaign. If the lab is running, show also when the campaign is
+    expected to end (not with --json: use `labos forecast`)."""
     with open_log(where) as store:
         story = campaign_history(store, campaign)
     if as_json:
@@ -180,7 +177,7 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
 @json_option
 @log_options
 def report(where: Where, campaign: str, as_csv: bool, as_json: bool) -> None:
-    """The rows of a campaign: their values, runs, and the results of their steps."""
+    """Show the rows of a campaign with their values, runs and results."""
     with open_log(where) as store:
         rows = campaign_rows(store, campaign)
     if as_json:
@@ -203,128 +200,110 @@ def report(where: Where, campaign: str, as_csv: bool, as_json: bool) -> None:
 
 @command.command("pause")
 @_campaign
-@user_option
 @why_option()
-@home_option
-@json_option
-def pause(campaign: str, user: str | None, why: str, home: str | None, as_json: bool) -> None:
-    """Submit no further row of a campaign and start none of its runs that wait. Runs under way go on."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.pause_campaign(campaign, find_user(user), why=why)
-    tell(f"{campaign} is paused.", {"campaign": campaign, "paused": True}, as_json=as_json)
+@asker_options
+def pause(campaign: str, asker: Asker, why: str) -> None:
+    """Pause a campaign: submit no further row, and start none of its waiting runs. Active runs continue."""
+    with asker.lab() as client:
+        client.pause_campaign(campaign, asker.user, why=why)
+    asker.tell(f"{campaign} is paused.", {"campaign": campaign, "paused": True})
 
 
 @command.command("resume")
 @_campaign
-@user_option
-@home_option
-@json_option
-def resume(campaign: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Let a paused campaign go on."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.resume_campaign(campaign, find_user(user))
-    tell(f"{campaign} goes on.", {"campaign": campaign, "paused": False}, as_json=as_json)
+@asker_options
+def resume(campaign: str, asker: Asker) -> None:
+    """Resume a paused campaign."""
+    with asker.lab() as client:
+        client.resume_campaign(campaign, asker.user)
+    asker.tell(f"{campaign} continues.", {"campaign": campaign, "paused": False})
 
 
 @command.command("archive")
 @_campaign
-@user_option
-@click.option("--undo", is_flag=True, help="Let it stand in lists again.")
-@home_option
-@json_option
-def archive(campaign: str, user: str | None, undo: bool, home: str | None, as_json: bool) -> None:
-    """Leave a campaign that has ended out of lists. Nothing of it is deleted: `labos campaign list
-    --archived` shows it, and so do all other commands that name it."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.archive_campaign(campaign, find_user(user), undo=undo)
-    told = f"{campaign} stands in lists again." if undo else f"{campaign} is archived."
-    tell(told, {"campaign": campaign, "archived": not undo}, as_json=as_json)
+@click.option("--undo", is_flag=True, help="Show it in lists again.")
+@asker_options
+def archive(campaign: str, asker: Asker, undo: bool) -> None:
+    """Hide an ended campaign in lists. Nothing is deleted: `labos campaign list --archived` still shows it,
+    and all other commands accept its id."""
+    with asker.lab() as client:
+        client.archive_campaign(campaign, asker.user, undo=undo)
+    told = f"{campaign} is shown in lists again." if undo else f"{campaign} is archived."
+    asker.tell(told, {"campaign": campaign, "archived": not undo})
 
 
 @command.command("cancel")
 @_campaign
-@user_option
 @why_option()
-@click.option("--stay", is_flag=True, help="The labware of its runs stays where it is.")
-@home_option
-@json_option
-def cancel(campaign: str, user: str | None, why: str, stay: bool, home: str | None, as_json: bool) -> None:
-    """Submit no further row of a campaign, and cancel its runs."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        client.cancel_campaign(campaign, find_user(user), why=why, stay=stay)
-    tell(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True}, as_json=as_json)
+@click.option("--stay", is_flag=True, help="Leave the labware of its runs where it is.")
+@asker_options
+def cancel(campaign: str, asker: Asker, why: str, stay: bool) -> None:
+    """Cancel a campaign: submit no further row, and cancel its runs."""
+    with asker.lab() as client:
+        client.cancel_campaign(campaign, asker.user, why=why, stay=stay)
+    asker.tell(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True})
 
 
 @command.command("amend")
 @_campaign
-@user_option
 @terms_options
-@home_option
-@json_option
-def amend(
-    campaign: str, user: str | None, home: str | None, as_json: bool, terms_wanted: dict[str, Any]
-) -> None:
-    """Change the terms of a campaign: priority, deadline, budget, stop rule, tags. What is not given
-    stays."""
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        terms = client.amend_campaign(campaign, find_user(user), **terms_wanted)
+@asker_options
+def amend(campaign: str, asker: Asker, terms_wanted: dict[str, Any]) -> None:
+    """Change the terms of a campaign: priority, deadline, budget, stop rule, tags. Terms without an option
+    stay as they are."""
+    with asker.lab() as client:
+        terms = client.amend_campaign(campaign, asker.user, **terms_wanted)
         if client.approval:
             click.echo(f"labos: {client.approval}", err=True)
-    if as_json:
+    if asker.as_json:
         show_json(terms)
 
 
 @command.command("clone")
 @_campaign
-@user_option
-@click.option("--name", default="", metavar="NAME", help="Its name; that of the first one if left out.")
+@click.option(
+    "--name",
+    default="",
+    metavar="NAME",
+    help="The name of the clone; the first campaign's name if not given.",
+)
 @click.option(
     "--visibility",
     type=click.Choice(get_args(Visibility)),
-    help="Who sees it besides you and operators: everybody, your group, or nobody.",
+    help="The users who can see it, besides you and operators: everybody, your group, or nobody.",
 )
 @terms_options
-@click.option("--dry-run", is_flag=True, help="Only check it: nothing is submitted.")
-@click.option("--request", default="", metavar="KEY", help="The same key twice is one campaign.")
+@click.option("--dry-run", is_flag=True, help="Only check the campaign; submit nothing.")
+@click.option(
+    "--request",
+    default="",
+    metavar="KEY",
+    help="A key of the request: two requests with the same key create one campaign.",
+)
 @propose_option
-@home_option
-@json_option
+@asker_options
 def clone(
     campaign: str,
-    user: str | None,
+    asker: Asker,
     name: str,
     visibility: str | None,
     dry_run: bool,
     request: str,
     propose: bool,
-    home: str | None,
-    as_json: bool,
     terms_wanted: dict[str, Any],
 ) -> None:
-    """Submit a campaign once more, also one that has ended, and print the id of the new one. It has the same
-    rows and the same workflow, is checked row by row in the lab as it is now, and is yours. What is not given
-    is as in the campaign that is cloned, but for its deadline: the clone has none.
+    """Submit a campaign again, and print the id of the new campaign. The first campaign may have ended. The
+    clone has the same rows and the same workflow, and belongs to you. The lab checks each row again. Terms
+    without an option are copied from the first campaign, except the deadline: the clone has none.
 
     \b
     labos campaign clone C1 --priority 2 --deadline 36h
     labos campaign clone C1 --dry-run
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         told = client.clone_campaign(
             campaign,
-            find_user(user),
+            asker.user,
             request=request,
             name=name,
             visibility=visibility,
@@ -332,7 +311,7 @@ def clone(
             propose=propose,
             **terms_wanted,
         )
-    if as_json:
+    if asker.as_json:
         show_json(told)
         return
     if told["approval"]:

@@ -18,13 +18,13 @@ EVERY = 1000
 POLL_S = 2.0
 
 
-@click.command("checkpoint", short_help="Sign the log's end, and keep it outside the database.")
+@click.command("checkpoint", short_help="Sign the present end of the log, and store it elsewhere.")
 @click.option(
     "--to",
     "places",
     multiple=True,
     metavar="FOLDER|URL",
-    help="Keep it there as well: a folder, or a URL that takes HTTP PUT. May be repeated.",
+    help="Store it there as well: a folder, or a URL that accepts HTTP PUT. May be repeated.",
 )
 @click.option(
     "--witness",
@@ -38,17 +38,19 @@ POLL_S = 2.0
     "witness_keys",
     multiple=True,
     metavar="KEY|FILE",
-    help="Accept only cosignatures that this public key checks.",
+    help="Accept only cosignatures that this public key verifies.",
 )
 @click.option("--timestamp", "stamp", metavar="URL", default="", help="An RFC 3161 time stamp authority.")
-@click.option("-f", "--follow", is_flag=True, help="Go on until Ctrl-C: one checkpoint every so many events.")
+@click.option(
+    "-f", "--follow", is_flag=True, help="Continue until Ctrl-C, with a new checkpoint after --every events."
+)
 @click.option(
     "--every",
     type=click.IntRange(min=1),
     default=EVERY,
     show_default=True,
     metavar="EVENTS",
-    help="With --follow: after so many new events.",
+    help="With --follow: the number of new events until the next checkpoint.",
 )
 @click.option(
     "--at-least-every",
@@ -57,7 +59,7 @@ POLL_S = 2.0
     default=3600.0,
     show_default=True,
     metavar="SECONDS",
-    help="With --follow: after this time, if there is any new event.",
+    help="With --follow: write a checkpoint after this time at the latest, if there is a new event.",
 )
 @json_option
 @log_options
@@ -72,18 +74,19 @@ def command(
     seconds: float,
     as_json: bool,
 ) -> None:
-    """Sign the root of the Merkle tree over the log, and store it where nobody who can write to the database
-    can change it. Reads the log by itself: the lab may run, and is not slowed. A log that was rewritten or
-    cut since the last checkpoint is not signed. Exit code 1 if a place or a witness did not take it.
+    """Sign the root of the Merkle tree over the log, and store this checkpoint. Choose a place without write
+    access for users of the database. The lab may run meanwhile and is not slowed down. LabOS does not sign
+    a log that was rewritten or cut since the last checkpoint. Exit code 1 if a place or a witness did not
+    accept the checkpoint.
 
     \b
     labos key create
     labos checkpoint --to /safe/lab                       now
-    labos checkpoint --to https://safe.example.org/lab --follow   from now on, in a process of its own
+    labos checkpoint --to https://safe.example.org/lab --follow   continuously, until Ctrl-C
     labos checkpoint --witness https://lab2.example.org   another lab cosigns
 
-    Each is a signed note in the form of C2SP tlog-checkpoint; a copy stays in checkpoints/ of the lab's
-    folder.
+    Each checkpoint is a signed note in the format of C2SP tlog-checkpoint. A copy stays in checkpoints/ of
+    the lab's folder.
     """
     targets = Targets(places, witnesses, tuple(read_given_keys(witness_keys)), stamp)
     if follow:

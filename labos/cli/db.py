@@ -25,17 +25,17 @@ from labos.store import (
 )
 
 
-@click.group("db", cls=Suggesting, short_help="The database: its state, its upgrade, its URL.")
+@click.group("db", cls=Suggesting, short_help="Show the state of the database, or migrate it.")
 def command() -> None:
-    """The database under the log.
+    """Manage the database that holds the log.
 
     \b
-    labos db status     revision, size, end of the log, who writes it
-    labos db upgrade    bring it to this version of LabOS
-    labos db restored   record that it was restored from a copy
+    labos db status        show revision, size, end of the log, and the kernel that writes it
+    labos db upgrade       upgrade it to this version of LabOS
+    labos db restored      record that it was restored from a copy
     labos db writer ROLE   let a PostgreSQL role write the log, and nothing else
-    labos db scrub      let nothing of erased words stand in its files
-    labos db url        which database the other commands use
+    labos db scrub         remove all traces of erased texts from its files
+    labos db url           show which database the other commands use
     """
 
 
@@ -43,8 +43,8 @@ def command() -> None:
 @json_option
 @log_options
 def status(where: Where, as_json: bool) -> None:
-    """Revision, size, end of the log, and whether a kernel lives. Exit code 1 if the database
-    cannot be used as it is."""
+    """Show revision, size, end of the log, and whether a kernel runs. Exit code 1 if this version of LabOS
+    cannot use the database as it is."""
     found = database_status(where.url)
     facts = _facts(where, found)
     if as_json:
@@ -67,8 +67,8 @@ def status(where: Where, as_json: bool) -> None:
 @json_option
 @log_options
 def upgrade(where: Where, as_json: bool) -> None:
-    """Bring an older or empty database to this version of LabOS. Refused while a kernel lives;
-    a database of a newer LabOS is not touched."""
+    """Upgrade an older or empty database to this version of LabOS. The command is refused while a kernel
+    runs. It never changes a database of a newer LabOS."""
     found = database_status(where.url)
     if found.state == "current":
         told = f"The {found.name} is already at revision {found.revision}."
@@ -77,14 +77,14 @@ def upgrade(where: Where, as_json: bool) -> None:
     owner = lease_holder(where.url)
     if owner:
         raise Refused(
-            f"A kernel ({owner}) lives on the {found.name}.",
+            f"A kernel ({owner}) is running on the {found.name}.",
             remedy="Stop it first: Ctrl-C where labos up runs.",
         )
     if found.state == "older":
         _advise_backup(where)
     revision = migrate(where.url)
-    before = found.revision or "nothing"
-    told = f"The {found.name} was brought from {before} to revision {revision}."
+    before = found.revision or "no revision"
+    told = f"The {found.name} was upgraded from {before} to revision {revision}."
     tell(told, {"before": found.revision, "revision": revision}, as_json=as_json)
 
 
@@ -92,16 +92,16 @@ def upgrade(where: Where, as_json: bool) -> None:
 @json_option
 @log_options
 def record_restored(where: Where, as_json: bool) -> None:
-    """Record that this database was restored from a copy made by other means than labos backup. Its next
-    kernel has a greater epoch than any that the nodes have seen, and starts nothing before a person has
-    checked the bench (labos bench round). How far the log reached before no longer counts. Refused while
-    a kernel lives."""
+    """Record that this database was restored from a copy that another program than labos backup made. The
+    next kernel has a higher epoch than the nodes have ever seen. It starts no action until a person has
+    checked the bench (labos bench round). The former end of the log no longer counts. The command is
+    refused while a kernel runs."""
     found = database_status(where.url)
     if found.state != "current":
-        raise Refused(f"{found.name}: {_describe_status(found)}.", remedy="There is nothing to outrank.")
+        raise Refused(f"{found.name}: {_describe_status(found)}.", remedy="No epoch has to be exceeded.")
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
-    told = f"The {found.name} goes on with an epoch above {after}; it was {before}."
+    told = f"The {found.name} continues with an epoch above {after}; it was {before}."
     tell(told, {"before": before, "above": after}, as_json=as_json)
 
 
@@ -109,9 +109,9 @@ def record_restored(where: Where, as_json: bool) -> None:
 @click.argument("role")
 @log_options
 def writer(where: Where, role: str) -> None:
-    """Let ROLE be what kernels on this PostgreSQL database work as: it may add records to the log and
-    move its head, and may not change or delete any. Run it with the owner's URL (--database); the lab
-    then connects as the role."""
+    """Grant ROLE the rights that a kernel needs on this PostgreSQL database. The role may append records to
+    the log, but not change or delete them. Run this command with the owner's URL (--database). Then let
+    the lab connect as this role."""
     grant_writer(where.url, role)
     click.echo(
         f"{role} may write the log in {show_url(where.url)}: add records, move the head, keep snapshots."
@@ -123,15 +123,16 @@ def writer(where: Where, role: str) -> None:
 @json_option
 @log_options
 def scrub(where: Where, as_json: bool) -> None:
-    """Let nothing of words that were erased stand in the database's files. `labos erase` does so itself; this
-    is for when it says that something is left. On PostgreSQL the table of words is written anew, for which
-    the owner's URL always suffices (--database); the lab may go on. Exit code 1 if something is still left.
+    """Remove all traces of erased texts from the database's files. `labos erase` does this itself. Use this
+    command if `labos erase` reports that traces are left. On PostgreSQL it rewrites the table of texts. The
+    owner's URL always has the right to do this (--database). The lab may run. Exit code 1 if traces are
+    still left.
 
-    PostgreSQL's write-ahead log and its archive are not reached: they keep what was written for as long as
-    they are kept themselves.
+    The command cannot change PostgreSQL's write-ahead log and its archive. Texts stay in them until you
+    delete these files.
     """
     left = scrub_words(where.url)
-    told = f"Something may be left: {left}." if left else "Nothing of erased words stands in the files."
+    told = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
     tell(told, {"left": left}, as_json=as_json)
     if left:
         click.get_current_context().exit(1)
@@ -141,8 +142,8 @@ def scrub(where: Where, as_json: bool) -> None:
 @json_option
 @log_options
 def url(where: Where, as_json: bool) -> None:
-    """Which database is used, its password hidden: --database, LABOS_DATABASE_URL, the one of
-    the lab's kernel, or labos.db in the lab's folder, the first of these that there is."""
+    """Show which database is used, with its password hidden. It is the first of these that is set:
+    --database, LABOS_DATABASE_URL, the database of the lab's kernel, labos.db in the lab's folder."""
     tell(show_url(where.url), {"url": show_url(where.url)}, as_json=as_json)
 
 
@@ -174,15 +175,15 @@ def _facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
 def _describe_status(found: DatabaseStatus) -> str:
     match found.state:
         case "current":
-            return f"revision {found.revision}, as this LabOS needs it"
+            return f"revision {found.revision}, the one of this LabOS"
         case "missing":
-            return "there is no such file yet; labos up or labos demo makes it"
+            return "the file does not exist yet; labos up or labos demo creates it"
         case "empty":
-            return "it has no log yet; labos up makes one, or labos db upgrade"
+            return "it has no log yet; labos up or labos db upgrade creates one"
         case "older":
             return f"revision {found.revision}, older than {found.expected}: labos db upgrade"
     return f"revision {found.revision}, of a newer LabOS than this one ({found.expected}): upgrade LabOS"
 
 
 def _advise_backup(where: Where) -> None:
-    click.echo(f"Have a backup first: labos backup FOLDER --database {show_url(where.url)}", err=True)
+    click.echo(f"Make a backup first: labos backup FOLDER --database {show_url(where.url)}", err=True)

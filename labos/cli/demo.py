@@ -40,9 +40,10 @@ SPEED = 400.0
 def command(speed: float, keep: bool, database: str | None, seed: int, home: str | None) -> None:
     """Run the demonstration on simulated instruments; takes about 40 seconds.
 
-    The RPL workcell of Vescovi et al. with its fourteen modules, each a process of its own. Ada
-    submits two PCR workflows; Bo's application picks a colour: a new plate, three mixes, trash.
-    They share the arm and the stacks, and every step is an event in the log that stays behind.
+    It runs the RPL workcell of Vescovi et al. with its fourteen modules, one process for each. The user
+    Ada submits two PCR workflows. Bo's application picks a colour: it takes a new plate, mixes three
+    times, and throws the plate away. Both share the arm and the stacks. Every step is an event in the
+    log, which you can read afterwards.
 
     \b
     labos demo
@@ -63,7 +64,9 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     )
     for module in cell.workcell.modules:
         click.echo(f"  {local(module.name):<16}{what[module.driver]}")
-    click.echo("They start; Ada submits two PCRs, Bo an application that picks a colour. A moment, please …")
+    click.echo(
+        "The modules start. Ada submits two PCR runs, Bo an application that picks a colour. Please wait …"
+    )
     with orderly():
         try:
             with LabThread(settings, [cell]) as lab:
@@ -71,14 +74,14 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
                     results, code = _show(lab, settings, seed)
                     _account(settings, results)
                     if keep:
-                        click.echo(f"\nThe lab runs on at {lab.url} until Ctrl-C.")
+                        click.echo(f"\nThe lab continues at {lab.url} until Ctrl-C.")
                         while not lab.failed.wait(0.5):
                             pass
                 except KeyboardInterrupt:
                     click.echo(f"\n{CLOSING}")
                     raise
         except KeyboardInterrupt:
-            click.echo(f"\nInterrupted. Go on with: labos up --home {_short_path(settings.home)}")
+            click.echo(f"\nInterrupted. Continue with: labos up --home {_short_path(settings.home)}")
             raise click.exceptions.Exit(130) from None
     if lab.failure is not None:
         raise lab.failure
@@ -180,7 +183,7 @@ def _account(settings: Settings, results: list[RunResult]) -> None:
     click.echo()
     show_summary(summary)
     home = _short_path(settings.home)
-    click.echo("\nThe log stays behind. Ask it:")
+    click.echo("\nThe log is kept. Query it:")
     for ask in (
         f"labos runs --home {home}",
         f"labos explain {results[-1].id} --home {home}",
@@ -213,8 +216,8 @@ def _expect_new(settings: Settings, *, given: bool) -> None:
     """Raises BadInput where a lab is already."""
     if (settings.home / "kernel.json").exists() or (settings.home / "labos.db").exists():
         raise BadInput(
-            f"There is a lab in {settings.home} already.",
-            remedy=f"Go on with it by `labos up --home {_short_path(settings.home)}`, or name a new folder.",
+            f"{settings.home} already holds a lab.",
+            remedy=f"Continue it with `labos up --home {_short_path(settings.home)}`, or name a new folder.",
         )
     if given:
         from labos.store import open_store
@@ -223,7 +226,7 @@ def _expect_new(settings: Settings, *, given: bool) -> None:
         try:
             if store.head().position:
                 raise BadInput(
-                    "The database holds a lab already.", remedy="Give the demonstration an empty one."
+                    "The database already holds a lab.", remedy="Use an empty database for the demonstration."
                 )
         finally:
             store.close()

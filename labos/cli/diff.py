@@ -21,8 +21,8 @@ from labos.services.times import Moment
 @json_option
 @log_options
 def command(where: Where, first: Moment, last: Moment, as_json: bool) -> None:
-    """The differences in the lab between two moments: where labware is, runs, levels of resources,
-    questions to people, and drivers' versions.
+    """Show the differences of the lab between two moments: places of labware, runs, levels of resources,
+    questions to people, and versions of drivers.
 
     \b
     labos diff --since -2h
@@ -31,7 +31,7 @@ def command(where: Where, first: Moment, last: Moment, as_json: bool) -> None:
     with open_log_and_views(where) as (store, asker):
         begin, end = position_at(store, first), position_at(store, last)
         if begin > end:
-            raise BadInput("--since is later than --until.", remedy="Exchange the two.")
+            raise BadInput("--since is later than --until.", remedy="Exchange the two times.")
         changes = differences(asker, begin, end)
     if as_json:
         show_json({"since": begin, "until": end, "changes": changes})

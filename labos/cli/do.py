@@ -20,23 +20,30 @@ def _options(command: F) -> F:
         (
             click.option("--workcell", metavar="NAME|FILE", help="The workcell, if the lab has several."),
             click.option(
-                "--simulate", is_flag=True, help="On simulated instruments; a running lab must be simulated."
+                "--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated."
             ),
             click.option(
                 "--place",
                 "placed",
                 multiple=True,
                 metavar="STATION=TYPE",
-                help="Labware that stands there before, as `hidex.default=plate96`.",
+                help="Labware that stands there before the action, such as `hidex.default=plate96`.",
             ),
             user_option,
-            click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first."),
+            click.option(
+                "--priority",
+                type=int,
+                default=0,
+                show_default=True,
+                help="Runs with a higher priority go first.",
+            ),
             wait_option(
-                "Wait for its end; else queue it in the running lab and print the run's id.", default=True
+                "Wait for its end; otherwise queue it in the running lab and print the run's id.",
+                default=True,
             ),
             lab_options,
             json_option,
-            click.option("--quiet", is_flag=True, help="Only the end."),
+            click.option("--quiet", is_flag=True, help="Print only the end."),
         )
     ):
         command = option(command)
@@ -51,9 +58,9 @@ def _options(command: F) -> F:
 def do(module: str, action: str, arguments: tuple[str, ...], **options: Any) -> None:
     """Carry out one ACTION of MODULE, and wait for its end.
 
-    It is a run of one step: logged, queued and checked as a step of a workflow is; it may use your own
-    labware and shared labware. In the running lab if there is one, else in a lab of its own.
-    Exit code 0 if it is done, 1 if it fails or is refused.
+    The action is a run of one step. It is logged, queued and checked like a step of a workflow. It may use
+    your own labware and shared labware. The command uses the running lab. If there is none, it starts a lab
+    for this action only. Exit code 0 if the action succeeds, 1 if it fails or is refused.
 
     \b
     labos do sealer seal time=3.0
@@ -67,10 +74,10 @@ def do(module: str, action: str, arguments: tuple[str, ...], **options: Any) -> 
 @click.argument("module", shell_complete=completes("module"))
 @_options
 def reset(module: str, **options: Any) -> None:
-    """Bring MODULE out of its error: `labos do MODULE reset`.
+    """Reset MODULE after an error. Same as `labos do MODULE reset`.
 
-    A reset is an action like any other, in the log and done at most once, but it may start while
-    the module is in error. Check the device first: a reset may move it.
+    A reset is an action: it is logged and done at most once. Unlike other actions, it may start while the
+    module is in the state ERROR. Check the device first: a reset may move it.
 
     \b
     labos reset pf400
@@ -82,7 +89,7 @@ def reset(module: str, **options: Any) -> None:
 @click.argument("module", shell_complete=completes("module"))
 @_options
 def home(module: str, **options: Any) -> None:
-    """Bring MODULE to its home position: `labos do MODULE home`. Not every module has one.
+    """Move MODULE to its home position. Same as `labos do MODULE home`. Not every module has one.
 
     \b
     labos home sciclops
@@ -98,7 +105,7 @@ def read_arguments(given: Sequence[str]) -> dict[str, Any]:
     for text in given:
         name, equals, value = text.partition("=")
         if not equals or not name.strip():
-            raise BadInput(f"{text!r} is not NAME=VALUE.", remedy="Write time=3.0, say.")
+            raise BadInput(f"{text!r} is not NAME=VALUE.", remedy="Write NAME=VALUE, such as time=3.0.")
         if name.strip() in values:
             raise BadInput(f"The argument {name.strip()!r} is given twice.", remedy="Leave one out.")
         try:

@@ -43,13 +43,13 @@ PRIVATE = ("labos.db", "labos.key", "labos.head", "keys", "blobs", "journals", "
 LONG_AGO_S = 7 * 86_400.0
 
 
-@click.command("doctor", short_help="Is everything that a lab stands on as it should be?")
+@click.command("doctor", short_help="Check the lab's database, disk, network, nodes and backups.")
 @json_option
 @log_options
 def command(where: Where, as_json: bool) -> None:
     """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints, backups and
-    calibrations, and report for each what to do if it is not as it should be. Moves nothing and changes
-    nothing; works with and without a running kernel. Exit code 1 if anything is a fault.
+    calibrations, and report a remedy for each problem. The command moves and changes nothing. It works with
+    and without a running kernel. Exit code 1 if there is a fault.
 
     \b
     labos doctor
@@ -65,7 +65,7 @@ def command(where: Where, as_json: bool) -> None:
             if finding.remedy:
                 click.echo(f"{' ' * 8}{finding.remedy}")
         warnings = sum(finding.state == "warning" for finding in found)
-        click.echo(f"{len(found)} things were looked at: {_faults(found)} faults, {warnings} warnings.")
+        click.echo(f"{len(found)} checks: {_faults(found)} faults, {warnings} warnings.")
     if _faults(found):
         raise SystemExit(FAILED)
 
@@ -106,7 +106,9 @@ def _examine_safely(name: str, look: Callable[[], DoctorFinding]) -> Iterator[Do
     try:
         yield look()
     except OSError as error:
-        yield DoctorFinding(name, "fault", f"This cannot be looked at: {error}.", "Is it this user's lab?")
+        yield DoctorFinding(
+            name, "fault", f"This check failed: {error}.", "Run the command as the owner of the lab."
+        )
 
 
 def _database(where: Where) -> DoctorFinding:
@@ -122,10 +124,10 @@ def _database(where: Where) -> DoctorFinding:
         case "missing" | "empty":
             told = f"There is no log in {show_url(where.url)} yet."
             return DoctorFinding(
-                "database", "warning", told, "labos up makes one. Or is another --home meant?"
+                "database", "warning", told, "labos up creates one. Or give the right --home."
             )
         case "older":
-            return DoctorFinding("database", "fault", told, "Take a backup, then: labos db upgrade")
+            return DoctorFinding("database", "fault", told, "Make a backup, then run: labos db upgrade")
     return DoctorFinding("database", "fault", told, "Install the newer LabOS that wrote it.")
 
 
@@ -149,7 +151,7 @@ def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFinding]:
         for name, port in (("HTTP", ports.http), ("bus", ports.bus)):
             if port and not is_free(port):
                 told = f"Another program listens on {port}, the lab's port for {name}."
-                remedy = f"End it, or say another one: labos up --{name.lower()}-port PORT"
+                remedy = f"End that program, or use another port: labos up --{name.lower()}-port PORT"
                 yield DoctorFinding("ports", "fault", told, remedy)
         return
     endpoint = urlsplit(kernel.bus.replace("/", "://", 1))
@@ -159,7 +161,7 @@ def _ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFinding]:
     except (OSError, ValueError) as error:
         told = f"The bus does not answer at {kernel.bus}: {error}."
         yield DoctorFinding(
-            "bus", "fault", told, "Start it (labos bus), and look at the firewall between the hosts."
+            "bus", "fault", told, "Start it (labos bus), and check the firewall between the hosts."
         )
 
 
@@ -169,7 +171,7 @@ def _bus(where: str, host: str) -> DoctorFinding:
     told = f"The bus answers at {where}."
     if where.startswith("tls/") or is_own_address(host):
         return DoctorFinding("bus", "ok", told)
-    told = f"{told} Other computers reach it, and nobody there has to say who he is."
+    told = f"{told} Other computers can reach it without authentication."
     return DoctorFinding("bus", "warning", told, "labos up --secure; see docs/secure-bus.md.")
 
 
@@ -179,9 +181,7 @@ def _certificates(authority: Authority) -> Iterator[DoctorFinding]:
     try:
         yield from check_certificates(authority, now_ns())
     except LabosError as error:
-        yield DoctorFinding(
-            "certificates", "fault", f"They cannot be looked at: {error.message}", error.remedy
-        )
+        yield DoctorFinding("certificates", "fault", f"They cannot be checked: {error.message}", error.remedy)
 
 
 def _no_kernel(where: Where) -> DoctorFinding:
@@ -190,17 +190,17 @@ def _no_kernel(where: Where) -> DoctorFinding:
     except LabosError:
         owner = ""
     if owner:
-        told = f"A kernel holds this log ({owner}), and does not answer here."
-        return DoctorFinding("kernel", "warning", told, "It runs elsewhere, or is frozen: look there.")
+        told = f"Another kernel ({owner}) writes this log, and does not answer here."
+        return DoctorFinding(
+            "kernel", "warning", told, "It runs on another computer, or is frozen. Check it there."
+        )
     last = last_kernel(where.home)
     if last is not None and last.pid:
-        told = (
-            f"The last kernel of this lab (pid {last.pid}) ended without a word: it was killed, or crashed."
-        )
+        told = f"The last kernel of this lab (pid {last.pid}) ended unexpectedly: it was killed, or crashed."
         return DoctorFinding(
-            "kernel", "warning", told, "Look into the journal of its service; then: labos up"
+            "kernel", "warning", told, "Read the journal of its service, then start it again: labos up"
         )
-    return DoctorFinding("kernel", "ok", "No kernel runs this lab; the last one ended in order.")
+    return DoctorFinding("kernel", "ok", "No kernel runs this lab. The last one ended normally.")
 
 
 def _kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
@@ -218,7 +218,9 @@ def _kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
     yield _health(kernel, health)
     for driver, why in health.get("broken_drivers", {}).items():
         told = f"The driver {driver} cannot be loaded: {why}"
-        yield DoctorFinding("drivers", "warning", told, "Install what it needs, if a module uses it.")
+        yield DoctorFinding(
+            "drivers", "warning", told, "Install the packages that it needs, if a module uses this driver."
+        )
     yield from check_nodes(heard, VERSION)
 
 
@@ -227,13 +229,18 @@ def _health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
     if check.get("damage"):
         told = f"The log is damaged. {check['damage']}"
         return DoctorFinding(
-            "log", "fault", told, "Keep it as it is, look with labos verify, restore a backup."
+            "log", "fault", told, "Do not change it. Check it with labos verify, then restore a backup."
         )
     if health.get("status") != "ok" or health.get("suspended"):
         told = (
             f"The kernel at {kernel.url} does not write: {health.get('suspended') or health.get('status')}."
         )
-        return DoctorFinding("kernel", "fault", told, "Is its database there? It goes on when it is back.")
+        return DoctorFinding(
+            "kernel",
+            "fault",
+            told,
+            "Check its database. The kernel continues when the database is available again.",
+        )
     return DoctorFinding(
         "kernel", "ok", f"The kernel at {kernel.url} runs; the log is at {health['position']}."
     )
@@ -242,12 +249,14 @@ def _health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
 def _checkpoint(home: Path) -> DoctorFinding:
     newest = newest_in(home / FOLDER)
     if newest is None:
-        told = "No checkpoint of the log was signed yet: to others nothing is proven."
+        told = "No checkpoint of the log was signed yet. Without one, other people cannot verify the log."
         return DoctorFinding(
             "checkpoints", "warning", told, "labos key create, then labos checkpoint --follow --to PLACE"
         )
     made_ns = int(newest.stat().st_mtime * 1e9)
     told = f"The newest checkpoint is {newest.name}, of {show_time(made_ns)}."
     if now_ns() - made_ns > LONG_AGO_S * 1e9:
-        return DoctorFinding("checkpoints", "warning", told, "Does labos checkpoint --follow still run?")
+        return DoctorFinding(
+            "checkpoints", "warning", told, "Check whether labos checkpoint --follow still runs."
+        )
     return DoctorFinding("checkpoints", "ok", told)

@@ -26,7 +26,7 @@ MARKS = {"passed": "ok", "failed": "FAILED", "left out": "left out"}
 
 @click.group("driver", cls=Suggesting)
 def command() -> None:
-    """Test a driver against faults, describe its instrument, or begin a new driver."""
+    """Test a driver against faults, describe its instrument, or create a new driver."""
 
 
 command.add_command(describe_command)
@@ -34,7 +34,7 @@ command.add_command(describe_command)
 
 @command.command("torture")
 @click.argument("driver", shell_complete=completes("driver"))
-@click.option("--check", "only", multiple=True, metavar="NAME", help="Only this check.")
+@click.option("--check", "only", multiple=True, metavar="NAME", help="Run only this check.")
 @click.option(
     "--at-least",
     type=click.Choice(["bronze", "silver", "gold"]),
@@ -46,18 +46,18 @@ command.add_command(describe_command)
     "--motion-s",
     type=click.FloatRange(min=0.2),
     default=1.0,
-    help="Seconds that the longest motion takes.",
+    help="The duration of the longest motion, in seconds.",
 )
 @click.option("--keep", metavar="DIR", help="Keep journals, logs and the bench in this new folder.")
 @json_option
 def torture_command(
     driver: str, only: tuple[str, ...], at_least: str, motion_s: float, keep: str | None, as_json: bool
 ) -> None:
-    """Test DRIVER against faults of every kind, and print its badge and the evidence for it.
+    """Test DRIVER against faults of every kind, and print its badge with the evidence.
 
-    DRIVER is an installed one, or a file: shaker.py, shaker.py:Shaker. What the suite needs beside the
-    driver's description is in its TORTURE. Bronze: follows the protocol. Silver: survives faults. Gold:
-    also finds out by observing how an interrupted action ended.
+    DRIVER is an installed driver or a file: shaker.py, shaker.py:Shaker. The driver's TORTURE holds
+    further settings for the test suite. Bronze: the driver follows the protocol. Silver: it survives
+    faults. Gold: it also finds out by observation how an interrupted action ended.
 
     \b
     labos driver torture a4s_sealer
@@ -68,7 +68,7 @@ def torture_command(
 
     folder = Path(keep) if keep else None
     if folder is not None and folder.exists():
-        raise BadInput(f"{folder} is there already.", remedy="Name a new folder.")
+        raise BadInput(f"{folder} already exists.", remedy="Name a new folder.")
 
     def tell(finding: Finding) -> None:
         if not (as_json or (only and finding.verdict == "left out")):
@@ -100,10 +100,10 @@ def _show(report: Report) -> None:
 @click.argument("name")
 @json_option
 def new_command(name: str, as_json: bool) -> None:
-    """Write the package of a driver called NAME into a new folder of that name.
+    """Create the package of a driver NAME in a new folder of that name.
 
-    It works as it is: an interface, a driver, a simulated device on a real serial line, and a test
-    against faults (`labos driver torture`). NAME may lead into another folder.
+    The package works without changes: an interface, a driver, a simulated device on a real serial line,
+    and a test against faults (`labos driver torture`). NAME may be a path to another folder.
 
     \b
     labos driver new shaker
@@ -118,7 +118,7 @@ def new_command(name: str, as_json: bool) -> None:
             remedy="Use small letters, digits and '_', beginning with a letter.",
         )
     if folder.exists():
-        raise BadInput(f"{folder} is there already.", remedy="Take another name.")
+        raise BadInput(f"{folder} already exists.", remedy="Use another name.")
     _refuse_if_taken(package)
     files = _skeleton(folder, package)
     for path, text in files.items():
@@ -140,8 +140,8 @@ def _refuse_if_taken(name: str) -> None:
 
     if entries := list_installed().get(name):
         raise BadInput(
-            f"A driver named {name!r} is installed already, by {source_of(entries[0])}.",
-            remedy="Take another name, or uninstall that package first if yours is to replace it.",
+            f"A driver {name!r} is already installed, by {source_of(entries[0])}.",
+            remedy="Use another name. To replace that driver, uninstall its package first.",
         )
 
 

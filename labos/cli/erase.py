@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from labos.cli._options import find_user, home_option, json_option, user_option
-from labos.cli._out import show_json, show_table, tell
+from labos.cli._options import Asker, asker_options
+from labos.cli._out import show_json, show_table
 from labos.cli._query import Where
 from labos.cli._remote import lab_of
 from labos.core.erasure import REASONS
@@ -15,71 +15,66 @@ from labos.services.times import show_time
 from labos.settings import Settings
 
 
-@click.command("erase", short_help="Erase what people wrote: reasons, notes, comments.")
+@click.command("erase", short_help="Erase texts that people wrote: reasons, notes, comments.")
 @click.argument("records", metavar="[POSITION]...", nargs=-1, type=click.IntRange(min=1))
-@click.option("--for", "author", metavar="USER", help="All that this user wrote.")
+@click.option("--for", "author", metavar="USER", help="Erase all texts of this user.")
 @click.option(
-    "--because", metavar="CODE", type=click.Choice(list(REASONS)), help="Why: one of the codes below."
+    "--because", metavar="CODE", type=click.Choice(list(REASONS)), help="The reason: one of the codes above."
 )
-@click.option("--approve", metavar="ID", help="Agree, as the second person.")
-@click.option("--refuse", metavar="ID", help="Do not erase what waits.")
-@user_option
-@home_option
-@json_option
+@click.option("--approve", metavar="ID", help="Approve a request, as the second person.")
+@click.option("--refuse", metavar="ID", help="Refuse a request that waits.")
+@asker_options
 def command(
     records: tuple[int, ...],
     author: str | None,
     because: str | None,
     approve: str | None,
     refuse: str | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    asker: Asker,
 ) -> None:
-    """Erase the words of the events at these positions of the log, or all words of a user. The events stay,
-    and the log, its checkpoints and bundles verify as before; in place of the words stands `(erased)`. It is
-    an event who erased what, when and why. This cannot be taken back.
+    """Erase the texts of the events at these positions of the log, or all texts of a user. The events stay in
+    the log, with `(erased)` in place of the texts. The log, its checkpoints and bundles verify as before. An
+    event records the erasure with user, time, positions and reason. An erasure cannot be undone.
 
     \b
-    labos log --user bo                          which position it is
+    labos log --user bo                          find the position
     labos erase 120 --because personal
     labos erase --for bo --because request
-    labos erase                                  what waits for a second person
+    labos erase                                  list requests that wait for a second person
     labos erase --approve X1
 
-    Codes: request (by the person who wrote it, or whom it is about), personal (personal data that does not
-    belong there), secret (a password, or what is confidential), mistake (written in the
-    wrong place), retention (kept for as long as the rules say), order (a court or an authority ordered it).
+    Codes: request (by the author, or by the person concerned), personal (personal data that does not belong
+    there), secret (a password or confidential information), mistake (written in the wrong place), retention
+    (the retention period is over), order (ordered by a court or an authority).
 
-    Names, tags and values that steps were given are no words: the log keeps them. Words that were written
-    before LabOS kept them beside the log stay too. Copies that have left the lab are not reached: bundles,
-    exports, messages that were sent; backups lose the words with the next `labos backup`. Tables for SQL that
-    stand on another computer lose them when they are brought up to date (`labos audit project`).
+    Names, tags and arguments of steps cannot be erased. Neither can texts from before LabOS stored texts
+    beside the log. Copies outside the lab are not changed: bundles, exports, sent messages. Backups lose the
+    texts with the next `labos backup`. SQL tables on another computer lose them with their next update
+    (`labos audit project`).
     """
     from labos.cli._audit import forget_erased
-    from labos.cli._lab import need_lab
 
     asks = bool(records) + bool(author) + bool(approve) + bool(refuse)
     if asks > 1:
-        raise click.UsageError("Name positions, or --for, or --approve, or --refuse: one of them.")
+        raise click.UsageError("Give exactly one of: positions, --for, --approve, --refuse.")
     if bool(because) != bool(records or author):
-        raise click.UsageError("--because CODE belongs to positions or to --for USER, which need it.")
-    with need_lab(home) as client:
+        raise click.UsageError("--because CODE is needed with positions or --for USER, and only there.")
+    with asker.lab() as client:
         if refuse:
-            client.refuse_erasure(refuse, find_user(user))
-            tell(f"{refuse} is not done.", {"erasure": refuse}, as_json=as_json)
+            client.refuse_erasure(refuse, asker.user)
+            asker.tell(f"{refuse} was refused.", {"erasure": refuse})
             return
         if not asks:
-            _show(client.erasures(), as_json=as_json)
+            _show(client.erasures(), as_json=asker.as_json)
             return
         if approve:
-            done = client.approve_erasure(approve, find_user(user))
+            done = client.approve_erasure(approve, asker.user)
         else:
             assert because is not None
-            done = client.erase_words(because, find_user(user), records=list(records), user=author or "")
-    if done["erased"] and not lab_of(home):
-        forget_erased(Where(Settings.make(home).home))
-    tell(_sentence(done), done, as_json=as_json)
+            done = client.erase_words(because, asker.user, records=list(records), user=author or "")
+    if done["erased"] and not lab_of(asker.home):
+        forget_erased(Where(Settings.make(asker.home).home))
+    asker.tell(_sentence(done), done)
 
 
 def _sentence(done: dict[str, Any]) -> str:
@@ -89,9 +84,9 @@ def _sentence(done: dict[str, Any]) -> str:
             f"labos erase --approve {done['erasure']}"
         )
     texts = "1 text was" if done["erased"] == 1 else f"{done['erased']} texts were"
-    told = f"{texts} erased; position {done['position']} of the log says so."
+    told = f"{texts} erased; position {done['position']} of the log records this."
     if done["left"]:
-        told += f"\nBytes of it may still stand in the database's files: {done['left']}."
+        told += f"\nTraces may still be in the database's files: {done['left']}."
     return told
 
 
@@ -99,12 +94,12 @@ def _show(waiting: list[dict[str, Any]], *, as_json: bool) -> None:
     if as_json:
         show_json(waiting)
     elif not waiting:
-        click.echo("Nothing waits for a second person.")
+        click.echo("No request waits for a second person.")
     else:
         rows = [
             (
                 each["erasure"],
-                f"all words of {each['user']}" if each["user"] else ", ".join(map(str, each["records"])),
+                f"all texts of {each['user']}" if each["user"] else ", ".join(map(str, each["records"])),
                 each["because"],
                 each["by"],
                 show_time(each["asked_at"]),

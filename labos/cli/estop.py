@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import cert_option, find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, cert_option
 
 PATIENCE_S = 2.0
 """How long a kernel may take to be found before the nodes are told without it."""
@@ -20,30 +20,26 @@ PATIENCE_S = 2.0
 @click.argument(
     "target", shell_complete=completes("module", "workcell"), required=False, metavar="[MODULE|WORKCELL]"
 )
-@click.option("--all", "everything", is_flag=True, help="Every module of the lab.")
-@click.option("--connect", multiple=True, metavar="ENDPOINT", help="Straight over this bus, past the kernel.")
+@click.option("--all", "everything", is_flag=True, help="Stop every module of the lab.")
+@click.option(
+    "--connect",
+    multiple=True,
+    metavar="ENDPOINT",
+    help="Send the stop directly over this bus, not to the kernel.",
+)
 @cert_option
-@user_option
-@home_option
-@json_option
+@asker_options
 def command(
-    target: str | None,
-    everything: bool,
-    connect: tuple[str, ...],
-    cert: Path | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    target: str | None, everything: bool, connect: tuple[str, ...], cert: Path | None, asker: Asker
 ) -> None:
     """Stop a MODULE, a WORKCELL or everything at once, in an emergency.
 
-    It waits neither for the log nor for its turn, and no node refuses it. Who stopped what is logged
-    afterwards. A stopped module is in ERROR until `labos reset`. Without a
-    kernel that answers, the command goes to the nodes over the bus. Exit code 0 only if every module
-    reports that it has stopped.
+    The stop waits neither for the log nor for other requests, and no node refuses it. It is logged
+    afterwards, with the user. A stopped module is in the state ERROR until `labos reset`. If no kernel
+    answers, the command goes directly to the nodes over the bus. Exit code 0 only if every module reports
+    that it has stopped.
 
-    This is a convenience and no safety function: where people can be hurt, use the hardware's
-    emergency stop.
+    This command is not a safety function. If people can be hurt, use the hardware's emergency stop.
 
     \b
     labos estop pf400
@@ -53,10 +49,10 @@ def command(
     from labos.cli._out import show_json
 
     if (target is None) is not everything:
-        raise click.UsageError("Name one module or workcell, or say --all.")
-    report = _stop(target or "*", connect, cert, find_user(user), home)
+        raise click.UsageError("Name one module or workcell, or give --all.")
+    report = _stop(target or "*", connect, cert, asker.user, asker.home)
     stopped, silent = sorted(report["stopped"]), report["silent"]
-    if as_json:
+    if asker.as_json:
         show_json(report)
     else:
         for module in stopped:
@@ -65,7 +61,7 @@ def command(
             click.echo(f"{module} is NOT known to be stopped: {why.rstrip('.')}. Stop it by hand.", err=True)
     if silent or not stopped:
         if not silent:
-            click.echo("No node lives that could be stopped.", err=True)
+            click.echo("No node is running, so none can be stopped.", err=True)
         raise click.exceptions.Exit(1)
 
 
@@ -89,7 +85,7 @@ def _stop(
             with LabClient(home=folder, patience_s=PATIENCE_S) as client:
                 return client.emergency_stop(target, by)
         except LabUnreachable as error:
-            click.echo(f"labos: {error.message} The nodes are told without it.", err=True)
+            click.echo(f"labos: {error.message} The stop is sent directly to the nodes.", err=True)
     if not connect and last is None:
         raise NotFound(f"No lab has run in {folder}.", remedy="Name its --home, or the bus with --connect.")
     if connect or last is None:

@@ -12,17 +12,17 @@ from labos.services.experiments import ExperimentHistory, experiment_histories
 from labos.services.times import show_span, show_time
 
 
-@click.command("experiments", short_help="Experiments: whose, how far, with how many runs.")
+@click.command("experiments", short_help="List experiments.")
 @all_option
 @json_option
 @log_options
 def command(where: Where, everything: bool, as_json: bool) -> None:
-    """Experiments that have not ended and the last ones that have.
+    """List open experiments and the last ones that ended.
 
     \b
     labos experiments
     labos runs E1                  its runs
-    labos explain E1               why they wait
+    labos explain E1               why its runs wait
     labos log --experiment E1      what happened in one
     """
     with open_log(where) as store:

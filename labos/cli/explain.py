@@ -14,6 +14,7 @@ from labos.core.interventions import Intervention
 from labos.core.runs import modules_open
 from labos.core.state import LabState
 from labos.core.topics import PlannedWork
+from labos.services.due import tell_due
 from labos.services.experiments import experiment_histories
 from labos.services.history import state_at
 from labos.services.runs import RunHistory, run_history
@@ -21,13 +22,13 @@ from labos.services.times import show_span, show_time
 from labos.services.waits import reasons
 
 
-@click.command("explain", short_help="Why a run does not go on, and what it has done so far.")
+@click.command("explain", short_help="Explain why a run is waiting.")
 @click.argument("run", shell_complete=completes("run", "experiment"), metavar="RUN|EXPERIMENT")
 @json_option
 @log_options
 def command(where: Where, run: str, as_json: bool) -> None:
-    """Why RUN waits now, and what it has done so far; for an EXPERIMENT, each of its runs that has not
-    ended.
+    """Explain why RUN waits now, and show what it has done so far. For an EXPERIMENT, do so for each of its
+    open runs.
 
     \b
     labos explain R3
@@ -51,7 +52,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
         why = f" ({inside.why})" if inside.why else ""
         click.echo(f"{inside.id} ({inside.name}, {inside.user}) is {inside.status}{why}.")
         if not stories:
-            click.echo("None of its runs is under way or waits.")
+            click.echo("It has no active and no waiting runs.")
     for story, waits in zip(stories, now_of, strict=True):
         click.echo(f"{story.id} ({story.workflow}, {story.user}) is {story.status}.")
         for sentence in waits:
@@ -62,7 +63,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
 def _now(state: LabState, story: RunHistory, now: int, lives: bool) -> list[str]:
     waits = sentences(state, story, now)
     if not lives and not story.over:
-        waits.append("no kernel runs this lab now, so nothing starts: labos up WORKCELL")
+        waits.append("no kernel runs this lab now, so no step starts: labos up WORKCELL")
     return waits
 
 
@@ -91,7 +92,7 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
     if run is None:
         return found
     for reason in reasons(state, run, now):
-        who = " A person or a device has to come back first." if reason.blocked and not asked else ""
+        who = " It continues after a person or a device has acted." if reason.blocked and not asked else ""
         remedy = f" {reason.remedy}" if reason.remedy else ""
         found.append(
             f"#{reason.step} {story.steps[reason.step].key!r} waits: {reason.why.rstrip('.')}.{who}{remedy}"
@@ -102,7 +103,10 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         before = sum(other.position < run.position for other in state.runs.queued.values())
         if before:
             found.append(f"{before} runs that were submitted before it wait too")
-    return found or ["It may go on, and is about to."]
+    found = found or ["It can continue, and will do so at once."]
+    if run.due_at:
+        found.append(f"it is due at {tell_due(state, [story], now)[story.id]}")
+    return found
 
 
 def _usual(state: LabState, story: RunHistory, index: int) -> str:
@@ -115,7 +119,7 @@ def _usual(state: LabState, story: RunHistory, index: int) -> str:
     usual_s, planned_s = known.usual * state.lab.pace / 1e9, steps[index].duration_s
     if abs(usual_s - planned_s) < max(1.0, planned_s / 4):
         return ""
-    return f"; it takes {show_span(usual_s)} as a rule, planned {show_span(planned_s)}"
+    return f"; it usually takes {show_span(usual_s)}, planned {show_span(planned_s)}"
 
 
 def questions(state: LabState, run: str) -> list[str]:

@@ -39,16 +39,16 @@ BROKER_S = 60.0
 """How long a broker may be away if nobody said to go on for ever."""
 
 
-@click.group("export", cls=Suggesting, short_help="The lab's records in the formats of others.")
+@click.group("export", cls=Suggesting, short_help="Export records in formats of other programs.")
 def command() -> None:
-    """Write the log's contents in formats that other programs read.
+    """Export the content of the log in formats of other programs.
 
     \b
     labos export crate R7 --to R7.zip    one run with its files, as an RO-Crate
     labos export crate E3 --to E3.zip    an experiment with all its runs
     labos export events                  the events, as CloudEvents
 
-    W3C PROV is written by `labos provenance --prov`, CSV and Parquet by `labos sql`.
+    For W3C PROV use `labos provenance --prov`, for CSV and Parquet `labos sql`.
     """
 
 
@@ -60,17 +60,15 @@ def command() -> None:
     required=True,
     type=click.Path(path_type=Path),
     metavar="FOLDER|FILE.zip",
-    help="Where the crate goes: a new or empty folder, or a zip file.",
+    help="The target: a new or empty folder, or a zip file.",
 )
-@click.option(
-    "--license", "license_", default="", metavar="URL", help="The licence under which you give it on."
-)
-@click.option("--bundle", is_flag=True, help="Put the signed bundle of each run into it (`labos bundle`).")
+@click.option("--license", "license_", default="", metavar="URL", help="The licence of the crate.")
+@click.option("--bundle", is_flag=True, help="Add the signed bundle of each run (`labos bundle`).")
 @click.option(
     "--program",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="The source of the experiment's application, to be put into the crate.",
+    help="The source file of the experiment's application, to add to the crate.",
 )
 @json_option
 @log_options
@@ -86,11 +84,11 @@ def crate(
     """Write a run, or the runs of an experiment, as an RO-Crate 1.1: workflow, payload, each step with its
     driver, times and user, labware, lots, results, and every file with its SHA-256.
 
-    It conforms to Process Run Crate 0.5, and to Provenance Run Crate 0.5 once something was carried out.
-    That of an experiment also holds what its application did between the runs: decisions, computations
-    with their results, publications with their files, and its program if you give it. Users are named
-    by their ids, as in the log. With --bundle, the recipient can check the events of the runs with the lab's
-    public key.
+    It conforms to Process Run Crate 0.5. If at least one step was carried out, it also conforms to
+    Provenance Run Crate 0.5. The crate of an experiment also contains the application's work between the
+    runs: decisions, computations with their results, publications with their files, and with --program its
+    source. Users are named by their ids, as in the log. With --bundle, the recipient can check the events of
+    the runs with the lab's public key.
 
     \b
     labos export crate R7 --to R7.zip
@@ -127,7 +125,7 @@ def _check(target: Path) -> None:
     """Raises BadInput for a place where something is already."""
     taken = any(target.iterdir()) if target.is_dir() else target.exists()
     if taken:
-        raise BadInput(f"{target} is there already.", remedy="Name a new folder or file after --to.")
+        raise BadInput(f"{target} already exists.", remedy="Name a new folder or file after --to.")
 
 
 def _write(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
@@ -169,33 +167,33 @@ def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
     "moment",
     metavar="POSITION|TIME",
     callback=as_moment,
-    help="Only what came after: a position of the log (0: all), or a time.",
+    help="Only events after this position of the log (0: all) or time.",
 )
 @click.option(
     "--family", "families", multiple=True, metavar="F", help="Only this family or type: run, action.failed …"
 )
-@click.option("-f", "--follow", is_flag=True, help="Go on as events are added, until Ctrl-C.")
+@click.option("-f", "--follow", is_flag=True, help="Show new events as they are added, until Ctrl-C.")
 @click.option(
     "--to",
     "to",
     default="",
     metavar="FILE|kafka://BROKER:PORT/TOPIC",
-    help="Carry all events to this file or topic of Kafka, from where it ends.",
+    help="Append all new events to this file or Kafka topic.",
 )
 @click.option(
     "--settings",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Settings of the client of Kafka, name=value a line: certificates, names, passwords.",
+    help="Settings of the Kafka client, one name=value in each line: certificates, names, passwords.",
 )
 @click.option(
     "--position",
     "position_file",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Where the position of the topic is kept [default: kafka-TOPIC.json in the lab's folder].",
+    help="The file that stores the position of the topic [default: kafka-TOPIC.json in the lab's folder].",
 )
-@click.option("--with-words", is_flag=True, help="Put in what people wrote.")
+@click.option("--with-words", is_flag=True, help="Include texts that people wrote.")
 @log_options
 def events(
     where: Where,
@@ -209,15 +207,15 @@ def events(
 ) -> None:
     """Write events as CloudEvents 1.0, one JSON object a line.
 
-    Payloads are as the log has them: what people wrote (reasons, notes, comments) stands beside the log and
-    is not in them, unless --with-words puts it in. What was exported is not reached by `labos erase`.
+    Payloads are the same as in the log. Texts that people wrote (reasons, notes, comments) are stored
+    beside the log; --with-words adds them. `labos erase` cannot change exported events.
 
-    `position` says how far you are: give the last one to --since, and nothing is left out and nothing
-    comes twice. `hash` is the event's place in the chain. Works with LABOS_URL, too. With --to, the file
-    or topic itself says how far it is: the command may be killed and started again.
+    `position` is the event's position in the log. Give the last one to --since: then no event is left out
+    and none comes twice. `hash` is the event's hash in the chain. The command also works with LABOS_URL.
+    With --to, it continues after the last event in the file or topic, so you can kill and restart it.
 
-    To Kafka each event goes in order and at least once, all into partition 0 (extra `kafka`). A broker
-    that is away is waited for, with --follow as long as it takes; the lab never waits for it.
+    Kafka receives events in order and at least once, all in partition 0 (extra `kafka`). If the broker is
+    unavailable, the command waits for it, with --follow without limit. The lab never waits for the broker.
 
     \b
     labos export events > events.jsonl
@@ -228,7 +226,9 @@ def events(
     """
     check_types(families)
     if (settings or position_file) and not to.startswith(SCHEME):
-        raise BadInput("--settings and --position are for Kafka.", remedy="Name a topic with --to kafka://…")
+        raise BadInput(
+            "--settings and --position are only for Kafka.", remedy="Name a topic with --to kafka://…"
+        )
     if to:
         if families or moment != Moment():
             raise BadInput("--to appends all events.", remedy="Leave --since and --family out.")
@@ -267,7 +267,7 @@ def _carry(
         while True:
             end = log.head().position
             if end < sink.position:
-                raise BadInput(f"{to} is at {sink.position}, the log at {end}: it is of another log.")
+                raise BadInput(f"{to} is at {sink.position}, the log at {end}: it belongs to another log.")
             while sink.position < end:
                 upto = min(sink.position + BATCH, end)
                 sink.write(log.select(LogQuery(after=sink.position, upto=upto)))
@@ -282,12 +282,14 @@ def _open_sink(
     """Raises BadInput, SystemFailed."""
     if not to.startswith(SCHEME):
         if "://" in to:
-            raise BadInput(f"{to} is no target for events.", remedy="Name a file, or kafka://BROKER/TOPIC.")
+            raise BadInput(
+                f"{to} is not a target for events.", remedy="Name a file, or kafka://BROKER/TOPIC."
+            )
         return JsonLines(Path(to))
     topic = KafkaTopic.parse(to)
     if position_file is None and where.lab:
         raise BadInput(
-            "The position of the topic has no place here: the lab is on another computer.",
+            "The position of the topic cannot be stored here: the lab is on another computer.",
             remedy="Name a file for it: --position FILE",
         )
     return KafkaSink(

@@ -39,7 +39,7 @@ SHORT = 12
 """So many digits of a SHA-256 are enough to name a file here."""
 
 
-@click.command("files", short_help="Files that steps have returned, to list and to fetch.")
+@click.command("files", short_help="List or fetch files that steps have returned.")
 @click.argument("run", shell_complete=completes("run"), required=False, default="")
 @click.argument("file", required=False, default="", metavar="[FILE]")
 @click.option(
@@ -47,16 +47,18 @@ SHORT = 12
     "--output",
     "to",
     metavar="PATH",
-    help="Fetch into this folder; with FILE, to this file (- for stdout).",
+    help="Fetch to this folder; with FILE, to this file (- for stdout).",
 )
 @click.option(
-    "--unused", is_flag=True, help="Files that nothing in the log names, in place of those of runs."
+    "--unused", is_flag=True, help="List files to which nothing in the log refers, instead of files of runs."
 )
+@click.option("--remove", is_flag=True, help="With --unused: remove files that are older than --keep-days.")
 @click.option(
-    "--remove", is_flag=True, help="With --unused: remove those that nobody has kept for --keep-days."
-)
-@click.option(
-    "--keep-days", type=click.FloatRange(min=1), default=7.0, show_default=True, help="With --remove."
+    "--keep-days",
+    type=click.FloatRange(min=1),
+    default=7.0,
+    show_default=True,
+    help="With --remove: the age of files to remove.",
 )
 @json_option
 @at_option
@@ -72,23 +74,23 @@ def command(
     as_json: bool,
     moment: Moment,
 ) -> None:
-    """Files that steps have returned: pictures, traces, raw data.
+    """List or fetch files that steps have returned: pictures, traces, raw data.
 
-    FILE is a file's name, or the beginning of its SHA-256. What is fetched is compared with its SHA-256. A
-    file that is there is not written over.
+    FILE is a file's name, or the beginning of its SHA-256. Each fetched file is checked by its SHA-256.
+    Existing files are not overwritten.
 
     \b
-    labos files                        of all runs
-    labos files R3                     of one run
-    labos files R3 -o pictures         fetch them all into a folder
-    labos files R3 plate.png -o .      fetch one
-    labos files --unused --remove      make room: what requests left that were refused, or a kernel that died
+    labos files                        list the files of all runs
+    labos files R3                     list the files of one run
+    labos files R3 -o pictures         fetch all files of a run into a folder
+    labos files R3 plate.png -o .      fetch one file
+    labos files --unused --remove      remove files of refused requests or of a killed kernel
     """
     if remove and not unused:
-        raise click.UsageError("--remove goes with --unused.")
+        raise click.UsageError("--remove needs --unused.")
     if unused:
         if run or to is not None:
-            raise click.UsageError("--unused goes without RUN, FILE and --output.")
+            raise click.UsageError("--unused cannot be combined with RUN, FILE and --output.")
         _show_unused(where, keep_days if remove else None, as_json=as_json)
         return
     with open_log(where) as store:
@@ -99,7 +101,7 @@ def command(
         found = _find_files(found, run, file)
     if to is not None:
         if not run:
-            raise click.UsageError("Name the run whose files are to be fetched.")
+            raise click.UsageError("Name the run with the files to fetch.")
         with contents(where) as blobs:
             written = _fetch(blobs, found, to, one=bool(file))
         if as_json:
@@ -121,14 +123,14 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
     """Name what nothing in the log names; with ``keep_days``, remove what is older than that."""
     if where.lab:
         raise BadInput(
-            "Unused files are looked for in the lab's folder, on its own computer.",
+            "Unused files can be listed only on the lab's computer, in the lab's folder.",
             remedy="Use --home there.",
         )
     blobs = open_blobs(Settings.make(where.home, where.url).blobs)
     if keep_days is not None and not isinstance(blobs, FolderBlobs):
         raise BadInput(
-            "Files in an object store are not removed by LabOS.",
-            remedy="See which are unused, and remove them there while no kernel runs.",
+            "LabOS does not remove files in an object store.",
+            remedy="List the unused files, and remove them there while no kernel runs.",
         )
     removed: list[str] = []
     if isinstance(blobs, FolderBlobs) and keep_days is not None:
@@ -144,7 +146,7 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
         return
     for name in found:
         click.echo(f"{name}{' removed' if name in removed else ''}")
-    told = f"{len(found)} files are there that nothing in the log names"
+    told = f"{len(found)} files without a reference in the log"
     click.echo(f"{told}; {len(removed)} were removed." if keep_days is not None else f"{told}.")
 
 
@@ -187,7 +189,7 @@ def _fetch(blobs: BlobReader, found: list[ResultFile], to: str, *, one: bool) ->
         targets[path] = told
     for path, told in targets.items():
         if path.exists() and path.read_bytes() != blobs.get(told.sha256):
-            raise BadInput(f"{path} is there already, and is another file.", remedy="Name another --output.")
+            raise BadInput(f"{path} already exists, and is another file.", remedy="Name another --output.")
     for path, told in targets.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(blobs.get(told.sha256))

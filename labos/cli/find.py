@@ -19,20 +19,26 @@ KIND = ("experiment", "run", "sample", "image", "file", "result", "publication")
 
 @click.command("find", short_help="Find experiments, runs, samples, images and results by words.")
 @click.argument("words", nargs=-1)
-@click.option("--kind", "kinds", multiple=True, type=click.Choice(KIND), help="Only this kind.")
-@click.option("--user", "users", multiple=True, metavar="ID", help="Only what belongs to this user.")
-@click.option("--workcell", "workcells", multiple=True, metavar="NAME", help="Only of this workcell.")
+@click.option("--kind", "kinds", multiple=True, type=click.Choice(KIND), help="Only entries of this kind.")
+@click.option("--user", "users", multiple=True, metavar="ID", help="Only entries of this user.")
+@click.option("--workcell", "workcells", multiple=True, metavar="NAME", help="Only entries of this workcell.")
 @click.option(
-    "--workflow", "workflows", multiple=True, metavar="NAME", help="Only of this workflow or application."
+    "--workflow",
+    "workflows",
+    multiple=True,
+    metavar="NAME",
+    help="Only entries of this workflow or application.",
 )
-@click.option("--experiment", "experiments", multiple=True, metavar="ID", help="Only of this experiment.")
-@click.option("--status", "statuses", multiple=True, metavar="STATUS", help="Only of this status.")
 @click.option(
-    "--keyword", "keywords", multiple=True, metavar="WORD", help="Only with this keyword or quantity."
+    "--experiment", "experiments", multiple=True, metavar="ID", help="Only entries of this experiment."
 )
-@click.option("--since", metavar="TIME", callback=as_time, help="Only what is of this time or later.")
-@click.option("--until", metavar="TIME", callback=as_time, help="Only what is from before this time.")
-@click.option("--facets", is_flag=True, help="Count how many there are of each user, workcell, month ….")
+@click.option("--status", "statuses", multiple=True, metavar="STATUS", help="Only entries with this status.")
+@click.option(
+    "--keyword", "keywords", multiple=True, metavar="WORD", help="Only entries with this keyword or quantity."
+)
+@click.option("--since", metavar="TIME", callback=as_time, help="Only entries from this time on.")
+@click.option("--until", metavar="TIME", callback=as_time, help="Only entries before this time.")
+@click.option("--facets", is_flag=True, help="Count the entries for each user, workcell, month ….")
 @click.option(
     "--last",
     "limit",
@@ -40,17 +46,18 @@ KIND = ("experiment", "run", "sample", "image", "file", "result", "publication")
     default=20,
     show_default=True,
     metavar="N",
-    help="Show so many, the newest ones.",
+    help="Show the newest N entries.",
 )
-@click.option("--offset", type=click.IntRange(0), default=0, metavar="N", help="Leave the first N out.")
+@click.option("--offset", type=click.IntRange(0), default=0, metavar="N", help="Skip the first N entries.")
 @json_option
 @log_options
 def command(where: Where, words: tuple[str, ...], as_json: bool, facets: bool, **options: Any) -> None:
-    """Find what has all these WORDS: experiments, runs, samples, images, files, results of steps, and what
-    applications have published. Without words, everything that fits the options.
+    """Find entries that have all these WORDS: experiments, runs, samples, images, files, results of steps,
+    and publications of applications. Without words, list all entries that match the options.
 
-    `colo*` stands for all words that begin so. Capital letters and accents do not matter. Entries with the
-    words in their name come first, then the newest. An option given twice means either.
+    `colo*` matches all words with this beginning. Capital letters and accents do not matter. Entries with
+    the words in their name come first, then the newest ones. If you give an option twice, either value
+    matches.
 
     \b
     labos find color picker
@@ -109,10 +116,10 @@ def _show(found: SearchResult, question: SearchQuery) -> None:
     if found.total > last and found.entries:
         click.echo(f"{question.offset + 1} to {last} of {found.total}; the next ones: --offset {last}")
     else:
-        click.echo("Nothing was found." if not found.total else f"{found.total} found.")
+        click.echo("No entry matches." if not found.total else f"{found.total} found.")
     for facet in FACETS if question.facets else ():
         values = ", ".join(f"{value.value} {value.count}" for value in found.facets[facet])
         if values:
             click.echo(f"{facet + ':':12} {values}")
     if found.behind:
-        click.echo(f"The last {found.behind} events are not in the search index yet: ask again.")
+        click.echo(f"The last {found.behind} events are not in the search index yet. Repeat the command.")

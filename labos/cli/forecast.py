@@ -8,17 +8,17 @@ from labos.cli._options import home_option, json_option
 from labos.cli._out import show_json
 
 
-@click.command("forecast", short_help="When runs start and end, and when a person is needed.")
+@click.command("forecast", short_help="Forecast when runs start and end, and when a person is needed.")
 @home_option
 @json_option
 def command(home: str | None, as_json: bool) -> None:
-    """When each run starts and ends, and when a person is needed next.
+    """Forecast when each run starts and ends, and when a person is needed next.
 
-    The lab as it is now is carried on in virtual time, with the durations that its log has taught.
-    "about 14:20 (14:05–14:50)" is the middle, and the range in which four of five come: it is as wide as
-    earlier forecasts of this lab were off, so others who submit more are in it. "If nobody else submits"
-    stands beside it. Nothing fails in a forecast, and nobody fills anything up: a run that needs a person
-    first is not in sight.
+    LabOS simulates the lab from its present state in virtual time, with durations learned from its log.
+    "about 14:20 (14:05–14:50)" is the median, and the range for four of five cases. The range comes from
+    the errors of earlier forecasts of this lab, so it includes delays by later submissions. The column "if
+    nobody else submits" does not. In a forecast no step fails, and nobody refills a resource. A run that
+    needs a person first has no forecast.
     """
     from labos.cli._forecast import show_campaign, show_runs, show_touches
     from labos.cli._lab import need_lab

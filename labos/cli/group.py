@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, home_option, json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._people import in_words, lab_at
 
@@ -15,11 +15,11 @@ _name = click.argument("name", metavar="GROUP")
 _member = click.argument("member", metavar="USER")
 
 
-@click.group("group", cls=Suggesting, short_help="Groups: users who share a part of the lab.")
+@click.group("group", cls=Suggesting, short_help="Manage groups of users, who share a part of the lab.")
 def command() -> None:
-    """Users who share a part of the lab, and the roles that are granted to all of them.
+    """Manage groups: users who share a part of the lab, with roles for all members.
 
-    Weights and quotas of groups stand in a file: labos shares --apply. Nobody is in two groups.
+    Weights and quotas of groups are set with a file: labos shares --apply. A user is in one group at most.
 
     \b
     labos group add chemistry
@@ -31,26 +31,22 @@ def command() -> None:
 
 @command.command("add")
 @_name
-@user_option
-@home_option
-@json_option
-def add(name: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Add a group, without members and of weight 1."""
-    with lab_at(home) as client:
-        client.add_group(name, find_user(user))
-        _tell(client.groups(), name, as_json)
+@asker_options
+def add(name: str, asker: Asker) -> None:
+    """Add a group with weight 1 and without members."""
+    with lab_at(asker.home) as client:
+        client.add_group(name, asker.user)
+        _tell(client.groups(), name, asker.as_json)
 
 
 @command.command("remove")
 @_name
-@user_option
-@home_option
-@json_option
-def remove(name: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Remove a group and its roles. Its members are in no group then."""
-    with lab_at(home) as client:
-        client.remove_group(name, find_user(user))
-    if as_json:
+@asker_options
+def remove(name: str, asker: Asker) -> None:
+    """Remove a group and its roles. Its members are then in no group."""
+    with lab_at(asker.home) as client:
+        client.remove_group(name, asker.user)
+    if asker.as_json:
         show_json({"group": name, "removed": True})
 
 
@@ -58,7 +54,7 @@ def remove(name: str, user: str | None, home: str | None, as_json: bool) -> None
 @home_option
 @json_option
 def list_groups(home: str | None, as_json: bool) -> None:
-    """All groups, their weights, members and roles."""
+    """List all groups, with their weights, members and roles."""
     with lab_at(home) as client:
         found = client.groups()
     if as_json:
@@ -71,9 +67,9 @@ def list_groups(home: str | None, as_json: bool) -> None:
     show_table(("group", "weight", "members", "roles"), rows)
 
 
-@command.group("member", cls=Suggesting, short_help="Who is in a group.")
+@command.group("member", cls=Suggesting, short_help="Manage the members of a group.")
 def members() -> None:
-    """Who is in a group.
+    """Manage the members of a group.
 
     \b
     labos group member add chemistry ada
@@ -84,27 +80,23 @@ def members() -> None:
 @members.command("add")
 @_name
 @_member
-@user_option
-@home_option
-@json_option
-def add_member(name: str, member: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Add a user to a group: its share of the lab, and its roles."""
-    with lab_at(home) as client:
-        client.add_member(name, member, find_user(user))
-        _tell(client.groups(), name, as_json)
+@asker_options
+def add_member(name: str, member: str, asker: Asker) -> None:
+    """Add a user to a group. The user gets the group's share of the lab and its roles."""
+    with lab_at(asker.home) as client:
+        client.add_member(name, member, asker.user)
+        _tell(client.groups(), name, asker.as_json)
 
 
 @members.command("remove")
 @_name
 @_member
-@user_option
-@home_option
-@json_option
-def remove_member(name: str, member: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Take a user out of a group."""
-    with lab_at(home) as client:
-        client.remove_member(name, member, find_user(user))
-        _tell(client.groups(), name, as_json)
+@asker_options
+def remove_member(name: str, member: str, asker: Asker) -> None:
+    """Remove a user from a group."""
+    with lab_at(asker.home) as client:
+        client.remove_member(name, member, asker.user)
+        _tell(client.groups(), name, asker.as_json)
 
 
 def _tell(groups: list[dict[str, Any]], name: str, as_json: bool) -> None:

@@ -14,18 +14,18 @@ from labos.services.times import parse_time, show_span, show_time
 SHIFT = "-8h"
 
 
-@click.command("handover-report", short_help="What the next shift has to know.")
+@click.command("handover-report", short_help="Write a report for the next shift.")
 @click.option(
     "--since",
     metavar="TIME",
     default=SHIFT,
     show_default=True,
-    help="When the shift began: 2026-05-04T06:00, -8h.",
+    help="The start of the shift: 2026-05-04T06:00, -8h.",
 )
 @json_option
 @log_options
 def command(where: Where, since: str, as_json: bool) -> None:
-    """Summary of a shift: open and ended runs, questions that wait, labware that no run uses, resources
+    """Write a summary of a shift: open and ended runs, open questions, labware that no run uses, resources
     that run out next, and how long the lab worked without intervention.
 
     \b
@@ -62,14 +62,14 @@ def _runs(found: Handover) -> None:
 
 def _run(run: OpenRun) -> tuple[str, ...]:
     what = "; ".join(run.doing or run.waits)
-    stuck = " (a person or a device has to come back)" if run.stuck else ""
+    stuck = " (a person or a device has to act first)" if run.stuck else ""
     steps = f"{run.done}/{run.steps}"
     return run.run, run.workflow, run.user, run.status, steps, what + stuck
 
 
 def _people(found: Handover) -> None:
     click.echo()
-    click.echo("Waits for somebody")
+    click.echo("Waits for a person")
     for asked in found.questions:
         due = f" (due {show_time(asked.due_at)}{', LATE' if asked.overdue else ''})" if asked.due_at else ""
         click.echo(f"  {asked.id}{due}: {asked.text}")
@@ -107,7 +107,7 @@ def _bench(found: Handover) -> None:
             f"  {pack.module} {pack.resource}: lot {pack.lot} expired on {pack.expires} ({pack.left:g} left)"
         )
     if not (found.runs_out or found.expired):
-        click.echo("  nothing that the present runs need")
+        click.echo("  no resource that the present runs need")
 
 
 def _by_itself(found: Handover) -> str:

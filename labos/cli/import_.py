@@ -68,20 +68,20 @@ class ImportOutcome(msgspec.Struct):
 
 @click.command("import")
 @click.argument("path", metavar="FILE|FOLDER")
-@click.option("-o", "--output", default="imported", show_default=True, metavar="DIR", help="Where to write.")
-@click.option("--force", is_flag=True, help="Overwrite files that are there.")
+@click.option(
+    "-o", "--output", default="imported", show_default=True, metavar="DIR", help="The folder to write to."
+)
+@click.option("--force", is_flag=True, help="Overwrite existing files.")
 @json_option
 def command(path: str, output: str, force: bool, as_json: bool) -> None:
-    """Rewrite workcells and workflows of WEI and MADSci, and labware of Opentrons, in LabOS' own
-    form.
+    """Convert workcells and workflows of WEI and MADSci, and labware of Opentrons, to LabOS' own format.
 
-    A FOLDER is searched for YAML files, and its order is kept. What a workcell does not say is
-    drafted from the workflows in the folder that use it: what a module offers that no driver
-    serves, actions and arguments that a driver does not know, places. So all of it can be
-    simulated at once. Comments are kept. What had to be assumed stands as a comment at its place,
-    and is listed at the end, the most consequential first. Files already in LabOS' form are copied;
-    files that are none of ours are skipped; exit code 1 if one is refused. Files of the FOLDER that
-    arguments name are copied.
+    The command searches a FOLDER for YAML files and keeps its structure. If a workcell file lacks
+    information, the command drafts it from the folder's workflows that use this workcell: actions of a
+    module without a driver, actions and arguments that a driver does not know, and places. So you can
+    simulate the result at once. Comments are kept. Each assumption is written as a comment at its place,
+    and is listed at the end, the most important first. Files in LabOS' format, and files of the FOLDER
+    that arguments name, are copied. Other files are skipped. Exit code 1 if a file is refused.
 
     \b
     labos import rpl_workcell.yaml -o specs
@@ -89,7 +89,7 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
     labos import corning_96_wellplate_360ul_flat.json -o specs/labware
     labos validate specs/workflows/pcr.yaml --workcell specs/rpl_workcell.yaml
 
-    LabOS also runs such files as they are.
+    LabOS can also run such files without conversion.
     """
     from labos.bootstrap import descriptions
 
@@ -205,7 +205,7 @@ def _write(outcome: ImportOutcome, *, force: bool) -> None:
     if there and not force:
         more = f" and {len(there) - 3} more" if len(there) > 3 else ""
         raise BadInput(
-            f"{', '.join(there[:3])}{more} would be overwritten.",
+            f"The output already has {', '.join(there[:3])}{more}.",
             remedy="Name another --output, or add --force.",
         )
     contents = {file.target: file.text.encode() for file in outcome.written}
@@ -253,11 +253,11 @@ def _tell_assumed(outcome: ImportOutcome) -> None:
     )
     if not told:
         return
-    click.echo("Assumed, the most consequential first:")
+    click.echo("Assumptions, the most important first:")
     for finding in told[:MOST_TOLD]:
         click.echo(f"  {finding.as_error()}")
     if len(told) > MOST_TOLD:
-        click.echo(f"  … and {len(told) - MOST_TOLD} more: each stands as a comment in its file.")
+        click.echo(f"  … and {len(told) - MOST_TOLD} more; each is a comment in its file.")
 
 
 def _holds(counts: dict[str, int]) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, read_result, user_option, why_option
+from labos.cli._options import Asker, asker_options, json_option, read_result, why_option
 from labos.cli._query import Where, log_options, open_log
 from labos.core.topics import PlannedWork
 
@@ -16,14 +16,19 @@ if TYPE_CHECKING:
 
 
 @click.command("inbox")
-@click.option("--module", shell_complete=completes("module"), metavar="NAME", help="Of this operator only.")
+@click.option(
+    "--module",
+    shell_complete=completes("module"),
+    metavar="NAME",
+    help="Only the work of this operator module.",
+)
 @json_option
 @log_options
 def inbox(where: Where, module: str | None, as_json: bool) -> None:
-    """The planned work that waits for a person, the most urgent first.
+    """List planned work that waits for a person, the most urgent first.
 
-    Each entry is a step of a run on an operator module: the run continues when somebody confirms it.
-    Late work stays in the inbox, and no run fails because of it.
+    Each entry is a step of a run on an operator module. The run continues when a person confirms the step.
+    Late work stays in the inbox. No run fails because of it.
 
     \b
     labos inbox
@@ -47,7 +52,7 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
         return
     asked = [story.id for story in told if story.kind != PlannedWork.KIND]
     if not entries:
-        click.echo("No work is planned for anybody now.")
+        click.echo("No planned work waits now.")
         _tell_asked(asked)
         return
     rows = [
@@ -61,14 +66,14 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
         for story in entries
     ]
     show_table(["id", "for", "due", "run", "work"], rows)
-    click.echo("When it is done: labos confirm ID; if it cannot be done: labos confirm ID --not-done")
+    click.echo("When the work is done: labos confirm ID. If it cannot be done: labos confirm ID --not-done")
     _tell_asked(asked)
 
 
 def _tell_asked(asked: list[str]) -> None:
     """What is no work and waits for a person all the same."""
     if asked:
-        click.echo(f"The lab also asks for help: {', '.join(asked)}. See: labos interventions")
+        click.echo(f"Other open questions: {', '.join(asked)}. See: labos interventions")
 
 
 def _as_json(story: InterventionHistory) -> dict[str, Any]:
@@ -79,41 +84,31 @@ def _as_json(story: InterventionHistory) -> dict[str, Any]:
 
 @click.command("confirm")
 @click.argument("intervention", shell_complete=completes("intervention"))
-@click.option("--not-done", is_flag=True, help="It cannot be done, and nothing was moved: the run ends.")
+@click.option(
+    "--not-done", is_flag=True, help="The work cannot be done, and nothing was moved: the run ends."
+)
 @why_option("A note for the log.")
-@click.option("--result", metavar="JSON", help="Its result, if later steps read it.")
-@user_option
-@home_option
-@json_option
-def confirm(
-    intervention: str,
-    not_done: bool,
-    why: str,
-    result: str | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
-) -> None:
-    """Confirm that the planned work INTERVENTION is done: it and its effects on the bench are logged.
+@click.option("--result", metavar="JSON", help="The result of the work, if later steps read it.")
+@asker_options
+def confirm(intervention: str, not_done: bool, why: str, result: str | None, asker: Asker) -> None:
+    """Confirm that the planned work INTERVENTION is done. LabOS logs it with its effects on the bench.
 
     \b
     labos confirm I7
     labos confirm I7 --result '{"colour": "red"}' --why "a little spilt"
     labos confirm I7 --not-done --why "there is no foil left"
     """
-    from labos.cli._lab import need_lab
-    from labos.cli._out import tell
     from labos.errors import BadInput
 
-    with need_lab(home) as client:
+    with asker.lab() as client:
         questions = {q["id"]: q for q in client.state(waits=False)["interventions"]}
         asked = questions.get(intervention)
         if asked is not None and asked["kind"] != PlannedWork.KIND:
             raise BadInput(
-                f"{intervention} is no planned work but a question: {asked['text']}",
+                f"{intervention} is not planned work but a question: {asked['text']}",
                 remedy=f"Answer it with `labos resolve {intervention} CHOICE`.",
             )
         choice = "not_done" if not_done else "done"
-        client.resolve(intervention, choice, find_user(user), why, read_result(result))
+        client.resolve(intervention, choice, asker.user, why, read_result(result))
     told = f"{intervention} is confirmed{' as not done' if not_done else ''}."
-    tell(told, {"id": intervention, "choice": choice}, as_json=as_json)
+    asker.tell(told, {"id": intervention, "choice": choice})

@@ -16,18 +16,18 @@ from labos.services.interventions import WITHDRAWN, InterventionHistory, interve
 from labos.services.times import show_span, show_time
 
 
-@click.command("interventions", short_help="What the lab asks people, since when, and what they may answer.")
-@click.option("--all", "everything", is_flag=True, help="Also what is answered: by whom, when, and what.")
+@click.command("interventions", short_help="List questions of the lab to people, with possible answers.")
+@click.option("--all", "everything", is_flag=True, help="Show answered questions too: answer, user and time.")
 @json_option
 @log_options
 def command(where: Where, everything: bool, as_json: bool) -> None:
-    """Each question that waits for a person: since when, what it is about, where its labware is now as far
-    as the lab knows, every choice with its consequences, and the command that gives it. Planned work is
-    among them.
+    """List the questions that wait for a person. For each, show its time, its subject, where the labware is
+    now as far as the lab knows, and all choices with their consequences and commands. The list includes
+    planned work.
 
     \b
     labos interventions
-    labos interventions --all      answered questions too
+    labos interventions --all      also answered questions
     labos resolve I2 done          answer one
     """
     with open_log(where) as store:
@@ -48,7 +48,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     for story in waiting:
         _tell(story, now, places.get(story.id, ""))
     if not waiting:
-        click.echo("The lab asks nothing.")
+        click.echo("No question is open.")
     if not everything and len(told) > len(shown):
         more = len(told) - len(shown)
         click.echo(f"{more} more {'is' if more == 1 else 'are'} answered: labos interventions --all")

@@ -13,14 +13,15 @@ from labos.services.inventory import Inventory, ResourceLeft, StackLeft, WasteLe
 from labos.services.times import iso_time, show_time
 
 
-@click.command("inventory", short_help="What is left, of which lots, and what runs out when.")
+@click.command("inventory", short_help="Show levels and lots of resources, and when they run out.")
 @json_option
 @log_options
 def command(where: Where, as_json: bool) -> None:
-    """Levels and lots of all resources, what the stacks hold, the room in wastes, and what runs out when.
+    """Show levels and lots of all resources, the content of stacks, the room in wastes, and when each of them
+    runs out.
 
-    Open runs are simulated in their order with nominal durations: the first run that would find too
-    little is named, and when. Waiting for a person makes it later.
+    LabOS simulates the open runs in their order with nominal durations. For each resource, it names the
+    first run that would find too little, and the time. If runs wait for a person, the time is later.
 
     \b
     labos inventory
@@ -37,7 +38,7 @@ def command(where: Where, as_json: bool) -> None:
     show_table(
         ("resource", "left", "of", "still needed", "lots", "runs out"),
         [_resource(left) for left in found.resources],
-        title=f"At {show_time(now)}; {found.runs_looked_at} runs are alive",
+        title=f"At {show_time(now)}; {found.runs_looked_at} open runs",
     )
     click.echo()
     show_table(

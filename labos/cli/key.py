@@ -13,21 +13,23 @@ from labos.services.trust.keys import SigningKeys
 from labos.services.trust.tree import read_tree
 
 witness_option = click.option(
-    "--witness", is_flag=True, help="The key that cosigns other labs' checkpoints, not the lab's own."
+    "--witness",
+    is_flag=True,
+    help="Create the key that cosigns other labs' checkpoints, not the lab's own key.",
 )
 
 
-@click.group("key", cls=Suggesting, short_help="The keys that sign a lab's checkpoints.")
+@click.group("key", cls=Suggesting, short_help="Manage the keys that sign the lab's checkpoints.")
 def command() -> None:
-    """The key pair that signs this lab's checkpoints (Ed25519).
+    """Manage the key pair that signs this lab's checkpoints (Ed25519).
 
-    The private key stays in the lab's folder, in keys/, for its owner only. Give the public key to those who
-    check the lab's records, and send it by another way than the records.
+    The private key stays in the lab's folder, in keys/. Only the folder's owner can read it. Give the public
+    key to people who check the lab's records. Send it by another way than the records.
 
     \b
-    labos key create    make the pair
-    labos key show      the public key, for others
-    labos key rotate    put a new pair in its place
+    labos key create    create the key pair
+    labos key show      print the public key
+    labos key rotate    replace the key pair
     """
 
 
@@ -35,13 +37,13 @@ def command() -> None:
 @click.option(
     "--name",
     metavar="NAME",
-    help="What the key is called, such as chem.example.org/lab1 (labos/ and the id of the lab).",
+    help="The name of the key, such as chem.example.org/lab1 (default: labos/ and the id of the lab).",
 )
 @witness_option
 @json_option
 @log_options
 def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None:
-    """Make the key pair, once. Its name stands in each checkpoint: others know the lab by it."""
+    """Create the key pair. This is done once. Its name is in each checkpoint and identifies the lab."""
     public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
     tell(public.text, {"public_key": public.text, "name": public.name}, as_json=as_json)
 
@@ -51,7 +53,7 @@ def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None
 @json_option
 @log_options
 def show(where: Where, witness: bool, as_json: bool) -> None:
-    """The public key, for others. --json also shows the keys that it replaced."""
+    """Print the public key. --json also shows the keys that it replaced."""
     keys = SigningKeys(where.home)
     if witness:
         text = keys.read_signing_key(witness=True).public.text
@@ -70,8 +72,8 @@ def show(where: Where, witness: bool, as_json: bool) -> None:
 @json_option
 @log_options
 def rotate(where: Where, as_json: bool) -> None:
-    """Put a new key pair in the place of the present one. The old private key signs, as its last act, who its
-    successor is, and is destroyed. Who has the old public key can go on with it: bundles carry that note."""
+    """Replace the key pair. The old private key signs the new public key and is then destroyed. Bundles
+    contain this signature, so a person with the old public key can still check them."""
     size = read_tree(where.home).size
     keys = SigningKeys(where.home)
     keys.rotate(size, iso_time(now_ns()))
@@ -81,7 +83,8 @@ def rotate(where: Where, as_json: bool) -> None:
         return
     click.echo(public.text)
     click.echo(
-        f"The key before it signs nothing behind position {size}. Give the new one to those who check."
+        f"The old key signs nothing after position {size}. Give the new public key to people who "
+        "check the log."
     )
 
 
@@ -92,5 +95,5 @@ def _own_name(where: Where, witness: bool) -> str:
     except LabosError:
         head = None
     if head is None or not head.lab:
-        raise click.UsageError("There is no log yet that could give the key its name: say --name NAME.")
+        raise click.UsageError("There is no log yet, and so no default name for the key: give --name NAME.")
     return f"labos/{head.lab}/witness" if witness else f"labos/{head.lab}"

@@ -16,12 +16,14 @@ from labos.services.labware import LabwareHistory, labware_histories, labware_hi
 from labos.services.times import Moment, show_span, show_time
 
 
-@click.command("labware", short_help="Every plate, or the whole story of one.")
+@click.command("labware", short_help="List labware, or show the history of one piece.")
 @click.argument("labware", shell_complete=completes("labware"), required=False, metavar="[ID]")
 @click.option(
-    "--gone/--here", default=None, help="Only what has left the bench, or only what is still there."
+    "--gone/--here",
+    default=None,
+    help="Show only labware that has left the bench, or only labware that is still there.",
 )
-@click.option("--barcode", metavar="CODE", help="The labware with this barcode, or that had it when it left.")
+@click.option("--barcode", metavar="CODE", help="Labware with this barcode, also if it has left the bench.")
 @json_option
 @at_option
 @log_options
@@ -33,14 +35,14 @@ def command(
     as_json: bool,
     moment: Moment,
 ) -> None:
-    """All labware there ever was; with an ID, the history of one piece: where it stood and when, who owned
-    it, what was done to it and by whom, with the events that prove it.
+    """List all labware. With an ID, show the history of one piece: its stations and times, its owners, and
+    the actions on it with user and module. Each entry names the event in the log.
 
     \b
-    labos labware                  all of it, what is gone too
+    labos labware                  all labware, also labware that has left the bench
     labos labware P7               the history of one plate
     labos labware P7 --at -1h      as it was known an hour ago
-    labos labware --barcode LB0815   which piece has it, and where it is
+    labos labware --barcode LB0815   the piece with this barcode
     """
     with open_log(where) as store:
         upto = position_at(store, moment)
@@ -57,7 +59,7 @@ def command(
     if barcode is not None:
         shown = [s for s in shown if s.barcode == barcode]
         if not shown:
-            raise NotFound(f"No labware bears the barcode {barcode!r}.", remedy="List it: labos labware")
+            raise NotFound(f"No labware has the barcode {barcode!r}.", remedy="List it: labos labware")
     if as_json:
         show_json(shown)
         return
@@ -97,7 +99,7 @@ def _tell(story: LabwareHistory) -> None:
         )
         for stay in story.stays
     ]
-    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Where it stood")
+    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Stations")
     click.echo()
     changes = [
         (
@@ -110,4 +112,4 @@ def _tell(story: LabwareHistory) -> None:
         )
         for change in story.changes
     ]
-    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="What became of it")
+    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="History")

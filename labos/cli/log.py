@@ -21,40 +21,38 @@ from labos.store import encode_record
 POLL_S = 0.25
 
 
-@click.command("log", short_help="What happened: the events, filtered or followed.")
+@click.command("log", short_help="Show what happened, event by event.")
 @click.option("--type", "types", multiple=True, metavar="T", help="A type or family: action, run.failed …")
-@click.option(
-    "--run", shell_complete=completes("run"), default="", metavar="R", help="What concerns this run."
-)
+@click.option("--run", shell_complete=completes("run"), default="", metavar="R", help="Events of this run.")
 @click.option(
     "--module",
     shell_complete=completes("module"),
     default="",
     metavar="M",
-    help="What concerns this module and its stations.",
+    help="Events of this module and its stations.",
 )
 @click.option(
     "--labware",
     shell_complete=completes("labware"),
     default="",
     metavar="P",
-    help="What concerns this labware.",
+    help="Events of this labware.",
 )
-@click.option("--user", default="", metavar="U", help="What this user did and what was done for them.")
+@click.option("--user", default="", metavar="U", help="Events by this user and for this user.")
 @click.option(
     "--experiment",
     shell_complete=completes("experiment"),
     default="",
     metavar="E",
-    help="What concerns this experiment and its runs.",
+    help="Events of this experiment and its runs.",
 )
 @click.option(
     "--since", metavar="T", callback=as_time, help="From this time on: ISO 8601 (local zone if none), or -2h."
 )
 @click.option("--until", metavar="T", callback=as_time, help="Before this time.")
-@click.option("--last", type=click.IntRange(min=0), metavar="N", help="Only the last N.")
-@click.option("-f", "--follow", is_flag=True, help="Go on as events are added, until Ctrl-C.")
-@json_option_saying("One line an event: envelope, hash and payload, as they are stored.")
+@click.option("--last", type=click.IntRange(min=0), metavar="N", help="Only the last N events.")
+@click.option("-f", "--follow", is_flag=True, help="Show new events as they are added, until Ctrl-C.")
+@json_option_saying("One line for each event: envelope, hash and payload, as stored.")
 @log_options
 def command(
     where: Where,
@@ -74,13 +72,13 @@ def command(
 
     \b
     labos log --last 20                    the newest events
-    labos log -f --type run --type action  what runs do, as they do it
+    labos log -f --type run --type action  follow runs and their actions
     labos log --run R3 --since -2h         one run's last two hours
-    labos log --labware P7                 everything that touched a plate
+    labos log --labware P7                 all events of a plate
     labos log --module sealer --json       for programs, one event a line
 
-    Filters narrow each other. The first column is the position in the log, by which
-    `labos stations --at POSITION` shows the lab at that moment.
+    An event is shown if it matches all filters. The first column is the position in the log. `labos
+    stations --at POSITION` shows the lab at that moment.
     """
     wanted = LogFilter(types, run, module, labware, user, experiment, since, until, last)
     with open_log(where, stored=as_json) as store, suppress(KeyboardInterrupt):
@@ -93,7 +91,7 @@ def command(
             _show(sieve, event, record, as_json)
             shown += 1
         if user and not shown and not sieve.knows_user():
-            click.echo(f"labos: Nothing in this log is by {user!r} or was done for them.", err=True)
+            click.echo(f"labos: This log has no events by {user!r} or for {user!r}.", err=True)
         while follow:
             end = store.head().position
             if end > seen:

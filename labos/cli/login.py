@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 HOW = {
     "token": "by a token",
     "session": "by a session",
-    "home": "by the key in the lab's folder, which is good for looking, stopping modules, and helping others "
-    "to sign in",
+    "home": "by the key in the lab's folder; it may read, stop modules, and help users to sign in",
     "open": "this lab has no users",
 }
 
@@ -26,23 +25,35 @@ HOW = {
 @click.command("login")
 @click.argument("url", default="", metavar="[URL]")
 @click.option("--user", metavar="NAME", default="", help="Sign in with the password of this user.")
-@click.option("--device", is_flag=True, help="No browser here: type a code into one elsewhere.")
-@click.option("--code", is_flag=True, help="As --device, for a provider without it: paste an address.")
+@click.option(
+    "--device",
+    is_flag=True,
+    help="For a computer without a browser: enter a code in a browser on another computer.",
+)
+@click.option(
+    "--code",
+    is_flag=True,
+    help="As --device, for a provider that does not support it: copy an address from the browser.",
+)
 @click.option(
     "--port",
     type=click.IntRange(0, 65_535),
     default=0,
-    help="The port to which the browser comes back, for a provider that looks at it; else any free one.",
+    help="The port to which the browser returns, if the provider requires a fixed one (default: any).",
 )
 @click.option(
     "--scope",
     type=click.Choice(["viewer", "submitter", "operator", "admin"]),
     default="admin",
     show_default=True,
-    help="The most that the token is good for; what you may not do, it may not do either.",
+    help="The highest role of the token; it never has more rights than you.",
 )
 @click.option(
-    "--days", type=click.FloatRange(0.01, 366), default=30.0, show_default=True, help="How long it is good."
+    "--days",
+    type=click.FloatRange(0.01, 366),
+    default=30.0,
+    show_default=True,
+    help="The number of days for which it is valid.",
 )
 @home_option
 @json_option
@@ -57,14 +68,15 @@ def login(
     home: str | None,
     as_json: bool,
 ) -> None:
-    """Sign in to the lab at URL (LABOS_URL, or the one in the folder); from then on commands are yours.
+    """Sign in to the lab at URL (LABOS_URL, or the lab in the folder). Later commands then run as you.
 
-    A lab with an identity provider sends you to its page: a browser opens, and comes back to this command,
-    which listens on this computer alone. Other labs ask for a password; --user does so everywhere. Without a
-    terminal, the first line of standard input is the password.
+    If the lab has an identity provider, a browser opens its sign-in page. The browser then returns to this
+    command, which listens only on this computer. Without a provider, or with --user, the command asks for a
+    password. Without a terminal, it reads the password from the first line of standard input.
 
-    The lab gives a token, which is kept in ~/.config/labos/tokens.json, readable by you only. LABOS_TOKEN
-    and LABOS_TOKEN_FILE go before it. `labos token list` shows it, `labos logout` revokes it.
+    The lab issues a token. It is stored in ~/.config/labos/tokens.json, which only you can read.
+    LABOS_TOKEN and LABOS_TOKEN_FILE take precedence over it. `labos token list` shows the token, `labos
+    logout` revokes it.
 
     \b
     labos login https://lab7.example.org
@@ -79,15 +91,15 @@ def login(
     from labos.services.times import iso_time
 
     if device and code:
-        raise click.UsageError("Say either --device or --code.")
+        raise click.UsageError("Give either --device or --code.")
     if user and (device or code):
-        raise click.UsageError("--device and --code go without --user.")
+        raise click.UsageError("--device and --code cannot be combined with --user.")
     label = f"labos login on {socket.gethostname()}"
     with _lab(url, home) as client:
         place = client.token_place
         try:
             if user:
-                raise NotFound("A password is asked for.")
+                raise NotFound("A password is needed.")
             way: Way = "device" if device else "code" if code else "browser"
             found = sign_in(client, way, port, label=label, scope=scope, days=days)
         except NotFound:
@@ -97,7 +109,7 @@ def login(
         keep_token(place, found["token"])
     until = iso_time(found["until"])[:16]
     facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
-    tell(f"You are {found['user']} at {place}, until {until}.", facts, as_json=as_json)
+    tell(f"You are signed in as {found['user']} at {place}, until {until}.", facts, as_json=as_json)
 
 
 def _by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
@@ -112,8 +124,7 @@ def _by_password(client: LabClient, name: str, label: str, scope: str, days: flo
 @home_option
 @json_option
 def logout(url: str, home: str | None, as_json: bool) -> None:
-    """Sign out of the lab at URL (LABOS_URL, or the one in the folder): the token is good no more, and is
-    forgotten."""
+    """Sign out of the lab at URL (LABOS_URL, or the lab in the folder). The token is revoked and deleted."""
     from labos.client._token import find_kept_token, keep_token
     from labos.errors import NotSignedIn
 
@@ -140,14 +151,14 @@ def _lab(url: str, home: str | None, token: str = "") -> LabClient:
         return need_lab(home, token)
     if home:
         raise click.UsageError("Name the lab by its URL or by --home.")
-    return LabClient(check_url(url, "What you say"), token=token)
+    return LabClient(check_url(url, "Your input"), token=token)
 
 
 @click.command("whoami")
 @home_option
 @json_option
 def whoami(home: str | None, as_json: bool) -> None:
-    """Who you are to the lab, and what you may do there."""
+    """Show as which user you are signed in, and your rights in the lab."""
     from labos.cli._lab import need_lab
     from labos.services.times import iso_time
 
@@ -157,7 +168,7 @@ def whoami(home: str | None, as_json: bool) -> None:
         show_json(found)
         return
     if found["how"] == "open":
-        click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and everybody may do everything)")
+        click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and every user has all rights)")
         return
     until = f", until {iso_time(found['until'])[:16]}" if found["until"] else ""
     name = f" ({found['name']})" if found["name"] else ""
@@ -167,4 +178,4 @@ def whoami(home: str | None, as_json: bool) -> None:
     for scope, role in found["roles"].items():
         click.echo(f"  {role} of {'the whole lab' if scope == '*' else scope}")
     if found["how"] == "token" and found["scope"] != "admin":
-        click.echo(f"  the token is good for what a {found['scope']} may do")
+        click.echo(f"  the token has the rights of a {found['scope']} at most")

@@ -7,16 +7,26 @@ import click
 from labos.cli._options import home_option
 
 
-@click.command("mcp", short_help="Let an agent look, plan and propose.")
+@click.command("mcp", short_help="Let an agent read the lab, plan and propose work.")
 @click.option("--behalf", default="", metavar="USER", help="Propose on behalf of this user.")
-@click.option("--http-port", type=click.IntRange(0, 65_535), help="Speak HTTP on this port.")
-@click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="Where HTTP listens.")
+@click.option("--http-port", type=click.IntRange(0, 65_535), help="Serve HTTP on this port.")
 @click.option(
-    "--name", "names", multiple=True, metavar="HOST", help="A further name under which agents reach it."
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    metavar="ADDRESS",
+    help="The address on which HTTP listens.",
+)
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    metavar="HOST",
+    help="A further name under which agents reach the server.",
 )
 @click.option("--tls-cert", default="", metavar="FILE", help="A certificate, for HTTP over TLS.")
 @click.option("--tls-key", default="", metavar="FILE", help="Its private key.")
-@click.option("--behind-proxy", is_flag=True, help="Another program speaks TLS for it.")
+@click.option("--behind-proxy", is_flag=True, help="Another program provides TLS for this server.")
 @home_option
 def command(
     behalf: str,
@@ -28,15 +38,15 @@ def command(
     behind_proxy: bool,
     home: str | None,
 ) -> None:
-    """A server of the Model Context Protocol, spoken to over standard input and output: an agent's program
-    starts it. It signs in as a service account, with the token in LABOS_TOKEN.
+    """Run a server of the Model Context Protocol on standard input and output. The agent's program starts
+    this server. The server signs in to the lab as a service account, with the token in LABOS_TOKEN.
 
-    With --http-port it is spoken to over HTTP (at /mcp) by several agents. Each shows a token of its own
-    (Authorization: Bearer …), and acts as the service account whose it is; the server itself has no rights,
-    and does not look at LABOS_TOKEN. --host with an address that others reach takes TLS.
+    With --http-port, several agents can use the server over HTTP (at /mcp). Each agent sends its own token
+    (Authorization: Bearer …), and acts as the service account of this token. The server itself has no
+    rights then, and ignores LABOS_TOKEN. If --host is an address that other computers reach, TLS is needed.
 
-    The agent can look at the lab and its log, check workflows and campaigns, and propose them. What it
-    proposes waits for an operator (labos approvals); there is nothing by which it could start anything.
+    The agent can read the lab and its log, check workflows and campaigns, and propose them. Each proposal
+    waits for an operator (labos approvals). The agent cannot start anything.
 
     \b
     labos user add helper --service --role submitter
@@ -64,7 +74,7 @@ def command(
             make_server(lab).run("stdio")
         return
     if behalf:
-        raise click.UsageError("Over HTTP each agent says for whom it acts (LabOS-On-Behalf-Of).")
+        raise click.UsageError("Over HTTP each agent names its user (LabOS-On-Behalf-Of).")
     from labos.mcp.http import serve
 
     listening = Listening(host, http_port, names, tls_cert, tls_key, behind_proxy)

@@ -27,13 +27,13 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ ()\-]*")
 @click.command("new")
 @click.argument("kind", type=click.Choice(["workcell", "workflow", "app"]))
 @click.argument("name")
-@click.option("--force", is_flag=True, help="Overwrite files that are there.")
+@click.option("--force", is_flag=True, help="Overwrite existing files.")
 @json_option
 def command(kind: str, name: str, force: bool, as_json: bool) -> None:
-    """Write a workcell, a workflow or an application called NAME, to change as you need.
+    """Create a template of a workcell, a workflow or an application with this NAME.
 
-    NAME may lead into a folder. What is written works as it is: the workflow on the workcell, and
-    on the packaged workcell rpl too. An application is a Python program with a workflow beside it.
+    NAME may be a path. The files work without changes: the workflow runs on the new workcell, and also on
+    the packaged workcell rpl. An application is a Python program with a workflow file beside it.
 
     \b
     labos new workcell bench
@@ -42,21 +42,21 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
     labos run seal.yaml --workcell bench.yaml --simulate
     labos new app screening
 
-    Editors complete and check the files by the schemas in the folder .labos beside them.
+    Editors use the schemas in the folder .labos beside the files to complete and check them.
     """
     path = Path(name)
     stem = path.name.removesuffix(".yaml").removesuffix(".yml").removesuffix(".py")
     if not _NAME.fullmatch(stem):
         raise BadInput(
             f"{stem!r} cannot be a name.",
-            remedy="Use letters, digits, '_', '-' and spaces, beginning with a letter or digit.",
+            remedy="Use letters, digits, '_', '-' and spaces. Begin with a letter or digit.",
         )
     if kind == "app" and not stem.replace("-", "_").isidentifier():
         raise BadInput(f"{stem!r} cannot be a program's name.", remedy="Use letters, digits, '_' and '-'.")
     files = _files(kind, path.parent, stem)
     there = [str(file) for file in files if file.exists()]
     if there and not force:
-        raise BadInput(f"{', '.join(there)} is there already.", remedy="Take another name, or add --force.")
+        raise BadInput(f"There already is {', '.join(there)}.", remedy="Use another name, or add --force.")
     schemas = _schemas(kind, path.parent)
     for file, text in {**schemas, **files}.items():
         try:

@@ -13,7 +13,7 @@ import click
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
-from labos.cli._options import cert_option, find_user, home_option, json_option, user_option, why_option
+from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
 from labos.cli._out import show_json, tell
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
@@ -21,34 +21,38 @@ from labos.settings import HOME, Settings, keep_private
 
 @click.group("node", cls=Suggesting)
 def command() -> None:
-    """Nodes: the processes that control one instrument each."""
+    """Start and manage nodes. A node is the process that controls one instrument."""
 
 
 @command.command("start")
 @click.argument("driver", default="")
 @click.option("--name", required=True, help="The module's name in the workcell.")
 @click.option("--workcell", required=True, help="The workcell's name.")
-@click.option("--simulate", is_flag=True, help="Drive a simulated device on the lab's simulated bench.")
-@click.option("--wire", is_flag=True, help="With --simulate: reach the simulated device over its wire.")
+@click.option("--simulate", is_flag=True, help="Use a simulated device on the lab's simulated bench.")
+@click.option("--wire", is_flag=True, help="With --simulate: use the real driver, over a simulated wire.")
 @click.option("--trace", default="", metavar="FILE", help="Write every byte on the device's wire to a file.")
 @click.option(
     "--metrics-port",
     type=click.IntRange(0, 65535),
     metavar="PORT",
-    help="Show the node's metrics to Prometheus there; 0: on a free port, which is reported to the lab.",
+    help="Serve the node's metrics for Prometheus on this port; 0: a free port, reported to the lab.",
 )
 @click.option(
     "--metrics-host",
     default="127.0.0.1",
     show_default=True,
-    help="The address of --metrics-port; 0.0.0.0 lets other computers ask.",
+    help="The address of --metrics-port; with 0.0.0.0, other computers can read the metrics.",
 )
-@click.option("--connect", multiple=True, metavar="ENDPOINT", help="The lab's bus, as tcp/192.168.1.5:7447.")
-@click.option("--secure", is_flag=True, help="Speak to no bus but a secure one (tls/HOST:PORT).")
+@click.option(
+    "--connect", multiple=True, metavar="ENDPOINT", help="The lab's bus, such as tcp/192.168.1.5:7447."
+)
+@click.option("--secure", is_flag=True, help="Connect only to a secure bus (tls/HOST:PORT).")
 @cert_option
 @home_option
 @click.option(
-    "--with-parent", is_flag=True, help="End when standard input ends, as it does when the parent dies."
+    "--with-parent",
+    is_flag=True,
+    help="End when standard input ends, for instance because the parent process has ended.",
 )
 @click.option(
     "--finish-s",
@@ -71,10 +75,10 @@ def start(
     with_parent: bool,
     finish_s: float | None,
 ) -> None:
-    """Run the node of a module until stopped. DRIVER defaults to the one that the workcell names.
+    """Run the node of a module until it is stopped. DRIVER defaults to the driver in the workcell file.
 
-    The node waits for its lab, learns the module's settings from it, and goes on when the lab
-    is restarted. Its journal is kept in HOME/journals: give the same --home at every start, or the node
+    The node waits for its lab, gets the module's settings from it, and continues after a restart of the
+    lab. Its journal is in HOME/journals. Give the same --home at every start: without its journal the node
     does not know what it did before.
 
     \b
@@ -117,9 +121,10 @@ def _expect_home(settings: Settings, named: str | None) -> None:
     journal of the module's last node would stay elsewhere, unread."""
     if not named and not os.environ.get(HOME) and not settings.home.is_dir():
         raise BadInput(
-            f"No lab keeps its files in {settings.home}, so this node would not know what it did before.",
-            remedy="Name the folder of the module's journal with --home DIR (it is made if it is new), and "
-            "the same one at every start.",
+            f"{settings.home} is not the folder of a lab. Without its journal this node does not "
+            "know what it did before.",
+            remedy="Name the folder of the module's journal with --home DIR (a new folder is created). "
+            "Use the same folder at every start.",
         )
 
 
@@ -127,26 +132,16 @@ def _expect_home(settings: Settings, named: str | None) -> None:
 @click.argument("module")
 @click.option("--epoch", type=int, help="The epoch of the lab's kernel, as `labos db status` shows it.")
 @click.option("--position", type=int, help="The end of the lab's log, as `labos db status` shows it.")
-@why_option("What happened; it is kept in the journal.", required=True)
-@user_option
-@home_option
-@json_option
-def reset_epoch(
-    module: str,
-    epoch: int | None,
-    position: int | None,
-    why: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
-) -> None:
-    """Correct what MODULE's journal has recorded about its lab: an epoch that no kernel of the lab ever
-    had, or an acknowledged position that its log never reached.
+@why_option("The reason, for the journal.", required=True)
+@asker_options
+def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, asker: Asker) -> None:
+    """Correct a wrong number in MODULE's journal: an epoch that no kernel of the lab ever had, or an
+    acknowledged position that the lab's log never reached.
 
-    A node that has recorded such a number accepts no kernel, or no requests, any more. Stop the node,
-    and see to it that only one kernel of this lab runs: older ones are accepted again too. What the node has
-    done stays in its journal, and who reset it, when and why is written there. Run it where the journal
-    is: HOME/journals.
+    With such a number, the node no longer accepts any kernel or any request. Stop the node first. Make sure
+    that only one kernel of this lab runs, because the node accepts older kernels again. The record of the
+    node's actions stays in its journal. User, time and reason of this correction are added. Run this
+    command where the journal is (HOME/journals).
 
     \b
     labos node reset-epoch rpl/pf400 --epoch 7 --why "a test script sent epoch 2^62"
@@ -155,35 +150,31 @@ def reset_epoch(
     from labos.node.limits import cut, cut_name
 
     if epoch is None and position is None:
-        raise click.UsageError("Say what is wrong: --epoch, --position or both.")
-    path = Settings.make(home).journal(module)
+        raise click.UsageError("Give the number to correct: --epoch, --position or both.")
+    path = Settings.make(asker.home).journal(module)
     if not path.exists():
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    was, now = asyncio.run(_correct(path, epoch, position, cut_name(find_user(user)), cut(why)))
+    was, now = asyncio.run(_correct(path, epoch, position, cut_name(asker.user), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
-    tell(f"{path}: {now} (it was {was}).", facts, as_json=as_json)
+    asker.tell(f"{path}: {now} (it was {was}).", facts)
 
 
 @command.command("trace")
 @click.argument("module", shell_complete=completes("module"))
 @click.option("--off", is_flag=True, help="Stop recording.")
-@user_option
-@home_option
-@json_option
-def trace_command(module: str, off: bool, user: str | None, home: str | None, as_json: bool) -> None:
-    """Record every byte on the wires of MODULE's device, in a file on its node's computer.
+@asker_options
+def trace_command(module: str, off: bool, asker: Asker) -> None:
+    """Record every byte on the wires of MODULE's device. The file is on the computer of its node.
 
     \b
     labos node trace sealer
     labos node trace sealer --off
     labos up … --trace               all modules, from their start
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        file = client.trace(module, find_user(user), on=not off)
-    told = f"{module}: {'written to' if not off else 'no more is written to'} {file}"
-    tell(told, {"module": module, "file": file, "on": not off}, as_json=as_json)
+    with asker.lab() as client:
+        file = client.trace(module, asker.user, on=not off)
+    told = f"{module}: {'written to' if not off else 'no longer written to'} {file}"
+    asker.tell(told, {"module": module, "file": file, "on": not off})
 
 
 @command.command("accept-unit")
@@ -192,12 +183,12 @@ def trace_command(module: str, off: bool, user: str | None, home: str | None, as
 @home_option
 @json_option
 def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> None:
-    """Accept another unit as the device of MODULE: the one with this SERIAL number; left out, the one that is
-    connected next.
+    """Accept another unit as the device of MODULE: the unit with this SERIAL number, or without SERIAL the
+    unit that is connected next.
 
-    A node remembers the serial number of the device that it was connected to first, and refuses another one:
-    positions taught to one robot are wrong for another. Reset the module afterwards. If the workcell file has
-    `serial:`, change it there too. Run it where the node's journal is: HOME/journals.
+    A node remembers the serial number of its first device and refuses all other units, because taught
+    positions of one robot are wrong for another. Reset the module afterwards. If the workcell file has
+    `serial:`, change it there too. Run this command where the node's journal is (HOME/journals).
 
     \b
     labos node accept-unit rpl/ot2_pcr_alpha OT2CEP20200309B04
@@ -287,11 +278,11 @@ def fork_server(link: int) -> None:
 )
 @json_option
 def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_json: bool) -> None:
-    """Ask a foreign node what it offers, and print it as a module in a workcell file.
+    """Ask a foreign node for its actions, and print them as a module for a workcell file.
 
-    INTERFACE is the adapter (wei_rest_node, madsci_rest_node, sila_node, tcp_node, wei_ros_node), ADDRESS
-    the node's URL, its host:port, or its name in ROS. The node does not know what its actions do to the
-    bench: fill in `effects`, `duration` and the stations.
+    INTERFACE is the adapter (wei_rest_node, madsci_rest_node, sila_node, tcp_node, wei_ros_node). ADDRESS
+    is the node's URL, its host:port, or its name in ROS. The node does not know the effects of its actions
+    on the bench: add `effects`, `duration` and the stations yourself.
 
     \b
     labos node about wei_rest_node http://barty.lab:8000

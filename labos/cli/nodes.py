@@ -16,10 +16,10 @@ from labos.core.ids import local
 from labos.errors import NotFound
 
 REMEDIES = {
-    "ERROR": "Put right what it says, then: labos reset {module}",
+    "ERROR": "Solve the reported problem, then run: labos reset {module}",
     "silent": "Start it: labos node start, or labos up on its computer.",
-    "frozen": "End its process; it is started again.",
-    "out": "When it is right again: labos in-service {module}",
+    "frozen": "End its process. LabOS starts it again.",
+    "out": "When it works again: labos in-service {module}",
 }
 """What to do about a module that does not work, by what its node answers."""
 
@@ -29,13 +29,13 @@ REMEDIES = {
 @click.option(
     "--check",
     is_flag=True,
-    help="Ask each node and its device who they are and what they see.",
+    help="Ask each node and its device for their identity and observations.",
 )
 @json_option
 @log_options
 def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) -> None:
-    """List the lab's modules, their states and current actions. Where no kernel runs, the last known states
-    are shown.
+    """List the lab's modules, their states and current actions. If no kernel runs, the command shows the last
+    known states.
 
     \b
     labos nodes
@@ -43,9 +43,9 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
     labos nodes --check           ask every node and device now; exit code 1 if one is unavailable
     labos nodes --check pf400
 
-    A check moves nothing. It reports the driver, its version of LabOS, the unit (serial number) that the
-    module is pinned to, the device's firmware, and what it observes; for a module that cannot work, what
-    to do.
+    A check moves nothing. It reports the driver, its version of LabOS, the unit (serial number) to which
+    the module is bound, the device's firmware, and its observations. If a module cannot work, the check
+    reports a remedy.
     """
     from labos.cli._lab import need_lab_of
     from labos.cli._out import show_json, show_table
@@ -151,7 +151,7 @@ def _valid_until(module: dict[str, Any]) -> str:
 
 
 def _describe_action(action: dict[str, Any]) -> str:
-    ended = " (nobody knows how it ended)" if action["status"] == "unknown" else ""
+    ended = " (outcome unknown)" if action["status"] == "unknown" else ""
     return f"{action['action']} for {action['run']}{ended}"
 
 

@@ -26,20 +26,27 @@ if TYPE_CHECKING:
 LOOK_EVERY_S = 2.0
 
 
-@click.group("notifications", cls=Suggesting, short_help="Who was told of what.", invoke_without_command=True)
-@click.option("--contact", metavar="NAME", default="", help="Only what goes to this contact.")
-@click.option("--waiting", is_flag=True, help="Only what has not been delivered yet.")
-@click.option("--last", type=click.IntRange(min=1), default=50, show_default=True, help="So many at most.")
+@click.group(
+    "notifications",
+    cls=Suggesting,
+    short_help="List sent and unsent notifications.",
+    invoke_without_command=True,
+)
+@click.option("--contact", metavar="NAME", default="", help="Show only notifications to this contact.")
+@click.option("--waiting", is_flag=True, help="Show only notifications that were not delivered yet.")
+@click.option(
+    "--last", type=click.IntRange(min=1), default=50, show_default=True, help="The maximum number of entries."
+)
 @json_option
 @log_options
 @click.pass_context
 def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int, as_json: bool) -> None:
-    """Notifications that were sent, and those still to be sent: of questions, missed windows, unavailable
-    modules, failed runs, a kernel that stopped.
+    """List sent and unsent notifications. LabOS notifies contacts of questions, missed windows, unavailable
+    modules, failed runs, and a stopped kernel.
 
-    Contacts stand in the file that LABOS_CONTACTS names, else in contacts.yaml in the lab's home:
-    who is notified, in which order if nobody answers, and the quiet hours. What cannot be
-    delivered is tried again, for three days at the most; the last column says why it failed.
+    The contacts are in the file that LABOS_CONTACTS names, or in contacts.yaml in the lab's home. The file
+    lists whom to notify, whom to notify next if nobody answers, and the quiet hours. LabOS tries a failed
+    delivery again for up to three days. The last column shows the reason of the failure.
 
     \b
     labos notifications --waiting
@@ -82,7 +89,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
 @json_option
 @log_options
 def test(where: Where, contact: str, as_json: bool) -> None:
-    """Send CONTACT a test message now, whatever the hour, and say whether it was accepted.
+    """Send a test message to CONTACT now, also in quiet hours, and report whether it was accepted.
 
     \b
     labos notifications test anna
@@ -98,18 +105,18 @@ def test(where: Where, contact: str, as_json: bool) -> None:
     message = test_message(_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
-    told = f"{contact} was sent a test message by {channel}: {message.id}"
+    told = f"A test message was sent to {contact} by {channel}: {message.id}"
     tell(told, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
 
 
 @command.command("watch")
 @log_options
 def watch(where: Where) -> None:
-    """Send notifications from a separate process, until Ctrl-C: also that the kernel is dead.
+    """Send notifications from a separate process, until Ctrl-C. It also notifies you if the kernel is dead.
 
-    `labos up` sends notifications itself, unless this runs already; only one of them sends. So this
-    takes over when the kernel is gone, for instance killed. To be notified of a machine that failed, run
-    this on another one, with a --home of its own there and the lab's --database.
+    `labos up` sends notifications itself, unless this process already runs. Only one of the two sends. If
+    the kernel ends or is killed, this process takes over. To be notified of a failed computer, run this
+    command on another computer, with its own --home and the lab's --database.
 
     \b
     labos notifications watch --home lab
@@ -142,7 +149,9 @@ def _look(where: Where, notifier: Notifier) -> None:
         notifier.read()
         owner = silent_holder(where.url)
         if owner:
-            notifier.kernel_stopped(f"its lease ({owner}) has lapsed; it was killed, or its machine is gone")
+            notifier.kernel_stopped(
+                f"its lease ({owner}) has expired; it was killed, or its computer has failed"
+            )
         elif lease_holder(where.url):
             notifier.kernel_lives()
         else:

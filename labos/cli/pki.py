@@ -25,25 +25,26 @@ address_option = click.option(
     "--address", multiple=True, metavar="HOST", help="A name or address at which a kernel or bus is reached."
 )
 days_option = click.option(
-    "--days", type=click.IntRange(1, 36500), metavar="N", help="For how many days it is valid."
+    "--days", type=click.IntRange(1, 36500), metavar="N", help="The number of days for which it is valid."
 )
 
 
-@click.group("pki", cls=Suggesting, short_help="Certificates for a secure bus.")
+@click.group("pki", cls=Suggesting, short_help="Issue certificates for a secure bus.")
 def command() -> None:
-    """A small certificate authority for the lab's bus, in the lab's folder (pki/), or what the site issued.
+    """Manage a small certificate authority for the lab's bus, or certificates that the site issued. The
+    authority is in the lab's folder (pki/).
 
-    `labos up --secure` makes one, and certificates for the kernel and the nodes that it starts. These
-    commands are for nodes on other computers, for programs that only listen, and for a key that was lost.
-    A running lab or bus uses a change within two seconds. The whole procedure: docs/secure-bus.md.
+    `labos up --secure` creates the authority, and certificates for the kernel and its nodes. Use these
+    commands for nodes on other computers, for programs that only listen, and after the loss of a key. A
+    running lab or bus applies a change within two seconds. docs/secure-bus.md describes the procedure.
 
     \b
-    labos pki init                          make the authority
+    labos pki init                          create the authority
     labos pki issue node rpl/sealer         a certificate for a module's node
     labos pki issue viewer dashboard        for a program that only listens
     labos pki list                          all certificates, and when they expire
     labos pki renew rpl/sealer              a new key and certificate under the same name
-    labos pki revoke rpl/sealer --why TEXT  its certificate is refused from now on
+    labos pki revoke rpl/sealer --why TEXT  refuse its certificate from now on
     """
 
 
@@ -52,15 +53,15 @@ def command() -> None:
     "--ca",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="The certificate of the site's authority (PEM, or several of them): it issues, not LabOS.",
+    help="Use the site's certificate authority: a PEM file with its certificate, or several.",
 )
 @days_option
 @pki_option
 @json_option
 @log_options
 def init(where: Where, ca: Path | None, days: int | None, pki: Path | None, as_json: bool) -> None:
-    """Make the authority, once. Its private key (ca.key) lets those who read it act as everybody: it may
-    be kept offline, and is only needed to issue, renew and revoke."""
+    """Create the authority. This is done once. With its private key (ca.key) a person can act as any kernel
+    or node, so keep it secret. You can store it offline. It is needed only to issue, renew and revoke."""
     from socket import gethostname
 
     authority = _authority(where, pki)
@@ -90,12 +91,12 @@ def issue(
     pki: Path | None,
     as_json: bool,
 ) -> None:
-    """Make a certificate and its key, and print the folder that holds them. Copy that folder to the computer
-    where it is used, over a way that nobody can read (scp), and keep its rights.
+    """Issue a certificate and its key, and print their folder. Copy this folder to the computer that uses
+    the certificate, over a confidential connection (scp), with the same file permissions.
 
-    KIND is node (NAME is WORKCELL/MODULE), kernel, bus, api (NAME is that of an API process), viewer
-    (NAME is what you like), or stop: it may stop modules in an emergency (`labos estop --connect ENDPOINT`),
-    and nothing else.
+    KIND is node (NAME is WORKCELL/MODULE), kernel, bus, api (NAME is the name of an API process), viewer
+    (NAME is free), or stop. A certificate of kind stop may only stop modules in an emergency (`labos
+    estop --connect ENDPOINT`).
 
     \b
     labos pki issue node rpl/sealer
@@ -139,8 +140,8 @@ def admit(
     pki: Path | None,
     as_json: bool,
 ) -> None:
-    """Take over a certificate that the site issued: its holder acts as the KIND and NAME from now on.
-    The bus knows it by its common name (CN), which no other key may have.
+    """Accept a certificate that the site issued. From now on its holder acts as the KIND and NAME.
+    The bus identifies the holder by the common name (CN). No other key may have the same common name.
 
     \b
     labos pki admit node rpl/sealer --certificate sealer.pem --key sealer.key
@@ -155,7 +156,7 @@ def admit(
 @json_option
 @log_options
 def list_(where: Where, pki: Path | None, as_json: bool) -> None:
-    """Every certificate: whose it is, until when it is valid, whether it was revoked."""
+    """List all certificates: holder, end of validity, and whether they are revoked."""
     authority = _authority(where, pki)
     entries = authority.members().entries
     if as_json:
@@ -177,9 +178,9 @@ def list_(where: Where, pki: Path | None, as_json: bool) -> None:
 def renew(
     where: Where, name: str, address: tuple[str, ...], days: int | None, pki: Path | None, as_json: bool
 ) -> None:
-    """Make a new key and certificate for NAME, under the same common name. Copy its folder again if it is
-    used on another computer; a node there notices it by itself. The kernel renews its own, and those of the
-    nodes that it starts, when a third of their time is left."""
+    """Issue a new key and certificate for NAME, with the same common name. If another computer uses them,
+    copy the folder again; a node there detects the change by itself. The kernel renews its own
+    certificate, and those of the nodes that it starts, when a third of their validity is left."""
     authority = _authority(where, pki)
     entry = authority.renew(authority.find(name), addresses=address, days=days or 0)
     _tell_folder(authority, entry, as_json)
@@ -187,17 +188,17 @@ def renew(
 
 @command.command("revoke")
 @click.argument("name")
-@why_option("What happened; it is kept in the list.", required=True)
+@why_option("The reason, for the list.", required=True)
 @pki_option
 @json_option
 @log_options
 def revoke(where: Where, name: str, why: str, pki: Path | None, as_json: bool) -> None:
-    """Make the certificate NAME invalid. A running lab or bus opens its bus again without it, in two seconds;
-    a bus on another computer needs its folder copied again. A revocation list is
-    written too (crl.pem), for others: Zenoh reads none."""
+    """Revoke the certificate NAME. A running lab or bus refuses it within two seconds. If the bus is on
+    another computer, copy its folder again. The command also writes a revocation list (crl.pem) for other
+    programs. Zenoh does not read it."""
     authority = _authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
-    told = f"The {entry.identity.shown} may speak no more with CN {entry.common_name}."
+    told = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
     tell(told, _facts(authority, entry), as_json=as_json)
 
 
@@ -210,9 +211,9 @@ def _identity(where: Where, kind: Any, name: str, lab: str | None) -> PartyIdent
         what = f"An {kind}" if kind == "api" else f"A {kind}"
         raise click.UsageError(f"{what} needs a name." if not name else f"{what} has no name.")
     if kind == "api" and not PROCESS_NAME.fullmatch(name):
-        raise click.UsageError(f"The name of an API process is made of a-z, 0-9 and -, not {name!r}.")
+        raise click.UsageError(f"{name!r} is not a name for an API process: use a-z, 0-9 and -.")
     if kind == "node" and name.count("/") != 1:
-        raise click.UsageError(f"A node's name is WORKCELL/MODULE, not {name!r}.")
+        raise click.UsageError(f"{name!r} is not a node's name: write WORKCELL/MODULE.")
     return PartyIdentity(kind, name, "" if kind == "bus" else lab or _lab_in(where))
 
 
@@ -224,8 +225,8 @@ def _lab_in(where: Where) -> str:
         found = None
     if not found:
         raise NotFound(
-            "There is no log yet that could tell the lab's id.",
-            remedy="Start the lab once (labos up … --secure), or name its id: --lab-id ID.",
+            "There is no log yet, so the lab's id is unknown.",
+            remedy="Start the lab once (labos up … --secure), or give its id: --lab-id ID.",
         )
     return str(found)
 

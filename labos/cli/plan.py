@@ -108,27 +108,32 @@ class Outline(msgspec.Struct):
 
 @click.command("plan")
 @click.argument("workflow", shell_complete=completes("workflow"))
-@click.option("--workcell", required=True, metavar="W", help="A workcell file, or a packaged one: rpl.")
+@click.option(
+    "--workcell",
+    required=True,
+    metavar="W",
+    help="A workcell file, or the name of a packaged workcell, such as rpl.",
+)
 @payload_option
 @json_option
 @log_options
 def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bool) -> None:
-    """Show what WORKFLOW (a file, or a packaged one) would do: its steps with the payload filled
-    in, their modules, stations and arguments, when each starts, and what is used up.
+    """Show what WORKFLOW (a file, or a packaged workflow) would do: its steps with the values of the payload,
+    their modules, stations and arguments, start times, and the consumption of resources.
 
-    The times are for a run that has the bench to itself. If there is a lab (--home, LABOS_HOME, ./lab,
-    LABOS_URL), a step takes as long as such steps have usually taken there, once there were three of them;
-    that is marked with ~. All others take as long as their drivers say. Steps marked with * are critical:
-    together they take as long as the run. Of each window it is said whether it can be kept if steps take up
-    to a tenth longer or shorter than their drivers say.
+    The times are for a run that is alone on the bench. If there is a lab (--home, LABOS_HOME, ./lab,
+    LABOS_URL), the times are learned there: a step has the usual duration of such steps if there were at
+    least three. Such times are marked with ~. All other steps have the duration of their driver. Steps
+    marked with * are critical: together they take as long as the run. For each window, the command shows
+    whether a run can keep it if steps take up to a tenth longer or shorter than their drivers state.
 
     \b
     labos plan pcr --workcell rpl
     labos plan my.yaml --workcell my_cell.yaml --payload seal.time=4 --json
     labos plan pcr --workcell rpl --home lab
 
-    Files that are needed only on the real bench may be missing. Warnings go to standard error, also those
-    about assumed consumption. Exit code 1 if the workflow has errors.
+    Files that only the real bench needs may be missing. All warnings go to standard error. Exit code 1 if
+    the workflow has errors.
     """
     from labos.bootstrap import descriptions
     from labos.cli._specs import spec_path
@@ -329,7 +334,7 @@ def _tell(outline: Outline) -> None:
     out = [step for step in outline.steps if step.on_cancel]
     if out:
         ways = [f"{s.key.removeprefix('on_cancel/')!r} ({_where(s)})" for s in out]
-        click.echo(f"If the run is cancelled, what is needed of: {', '.join(ways)}.")
+        click.echo(f"If the run is cancelled, the necessary steps of: {', '.join(ways)}.")
     for kept in outline.holds:
         click.echo(
             f"Kept from others: {kept.module}, from the start of {kept.first!r} to the end of {kept.last!r}."
@@ -344,7 +349,7 @@ def _tell(outline: Outline) -> None:
     for stack, count in outline.labware_taken.items():
         click.echo(f"Taken: {count} from {stack}.")
     click.echo(f"Labware needed at the start: {', '.join(outline.inputs) or 'none'}.")
-    click.echo(f"Labware stands at the end: {', '.join(outline.outputs) or 'nowhere'}.")
+    click.echo(f"Labware at the end: {', '.join(outline.outputs) or 'nowhere'}.")
 
 
 def _tell_origin(outline: Outline) -> str:
@@ -354,14 +359,14 @@ def _tell_origin(outline: Outline) -> str:
     shown = [step for step in outline.steps if not step.rescues and not step.on_cancel]
     learned = sum(step.learned for step in shown)
     if not outline.lab:
-        return "Times are as the drivers say: no lab was asked (--home)."
+        return "Times are those of the drivers: no lab was asked (--home)."
     if not learned:
-        return f"Times are as the drivers say: {outline.lab} has seldom carried out any of these steps."
+        return f"Times are those of the drivers: {outline.lab} has too few executions of these steps."
     nominal = sum(step.nominal_s for step in shown)
     usual = sum(step.duration_s for step in shown)
     return (
         f"Times marked ~ are what {outline.lab} has learned ({learned} of {len(shown)} steps): all steps "
-        f"together take {show_span(usual)}, as their drivers say {show_span(nominal)}."
+        f"together take {show_span(usual)}, and {show_span(nominal)} according to their drivers."
     )
 
 
@@ -376,22 +381,22 @@ def _terms(outline: Outline, step: OutlineStep) -> Iterator[str]:
     if step.when:
         yield f"{step.key!r} is done only if {step.when}."
     if step.timeout_s is not None:
-        yield f"{step.key!r} counts as unknown if it has not ended after {show_span(step.timeout_s)}."
+        yield f"{step.key!r} has an unknown outcome if it has not ended after {show_span(step.timeout_s)}."
     if step.retries:
-        before = f", {step.module} being reset before" if step.reset else ""
+        before = f", after a reset of {step.module}" if step.reset else ""
         yield f"{step.key!r} is tried up to {step.retries} times more if it fails{before}."
     if step.looks:
-        yield f"After {step.key!r} somebody looks: {', '.join(step.looks)}."
+        yield f"After {step.key!r} its result is observed: {', '.join(step.looks)}."
     if step.expect:
-        yield f"{step.key!r} is expected to give {step.expect}."
+        yield f"{step.key!r} has the expected result {step.expect}."
     rescue = [s for s in outline.steps if s.rescues == step.key and s.key != f"{step.key}/reset"]
     if rescue:
         what = ", ".join(
             f"{s.key.removeprefix(f'{step.key}/on_error/')!r} ({s.module}.{s.action})" for s in rescue
         )
         then = "goes on" if step.on_error.endswith("go_on") else "fails"
-        yield f"If {step.key!r} fails for good: {what}; then the run {then}."
+        yield f"If {step.key!r} finally fails: {what}; then the run {then}."
     elif step.on_error == "skip":
-        yield f"If {step.key!r} fails for good, the run goes on without it."
+        yield f"If {step.key!r} finally fails, the run continues without it."
     elif step.on_error == "ask":
-        yield f"If {step.key!r} fails for good, a person is asked."
+        yield f"If {step.key!r} finally fails, a person is asked."

@@ -25,13 +25,13 @@ LOST_PAUSE_S = 5.0
 """Between two tries to reach a lab that is away."""
 
 
-@click.command("planner", short_help="Suggest in which order to start what is to be done.")
+@click.command("planner", short_help="Search for a better order of steps, and suggest it to the lab.")
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 600),
     default=5.0,
     show_default=True,
-    help="How long to look for an order each time.",
+    help="How long to search for an order each time.",
 )
 @click.option(
     "--quantile",
@@ -40,7 +40,7 @@ LOST_PAUSE_S = 5.0
     default=0.5,
     show_default=True,
     metavar="0..1",
-    help="Plan with durations that so many of the last times have kept: 0.8 plans with long ones.",
+    help="The quantile of measured durations to plan with: 0.5 is the median, 0.8 is longer.",
 )
 @click.option(
     "--pause",
@@ -49,12 +49,12 @@ LOST_PAUSE_S = 5.0
     default=5.0,
     show_default=True,
     metavar="SECONDS",
-    help="Look for a new order for a workcell no more often than that.",
+    help="The minimum time between two searches for a workcell.",
 )
 @click.option(
-    "--workcell", "cells", multiple=True, metavar="NAME", help="Only for this one; may be repeated."
+    "--workcell", "cells", multiple=True, metavar="NAME", help="Only for this workcell; may be repeated."
 )
-@click.option("--once", is_flag=True, help="Suggest one order for each workcell, and end.")
+@click.option("--once", is_flag=True, help="Suggest one order for each workcell, then end.")
 @user_option
 @log_options
 def command(
@@ -66,14 +66,14 @@ def command(
     once: bool,
     user: str | None,
 ) -> None:
-    """Suggest to a running lab in which order to start the next steps, until Ctrl-C.
+    """Search for a better order of the next steps and suggest it to a running lab, until Ctrl-C.
 
-    It follows the log. Whenever runs come or go, or something takes longer than planned, it looks for the
-    order in which all that is known would be over soonest. It rehearses the lab with this order and without,
-    and suggests it if it is better. The lab decides as before: rules, windows and deadlock avoidance are its
-    own, and without a planner, or with a bad one, only the order is another. `labos explain RUN` says where a
-    run waits for this reason. It needs OR-tools: python -m pip install "labos-sdl[plan]". See
-    docs/scheduling.md.
+    The planner follows the log. When a run is submitted or ends, or when a step takes longer than planned,
+    it searches for the order in which all known runs would end soonest. It simulates the lab with and
+    without this order, and suggests the order if it is better. The lab still applies its own rules,
+    windows and deadlock avoidance. Without a planner, or with a bad one, only the order differs. `labos
+    explain RUN` shows whether a run waits because of a suggestion. The planner needs OR-tools: python -m
+    pip install "labos-sdl[plan]". See docs/scheduling.md.
 
     \b
     labos planner
@@ -108,7 +108,7 @@ def command(
                     click.echo(f"labos: {error}", err=True)
                     time.sleep(LOST_PAUSE_S)
         except KeyboardInterrupt:
-            click.echo("The planner is closed. What it suggested last counts until its time is over.")
+            click.echo("The planner is closed. Its last suggestion stays in force until it expires.")
 
 
 def _suggest(
@@ -127,7 +127,7 @@ def _suggest(
     steps = [{"run": one.run, "step": one.step, "start": one.start} for one in order.steps]
     taken = client.suggest_order(cell, steps, order.until, order.position, by=asker)
     if not steps:
-        click.echo(f"{cell}: the last order is taken back. Without it all would be over sooner.")
+        click.echo(f"{cell}: the last order is withdrawn. Without it all runs would end sooner.")
     else:
         click.echo(f"{cell}: an order for {taken} steps of {len({one.run for one in order.steps})} runs.")
     return True

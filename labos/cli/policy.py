@@ -4,37 +4,33 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options
 from labos.cli._out import show_json, show_table
 from labos.cli.approvals import policy_lines
 from labos.cli.shares import read_file
 
 
-@click.command("policy", short_help="Which submissions wait for an approval.")
-@click.option("--apply", "file", metavar="FILE", help="The policy from now on, as this file says.")
-@user_option
-@home_option
-@json_option
-def command(file: str | None, user: str | None, home: str | None, as_json: bool) -> None:
-    """Which submissions wait for an operator's approval, who approves, how high a priority may be, and what
-    users who are not operators may book.
+@click.command("policy", short_help="Show or set which submissions need an approval.")
+@click.option("--apply", "file", metavar="FILE", help="Set the policy from this file.")
+@asker_options
+def command(file: str | None, asker: Asker) -> None:
+    """Show or set the policy: which submissions need an operator's approval, who may approve, the highest
+    allowed priority, and what users without the role operator may book.
 
-    Without a policy of its own, a lab lets what programs submit wait, and nothing else.
+    Without a policy, only submissions of programs need an approval.
 
     \b
-    labos policy                        what holds now
-    labos policy --apply policy.yaml    from now on, as the file says
-    labos approvals                     what waits
+    labos policy                        the policy in force
+    labos policy --apply policy.yaml    set the policy from a file
+    labos approvals                     requests that wait
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         if file is not None:
-            client.apply_policy(read_file(file), file, find_user(user))
+            client.apply_policy(read_file(file), file, asker.user)
         told = client.policy()
-    if as_json:
+    if asker.as_json:
         show_json(told)
         return
     if not told["applied"]:
-        click.echo("Nobody has applied a policy; this is what holds without one.")
+        click.echo("No policy was set. These are the defaults.")
     show_table(("what", "says"), list(policy_lines(told["policy"])))

@@ -18,19 +18,21 @@ from labos.services.times import Moment
 
 @click.command("provenance")
 @click.argument("subject")
-@click.option("--up", "direction", flag_value="up", default="up", help="What it depends on (the default).")
-@click.option("--down", "direction", flag_value="down", help="What depends on it: a recall list.")
-@click.option("--only", metavar="KIND", help="Only what is of this kind: result, run, lot, user …")
+@click.option(
+    "--up", "direction", flag_value="up", default="up", help="Show from what it was derived (default)."
+)
+@click.option("--down", "direction", flag_value="down", help="Show what was derived from it, for a recall.")
+@click.option("--only", metavar="KIND", help="Only entries of this kind: result, run, lot, user …")
 @click.option(
     "--most",
     type=click.IntRange(min=1),
     default=MOST_LINKS,
     show_default=True,
-    help="So many links are followed.",
+    help="The maximum number of links to follow.",
 )
 @json_option
-@click.option("--prov", "as_prov_json", is_flag=True, help="W3C PROV-JSON (extra `provenance`).")
-@click.option("--dot", "as_graphviz", is_flag=True, help="For Graphviz.")
+@click.option("--prov", "as_prov_json", is_flag=True, help="Print W3C PROV-JSON (extra `provenance`).")
+@click.option("--dot", "as_graphviz", is_flag=True, help="Print a graph for Graphviz.")
 @at_option
 @log_options
 def command(
@@ -44,15 +46,15 @@ def command(
     as_graphviz: bool,
     moment: Moment,
 ) -> None:
-    """Who, what, when, with which workflow, driver, arguments and lots: of labware (P7), a well (P7/B7), a
-    run (R1), the result of a step (R1#3), a sample, a file (its digest), or a lot.
+    """Show the provenance of labware (P7), a well (P7/B7), a run (R1), the result of a step (R1#3), a
+    sample, a file (its digest), or a lot: user, time, workflow, driver, arguments and lots.
 
-    Of a well, also what is in it: every transfer since it was filled is followed back to lots and
-    samples. `lot:NAME`, `sample:NAME`, `user:NAME` and so on say which is meant.
+    For a well, show also its content: LabOS follows every transfer since it was filled back to lots and
+    samples. If a name is ambiguous, write `lot:NAME`, `sample:NAME`, `user:NAME` and so on.
 
     \b
-    labos provenance R1#3                        what a result depends on
-    labos provenance P7/B7 --at -1h              what was in a well an hour ago
+    labos provenance R1#3                        from what a result was derived
+    labos provenance P7/B7 --at -1h              the content of a well an hour ago
     labos provenance lot:L42 --down --only result   which results depend on a lot
     """
     if sum((as_json, as_prov_json, as_graphviz)) > 1:
@@ -84,13 +86,13 @@ def _tell(graph: Graph) -> None:
     if graph.contents:
         click.echo()
         rows = [_part(part) for part in graph.contents]
-        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="What it holds")
+        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="Contents")
     click.echo()
     rows = [
         (str(link.position), _label(graph, str(link.effect)), link.relation, _label(graph, str(link.cause)))
         for link in graph.links
     ]
-    show_table(("event", "what", "", "of what"), rows, title="How it hangs together")
+    show_table(("event", "what", "", "of what"), rows, title="Links")
 
 
 def _list(graph: Graph, kind: str, direction: str) -> None:

@@ -33,17 +33,16 @@ HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: 
 
 @click.command("replay", short_help="Step through any log, with the state at each event.")
 @click.argument("log", metavar="LOG")
-@click.option("--at", type=click.IntRange(min=1), metavar="N", help="The whole state after position N.")
+@click.option("--at", type=click.IntRange(min=1), metavar="N", help="Show the whole state after position N.")
 @click.option("--from", "first", type=click.IntRange(min=1), metavar="A", help="Begin at position A.")
 @click.option("--to", "last", type=click.IntRange(min=1), metavar="B", help="End at position B.")
-@click.option("--hash", "only_hash", is_flag=True, help="Only the hash of the state at the end.")
-@json_option_saying("JSON: one line an event with its changes.")
+@click.option("--hash", "only_hash", is_flag=True, help="Print only the hash of the state at the end.")
+@json_option_saying("JSON: one line for each event, with its changes.")
 def command(
     log: str, at: int | None, first: int | None, last: int | None, only_hash: bool, as_json: bool
 ) -> None:
-    """Fold LOG again, event by event, and show what each one changed. LOG is a lab's folder, its
-    database (a file or a URL), a backup, or a file of records: what labos log --json prints, and what
-    a simulated lab saves.
+    """Replay LOG, event by event, and show what each event changed. LOG is a lab's folder, its database (a
+    file or a URL), a backup, or a file of records, which labos log --json prints and a simulated lab saves.
 
     \b
     labos replay lab                          in a terminal: step by step
@@ -51,14 +50,17 @@ def command(
     labos replay lab.jsonl --from 90 --to 99  ten events and what they changed
     labos replay /safe/lab --hash             the hash of the state at its end
 
-    What people wrote is shown where it stands beside the log and was not erased; the state, its hash and
-    --json have references in its place, so they are the same before and after.
+    Texts that people wrote are stored beside the log. They are shown unless they were erased. The state,
+    its hash and --json contain only references to them, so an erasure does not change these.
 
-    Nothing is written. A log with events that this LabOS does not know is refused, and one that
-    contradicts itself ends at the first event that does.
+    Nothing is written. If the log has events that this LabOS does not know, the command is refused. If the
+    log contradicts itself, the replay ends at the first wrong event.
     """
     if at is not None and (first or last):
-        raise click.UsageError("--at takes the state at one position; --from and --to a stretch of events.")
+        raise click.UsageError(
+            "--at shows the state at one position; --from and --to select a range of events. Use "
+            "only one of the two."
+        )
     state = LabState()
     with _records(log) as (records, beside):
         if at is not None or only_hash:
@@ -196,7 +198,9 @@ def _records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
             return
         url = f"sqlite:///{path.absolute()}"
     else:
-        raise BadInput(f"There is no {log}.", remedy="Name a lab's folder, a database, a backup or a file.")
+        raise BadInput(
+            f"{log} does not exist.", remedy="Name a lab's folder, a database, a backup or a file."
+        )
     store = open_store(url, create=False, read_only=True)
     try:
         yield store.read(), store
@@ -206,5 +210,5 @@ def _records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
 
 def _database_in(home: Path) -> str:
     if not (home / "labos.db").exists() and not (home / "kernel.json").exists():
-        raise BadInput(f"{home} holds neither a lab nor a backup.", remedy="Name another folder.")
+        raise BadInput(f"{home} contains neither a lab nor a backup.", remedy="Name another folder.")
     return Where(home.absolute()).url

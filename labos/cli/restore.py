@@ -57,19 +57,19 @@ class Restored(msgspec.Struct, frozen=True):
     users: int = 0
 
 
-@click.command("restore", short_help="Put a backup into an empty database, or try whether it could be.")
+@click.command("restore", short_help="Put a backup into an empty database.")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
 @click.option(
     "--rehearse",
     "is_rehearsal",
     is_flag=True,
-    help="Only try it: into a folder that is removed afterwards. The lab may run.",
+    help="Only test it: restore to a folder that is removed afterwards. The lab may run.",
 )
 @click.option(
     "--scratch",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     metavar="DIR",
-    help="With --rehearse: where there is room for a copy of the log (the folder for temporary files).",
+    help="With --rehearse: a folder with room for a copy of the log (default: that for temporary files).",
 )
 @click.option(
     "--erased",
@@ -93,18 +93,19 @@ def command(
     key_file: Path | None,
     as_json: bool,
 ) -> None:
-    """Put the backup in FOLDER into the lab's database, which must not hold a log, and its blobs into
-    the lab's folder. SQLite and PostgreSQL take each other's backups.
+    """Restore the backup in FOLDER: the log into the lab's database, which must be empty, and the blobs into
+    the lab's folder. A backup of SQLite can be restored to PostgreSQL, and the reverse.
 
-    The backup is checked first, what was written is checked afterwards: chain, fold and hash of the
-    state. The lab's next kernel has a greater epoch than any that its nodes have seen, and starts nothing
-    before a person has checked the bench: labos bench round.
+    LabOS checks the backup first, and the restored log afterwards: the chain of hashes, the state from
+    replaying all events, and its hash. The lab's next kernel has a higher epoch than its nodes have ever
+    seen. It starts no action until a person has checked the bench (labos bench round).
 
-    Words that were erased since the backup was made do not come back: labos.erased in the lab's folder says
-    which (`labos erase` writes it). If that folder is lost, name a copy of the list with --erased.
+    Texts that were erased after the backup do not come back. The list of erasures is labos.erased in the
+    lab's folder (`labos erase` writes it). If that folder is lost, give a copy of the list with --erased.
 
-    With --rehearse all that is done in a folder of its own, and the copy is compared with the lab's log:
-    how much a restore would lose, and how long it takes. When this was done last, `labos doctor` reports.
+    With --rehearse, LabOS restores into a temporary folder and compares the copy with the lab's log. It
+    reports how much a restore would lose, and how long it takes. `labos doctor` shows the time of the last
+    rehearsal.
 
     \b
     labos restore /safe/lab
@@ -113,7 +114,7 @@ def command(
     """
     key = key_of(key_file) if key_file else b""
     if scratch is not None and not is_rehearsal:
-        raise click.UsageError("--scratch goes with --rehearse.")
+        raise click.UsageError("--scratch needs --rehearse.")
     if is_rehearsal:
         known = _with_own(lists, where)
 
@@ -135,9 +136,7 @@ def command(
             f"Of {done.users} users the accounts are as they were then: revoke tokens anew that were revoked "
             "since (labos token list), and erase again who was erased since (labos user erase)."
         )
-    click.echo(
-        "Nothing will start before somebody has been round the bench: labos up, then labos bench round."
-    )
+    click.echo("No action starts before a person has checked the bench: labos up, then labos bench round.")
 
 
 def put_back(
@@ -172,14 +171,14 @@ def put_back(
         damage = first_damage(store)
         if damage is not None:
             raise LogDamaged(
-                f"What was written is damaged at position {damage.position}: {damage.reason}.",
+                f"The restored log is damaged at position {damage.position}: {damage.reason}.",
                 position=damage.position,
                 remedy="Check the disk, then restore into another database.",
             )
         written = state_hash(fold_to(store, head.position))
     if written != wanted:
         raise LogDamaged(
-            "What was written folds to another state than the backup.",
+            "The restored log gives another state than the backup.",
             position=head.position,
             remedy="Check the disk, then restore into another database.",
         )

@@ -16,7 +16,7 @@ from labos.services.results import COLUMNS, readings
 from labos.services.times import Moment, show_time
 
 
-@click.command("results", short_help="What a run measured, well by well.")
+@click.command("results", short_help="Show what a run measured, well by well.")
 @click.argument("run", shell_complete=completes("run"))
 @click.option("--csv", "as_csv", is_flag=True, help="CSV, for spreadsheets; times in UTC.")
 @click.option(
@@ -31,8 +31,7 @@ from labos.services.times import Moment, show_time
 @at_option
 @log_options
 def command(where: Where, run: str, as_csv: bool, file: TextIO | None, as_json: bool, moment: Moment) -> None:
-    """The results of RUN's steps that are tables by well, each value with the sample that was in
-    its well.
+    """Show the results of RUN's steps that are tables by well. Each value stands with the sample in its well.
 
     \b
     labos results R3

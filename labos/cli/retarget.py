@@ -22,10 +22,12 @@ from labos.spec.uses import workflow_in
 
 @click.command("retarget", short_help="Rewrite a workflow for another workcell.")
 @click.argument("workflow", shell_complete=completes("workflow"))
-@click.option("--from", "old", required=True, metavar="W", help="The workcell it was written for.")
-@click.option("--to", "new", required=True, metavar="W", help="The workcell on which it is to run.")
 @click.option(
-    "--map", "maps", multiple=True, metavar="OLD=NEW", help="A module, and the one that stands in for it."
+    "--from", "old", required=True, metavar="W", help="The workcell for which the workflow was written."
+)
+@click.option("--to", "new", required=True, metavar="W", help="The workcell for the new workflow.")
+@click.option(
+    "--map", "maps", multiple=True, metavar="OLD=NEW", help="A module, and the module that replaces it."
 )
 @click.option(
     "--output",
@@ -33,7 +35,7 @@ from labos.spec.uses import workflow_in
     type=click.Path(dir_okay=False, path_type=Path),
     help="The file to write (WORKFLOW_TO.yaml).",
 )
-@click.option("--force", is_flag=True, help="Overwrite a file that is there.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @payload_option
 @json_option
 def command(
@@ -46,17 +48,18 @@ def command(
     payloads: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Propose for each module of WORKFLOW one of the other workcell that has its actions and
-    stations, say what does not fit, write the file with the other names, and validate it. Nothing
-    but names changes. Exit code 1 if something does not fit, or if the file has errors.
+    """Rewrite WORKFLOW for another workcell. For each module, the command proposes a module of the other
+    workcell with the same actions and stations, and reports what does not fit. It writes a file with the new
+    names and validates it. Only names change. Exit code 1 if something does not fit, or if the file has
+    errors.
 
     \b
     labos retarget seal.yaml --from rpl --to bio
     labos retarget seal.yaml --from rpl --to bio --map pf400=platecrane -o bio/seal.yaml
     labos retarget seal.yaml --from rpl --to bio --json
 
-    What differs in more than names (an incubator's steps, lids) belongs into files that `use:` names, one for
-    each workcell, in the folder of the file that is written.
+    Put differences other than names (an incubator's steps, lids) into a file for each workcell, in the
+    folder of the written file, and refer to it with `use:`.
     """
     from labos.bootstrap import descriptions
 
@@ -67,10 +70,10 @@ def command(
     )
     _, file = workflow_in(read(path, last_wins=True))
     if file is None:
-        raise SpecError(f"{path} is no workflow that can be read.", remedy="labos validate says why.")
+        raise SpecError(f"{path} is not a readable workflow.", remedy="labos validate shows the errors.")
     target = output or path.with_name(f"{path.stem}_{after.name}.yaml")
     if target.exists() and not force:
-        raise BadInput(f"{target} is there already.", remedy="Name another with --output, or add --force.")
+        raise BadInput(f"{target} already exists.", remedy="Name another with --output, or add --force.")
     proposal = propose(file, before, after, _pairs(maps), known)
     text = path.read_text(encoding="utf-8")
     renamed = rename(text, proposal.mapping, (old, new))
@@ -110,7 +113,7 @@ def _pairs(maps: tuple[str, ...]) -> dict[str, str]:
         old, equals, new = pair.partition("=")
         if not (old and equals and new):
             raise BadInput(
-                f"--map {pair!r} is no pair of modules.", remedy="Write OLD=NEW: pf400=platecrane."
+                f"--map {pair!r} is not a pair of modules.", remedy="Write OLD=NEW: pf400=platecrane."
             )
         found[old] = new
     return found

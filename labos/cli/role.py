@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, home_option, json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._people import lab_at, role_choice, scope_of, subject_of, workcell_option
 from labos.core.lab import WHOLE_LAB
@@ -14,15 +14,15 @@ from labos.core.users import group_subject, user_subject
 _subject = click.argument("subject", metavar="USER|group:GROUP")
 
 
-@click.group("role", cls=Suggesting, short_help="Roles: what users and groups may do.")
+@click.group("role", cls=Suggesting, short_help="Manage roles: the rights of users and groups.")
 def command() -> None:
-    """What users and groups may do, in the whole lab or in a workcell.
+    """Manage roles: the rights of users and groups, in the whole lab or in a workcell.
 
     \b
-    viewer      looks on; so does a user without a role
-    submitter   submits, and touches own runs, experiments, campaigns and labware
-    operator    also answers questions, loads the bench, controls modules, and touches everybody's runs
-    admin       also changes workcells, shares, users and roles
+    viewer      may read; so may a user without a role
+    submitter   may also submit, and change own runs, experiments, campaigns and labware
+    operator    may also answer questions, load the bench, control modules, and change all runs
+    admin       may also change workcells, shares, users and roles
 
     \b
     labos role grant bo operator --workcell rpl
@@ -36,30 +36,24 @@ def command() -> None:
 @_subject
 @click.argument("role", type=role_choice)
 @workcell_option
-@user_option
-@home_option
-@json_option
-def grant(
-    subject: str, role: str, workcell: str | None, user: str | None, home: str | None, as_json: bool
-) -> None:
-    """Give a user, or a group, a role. It takes the place of the role that they have there."""
-    with lab_at(home) as client:
-        client.grant_role(subject_of(subject), role, find_user(user), scope=scope_of(workcell))
-    if as_json:
+@asker_options
+def grant(subject: str, role: str, workcell: str | None, asker: Asker) -> None:
+    """Grant a role to a user or a group. It replaces their present role there."""
+    with lab_at(asker.home) as client:
+        client.grant_role(subject_of(subject), role, asker.user, scope=scope_of(workcell))
+    if asker.as_json:
         show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": role})
 
 
 @command.command("revoke")
 @_subject
 @workcell_option
-@user_option
-@home_option
-@json_option
-def revoke(subject: str, workcell: str | None, user: str | None, home: str | None, as_json: bool) -> None:
-    """Take a role away that was granted, in a workcell or in the whole lab."""
-    with lab_at(home) as client:
-        client.revoke_role(subject_of(subject), find_user(user), scope=scope_of(workcell))
-    if as_json:
+@asker_options
+def revoke(subject: str, workcell: str | None, asker: Asker) -> None:
+    """Revoke a granted role, in a workcell or in the whole lab."""
+    with lab_at(asker.home) as client:
+        client.revoke_role(subject_of(subject), asker.user, scope=scope_of(workcell))
+    if asker.as_json:
         show_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": ""})
 
 
@@ -67,7 +61,7 @@ def revoke(subject: str, workcell: str | None, user: str | None, home: str | Non
 @home_option
 @json_option
 def list_roles(home: str | None, as_json: bool) -> None:
-    """Every role that was granted, to whom, and where it counts."""
+    """List all granted roles: to whom, and in which workcell or the whole lab."""
     with lab_at(home) as client:
         users, groups = client.users(), client.groups()
     held = [(user_subject(user["id"]), user["roles"]) for user in users]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     metavar="NAME|FILE",
     help="The workcell (the lab's own; in a new lab the one beside the workflow's file, else rpl).",
 )
-@click.option("--simulate", is_flag=True, help="On simulated instruments; a running lab must be simulated.")
+@click.option("--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated.")
 @click.option(
     "--place",
     "placed",
@@ -39,11 +39,13 @@ if TYPE_CHECKING:
     "`peeler.default=plate96,sealed` if it is sealed.",
 )
 @user_option
-@click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
+@click.option(
+    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
+)
 @lab_options
 @json_option
-@click.option("--quiet", is_flag=True, help="Only the end.")
-@click.option("--dry-run", is_flag=True, help="Say when it would start and end; submit nothing.")
+@click.option("--quiet", is_flag=True, help="Print only the end.")
+@click.option("--dry-run", is_flag=True, help="Show when it would start and end; submit nothing.")
 def command(
     workflow: str,
     payloads: tuple[str, ...],
@@ -62,8 +64,8 @@ def command(
 ) -> None:
     """Run WORKFLOW, a file or a packaged workflow, and wait for its end.
 
-    In the running lab if there is one, else in a lab of its own that ends with the run.
-    Exit code 0 if it completes, 1 if it fails, is cancelled or is refused.
+    The command uses the running lab. If there is none, it starts a lab for this run only. Exit code 0 if
+    the run completes, 1 if it fails, is cancelled or is refused.
 
     \b
     labos run pcr --simulate --speed 600
@@ -71,8 +73,8 @@ def command(
     labos run mix.yaml --simulate --place camera_module.plate_station=plate96 --payload mix.json
     labos run pcr --dry-run
 
-    With --dry-run nothing is submitted: the running lab says when the run would start and end, whom it
-    would delay, and when a person would be needed.
+    With --dry-run nothing is submitted. The running lab forecasts when the run would start and end, which
+    runs it would delay, and when a person would be needed.
     """
     from labos.cli._payload import read_payload
     from labos.cli._remote import lab_of
@@ -203,7 +205,7 @@ def _workcell_beside(workflow: str) -> str:
     if len(found) > 1:
         names = ", ".join(each.name for each in found)
         raise BadInput(
-            f"It is not clear which workcell is meant: {found[0].parent} holds {names}.",
+            f"The workcell is ambiguous: {found[0].parent} holds {names}.",
             remedy=f"Name it: --workcell {found[0]}",
         )
     for each in found:
@@ -223,7 +225,9 @@ def _place_starting_labware(compiled: Compiled, cell: Workcell, placed: Sequence
         found.append((station, brought.labware, {name: bool(v) for name, v in brought.variables.items()}))
         words = [name if value else f"not {name}" for name, value in found[-1][2].items()]
         what = ", ".join([brought.labware, *words])
-        click.echo(f"labos: {what} is assumed to stand at {station} (--place says otherwise)", err=True)
+        click.echo(
+            f"labos: {what} is assumed to stand at {station} (use --place to name other labware)", err=True
+        )
     return found
 
 
@@ -259,7 +263,7 @@ def _say_waits(client: LabClient, run: str) -> None:
     for shown in client.state()["runs"]:
         for wait in shown["waits"] if shown["id"] == run else ():
             if wait["blocked"]:
-                click.echo(f"{run} waits: {wait['why']}. `labos cancel {run}` gives it up.")
+                click.echo(f"{run} waits: {wait['why']}. To cancel it: labos cancel {run}")
 
 
 def show_warnings(client: LabClient) -> None:

@@ -16,6 +16,7 @@ from labos.core.ids import local
 from labos.core.model import find_served_step
 from labos.planning.scheduler import Scheduler
 from labos.services.describe import short
+from labos.services.due import tell_due
 from labos.services.experiments import experiment_histories
 from labos.services.history import state_at
 from labos.services.log import Log
@@ -27,7 +28,7 @@ WAITS_TOLD = 50
 """Of so many runs it is worked out why they wait; to know it of every one takes too long."""
 
 
-@click.command("runs", short_help="Runs, or one run's steps, times, results and errors.")
+@click.command("runs", short_help="List runs and their progress, or the steps of one run.")
 @click.argument(
     "run", shell_complete=completes("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
 )
@@ -35,15 +36,15 @@ WAITS_TOLD = 50
 @json_option
 @log_options
 def command(where: Where, run: str | None, everything: bool, as_json: bool) -> None:
-    """List open runs and the last ones that ended; with RUN, its steps; with EXPERIMENT, all its
+    """List open runs and the last ones that ended. With RUN, list its steps. With EXPERIMENT, list all its
     runs.
 
     \b
-    labos runs            what is under way, and what ended last
+    labos runs            open runs, and the last ones that ended
     labos runs --all      all runs ever
     labos runs R3         each step: when, how long, result or error
     labos runs E1         the runs of an experiment
-    labos explain R3      why it waits
+    labos explain R3      why the run waits
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head())
@@ -54,17 +55,20 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
             stories = {run: run_history(store, run)} if run else run_histories(store)
         now = lab_now(where.url, store.head())
         waits = _waits(store, stories, now)
+        due = _due(store, stories, now)
     if run and inside is None:
-        show_json(_plain(stories[run], waits)) if as_json else _one(stories[run], waits)
+        show_json(_plain(stories[run], waits, due)) if as_json else _one(stories[run], waits, due)
         return
     ended = [story for story in stories.values() if story.over]
     hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything and inside is None else set()
     shown = [story for story in stories.values() if story.id not in hidden]
     if as_json:
-        show_json([_plain(story, waits) for story in shown])
+        show_json([_plain(story, waits, due) for story in shown])
         return
-    columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took", "why")
-    show_table(columns, [_row(story, now, waits) for story in shown])
+    dated = any(story.due_at for story in shown)
+    columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took")
+    rows = [_row(story, now, waits, due, dated=dated) for story in shown]
+    show_table((*columns, *(["due"] if dated else []), "why"), rows)
     if hidden:
         click.echo(f"{len(hidden)} more runs have ended: labos runs --all")
 
@@ -86,16 +90,27 @@ def _waits(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, li
     return {run: told for run, told in found.items() if told}
 
 
-def _plain(run: RunHistory, waits: dict[str, list[str]]) -> dict[str, Any]:
-    return {**msgspec.to_builtins(run), "waits": waits.get(run.id, [])}
+def _due(store: Log, stories: dict[str, RunHistory], now: int) -> dict[str, str]:
+    """When runs are due, and whether that will be kept."""
+    if not any(story.due_at for story in stories.values()):
+        return {}
+    return tell_due(state_at(store), stories.values(), now)
 
 
-def _row(run: RunHistory, now: int, waits: dict[str, list[str]]) -> tuple[str, ...]:
+def _plain(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> dict[str, Any]:
+    return {**msgspec.to_builtins(run), "waits": waits.get(run.id, []), "due": due.get(run.id, "")}
+
+
+def _row(
+    run: RunHistory, now: int, waits: dict[str, list[str]], due: dict[str, str], *, dated: bool
+) -> tuple[str, ...]:
     steps = f"{run.done}/{run.in_play}"
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
     why = run.why or "; ".join(f"waits: {told}" for told in waits.get(run.id, []))
-    return run.id, name, run.user, run.experiment, run.status, steps, submitted, took(run, now), why
+    span = took(run, now)
+    known = run.id, name, run.user, run.experiment, run.status, steps, submitted, span
+    return *known, *([due.get(run.id, "")] if dated else []), why
 
 
 def took(run: RunHistory, now: int) -> str:
@@ -107,13 +122,15 @@ def took(run: RunHistory, now: int) -> str:
     return f"{show_span(max(now - run.started_at, 0) / 1e9)} so far"
 
 
-def _one(run: RunHistory, waits: dict[str, list[str]]) -> None:
+def _one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str]) -> None:
     experiment = f" in experiment {run.experiment}" if run.experiment else ""
     click.echo(f"{run.id}: {run.workflow} on {run.workcell} for {run.user}{experiment}: {run.status}")
     if run.why:
         click.echo(f"Why: {run.why}")
     for told in waits.get(run.id, []):
         click.echo(f"Waits: {told} (labos explain {run.id})")
+    if run.due_at:
+        click.echo(f"Due: {due[run.id]}")
     times = (("submitted", run.submitted_at), ("started", run.started_at), ("ended", run.ended_at))
     show_parts([f"{what} {show_time(at)}" for what, at in times if at])
     click.echo()

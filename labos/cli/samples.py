@@ -11,7 +11,7 @@ import click
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
-from labos.cli._options import find_user, home_option, user_option
+from labos.cli._options import Asker, asker_options
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, contents, json_option, log_options, open_log
 from labos.core.wells import well_index
@@ -21,48 +21,47 @@ from labos.services.samples import Registration, registrations
 from labos.services.times import Moment, iso_time, show_time
 
 
-@click.group("samples", cls=Suggesting, short_help="Which samples are in which wells.")
+@click.group("samples", cls=Suggesting, short_help="Register or show the samples in the wells of a plate.")
 def command() -> None:
-    """Sample sheets: which samples are in the wells of a plate.
+    """Register or show sample sheets. A sheet lists the samples in the wells of a plate.
 
-    A sheet is CSV with the columns well and sample, and if you like plate, volume and unit (nL, µL,
-    mL or L; µL if there is none):
+    A sheet is a CSV file with the columns well and sample. The columns plate, volume and unit are optional
+    (nL, µL, mL or L; µL if there is no unit):
 
     \b
     plate,well,sample,volume,unit
     P7,A1,patient-0001,50,uL
     P7,A2,water,50,uL
 
-    Names of samples stay in the log for ever: write codes, not names of persons.
+    The log keeps names of samples forever. Use codes, not names of persons.
     """
 
 
 @command.command("load")
 @click.argument("sheet", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
-    "--plate", default="", metavar="ID", help="The plate, by id or barcode, where the sheet does not name it."
+    "--plate", default="", metavar="ID", help="The id or barcode of the plate, if the sheet does not name it."
 )
-@click.option("--station", default="", metavar="STATION", help="The same, by where it stands.")
-@click.option("--replace", is_flag=True, help="Take the place of an earlier sheet.")
-@user_option
-@home_option
-@json_option
-def load(
-    sheet: Path, plate: str, station: str, replace: bool, user: str | None, home: str | None, as_json: bool
-) -> None:
-    """Register the samples of SHEET in the running lab, all of them or none: every fault is reported with
-    its line and column.
+@click.option(
+    "--station",
+    default="",
+    metavar="STATION",
+    help="The station of the plate, if the sheet does not name it.",
+)
+@click.option("--replace", is_flag=True, help="Replace an earlier sheet.")
+@asker_options
+def load(sheet: Path, plate: str, station: str, replace: bool, asker: Asker) -> None:
+    """Register the samples of SHEET in the running lab. If the sheet has errors, no sample is registered;
+    each error is reported with its line and column.
 
     \b
     labos samples load sheet.csv
     labos samples load sheet.csv --plate P7
     labos samples load sheet.csv --station ot2_pcr_alpha.deck1_cooler
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
-        found = client.load_samples(sheet, find_user(user), labware=plate, station=station, replace=replace)
-    if as_json:
+    with asker.lab() as client:
+        found = client.load_samples(sheet, asker.user, labware=plate, station=station, replace=replace)
+    if asker.as_json:
         show_json(found)
         return
     for name, count in found.items():
@@ -71,12 +70,12 @@ def load(
 
 @command.command("show")
 @click.argument("plate", shell_complete=completes("labware"))
-@click.option("--csv", "as_csv", is_flag=True, help="As a sheet that can be loaded again.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print a sheet that can be loaded again.")
 @json_option
 @at_option
 @log_options
 def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) -> None:
-    """The samples of PLATE, as its last sheet said; also of a plate that is gone.
+    """Show the samples of PLATE from its last sheet. The plate may have left the bench.
 
     \b
     labos samples show P7

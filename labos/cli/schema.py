@@ -14,14 +14,14 @@ KINDS = ("workcell", "workflow", "labware", "description", "campaign", "shares",
 def command(kind: str) -> None:
     """Print the JSON Schema of a KIND of file: each key, what it means, and what it takes.
 
-    Editors with a YAML language server complete and check a file whose first line names its
-    schema, as `labos new` writes it.
+    Editors with a YAML language server complete and check a file if its first line names its schema.
+    `labos new` writes such a line.
 
     \b
     labos schema workflow > workflow.schema.json
     # yaml-language-server: $schema=workflow.schema.json
 
-    The schema knows the language, not your bench; `labos validate` checks the rest.
+    The schema describes the file format. `labos validate` also checks the file against your bench.
     """
     click.echo(schema_text(kind), nl=False)
 

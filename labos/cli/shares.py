@@ -15,19 +15,20 @@ from labos.services.log import fold_to
 from labos.services.shares import ShareAccount, ledger
 
 
-@click.command("shares", short_help="Who is to have how much of the lab, and who has had it.")
-@click.option("--apply", "file", metavar="FILE", help="Weights and quotas from now on, as this file says.")
+@click.command("shares", short_help="Show or set each user's share of the lab time.")
+@click.option("--apply", "file", metavar="FILE", help="Set weights and quotas from this file.")
 @user_option
 @json_option
 @log_options
 def command(where: Where, file: str | None, user: str | None, as_json: bool) -> None:
-    """The ledger of lab time: for each user the share by weight, and the share used.
+    """Show the ledger of lab time: each user's share by weight, and the used share.
 
-    Used time counts half after a day (half-life). Hours are of the last seven days.
+    Used time has a half-life of one day: after a day it counts half. Hours are those of the last seven
+    days.
 
     \b
     labos shares                        the ledger
-    labos shares --apply shares.yaml    weights and quotas from now on
+    labos shares --apply shares.yaml    set weights and quotas
     """
     if file is not None:
         from labos.cli._lab import need_lab_of
@@ -39,7 +40,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
     if as_json:
         show_json(accounts)
         return
-    titles = ("user", "group", "weight", "is to have", "has had", "hours", "running", "waiting", "quota")
+    titles = ("user", "group", "weight", "share", "has had", "hours", "running", "waiting", "quota")
     show_table(titles, [_row(account) for account in accounts])
 
 

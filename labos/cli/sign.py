@@ -18,18 +18,17 @@ from labos.services.signatures import Signature, kind_of, signatures_under
 
 @click.command("sign", short_help="Sign the record of a run, an experiment or a campaign.")
 @click.argument("subject", metavar="ID", shell_complete=completes("run", "experiment"))
-@click.option("--meaning", type=click.Choice(MEANINGS), help="What the signature means.")
-@why_option("A comment, which stands in the log.")
+@click.option("--meaning", type=click.Choice(MEANINGS), help="The meaning of the signature.")
+@why_option("A comment, for the log.")
 @json_option
 @log_options
 def command(where: Where, subject: str, meaning: str | None, why: str, as_json: bool) -> None:
-    """Sign the record of a run, an experiment or a campaign that has ended. You are asked for your password
-    again.
+    """Sign the record of an ended run, experiment or campaign. The command asks for your password again.
 
-    The signature is an event: who, when, what it means, and the digest of all records of the run, so that it
-    cannot be moved to another run; of an experiment or a campaign that of its own records and those of all
-    its runs. It is part of the bundle. Without --meaning, the signatures are shown. Without a terminal, the
-    first line of standard input is the password.
+    The signature is an event with user, time, meaning, and the digest of all records of the run. So it is
+    valid for this run only. For an experiment or a campaign, the digest also covers the records of all its
+    runs. The signature is part of the bundle. Without --meaning, the command shows the signatures. Without
+    a terminal, it reads the password from the first line of standard input.
 
     \b
     labos sign R7 --meaning reviewed --why "checked against the protocol"
@@ -68,7 +67,7 @@ def _show(subject: str, found: Sequence[Signature], *, as_json: bool) -> None:
 
 def _line(signature: dict[str, object]) -> str:
     comment = f": {signature['why']}" if signature["why"] else ""
-    broken = "" if signature["holds"] else " - THE RECORD IS ANOTHER NOW"
+    broken = "" if signature["holds"] else " - THE RECORD HAS CHANGED SINCE"
     when = str(signature["time"])[:19].replace("T", " ")
     what = _describe_subject(signature)
     return f"{when} UTC  {signature['by']} signed {what}: {signature['meaning']}{comment}{broken}"

@@ -28,19 +28,19 @@ PROMPT, GOES_ON = "labos> ", "   ... "
 
 @click.command("sql")
 @click.argument("query", required=False)
-@click.option("--csv", "as_csv", is_flag=True, help="CSV, with a line of column names.")
-@click.option("--json", "as_json", is_flag=True, help="JSON, for programs: one object a line.")
+@click.option("--csv", "as_csv", is_flag=True, help="CSV, with column names in the first line.")
+@click.option("--json", "as_json", is_flag=True, help="JSON, for programs: one object for each line.")
 @click.option(
     "--parquet",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
     help="Write a Parquet file (extra `parquet`).",
 )
-@click.option("--views", is_flag=True, help="The views and their columns.")
+@click.option("--views", is_flag=True, help="List the views and their columns.")
 @click.option(
     "--as-is",
     is_flag=True,
-    help="Query the tables as they are, without bringing them up to date: for those who may only read them.",
+    help="Query the tables without an update first, for roles that may only read them.",
 )
 @click.option(
     "--timeout",
@@ -62,10 +62,10 @@ def command(
     as_is: bool,
     limit_s: float,
 ) -> None:
-    """Query the lab in SQL: one QUERY, or a prompt if there is none. Nothing can be changed.
+    """Query the lab in SQL (read-only). Without QUERY, the command shows a prompt.
 
-    The answer includes everything in the log at that moment. Views and columns are the same on SQLite
-    and PostgreSQL, and are listed by --views and in docs/reference/sql.md.
+    The answer includes all events that are in the log at that moment. Views and columns are the same on
+    SQLite and PostgreSQL. --views and docs/reference/sql.md list them.
 
     \b
     labos sql "SELECT run, workflow, status FROM runs ORDER BY submitted_at DESC LIMIT 10"
@@ -116,7 +116,7 @@ def _show(answer: QueryResult) -> None:
     rows = [[_cell(value) for value in row] for row in itertools.islice(answer.rows, MOST_SHOWN)]
     show_table(answer.columns, rows)
     if next(answer.rows, None) is not None:
-        click.echo(f"There are more than {MOST_SHOWN} rows: all of them with --csv or --json.", err=True)
+        click.echo(f"There are more than {MOST_SHOWN} rows. To see all: --csv or --json.", err=True)
 
 
 def _cell(value: Any) -> str:
@@ -128,8 +128,8 @@ def _converse(asker: ReadConnection) -> None:
     with suppress(ImportError):  # Windows edits lines by itself
         import readline
 
-        assert readline, "lines can be edited and called back"
-    click.echo("Ask in SQL and end with a semicolon; \\v lists the views, Ctrl-D ends.")
+        assert readline, "lines can be edited and recalled"
+    click.echo("Enter SQL, and end it with a semicolon; \\v lists the views, Ctrl-D ends.")
     lines: list[str] = []
     while True:
         try:
@@ -159,4 +159,4 @@ def _show_views() -> None:
     for table in VIEWS:
         rows.append((table.view, "", "", table.about))
         rows += [("", column.name, column.kind, column.about) for column in view_columns(table)]
-    show_table(("view", "column", "kind", "what it says"), rows)
+    show_table(("view", "column", "kind", "meaning"), rows)

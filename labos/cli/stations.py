@@ -39,7 +39,7 @@ class StationPlace(msgspec.Struct, frozen=True):
     shelves: int = 0
 
 
-@click.command("stations", short_help="What stands where, now or at any past moment.")
+@click.command("stations", short_help="Show the labware at each station, now or at a past moment.")
 @click.argument(
     "names", shell_complete=completes("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
 )
@@ -48,7 +48,7 @@ class StationPlace(msgspec.Struct, frozen=True):
 @at_option
 @log_options
 def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool, moment: Moment) -> None:
-    """What stands where, whose it is and since when.
+    """Show the labware at each station, its owner, and since when it stands there.
 
     \b
     labos stations                       now
@@ -56,8 +56,8 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     labos stations --at 1234             after the event at that position
     labos stations sciclops wc.output    only these
 
-    `unknown` is not `empty`: nobody has declared yet what stands there. Empty shelves of a hotel are shown
-    only where you name the hotel or the shelf, as wc.output.3.
+    `unknown` is not `empty`: the station was never declared. Empty shelves of a hotel are shown only if you
+    name the hotel or the shelf, such as wc.output.3.
     """
     with open_log(where) as store:
         position = position_at(store, moment)
@@ -83,7 +83,7 @@ def places(log: Log, state: LabState, names: tuple[str, ...] = ()) -> list[Stati
     found = [(name, station) for name, station in stations_of(state) if not names or _is_named(name, names)]
     for wanted in names:
         if not any(_is_named(name, (wanted,)) for name, _ in found):
-            raise click.UsageError(f"No station or module of this lab is called {wanted!r}.")
+            raise click.UsageError(f"This lab has no station or module {wanted!r}.")
     return [_place(state, name, station, stories) for name, station in found]
 
 

@@ -5,36 +5,33 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, user_option
+from labos.cli._options import Asker, asker_options
 from labos.cli._out import show_json
-from labos.cli._query import json_option
 
 
 @click.command("load")
 @click.argument("station", shell_complete=completes("station"))
 @click.option("--type", "labware", required=True, metavar="TYPE", help="The labware's type.")
-@click.option("--count", type=click.IntRange(min=1), default=1, show_default=True, help="How many pieces.")
-@click.option("--lot", default="", help="Their lot; each piece keeps it as its variable `lot`.")
-@json_option
-@user_option
-@home_option
-def load(
-    station: str, labware: str, count: int, lot: str, as_json: bool, user: str | None, home: str | None
-) -> None:
+@click.option(
+    "--count", type=click.IntRange(min=1), default=1, show_default=True, help="The number of pieces."
+)
+@click.option("--lot", default="", help="The lot; each piece keeps it as its variable `lot`.")
+@asker_options
+def load(station: str, labware: str, count: int, lot: str, asker: Asker) -> None:
     """Report that you put labware on a stack, or on the lowest free shelves of a hotel.
 
-    On a stack it lies on top, and gets its id when it is taken. What the station does not
-    accept, or has no room for, is refused.
+    On a stack, new pieces are on top. A piece gets its id when it is taken from the stack. The command is
+    refused if the station does not accept this type or has no room.
 
     \b
     labos load sciclops.tower1 --type pcr96 --count 20 --lot L2093
     """
-    from labos.cli._lab import need_lab, stands_at
+    from labos.cli._lab import stands_at
 
-    with need_lab(home) as client:
-        names = client.load(station, labware, find_user(user), count=count, lot=lot)
+    with asker.lab() as client:
+        names = client.load(station, labware, asker.user, count=count, lot=lot)
         where = stands_at(client, names)
-    if as_json:
+    if asker.as_json:
         show_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
         return
     of_lot = f" of lot {lot}" if lot else ""
@@ -46,83 +43,59 @@ def load(
 @click.command("unload")
 @click.argument("station", shell_complete=completes("station"))
 @click.argument("labware", shell_complete=completes("labware"), required=False)
-@click.option("--count", type=click.IntRange(min=1), help="So many pieces from the top.")
-@click.option("--all", "everything", is_flag=True, help="Everything that stands there.")
-@json_option
-@user_option
-@home_option
-def unload(
-    station: str,
-    labware: str | None,
-    count: int | None,
-    everything: bool,
-    as_json: bool,
-    user: str | None,
-    home: str | None,
-) -> None:
+@click.option("--count", type=click.IntRange(min=1), help="The number of pieces, from the top.")
+@click.option("--all", "everything", is_flag=True, help="Unload everything that stands there.")
+@asker_options
+def unload(station: str, labware: str | None, count: int | None, everything: bool, asker: Asker) -> None:
     """Report that you took labware away from STATION: it has left the bench.
 
-    Name one piece, or say how many from the top, or --all. What a run or an experiment still owns
-    is refused. A waste is emptied the same way.
+    Give the id of one piece, a number of pieces from the top, or --all. The command is refused if a run or
+    an experiment still owns the labware. It also empties a waste.
 
     \b
     labos unload wc.output P7
     labos unload sciclops.tower1 --count 5
     labos unload wc.trash --all
     """
-    from labos.cli._lab import need_lab
-
     if sum((labware is not None, count is not None, everything)) != 1:
         raise click.UsageError("Name one piece of labware, or --count N, or --all.")
-    with need_lab(home) as client:
-        gone = client.unload(station, find_user(user), labware=labware or "", count=count)
-    if as_json:
+    with asker.lab() as client:
+        gone = client.unload(station, asker.user, labware=labware or "", count=count)
+    if asker.as_json:
         show_json({"station": station, **gone})
         return
     parts = [", ".join(gone["labware"])] if gone["labware"] else []
-    parts += [f"{gone['nameless']} without a name"] if gone["nameless"] else []
+    parts += [f"{gone['nameless']} without an id"] if gone["nameless"] else []
     click.echo(f"Taken away from {station}: {' and '.join(parts)}.")
 
 
 @click.command("replenish")
 @click.argument("module", shell_complete=completes("module"))
 @click.argument("resource")
-@click.option("--amount", metavar="AMOUNT", help="How much: 96, or 20mL [default: until full].")
+@click.option("--amount", metavar="AMOUNT", help="The amount: 96, or 20mL [default: until full].")
 @click.option("--lot", required=True, help="The lot of the new pack.")
-@click.option("--expires", default="", metavar="DATE", help="Until when it is good: 2027-05-31.")
-@click.option("--instead", is_flag=True, help="What was left of the old pack was taken out.")
-@json_option
-@user_option
-@home_option
+@click.option("--expires", default="", metavar="DATE", help="The expiry date: 2027-05-31.")
+@click.option("--instead", is_flag=True, help="The old pack was removed, with its remaining content.")
+@asker_options
 def replenish(
-    module: str,
-    resource: str,
-    amount: str | None,
-    lot: str,
-    expires: str,
-    instead: bool,
-    as_json: bool,
-    user: str | None,
-    home: str | None,
+    module: str, resource: str, amount: str | None, lot: str, expires: str, instead: bool, asker: Asker
 ) -> None:
-    """Report that you put more of RESOURCE into MODULE: runs that wait for it continue.
+    """Report that you refilled RESOURCE in MODULE. Runs that wait for it continue.
 
-    What is used up is charged to the oldest lot first. One that is past its date is not used, unless
-    the workcell says `expired: warn`: take it out, and put another in with --instead. `labos
-    inventory` shows which resources there are, and which runs out when.
+    Consumption is taken from the oldest lot first. An expired lot is not used, unless the workcell file has
+    `expired: warn`. Remove an expired lot, and report its replacement with --instead. `labos inventory`
+    lists the resources, and when each of them runs out.
 
     \b
     labos replenish ot2_cp_gamma tips --amount 96 --lot T-0815 --expires 2027-05-31
     labos replenish sealer foil --lot F12                until it is full
     labos replenish sealer foil --lot F12 --instead      a new roll for the old one
     """
-    from labos.cli._lab import need_lab
-
-    with need_lab(home) as client:
+    with asker.lab() as client:
         number, unit = _amount(amount)
         pack = {"amount": number, "unit": unit, "lot": lot, "expires": expires, "instead": instead}
-        added = client.replenish(module, resource, find_user(user), **pack)  # type: ignore[arg-type]
-    if as_json:
+        added = client.replenish(module, resource, asker.user, **pack)  # type: ignore[arg-type]
+    if asker.as_json:
         show_json({"module": module, "resource": resource, "amount": added, "lot": lot, "expires": expires})
         return
     click.echo(f"{added:g} of {resource} put into {module} (lot {lot}).")
@@ -136,5 +109,5 @@ def _amount(text: str | None) -> tuple[float, str]:
         return 0.0, ""
     found = quantity(text)
     if found is None or not float(found[1]) > 0:
-        raise click.BadParameter(f"{text!r} is no amount: write 96, or 20mL.", param_hint="--amount")
+        raise click.BadParameter(f"{text!r} is not an amount: write 96, or 20mL.", param_hint="--amount")
     return float(found[1]), found[2] or ""

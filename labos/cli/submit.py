@@ -5,67 +5,80 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, propose_option, user_option, wait_option
+from labos.cli._options import Asker, asker_options, propose_option, wait_option
 from labos.cli._payload import payload_option
 
 
 @click.command("submit")
 @click.argument("workflow", shell_complete=completes("workflow"))
 @payload_option
-@user_option
-@click.option("--workcell", default="", metavar="NAME", help="If the lab has several.")
-@click.option("--priority", type=int, default=0, show_default=True, help="Higher goes first.")
+@click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
+@click.option(
+    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
+)
 @click.option(
     "--experiment",
     shell_complete=completes("experiment"),
     default="",
     metavar="ID",
-    help="The experiment it belongs to.",
+    help="The experiment to which the run belongs.",
 )
-@click.option("--request", default="", metavar="KEY", help="The same key twice is one run.")
+@click.option(
+    "--request",
+    default="",
+    metavar="KEY",
+    help="A key of the request: two requests with the same key create one run.",
+)
+@click.option(
+    "--due",
+    default="",
+    metavar="TIME",
+    help="The time by which the run should end: 2026-05-04T10:30 in the lab's time, or 12h from now. "
+    "Among your own runs, the run with the least time to spare goes first. labos explain shows whether it "
+    "will be kept.",
+)
 @propose_option
-@wait_option("Wait for its end; exit code 1 if it does not complete.", default=False)
-@home_option
-@json_option
+@wait_option("Wait for the end of the run; exit code 1 if it does not complete.", default=False)
+@asker_options
 def command(
     workflow: str,
     payloads: tuple[str, ...],
-    user: str | None,
+    asker: Asker,
     workcell: str,
     priority: int,
     experiment: str,
+    due: str,
     request: str,
     propose: bool,
     wait: bool,
-    home: str | None,
-    as_json: bool,
 ) -> None:
     """Queue WORKFLOW, a file or a packaged workflow, and print the run's id.
 
     \b
     labos submit pcr --user ada
     labos submit my_workflow.yaml --payload values.yaml --payload seal.time=4 --wait
+    labos submit pcr --due 12h
     """
-    from labos.cli._lab import need_lab
     from labos.cli._payload import read_payload
     from labos.cli.run import show_warnings
 
     values = read_payload(payloads)
-    with need_lab(home) as client:
+    with asker.lab() as client:
         run = client.submit(
             workflow,
             values,
-            user=find_user(user),
+            user=asker.user,
             workcell=workcell,
             priority=priority,
             experiment=experiment,
+            due=due,
             request=request,
             propose=propose,
         )
         show_warnings(client)
         if not wait:
-            click.echo(f'{{"run": "{run}"}}' if as_json else run)
+            click.echo(f'{{"run": "{run}"}}' if asker.as_json else run)
             return
         from labos.cli.run import show_result
 
-        show_result(client.wait(run), as_json=as_json)
+        show_result(client.wait(run), as_json=asker.as_json)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 POLL_S = 0.02
 
 
-@click.command("take-over", short_help="Let a standby take over while runs go on.")
+@click.command("take-over", short_help="Let a standby take over while runs continue.")
 @click.option(
     "--timeout",
     "wait_s",
@@ -29,18 +29,19 @@ POLL_S = 0.02
     default=30.0,
     show_default=True,
     metavar="SECONDS",
-    help="How long to wait until the standby has the lab.",
+    help="How long to wait until the standby has taken over.",
 )
 @home_option
 @json_option
 def command(home: str | None, wait_s: float, as_json: bool) -> None:
-    """Let the kernel of this computer leave its lab to a standby, which takes over at once. Runs go on: what
-    instruments do is not disturbed, and nothing is started for a second or two. Say it on the kernel's
-    computer, as the user that it runs as.
+    """Stop the kernel on this computer, and let its standby take over the lab at once. Runs continue and
+    instruments are not disturbed. No action is started for one or two seconds. Run this command on the
+    kernel's computer, as the user that runs the kernel.
 
-    It is how a lab is upgraded without a stop: start the newer version as the standby, let it take over, and
-    do the same with the other computer (docs/three-hosts.md). Refused if nobody stands by, and if nodes
-    were started by this kernel and would end with it (`labos up` without --no-nodes and --detach-nodes).
+    Use it to upgrade a lab without a stop: start the newer version as the standby, let it take over, and
+    then do the same on the other computer (docs/three-hosts.md). The command is refused if there is no
+    standby, or if this kernel has started nodes that would end with it (`labos up` without --no-nodes and
+    --detach-nodes).
 
     \b
     labos take-over
@@ -52,12 +53,13 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
     running = find_kernel(settings.home)
     if running is None:
         raise NotFound(
-            f"No kernel runs in {settings.home}.", remedy="Say it where the kernel runs, or name its --home."
+            f"No kernel runs in {settings.home}.",
+            remedy="Run this command where the kernel runs, or give its --home.",
         )
     number = getattr(signal, "SIGUSR1", None)
     if number is None or sys.platform == "win32":
         raise Refused(
-            "A kernel on Windows cannot leave its lab to a standby.",
+            "A kernel on Windows cannot hand over its lab to a standby.",
             remedy="Stop it, and start `labos up` on the other computer.",
         )
     expect_to_listen(running.pid, number)
@@ -66,16 +68,16 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
         standing_by = store.standbys()
         if not standing_by:
             raise Refused(
-                "Nobody stands by for this lab: it would stand still.",
-                remedy="Start a standby (`labos up --standby`), and wait until it says that it stands by.",
+                "This lab has no standby: it would stop.",
+                remedy="Start a standby (`labos up --standby`), and wait until it reports that it stands by.",
             )
         epoch = store.head().epoch
         try:
             os.kill(running.pid, number)
         except OSError as error:
             raise Refused(
-                f"The kernel (process {running.pid}) cannot be told: {error.strerror}.",
-                remedy="Say it as the user that it runs as: sudo -u labos.",
+                f"The kernel (process {running.pid}) cannot be notified: {error.strerror}.",
+                remedy="Run this command as the user that runs the kernel: sudo -u labos.",
             ) from None
         pause_s = _wait(store, epoch, wait_s)
         owner, epoch = store.find_holder().owner, store.head().epoch
@@ -96,10 +98,10 @@ def expect_to_listen(pid: int, number: int) -> None:
     caught = next((line for line in status.splitlines() if line.startswith("SigCgt:")), "")
     if caught and not int(caught.split()[1], 16) & (1 << (number - 1)):
         raise Refused(
-            f"The kernel (process {pid}) does not know how to leave its lab: it is of an earlier version, or "
-            "has not come so far yet. It would end, and is left alone.",
-            remedy="Wait until it says that its lab runs. One of an earlier version: stop it (Ctrl-C); the "
-            "standby takes over when it has ended.",
+            f"The kernel (process {pid}) cannot hand over its lab: it has an earlier version, or is still "
+            "starting. It was not changed.",
+            remedy="Wait until it reports that its lab runs. If it has an earlier version, stop it (Ctrl-C): "
+            "the standby takes over when it has ended.",
         )
 
 
@@ -115,11 +117,12 @@ def _wait(store: SqlEventStore, epoch: int, patience_s: float) -> float:
         time.sleep(POLL_S)
     if left_at:
         raise SystemFailed(
-            f"The kernel has left its lab, and nobody has taken over for {patience_s:g} s.",
-            remedy="Look at the log of the standby; start `labos up` on any of the computers.",
+            f"The kernel has stopped, and no standby has taken over for {patience_s:g} s.",
+            remedy="Read the log of the standby, then start `labos up` on one of the computers.",
         )
     raise SystemFailed(
-        f"The kernel has not left its lab within {patience_s:g} s: it goes on.",
-        remedy="Its log says why. Nodes that would end with it keep it: start it with --detach-nodes, or "
-        "with --no-nodes and the nodes by themselves.",
+        f"The kernel has not handed over its lab within {patience_s:g} s: it continues.",
+        remedy="See its log for the reason. A kernel does not hand over if nodes would end with "
+        "it: start it with "
+        "--detach-nodes, or with --no-nodes and separate nodes.",
     )

@@ -8,52 +8,43 @@ import click
 import msgspec
 
 from labos.cli._complete import completes
-from labos.cli._options import find_user, home_option, json_option, user_option, why_option
+from labos.cli._options import Asker, asker_options, home_option, json_option, why_option
 
 
 @click.command("teach")
 @click.argument("module", shell_complete=completes("module"))
 @click.argument("station", shell_complete=completes("station"))
 @click.option(
-    "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver wants."
+    "--pose", required=True, metavar="X,Y,…", help="Joint angles or coordinates, as the driver requires."
 )
 @why_option()
 @click.option(
-    "--type", "kind", default="", metavar="TYPE", help="For labware of this type only; else for all other."
+    "--type",
+    "kind",
+    default="",
+    metavar="TYPE",
+    help="For labware of this type only; otherwise for all types without their own pose.",
 )
-@user_option
-@home_option
-@json_option
-def teach(
-    module: str,
-    station: str,
-    pose: str,
-    why: str,
-    kind: str,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
-) -> None:
-    """Set the pose at which the arm MODULE reaches STATION. Each pose is a version in the log; the
-    arm's node is started again with it. The first move there is slow if the driver's action has an
-    argument `slow`. A labware type may have a pose of its own, which goes before the station's.
+@asker_options
+def teach(module: str, station: str, pose: str, why: str, kind: str, asker: Asker) -> None:
+    """Set the pose at which the arm MODULE reaches STATION. Each pose is logged as a new version, and the
+    arm's node is restarted with it. The first move to the station is slow if the driver's action has an
+    argument `slow`. A pose for a labware type takes precedence over the pose for the station.
 
     \b
     labos teach pf400 sealer.default --pose 190.1,10.2,50.5,260.0,640.7,-480.2
     labos teach pf400 sealer.default --type pcr96 --pose 188.6,10.2,50.5,260.0,640.7,-480.2
     """
-    from labos.cli._lab import need_lab
-    from labos.cli._out import tell
 
     try:
         numbers = [float(part) for part in pose.split(",")]
     except ValueError:
-        raise click.BadParameter(f"{pose!r} is no list of numbers.", param_hint="--pose") from None
-    with need_lab(home) as client:
-        version = client.teach(module, station, numbers, find_user(user), why, labware_type=kind)
+        raise click.BadParameter(f"{pose!r} is not a list of numbers.", param_hint="--pose") from None
+    with asker.lab() as client:
+        version = client.teach(module, station, numbers, asker.user, why, labware_type=kind)
     what = f"{station} with a {kind}" if kind else station
     facts = {"module": module, "station": station, "type": kind, "version": version}
-    tell(f"{module} finds {what} by version {version}.", facts, as_json=as_json)
+    asker.tell(f"{module} now reaches {what} with version {version} of the pose.", facts)
 
 
 @click.command("locations")
@@ -61,8 +52,8 @@ def teach(
 @json_option
 @home_option
 def locations(module: str, as_json: bool, home: str | None) -> None:
-    """The poses at which the arm MODULE reaches its stations. Version 0 is the workcell file's; the
-    versions before the last one are in the log: `labos log --type location.taught`.
+    """List the poses at which the arm MODULE reaches its stations. Version 0 is the one in the workcell file.
+    Older versions are in the log: `labos log --type location.taught`.
 
     \b
     labos locations pf400

@@ -11,7 +11,7 @@ from labos.cli._out import show_json, tell
 
 @click.group("token", cls=Suggesting)
 def command() -> None:
-    """Tokens, by which programs are known to the lab."""
+    """Manage access tokens. A program signs in to the lab with a token."""
 
 
 @command.command("create")
@@ -21,21 +21,30 @@ def command() -> None:
     type=click.Choice(["viewer", "submitter", "operator", "admin"]),
     default="submitter",
     show_default=True,
-    help="The most that it is good for; what its user may not do, it may not do either.",
+    help="The highest role of the token; it never has more rights than its user.",
 )
 @click.option(
-    "--days", type=click.FloatRange(0.001, 366), default=90.0, show_default=True, help="How long it is good."
+    "--days",
+    type=click.FloatRange(0.001, 366),
+    default=90.0,
+    show_default=True,
+    help="The number of days for which it is valid.",
 )
 @click.option(
-    "--for", "user", metavar="USER", default="", help="Whose it is, such as a service account; for admins."
+    "--for",
+    "user",
+    metavar="USER",
+    default="",
+    help="The user of the token, such as a service account; for admins.",
 )
 @home_option
 @json_option
 def create(label: str, scope: str, days: float, user: str, home: str | None, as_json: bool) -> None:
-    """Make a token for a program; LABEL says what it is for. It is shown once: the lab keeps its digest.
+    """Create a token for a program. LABEL describes its purpose. The token is shown only once, because the
+    lab stores only its digest.
 
-    The program shows it by the variable LABOS_TOKEN, or by LABOS_TOKEN_FILE, a file that its owner alone
-    can read.
+    Give the token to the program in the variable LABOS_TOKEN, or in a file that LABOS_TOKEN_FILE names.
+    Only the file's owner may have the right to read it.
 
     \b
     labos token create "color picker"
@@ -53,18 +62,19 @@ def create(label: str, scope: str, days: float, user: str, home: str | None, as_
     token = made["token"]
     until = iso_time(token["expires_at"])[:16]
     click.echo(
-        f"{token['id']}: of {token['user']}, good for what a {scope} may do, until {until}. Keep it:",
+        f"{token['id']}: of {token['user']}, with the role {scope} at most, valid until {until}. "
+        "Store it now, it is not shown again:",
         err=True,
     )
     click.echo(made["secret"])
 
 
 @command.command("list")
-@click.option("--for", "user", metavar="USER", default="", help="Whose, if not yours; for admins.")
+@click.option("--for", "user", metavar="USER", default="", help="List the tokens of this user; for admins.")
 @home_option
 @json_option
 def list_(user: str, home: str | None, as_json: bool) -> None:
-    """Your tokens, with when they were last used (to the minute)."""
+    """List your tokens, and when each was last used (to the minute)."""
     from labos.cli._lab import need_lab
     from labos.cli._out import show_table
     from labos.services.times import iso_time
@@ -95,7 +105,7 @@ def list_(user: str, home: str | None, as_json: bool) -> None:
 @home_option
 @json_option
 def revoke(token: str, home: str | None, as_json: bool) -> None:
-    """Revoke a token; ID is what `labos token list` shows. It is good for nothing from now on."""
+    """Revoke a token. ID is the one that `labos token list` shows. The token is invalid from now on."""
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:

@@ -17,32 +17,38 @@ from labos.services.twh import Stretch, Twh, TwhReport, measure
 RUNS_SHOWN = 20
 
 
-@click.command("twh", short_help="Time without human intervention: current and longest.")
-@click.option("--run", shell_complete=completes("run"), default="", metavar="R", help="Of this run only.")
+@click.command("twh", short_help="Show the time without human intervention.")
+@click.option("--run", shell_complete=completes("run"), default="", metavar="R", help="Show only this run.")
 @click.option(
     "--experiment",
     shell_complete=completes("experiment"),
     default="",
     metavar="E",
-    help="Of this experiment only.",
+    help="Show only this experiment.",
 )
 @click.option(
-    "--workcell", shell_complete=completes("workcell"), default="", metavar="W", help="Of this workcell only."
+    "--workcell",
+    shell_complete=completes("workcell"),
+    default="",
+    metavar="W",
+    help="Show only this workcell.",
 )
-@click.option("--losses", is_flag=True, help="The causes of lost time, and when a person is needed next.")
+@click.option(
+    "--losses", is_flag=True, help="Show the causes of lost time, and when a person is needed next."
+)
 @json_option
 @log_options
 def command(where: Where, run: str, experiment: str, workcell: str, losses: bool, as_json: bool) -> None:
-    """Time without human intervention (TWH) of the lab, its workcells, experiments and runs.
+    """Show the time without human intervention (TWH) of the lab, its workcells, experiments and runs.
 
     \b
     labos twh                     the lab and everything in it
     labos twh --experiment E1     one experiment
     labos twh --losses            every lost minute with its cause
 
-    The clock of a run goes from its first step to its end, while it is not paused and does not
-    wait for a person; a person's answer, or reaching into the workcell, ends a stretch. The exact
-    definition is in docs/time-without-human-intervention.md.
+    The time of a run counts from its first step to its end, except while it is paused or waits for a person.
+    A person's answer, or access to the workcell, ends the current interval.
+    docs/time-without-human-intervention.md has the exact definition.
     """
     with open_log(where) as store:
         say_if_dead(where.url, store.head(), last_known=False)
@@ -74,9 +80,7 @@ def choose_scopes(report: TwhReport, run: str, experiment: str, workcell: str) -
     for kind, name, known in (*wanted, ("workcell", workcell, report.workcells)):
         if name:
             if name not in known:
-                raise NotFound(
-                    f"No {kind} {name!r} has started a step.", remedy="See what there is: labos twh"
-                )
+                raise NotFound(f"No {kind} {name!r} has started a step.", remedy="List all: labos twh")
             found.append(known[name])
     runs = list(report.runs.values())[-RUNS_SHOWN:]
     return found or [report.lab, *report.workcells.values(), *report.experiments.values(), *runs]

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 NO_USERS = (
-    "labos: this lab has no users: everybody on this computer may command it, under the name of their login. "
-    "The first user is added with `labos user add NAME`."
+    "labos: this lab has no users. Every user of this computer has all rights in it, under the login name. "
+    "Add the first user with `labos user add NAME`."
 )
 
 
@@ -34,14 +34,18 @@ NO_USERS = (
 @click.option(
     "--simulate/--real",
     default=None,
-    help="A simulated bench or the real one. Required for a new lab; an existing one keeps its setting.",
+    help="Use a simulated bench or the real one. Required for a new lab; an existing lab keeps its setting.",
 )
 @click.option("--speed", type=click.FloatRange(min=0.01), help=SPEED_HELP)
 @home_option
 @database_option
-@click.option("--http-port", type=int, help="The port of the HTTP interface (a free one).")
-@click.option("--bus-port", type=int, help="The port of the bus that nodes connect to (a free one).")
-@click.option("--host", default="127.0.0.1", show_default=True, help="The address that both listen on.")
+@click.option("--http-port", type=int, help="The port of the HTTP interface (a free port if not given).")
+@click.option(
+    "--bus-port", type=int, help="The port of the bus that nodes connect to (a free port if not given)."
+)
+@click.option(
+    "--host", default="127.0.0.1", show_default=True, help="The address on which HTTP and the bus listen."
+)
 @click.option(
     "--open-to-network",
     is_flag=True,
@@ -58,7 +62,10 @@ NO_USERS = (
     help="A file with the password of --first-user; used only if that user has none.",
 )
 @click.option(
-    "--bus", multiple=True, metavar="ENDPOINT", help="A bus that runs by itself (`labos bus`), tcp/HOST:7447."
+    "--bus",
+    multiple=True,
+    metavar="ENDPOINT",
+    help="A bus that runs in a separate process (`labos bus`), such as tcp/HOST:7447.",
 )
 @click.option(
     "--secure/--no-secure",
@@ -69,7 +76,7 @@ NO_USERS = (
     "--cert",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="The kernel's own certificate, where the lab's authority is elsewhere.",
+    help="The kernel's own certificate, if the lab's certificate authority is elsewhere.",
 )
 @address_option
 @pki_option
@@ -79,53 +86,53 @@ NO_USERS = (
 @click.option(
     "--or-standby",
     is_flag=True,
-    help="The same if another kernel runs the lab, else run it: so each of two computers may start first.",
+    help="As --standby if another kernel runs the lab; otherwise run the lab.",
 )
-@click.option("--no-nodes", is_flag=True, help="Start no nodes: they are started elsewhere.")
-@click.option("--detach-nodes", is_flag=True, help="Nodes live on if this process is killed.")
+@click.option("--no-nodes", is_flag=True, help="Do not start nodes: they are started elsewhere.")
+@click.option("--detach-nodes", is_flag=True, help="Nodes continue to run if this process is killed.")
 @click.option(
     "--declare/--no-declare",
     default=None,
-    help="What stands on the bench at first: as `stock:` of the file says, or unknown until it is declared "
+    help="The labware on the bench at first: from `stock:` of the file, or unknown until it is declared "
     "(if not given: as the file says on a simulated bench, unknown on a real one).",
 )
 @click.option(
     "--on-database-loss",
     metavar="stop|wait|SECONDS",
     default="",
-    help="While the log cannot be written: stop at once, or wait for the database (30 s).",
+    help="If the log cannot be written: stop at once, or wait for the database (30 s).",
 )
 @click.option(
     "--database-silence",
     type=click.FloatRange(min=1.0),
     metavar="SECONDS",
-    help="A database that has not answered for so long counts as lost (10 s).",
+    help="After this time without an answer, the database counts as lost (10 s).",
 )
 @click.option(
     "--quarantine",
     metavar="TIMES/SECONDS|never",
     default="",
-    help="A module that fails so often in so many lab seconds is taken out of service (5/600).",
+    help="Take a module out of service after this number of failures in this time, in lab seconds (5/600).",
 )
 @click.option("--seed", type=int, default=0, help="The seed of the simulated instruments' random durations.")
 @click.option(
-    "--wire", is_flag=True, help="Simulated instruments are reached over their wires, by their real drivers."
+    "--wire", is_flag=True, help="Use the real drivers for simulated instruments, over simulated wires."
 )
 @click.option(
     "--trace",
     is_flag=True,
-    help="Write every byte on the devices' wires to HOME/traces, a file for each module.",
+    help="Write every byte on the devices' wires to HOME/traces, one file for each module.",
 )
 @click.option(
     "--node-metrics",
     is_flag=True,
-    help="Nodes show metrics of their own, on free ports: Prometheus finds them at /metrics/targets.",
+    help="Nodes serve their own metrics, on free ports: Prometheus finds them at /metrics/targets.",
 )
 @click.option(
     "--otlp",
     metavar="URL",
     default="",
-    help="Send traces of runs to this receiver of OpenTelemetry, http://HOST:4318 (LABOS_OTLP).",
+    help="Send traces of runs to this OpenTelemetry receiver, http://HOST:4318 (LABOS_OTLP).",
 )
 @click.option("--quiet", is_flag=True, help="Print no events.")
 def command(
@@ -166,11 +173,12 @@ def command(
 ) -> None:
     """Run a lab until Ctrl-C, with a node for each module. WORKCELL is a file or a packaged one.
 
-    Ctrl-C waits up to 30 s for actions in progress, then closes; Ctrl-C again stops waiting. A simulated
-    instrument that has not finished by then is interrupted; of a real one only the node ends. Either
-    way the next start has to find out how the action ended, and asks a person if neither node nor
-    sensor knows. The actions concerned are listed at the end.
-    Started again in the same home, the lab continues where it was; then no WORKCELL is needed.
+    After Ctrl-C, the lab waits up to 30 s for actions in progress, then closes. A second Ctrl-C ends the
+    wait. If an action has not finished by then, a simulated instrument is interrupted; a real instrument
+    continues, and only its node ends. The next start finds out how the action ended. It asks a person if
+    neither node nor sensor knows. The actions concerned are listed at the end.
+
+    If you start the lab again in the same home, it continues where it was. No WORKCELL is needed then.
 
     \b
     labos up rpl --simulate --speed 60
@@ -220,9 +228,9 @@ def command(
     if standby:
         _check_standby(settings, workcells, no_nodes)
     if simulate is None and was_simulated(settings) is None:
-        raise click.UsageError("This lab is new: say --simulate, or --real to move real instruments.")
+        raise click.UsageError("This lab is new: give --simulate, or --real to move real instruments.")
     if not workcells and not standby and not (settings.home / "kernel.json").exists():
-        raise click.UsageError("This lab is new: name its WORKCELL, for instance `labos up rpl --simulate`.")
+        raise click.UsageError("This lab is new: give its WORKCELL, for instance `labos up rpl --simulate`.")
     cells = [read_workcell(name) for name in workcells]
     lab = LabThread(
         settings,
@@ -236,20 +244,20 @@ def command(
         try:
             with lab:
                 if standby:
-                    click.echo(f"The kernel {lab.replaced} is gone: this one has taken over.")
+                    click.echo(f"The kernel {lab.replaced} has ended: this one has taken over.")
                 _serve(lab, settings, quiet)
         except KeyboardInterrupt:
             pass
     for action in lab.cut_short:
-        click.echo(f"{action} was cut short: the next start finds out how it ended, or asks a person.")
+        click.echo(f"{action} was interrupted: the next start finds out how it ended, or asks a person.")
     if lab.failure is not None:
         raise lab.failure
     if lab.left_to_standby:
-        click.echo("The lab was left to a standby.")
+        click.echo("The lab was handed over to a standby.")
     elif standby and not lab.replaced:
-        click.echo("Nobody stands by here any more.")
+        click.echo("The standby has ended.")
     else:
-        click.echo("The lab is closed; its log is whole.")
+        click.echo("The lab is closed. Its log is intact.")
 
 
 def _stand_by(settings: Settings) -> None:
@@ -280,11 +288,11 @@ def _runs_elsewhere(settings: Settings) -> bool:
 def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: bool) -> None:
     """A standby changes nothing of the lab, and starts no nodes beside those that live. Raises UsageError."""
     if workcells:
-        raise click.UsageError("A standby runs the workcells that the lab has: name none.")
+        raise click.UsageError("A standby runs the existing workcells of the lab: give no WORKCELL.")
     if not no_nodes and not (settings.home / "kernel.json").exists():
         raise click.UsageError(
             f"No kernel of this lab has run in {settings.home}, so its nodes were started elsewhere: "
-            "say --no-nodes, or name the --home of the lab."
+            "give --no-nodes, or the --home of the lab."
         )
 
 

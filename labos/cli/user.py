@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options, home_option, json_option
 from labos.cli._out import show_json, show_table, tell
 from labos.cli._people import in_words, lab_at, lab_or_its_folder, role_choice, scope_of, workcell_option
 from labos.services.times import show_time
@@ -15,34 +15,34 @@ from labos.services.times import show_time
 _id = click.argument("name", metavar="ID")
 
 
-@click.group("user", cls=Suggesting, short_help="Users: who may use the lab.")
+@click.group("user", cls=Suggesting, short_help="Manage users.")
 def command() -> None:
-    """Who may use the lab.
+    """Manage users.
 
-    A lab without users is open: everybody who reaches it may do everything. The first user becomes its
-    admin, and from then on nobody but users may do anything. A user may look; what else, roles say (labos
-    role). An id is no name and no mail address: the log keeps it for ever.
+    A lab without users is open: everybody with network access to it has all rights. The first user becomes
+    its admin. From then on only users have access. Every user may read. Roles grant further rights (labos
+    role). Do not use a person's name or mail address as the id, because the log keeps ids forever.
 
     \b
     labos user add ada                       the first one: admin of the lab
-    labos user add bo --role submitter       may submit, and touch what is theirs
-    labos user password bo                   what bo signs in with (labos login)
+    labos user add bo --role submitter       may submit, and change own runs and labware
+    labos user password bo                   set bo's password for labos login
     labos user add robot --service           a program or an agent
     labos user list
-    labos user disable bo                    may do nothing any more
+    labos user disable bo                    withdraw all rights
     """
 
 
 @command.command("add")
 @_id
 @click.option("--service", is_flag=True, help="A program or an agent, which may act on behalf of users.")
-@click.option("--role", type=role_choice, help="Grant this role too.")
-@click.option("--name", "person", metavar="NAME", help="Who it is; kept beside the log, and can be erased.")
-@click.option("--mail", metavar="ADDRESS", help="A mail address; as the name.")
+@click.option("--role", type=role_choice, help="Also grant this role.")
+@click.option(
+    "--name", "person", metavar="NAME", help="The person's name; stored outside the log, can be erased."
+)
+@click.option("--mail", metavar="ADDRESS", help="The mail address; stored outside the log, can be erased.")
 @workcell_option
-@user_option
-@home_option
-@json_option
+@asker_options
 def add(
     name: str,
     service: bool,
@@ -50,15 +50,13 @@ def add(
     person: str | None,
     mail: str | None,
     workcell: str | None,
-    user: str | None,
-    home: str | None,
-    as_json: bool,
+    asker: Asker,
 ) -> None:
-    """Let a person, or a program, use the lab."""
+    """Add a person or a program as a user of the lab."""
     if workcell and not role:
-        raise click.UsageError("--workcell says where a --role counts.")
-    with lab_or_its_folder(home) as client:
-        by = find_user(user)
+        raise click.UsageError("--workcell needs --role.")
+    with lab_or_its_folder(asker.home) as client:
+        by = asker.user
         is_first = not client.users()
         client.add_user(
             name, by, kind="service" if service else "person", role=role, scope=scope_of(workcell)
@@ -66,14 +64,14 @@ def add(
         if person or mail:
             client.set_person(name, name=person, mail=mail)
         found = client.user(name)
-    if as_json:
+    if asker.as_json:
         show_json(found)
         return
     if is_first:
-        click.echo(f"{name} is the admin of this lab. From now on nobody but its users may do anything.")
+        click.echo(f"{name} is the admin of this lab. From now on only its users have access.")
     else:
         what = "a service account" if service else "a user"
-        click.echo(f"{name} is {what} of this lab: {in_words(found['roles']) or 'may look'}.")
+        click.echo(f"{name} is {what} of this lab: {in_words(found['roles']) or 'may read'}.")
     next_step = f"token create LABEL --for {name}" if service else f"user password {name}"
     click.echo(f"Next: labos {next_step}")
 
@@ -82,7 +80,7 @@ def add(
 @home_option
 @json_option
 def list_users(home: str | None, as_json: bool) -> None:
-    """All users, with their groups and roles."""
+    """List all users, with their groups and roles."""
     with lab_at(home) as client:
         found = client.users()
     if as_json:
@@ -90,7 +88,7 @@ def list_users(home: str | None, as_json: bool) -> None:
         return
     show_table(("id", "kind", "group", "roles", "since"), [_row(user) for user in found])
     if not found:
-        click.echo("There are no users: everybody who reaches this lab may do everything.", err=True)
+        click.echo("There are no users: everybody with network access to this lab has all rights.", err=True)
 
 
 @command.command("show")
@@ -98,7 +96,7 @@ def list_users(home: str | None, as_json: bool) -> None:
 @home_option
 @json_option
 def show(name: str, home: str | None, as_json: bool) -> None:
-    """One user, with the roles that come from the user's group."""
+    """Show one user, with the roles of the user's group."""
     with lab_at(home) as client:
         found = client.user(name)
         groups = {group["name"]: group for group in client.groups()}
@@ -120,30 +118,26 @@ def show(name: str, home: str | None, as_json: bool) -> None:
 
 @command.command("disable")
 @_id
-@user_option
-@home_option
-@json_option
-def disable(name: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Let a user do nothing any more. Runs under way and runs that wait go on, campaigns are paused. Users
-    are never removed, because the log speaks of them."""
-    with lab_at(home) as client:
-        client.disable_user(name, find_user(user))
-        found = client.user(name) if as_json else {}
-    if as_json:
+@asker_options
+def disable(name: str, asker: Asker) -> None:
+    """Disable a user: withdraw all rights. The user's active and waiting runs continue, campaigns are paused.
+    Users are never removed, because the log refers to them."""
+    with lab_at(asker.home) as client:
+        client.disable_user(name, asker.user)
+        found = client.user(name) if asker.as_json else {}
+    if asker.as_json:
         show_json(found)
 
 
 @command.command("enable")
 @_id
-@user_option
-@home_option
-@json_option
-def enable(name: str, user: str | None, home: str | None, as_json: bool) -> None:
-    """Let a user who was disabled act again."""
-    with lab_at(home) as client:
-        client.enable_user(name, find_user(user))
-        found = client.user(name) if as_json else {}
-    if as_json:
+@asker_options
+def enable(name: str, asker: Asker) -> None:
+    """Enable a disabled user again."""
+    with lab_at(asker.home) as client:
+        client.enable_user(name, asker.user)
+        found = client.user(name) if asker.as_json else {}
+    if asker.as_json:
         show_json(found)
 
 
@@ -152,11 +146,11 @@ def enable(name: str, user: str | None, home: str | None, as_json: bool) -> None
 @home_option
 @json_option
 def password(name: str, home: str | None, as_json: bool) -> None:
-    """Change a password: your own, by the present one; as an admin, or on the lab's computer as the owner of
-    its folder, anybody's.
+    """Change a password. For your own, you need the present one. An admin, and the owner of the lab's folder
+    on the lab's computer, can change the password of any user.
 
-    It is typed on a terminal; without one, the first line of standard input is the new one (before it, for
-    your own, the present one). All sessions of the user end.
+    The command asks on the terminal. Without a terminal, it reads lines of standard input: the present
+    password (only for your own), then the new one. All sessions of the user end.
     """
     from labos.cli._secret import ask_password
 
@@ -168,15 +162,19 @@ def password(name: str, home: str | None, as_json: bool) -> None:
 
 @command.command("name")
 @_id
-@click.option("--name", "person", metavar="NAME", help="Who it is.")
+@click.option("--name", "person", metavar="NAME", help="The person's name.")
 @click.option("--mail", metavar="ADDRESS", help="A mail address.")
 @home_option
 @json_option
 def rename(name: str, person: str | None, mail: str | None, home: str | None, as_json: bool) -> None:
-    """Say who a user is. Names and addresses are kept beside the log, which knows ids alone."""
+    """Record a user's name and mail address. They are stored outside the log. The log has only ids."""
     with lab_or_its_folder(home) as client:
         client.set_person(name, name=person, mail=mail)
-    tell(f"It is known who {name} is.", {"user": name, "name": person, "mail": mail}, as_json=as_json)
+    tell(
+        f"The name and address of {name} are recorded.",
+        {"user": name, "name": person, "mail": mail},
+        as_json=as_json,
+    )
 
 
 @command.command("erase")
@@ -184,13 +182,18 @@ def rename(name: str, person: str | None, mail: str | None, home: str | None, as
 @home_option
 @json_option
 def erase(name: str, home: str | None, as_json: bool) -> None:
-    """Forget who a user is: name, address, password, tokens, sessions. Events remain, and bear the id.
+    """Erase a user's personal data: name, address, password, tokens, sessions. Events stay in the log, with
+    the user's id.
 
-    The user is still one: `labos user disable` besides lets nobody act under the id.
+    The user still exists. Use `labos user disable` too if nobody may act with this id.
     """
     with lab_or_its_folder(home) as client:
         client.erase_person(name)
-    tell(f"Nothing is known of {name} any more but the id.", {"user": name, "erased": True}, as_json=as_json)
+    tell(
+        f"The personal data of {name} is erased. Only the id is left.",
+        {"user": name, "erased": True},
+        as_json=as_json,
+    )
 
 
 @command.command("link")
@@ -200,7 +203,8 @@ def erase(name: str, home: str | None, as_json: bool) -> None:
 @home_option
 @json_option
 def link(name: str, issuer: str, subject: str, home: str | None, as_json: bool) -> None:
-    """Say whom an identity provider means by a user: SUBJECT is what the provider ISSUER, a URL, calls them.
+    """Link a user to an identity at an identity provider. ISSUER is the provider's URL, SUBJECT the user's
+    identifier there.
 
     \b
     labos user link ada https://login.example.org 248289761001

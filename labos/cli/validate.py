@@ -53,16 +53,16 @@ class Verdict(msgspec.Struct):
         return not self.unreachable and all(f.severity != "error" for f in self.findings)
 
 
-@click.command("validate", short_help="What is wrong with a workflow, before anything moves.")
+@click.command("validate", short_help="Check a workflow before anything moves.")
 @click.argument("workflow", shell_complete=completes("workflow"))
 @click.option(
     "--workcell",
     default="",
     metavar="W",
-    help="A workcell file, or a packaged one: rpl. Needed to check a workflow.",
+    help="A workcell file, or the name of a packaged workcell, such as rpl. Needed to check a workflow.",
 )
 @payload_option
-@click.option("--simulate", is_flag=True, help="Files that are needed on the real bench only may be missing.")
+@click.option("--simulate", is_flag=True, help="Files that only the real bench needs may be missing.")
 @click.option("--online", is_flag=True, help="Also ask each module's node, through the running lab.")
 @json_option
 @log_options
@@ -85,11 +85,11 @@ def command(
     labos validate my.yaml --workcell rpl --payload values.yaml --online
     labos validate my_cell.yaml
 
-    Without --workcell, a workcell or labware file is checked by itself. Each finding names file,
-    line and column, what is wrong, and what to do. Where modules have coordinates, footprints that
-    overlap and stations beyond an arm's reach are warnings. So are windows (`within`) that a run can miss
-    though it is alone, if its steps take up to a tenth longer or shorter; with `windows: refuse` at the
-    top of the workflow they are errors.
+    Without --workcell, a workcell or labware file is checked by itself. Each finding names file, line and
+    column, the problem and the remedy. If modules have coordinates, there are warnings about footprints
+    that overlap and stations outside an arm's reach. There is also a warning about each window (`within`)
+    that a run alone on the bench can miss if its steps take up to a tenth longer or shorter. With
+    `windows: refuse` at the top of the workflow, this is an error.
     """
     if not workcell:
         _alone(workflow, as_json=as_json)
@@ -113,7 +113,7 @@ def _alone(name: str, *, as_json: bool) -> None:
     from labos.spec.layout_check import check_layout
     from labos.spec.source import read
 
-    needs = click.UsageError("A workflow is checked against a workcell: add --workcell.")
+    needs = click.UsageError("To check a workflow, add --workcell.")
     if not Path(name).is_file() and name in list_specs("workflows"):
         raise needs
     path = spec_path("workcells", name)
@@ -234,7 +234,7 @@ def _tell(verdict: Verdict, compiled: Compiled | None) -> None:
     for line in describe_choices(list_choices(compiled.plans)):
         click.echo(line)
     click.echo(f"Labware needed at the start: {_places(verdict.inputs) or 'none'}.")
-    click.echo(f"Labware stands at the end: {_places(verdict.outputs) or 'nowhere'}.")
+    click.echo(f"Labware at the end: {_places(verdict.outputs) or 'nowhere'}.")
     for line in describe_certificate(verdict.certificate) if verdict.certificate else ():
         click.echo(line)
     if verdict.copies is not None:
@@ -253,8 +253,8 @@ def _places(stations: tuple[StationName, ...]) -> str:
 
 def _how_many(copies: Capacity) -> str:
     if copies.capped:
-        return f"At least {copies.copies} copies may be under way at once."
+        return f"At least {copies.copies} copies can be active at once."
     if not copies.copies:
-        return f"No copy may start on the bench as it is stocked: {copies.why.rstrip('.')}."
+        return f"No copy can start with the present stock of the bench: {copies.why.rstrip('.')}."
     noun = "copy" if copies.copies == 1 else "copies"
-    return f"{copies.copies} {noun} may be under way at once; one more would wait: {copies.why.rstrip('.')}."
+    return f"{copies.copies} {noun} can be active at once; one more would wait: {copies.why.rstrip('.')}."

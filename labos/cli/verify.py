@@ -49,12 +49,12 @@ from labos.store import (
 )
 
 CAVEAT = (
-    "A chain alone cannot show that its tail was cut off or that all of it was written anew: keep a "
-    "checkpoint elsewhere (--checkpoint FILE) and compare with it."
+    "The chain of hashes alone does not show that the end was cut off or that the whole log was rewritten: "
+    "keep a checkpoint elsewhere (--checkpoint FILE) and compare with it."
 )
 
 
-@click.command("verify", short_help="Check the log, its snapshot and its blobs; name the first bad position.")
+@click.command("verify", short_help="Check the log's chain of hashes.")
 @click.option(
     "--checkpoint",
     "file",
@@ -64,7 +64,9 @@ CAVEAT = (
 )
 @click.option("--export", is_flag=True, help="Write a new checkpoint if the log agrees with the old one.")
 @click.option(
-    "--journals", is_flag=True, help="Check the journals of this home's nodes, and whether they know more."
+    "--journals",
+    is_flag=True,
+    help="Check the journals of this home's nodes, and whether they know actions that the log lacks.",
 )
 @click.option(
     "--backup",
@@ -76,7 +78,7 @@ CAVEAT = (
 @click.option(
     "--detached",
     is_flag=True,
-    help="With --backup: the segments before the first one that is there are kept elsewhere.",
+    help="With --backup: the first segments are missing because they are kept elsewhere.",
 )
 @click.option(
     "--bundle",
@@ -89,14 +91,14 @@ CAVEAT = (
     "public_keys",
     multiple=True,
     metavar="KEY|FILE",
-    help="Whose signatures count (the keys of the lab's folder). May be repeated.",
+    help="Accept signatures of this public key (default: keys in the lab's folder). May be repeated.",
 )
 @click.option(
     "--witness-key",
     "witness_keys",
     multiple=True,
     metavar="KEY|FILE",
-    help="With --bundle: this witness must have cosigned.",
+    help="With --bundle: require a cosignature of this witness.",
 )
 @click.option(
     "--tsa",
@@ -123,39 +125,40 @@ def command(
     key_file: Path | None,
     as_json: bool,
 ) -> None:
-    """Check every record of the log against the chain of hashes, and the data beside the log: the snapshot
-    (its seal, and whether the log folds to it), how far the log once reached, each blob that the log names,
-    and the records of simulated benches. Reports what was checked in each. Exit code 1 if anything is wrong.
+    """Check every record of the log against the chain of hashes. Check also the data beside the log: the
+    snapshot (its seal, and whether a replay of the log gives the same state), the recorded end of the log,
+    each blob that the log names, and the records of simulated benches. The command reports what it checked.
+    Exit code 1 if anything is wrong.
 
     \b
-    labos verify                               all of that
-    labos verify --checkpoint /safe/lab.json   the first time: note where the log ends;
-                                               later: also that nothing up to there has changed
-    labos verify --checkpoint F --export       compare, then note the new end
+    labos verify                               all of these
+    labos verify --checkpoint /safe/lab.json   the first time: save the end of the log;
+                                               later: check that nothing before it has changed
+    labos verify --checkpoint F --export       compare, then save the new end
     labos verify --checkpoint F --key K        seal it, or check its seal
-    labos verify --journals                    also the nodes' journals, and what they know beyond the log
+    labos verify --journals                    also the nodes' journals, and actions that the log lacks
     labos verify --backup /safe/lab            a backup, without any database
     labos verify --backup /safe/lab --archive /archive/lab   with the segments that were moved there
-    labos verify --backup /safe/lab --detached   its later segments, without those before
-    labos verify --checkpoint /safe/checkpoints   signed ones, of labos checkpoint
+    labos verify --backup /safe/lab --detached   its later segments, without the earlier ones
+    labos verify --checkpoint /safe/checkpoints   signed checkpoints of labos checkpoint
     labos verify --bundle R7.zip --public-key lab.pub   a run, offline
 
-    Keep checkpoints where nobody who can write to the database can write: a chain alone does not show that
-    its tail was cut off.
+    Keep checkpoints in a place without write access for users of the database. The chain of hashes alone
+    does not show that the end of the log was cut off.
     """
     if export and file is None:
         raise click.UsageError("--export needs --checkpoint FILE.")
     if detached and folder is None:
         raise click.UsageError("--detached needs --backup FOLDER.")
     if archive is not None and (folder is None or detached):
-        raise click.UsageError("--archive goes with --backup FOLDER, and without --detached.")
+        raise click.UsageError("--archive needs --backup FOLDER, and cannot be combined with --detached.")
     if bundle is not None:
         verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa), as_json)
         return
     key = key_of(key_file) if key_file else b""
     signed = file if file is not None and is_signed(file) else None
     if signed is not None and export:
-        raise click.UsageError(f"{signed} is signed: labos checkpoint makes the next one, not --export.")
+        raise click.UsageError(f"{signed} is signed: use labos checkpoint for the next one, not --export.")
     if folder is not None:
         if detached:
             _verify_detached(folder, key, as_json)
@@ -221,9 +224,9 @@ def command(
         for other in more[1:]:
             click.echo(f"{other.journal} knows {other.knows}.")
         if nodes and not fault:
-            click.echo(f"The journals of {len(nodes)} nodes know nothing more.")
+            click.echo(f"The journals of {len(nodes)} nodes contain nothing that the log lacks.")
         if not journals:
-            click.echo("The nodes' journals were not looked at (--journals).")
+            click.echo("The nodes' journals were not checked (--journals).")
     if not whole:
         click.get_current_context().exit(1)
 
@@ -261,7 +264,7 @@ def _other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
 
 
 def _describe_log(fault: str, end: Checkpoint) -> str:
-    return fault or f"{end.position} records, each follows from the one before."
+    return fault or f"{end.position} records in an unbroken chain."
 
 
 def _tell(
@@ -269,9 +272,9 @@ def _tell(
 ) -> None:
     if fault:
         click.echo(f"The log is damaged. {fault}" if fault.startswith("Position") else fault)
-        click.echo("Keep this log as it is, and restore one from a backup.")
+        click.echo("Do not change this log. Restore a backup.")
     else:
-        click.echo(f"The log is whole: {end.position} records, each follows from the one before.")
+        click.echo(f"The log is intact: {end.position} records in an unbroken chain.")
     click.echo(f"Lab {end.lab}, head position {end.position}, head hash {end.hash}, last event {end.time}")
     if seen is not None and not fault:
         click.echo(f"It agrees with the checkpoint of {seen.time} at position {seen.position}.")
@@ -298,10 +301,10 @@ def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool
         return
     end = iso_time(found.segments[-1].recorded_at)
     click.echo(
-        f"The backup is whole: {found.position} records in {len(found.segments)} segments, "
-        f"{len(found.blobs)} blobs, every seal good."
+        f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
+        f"{len(found.blobs)} blobs, all seals valid."
         if key
-        else f"The backup is whole: {found.position} records in {len(found.segments)} segments, "
+        else f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
         f"{len(found.blobs)} blobs."
     )
     click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
@@ -324,9 +327,9 @@ def _count_accounts(people: AccountsCopy | None) -> dict[str, int] | None:
 
 def _tell_accounts(people: AccountsCopy | None) -> None:
     if people is None:
-        click.echo("It holds no accounts: who may sign in is not in it.")
+        click.echo("It contains no accounts of users.")
     else:
-        click.echo(f"The accounts of {people.users} users are whole, as of {iso_time(people.copied_at)}.")
+        click.echo(f"The accounts of {people.users} users are intact, as of {iso_time(people.copied_at)}.")
 
 
 def _tell_damage(error: LogDamaged, as_json: bool) -> NoReturn:
@@ -347,22 +350,22 @@ def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
         show_json({"whole": True, "detached": found, "accounts": _count_accounts(people)})
         return
     first, last = found.segments[0], found.segments[-1]
-    seals = ", every seal good" if found.sealed else ""
-    absent = f" ({found.blobs_absent} are not here)" if found.blobs_absent else ""
+    seals = ", all seals valid" if found.sealed else ""
+    absent = f" ({found.blobs_absent} are elsewhere)" if found.blobs_absent else ""
     click.echo(
-        f"The backup is whole from position {first.first} on: {found.records} records in "
+        f"The backup is intact from position {first.first} on: {found.records} records in "
         f"{len(found.segments)} segments, {found.blobs} blobs{absent}{seals}."
     )
     if found.absent:
-        vouched = "the seal" if found.sealed else "the manifest, which nobody vouches for without a seal"
+        vouched = "the seal" if found.sealed else "the manifest, which is not protected without a seal"
         click.echo(
-            f"It rests on position {found.after} with the hash {found.before}, as says {vouched}. "
-            f"Not here: {', '.join(segment.file for segment in found.absent)}."
+            f"It continues position {found.after} with the hash {found.before}, according to {vouched}. "
+            f"Elsewhere: {', '.join(segment.file for segment in found.absent)}."
         )
     click.echo(
         f"Lab {found.lab}, position {last.last}, hash {last.hash}, last event {iso_time(last.recorded_at)}"
     )
-    click.echo("No state was folded: that begins at position 1, with all segments.")
+    click.echo("The state was not computed: this needs all segments from position 1 on.")
     _tell_accounts(people)
 
 

@@ -29,19 +29,19 @@ from labos.services.trust.witness import Witness
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("lab"),
     show_default=True,
-    help="The folder of this lab, with its witness key and what was seen (keys/, witness/).",
+    help="The folder of this lab, with its witness key and the checkpoints seen so far (keys/, witness/).",
     callback=folder_if_needed,
 )
 def command(labs: tuple[str, ...], host: str, port: int, home: Path) -> None:
-    """Cosign checkpoints of other labs until Ctrl-C (C2SP tlog-witness). Each is signed only if it
-    continues the one that was seen before: a lab that rewrites its log, or shows two of them, gets no more
-    signatures.
+    """Cosign checkpoints of other labs until Ctrl-C (C2SP tlog-witness). A checkpoint is signed only if it
+    continues the lab's previous one. If a lab rewrites its log, or presents two different logs, it gets no
+    more signatures.
 
     \b
     labos key create --witness --name chem.example.org/witness
     labos witness --public-key other-lab.pub --host 0.0.0.0
 
-    It commands nothing and needs no log. Put a proxy with TLS in front of it (deploy/tls).
+    A witness needs no log and controls no lab. Put a proxy with TLS in front of it (deploy/tls).
     """
     from labos.cli._lab import orderly
     from labos.http.witness import serve_witness

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.cli._complete import completes
 from labos.cli._group import Suggesting
-from labos.cli._options import find_user, home_option, json_option, user_option
+from labos.cli._options import Asker, asker_options
 from labos.spec import Finding
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
@@ -18,30 +18,28 @@ SIGNS = {"added": "+", "removed": "-", "changed": "~"}
 
 @click.group("workcell", cls=Suggesting)
 def command() -> None:
-    """Workcells of the running lab."""
+    """Manage workcells of the running lab."""
 
 
 @command.command("apply")
 @click.argument("file", shell_complete=completes("workcell file"))
-@click.option("--dry-run", is_flag=True, help="Only show what would change, and what is in the way.")
+@click.option("--dry-run", is_flag=True, help="Only show what would change, and what prevents it.")
 @click.option("--yes", is_flag=True, help="Do not ask first.")
-@json_option
-@user_option
-@home_option
-def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, home: str | None) -> None:
-    """Change a workcell of the running lab to what FILE says now.
+@asker_options
+def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
+    """Apply the present content of FILE to a workcell of the running lab.
 
-    Shows what is added (+), removed (-) and changed (~), labware types included. Nothing is removed
-    that holds labware, may hold some, is at work, or is needed by runs that are queued or under way:
-    what is in the way is named. Nodes of new modules are started where `labos up` starts the nodes, those of
-    removed ones end.
+    The command shows additions (+), removals (-) and changes (~), also of labware types. It refuses to
+    remove modules and stations that hold labware, may hold labware, are in use, or are needed by queued
+    or active runs, and names the obstacle. If `labos up` starts the nodes, nodes of new modules start
+    and nodes of removed modules end.
 
     \b
     labos workcell apply rpl.yaml --dry-run
     labos workcell apply rpl.yaml --yes
     """
     from labos.bootstrap import descriptions
-    from labos.cli._lab import need_lab, workcell_file
+    from labos.cli._lab import workcell_file
     from labos.cli._out import show_json
     from labos.spec.labware import labware_files
     from labos.spec.source import read
@@ -49,21 +47,19 @@ def apply(file: str, dry_run: bool, yes: bool, as_json: bool, user: str | None, 
 
     path = Path(workcell_file(file))
     text = path.read_text(encoding="utf-8-sig")
-    with need_lab(home) as client:
+    with asker.lab() as client:
         source = read(path, last_wins=True)
         labware, files = labware_files(source), table_files(source, descriptions())
-        found = client.apply_workcell(
-            text, str(path), find_user(user), dry_run=True, labware=labware, files=files
-        )
-        if not as_json:
+        found = client.apply_workcell(text, str(path), asker.user, dry_run=True, labware=labware, files=files)
+        if not asker.as_json:
             _show(found)
         if not dry_run and _changes(found):
-            if not (yes or as_json or found["blockers"]):
+            if not (yes or asker.as_json or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
-            found = client.apply_workcell(text, str(path), find_user(user), labware=labware, files=files)
-            if not as_json:
+            found = client.apply_workcell(text, str(path), asker.user, labware=labware, files=files)
+            if not asker.as_json:
                 click.echo(f"{found['workcell']} is changed.")
-    if as_json:
+    if asker.as_json:
         show_json(found)
 
 
@@ -86,7 +82,7 @@ def _show(found: dict[str, Any]) -> None:
     for finding in found["findings"]:
         click.echo(f"labos: {msgspec.convert(finding, Finding)}", err=True)
     lines = _changes(found)
-    for line in lines or [f"{found['workcell']} is as the file says."]:
+    for line in lines or [f"{found['workcell']} agrees with the file."]:
         click.echo(line)
     for blocker in found["blockers"]:
-        click.echo(f"In the way: {blocker}")
+        click.echo(f"Prevented by: {blocker}")

@@ -25,7 +25,7 @@ from labos.client._results import RunResult, StepResult
 from labos.client._transfers import TransferFailed, Transferred
 
 if TYPE_CHECKING:
-    from labos.client._generated.twin import AsyncExperiment, AsyncLabClient
+    from labos.client._twin import AsyncExperiment, AsyncLabClient
 
 __all__ = [
     "AsyncExperiment",
@@ -54,7 +54,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """The asynchronous client is imported with what it needs by those who use it."""
     if name in ("AsyncExperiment", "AsyncLabClient"):
-        from labos.client._generated import twin
+        from labos.client import _twin
 
-        return getattr(twin, name)
+        return getattr(_twin, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -32,7 +32,7 @@ class StepResult(msgspec.Struct, frozen=True):
 
 class RunResult(msgspec.Struct, frozen=True, dict=True):
     """A run as the log tells it. ``status``: queued, active, paused, cancelling, leaving,
-    completed, failed or cancelled."""
+    completed, failed or cancelled. It should be over when it is ``due_at``."""
 
     id: str
     workflow: str
@@ -44,6 +44,7 @@ class RunResult(msgspec.Struct, frozen=True, dict=True):
     started_at: int = 0
     ended_at: int = 0
     steps: list[StepResult] = []
+    due_at: int = 0
 
     @property
     def over(self) -> bool:

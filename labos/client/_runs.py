@@ -51,11 +51,14 @@ class RunCalls(GeneratedCalls):
         place: Sequence[Put] = (),
         request: str = "",
         propose: bool = False,
+        due: str = "",
     ) -> str:
         """Queue a run of a workflow file, of a packaged workflow, or of what ``workflow_text`` or
         ``step_text`` gave; returns its id. ``place`` are stations and the type of labware that was put
         there for it, with what it is (``{"sealed": True}``), recorded with the run or not at all. The same
-        ``request`` twice is one run. With ``propose`` it waits for an approval, whatever the policy says."""
+        ``request`` twice is one run. With ``propose`` it waits for an approval, whatever the policy says.
+        It should be over when it is ``due``: a time (``2026-11-27T08:00``, in the lab's zone if it names
+        none), or how long from now (``12h``)."""
         answer = self._submit_run(
             workflow_text(workflow, payload),
             user,
@@ -65,6 +68,7 @@ class RunCalls(GeneratedCalls):
             experiment=experiment,
             place=puts_of(place),
             propose=propose,
+            due=due,
             request=request,
         )
         self.warnings = [_remark(finding) for finding in answer.get("warnings", ())]

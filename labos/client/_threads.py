@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import contextvars
+import inspect
 import itertools
 import threading
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import AbstractContextManager, asynccontextmanager
-from typing import Any, ParamSpec, TypeVar, cast
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 from labos.client._answers import LabUnreachable
 from labos.client._calls import GIVEN_UP
@@ -60,24 +62,18 @@ class Threads:
                 yield item
 
     @asynccontextmanager
-    async def block(self, manager: AbstractContextManager[T]) -> AsyncIterator[T]:
-        """A block whose beginning and end are calls."""
+    async def block_of(
+        self, manager: AbstractContextManager[T], twin: Callable[[T, Threads], U]
+    ) -> AsyncIterator[U]:
+        """A block whose beginning and end are calls, with the twin of what it yields."""
         found = await self.wait(manager.__enter__)
         try:
-            yield found
+            yield twin(found, self)
         except BaseException as error:
             if not await self.wait(manager.__exit__, type(error), error, error.__traceback__):
                 raise
         else:
             await self.wait(manager.__exit__, None, None, None)
-
-    @asynccontextmanager
-    async def block_of(
-        self, manager: AbstractContextManager[T], twin: Callable[[T, Threads], U]
-    ) -> AsyncIterator[U]:
-        """The same, with the twin of what the block yields."""
-        async with self.block(manager) as found:
-            yield twin(found, self)
 
     async def _in_thread(self, work: Callable[[], T]) -> T:
         loop = asyncio.get_running_loop()
@@ -116,3 +112,60 @@ class Threads:
 def _next(iterator: Iterator[T]) -> list[T]:
     """The next item; an empty list if there is none."""
     return list(itertools.islice(iterator, 1))
+
+
+class Twin:
+    """What asks ``sync``, whose calls wait, in threads."""
+
+    sync: Any
+
+    def __init__(self, sync: Any, threads: Threads) -> None:
+        self.sync, self.threads = sync, threads
+
+
+Method = Callable[Concatenate[Any, P], T]
+AsyncMethod = Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]
+
+
+def ask(method: Method[P, T]) -> AsyncMethod[P, T]:
+    """The method of a twin that asks this one, which answers soon."""
+
+    @wraps(method)
+    async def work(twin: Twin, *args: P.args, **options: P.kwargs) -> T:
+        return await twin.threads.call(method, twin.sync, *args, **options)
+
+    return work
+
+
+def ask_and_wait(method: Method[P, T]) -> AsyncMethod[P, T]:
+    """The method of a twin that asks this one, which may wait."""
+
+    @wraps(method)
+    async def work(twin: Twin, *args: P.args, **options: P.kwargs) -> T:
+        return await twin.threads.wait(method, twin.sync, *args, **options)
+
+    return work
+
+
+def ask_in_turn(method: Method[P, T]) -> AsyncMethod[P, T]:
+    """The same of an experiment's method with a key: the order of calls is that in which they are made, not
+    in which threads begin."""
+    signature = inspect.signature(method)
+
+    @wraps(method)
+    async def work(twin: Twin, *args: P.args, **options: P.kwargs) -> T:
+        _, about, *_ = signature.bind(twin.sync, *args, **options).arguments.values()
+        key = twin.sync._take(method.__name__, about, options.get("key", ""))
+        return await twin.threads.wait(method, twin.sync, *args, **{**options, "key": key})
+
+    return work
+
+
+def ask_one_by_one(method: Method[P, Iterator[T]]) -> Callable[Concatenate[Any, P], AsyncIterator[T]]:
+    """The method of a twin that gives what this one does, each item as it comes."""
+
+    @wraps(method)
+    def work(twin: Twin, *args: P.args, **options: P.kwargs) -> AsyncIterator[T]:
+        return twin.threads.iterate(method(twin.sync, *args, **options))
+
+    return work

@@ -7,7 +7,9 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any
 
-from labos.core.actions import Action
+import msgspec
+
+from labos.core.actions import Action, ActionDiscovered, ActionRequested
 from labos.core.bench import Labware, Station
 from labos.core.campaigns import Campaign
 from labos.core.effects import arrivals, list_carried
@@ -36,57 +38,53 @@ def find_broken(state: LabState) -> str:
 def find_broken_by(state: LabState, events: Iterable[Event]) -> str:
     """The first invariant that does not hold around what these events speak of. Cheaper than
     ``broken``, and enough where everything held before."""
-    stations: dict[StationName, Station] = {}
-    labware: dict[LabwareId, Labware] = {}
-    modules: dict[ModuleName, Module] = {}
-    actions: dict[ActionId, Action] = {}
-    runs: dict[RunId, RunState] = {}
-    campaigns: dict[CampaignId, Campaign] = {}
     bench = state.bench
-    known: dict[str, tuple[dict[Any, Any], dict[Any, Any]]] = {
-        "module": (state.modules.by_name, modules),
-        "run": (state.runs.active, runs),
-        "labware": (bench.labware, labware),
-        "action": (state.actions.open, actions),
-        "station": (bench.stations, stations),
-        "campaign": (state.campaigns.open, campaigns),
+    known: dict[str, dict[Any, Any]] = {
+        "station": bench.stations,
+        "labware": bench.labware,
+        "module": state.modules.by_name,
+        "action": state.actions.open,
+        "run": state.runs.active,
+        "campaign": state.campaigns.open,
     }
+    found: dict[str, dict[Any, Any]] = {kind: {} for kind in known}
+    places: list[StationName] = []
     for event in events:
-        for field, what in _subjects(type(event)):
-            value = getattr(event, field)
-            if isinstance(value, str):
-                _pick(value, *known[what])
-            elif field == "effects":
-                for place in arrivals(value or ()):
-                    _pick(place, bench.stations, stations)
-    for item in labware.values():
-        _pick(item.station, bench.stations, stations)
+        for field, kind in _subjects(type(event)):
+            name = getattr(event, field)
+            if name in known[kind]:
+                found[kind][name] = known[kind][name]
+        if isinstance(event, ActionRequested | ActionDiscovered):
+            places += arrivals(event.effects or ())
+    places += [item.station for item in found["labware"].values()]
+    found["station"] |= {place: bench.stations[place] for place in places if place in bench.stations}
     return (
-        _stations(state, stations)
-        or _labware(state, labware)
-        or _modules(state, modules)
-        or _actions(state, actions)
-        or _runs(state, runs)
-        or _campaigns(campaigns)
+        _stations(state, found["station"])
+        or _labware(state, found["labware"])
+        or _modules(state, found["module"])
+        or _actions(state, found["action"])
+        or _runs(state, found["run"])
+        or _campaigns(found["campaign"])
     )
 
 
-_PLACES = ("station", "source", "target", "via", "stack", "where", "effects")
+_KINDS = {
+    "module": "module",
+    "run": "run",
+    "labware": "labware",
+    "on": "labware",
+    "action": "action",
+    "campaign": "campaign",
+    **dict.fromkeys(("station", "source", "target", "via", "stack", "where"), "station"),
+}
+"""What the fields of events name that has invariants."""
 
 
 @cache
-def _subjects(kind: type[Event]) -> tuple[tuple[str, str], ...]:
+def _subjects(kind: type[Event]) -> list[tuple[str, str]]:
     """The fields of an event that name something with invariants, and what they name."""
-    subjects = {"module": "module", "run": "run", "labware": "labware", "on": "labware", "action": "action"}
-    subjects["campaign"] = "campaign"
-    subjects.update(dict.fromkeys(_PLACES, "station"))
-    return tuple((field, subjects[field]) for field in kind.__struct_fields__ if field in subjects)
-
-
-def _pick(name: Any, known: dict[Any, Any], into: dict[Any, Any]) -> None:
-    found = known.get(name)
-    if found is not None:
-        into[name] = found
+    names = [f.name for f in msgspec.structs.fields(kind) if getattr(f.type, "__supertype__", f.type) is str]
+    return [(name, _KINDS[name]) for name in names if name in _KINDS]
 
 
 def _stations(state: LabState, stations: Mapping[StationName, Station]) -> str:

@@ -159,13 +159,12 @@ def ends_by(state: LabState, action: Action) -> int | None:
 def find_give_up_time(state: LabState, action: Action) -> int | None:
     """When to give up waiting for the node that carries an action out (UTC ns): once it has been gone for
     ``NODE_AWAY_S``. None if it is there, or somebody else knows how the action ended."""
-    if (
-        action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN)
-        or state.interventions.about(action.id) is not None
-    ):
-        return None
     module = state.modules.by_name[action.module]
     if module.status != ModuleStatus.GONE or not module.gone_at or module.person:
+        return None
+    if action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN):
+        return None
+    if state.interventions.about(action.id) is not None:
         return None
     return module.gone_at + int(NODE_AWAY_S * 1e9)
 

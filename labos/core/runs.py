@@ -77,7 +77,7 @@ class RunSubmitted(RunEvent, frozen=True):
     stream its plan stands (empty: in its own). It may be the ``row`` of a ``campaign``, counted from 0;
     ``reads`` are then the steps whose results the campaign's stop rule reads: their index by key.
     ``choices`` are all its plans, ``plan`` being the first, if a step may be done by one of several modules:
-    which of them it is says ``run.bound``."""
+    which of them it is says ``run.bound``. ``due_at`` is when it should be over (UTC ns, 0: no such time)."""
 
     plan: str
     workflow: str
@@ -94,6 +94,7 @@ class RunSubmitted(RunEvent, frozen=True):
     row: int | None = None
     reads: dict[str, int] = {}
     choices: tuple[str, ...] = ()
+    due_at: int = 0
 
 
 @event("run.bound")
@@ -201,7 +202,7 @@ class RunState(msgspec.Struct):
     be missing (``statuses_of``). ``asked`` is whether a person was told that it does not begin;
     ``unapproved`` while it waits for a second person, ``held`` while it waits for an approval. ``choices``
     are the plans that it has to choose from, if there are several; ``plan`` is the one that counts, or the
-    first while it waits."""
+    first while it waits. ``due_at`` is when it should be over (UTC ns, 0: no such time)."""
 
     id: RunId
     plan: str
@@ -224,6 +225,7 @@ class RunState(msgspec.Struct):
     unapproved: bool = False
     held: bool = False
     choices: tuple[str, ...] = ()
+    due_at: int = 0
 
     @property
     def has_started(self) -> bool:
@@ -351,7 +353,7 @@ def modules_chosen(runs: Runs, run: RunState) -> dict[str, ModuleName]:
 
 def queue_key(shape: str, run: RunState) -> str:
     """Runs with one key differ in nothing that decides whether they may start, but their age."""
-    state = (find_holds(run), *clocks_of(run))
+    state = (find_holds(run), *clocks_of(run), *([f"due {run.due_at}"] if run.due_at else []))
     return f"{run.priority}\x1f{shape}\x1f{run.user}\x1f{run.experiment}\x1f{run.campaign}\x1f{state}"
 
 
@@ -400,6 +402,7 @@ def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) 
         campaign=event.campaign,
         unapproved=any(runs.plans[one].dangers for one in event.choices or (event.plan,)),
         choices=event.choices,
+        due_at=event.due_at,
     )
     runs.queued[event.run] = run
     if event.anchors:

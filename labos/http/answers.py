@@ -56,7 +56,7 @@ class EventPage(msgspec.Struct, frozen=True):
 class RunDetail(msgspec.Struct, frozen=True):
     """A run as the log tells it, with its steps; times in UTC nanoseconds, 0 if not yet. ``status``: queued,
     active, paused, cancelling, leaving, completed, failed or cancelled. ``busy`` are the times (from, to) in
-    which some action of it was in flight."""
+    which some action of it was in flight. It should be over when it is ``due_at``."""
 
     id: str
     workflow: str
@@ -73,6 +73,7 @@ class RunDetail(msgspec.Struct, frozen=True):
     closing: bool
     campaign: str
     busy: list[tuple[int, int]]
+    due_at: int
 
     @classmethod
     def make(cls, story: RunHistory) -> RunDetail:

@@ -61,6 +61,9 @@ class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         says("labware that was put on the bench for it; recorded with the run, or not at all"),
     ] = []
     propose: Annotated[bool, WAITS] = False
+    due: Annotated[
+        Line, says("when it should be over: a time, or how long from now (`12h`); empty: never")
+    ] = ""
 
 
 class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):

@@ -165,9 +165,10 @@ class Shape(msgspec.Struct, frozen=True, dict=True):
 
 
 class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """``client`` says how the method of the client is called. ``problems`` are the codes of what may go wrong
-    besides what may with each request; ``example`` is a body, ``example_answer`` what is answered. ``answer``
-    is for handlers that return a whole ``Response``; ``media`` are the content types of the answer.
+    """``route`` is the method and the path: ``GET /runs/{run}``. ``client`` says how the method of the client
+    is called. ``tag`` is the heading under which it is described. ``problems`` are the codes of what may go
+    wrong besides what may with each request; ``example`` is a body, ``example_answer`` what is answered.
+    ``answer`` is for handlers that return a whole ``Response``; ``media`` are its content types.
     ``headers`` are those that it reads of its own. ``logs_key``: the log bears the idempotency key, so that a
     repetition is known after a restart, too. ``needs`` is the least role of the user who asks, ``nobody`` for
     what somebody asks who has not signed in yet; ``by_home``: the owner of the lab's folder may do it;
@@ -175,13 +176,12 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     repetition. ``at_kernel``: only the kernel's process can answer. ``recall`` tells from the events of a
     request what was answered, where the handler cannot be asked once more."""
 
-    method: Literal["GET", "POST"]
-    path: str
+    route: str
     handler: Callable[..., Awaitable[Any]]
     client: Method
     summary: str
-    tag: str
     needs: Need | Literal["nobody"]
+    tag: str = ""
     by_home: bool = False
     by_link: bool = False
     secret: bool = False
@@ -201,6 +201,15 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     @property
     def id(self) -> str:
         return str(typing.cast(Any, self.handler).__name__)
+
+    @property
+    def method(self) -> str:
+        """GET or POST."""
+        return self.route.partition(" ")[0]
+
+    @property
+    def path(self) -> str:
+        return self.route.partition(" ")[2]
 
     @cached_property
     def shape(self) -> Shape:
@@ -274,6 +283,11 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
                 request, api.arriving, shape.body, self.largest_body, asker=asker
             )
         return told
+
+
+def declare(tag: str, *operations: Operation) -> tuple[Operation, ...]:
+    """These operations under one heading."""
+    return tuple(msgspec.structs.replace(operation, tag=tag) for operation in operations)
 
 
 def respond(operation: Operation, found: Any) -> Response:

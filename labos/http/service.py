@@ -60,6 +60,7 @@ from labos.runtime.marks import Marks
 from labos.runtime.stop import EVERYTHING, StopReport, resolve_target, stop_modules
 from labos.services.interventions import describe_answer
 from labos.services.runs import RunHistory, run_history
+from labos.services.times import parse_due
 from labos.spec import (
     BenchFile,
     Compiled,
@@ -280,10 +281,11 @@ class LabService:
         place: Sequence[Placing] = (),
         request: str = "",
         propose: bool = False,
+        due: str = "",
     ) -> tuple[str, tuple[Finding, ...]]:
         """Queue a run of ``user``, who asks; returns its id and the workflow's warnings. The same ``request``
         twice is one run; Refused if what is asked differs. What was put in ``place`` for it is recorded with
-        it, or not at all. With ``propose`` it waits for an approval."""
+        it, or not at all. With ``propose`` it waits for an approval; it should be over when it is ``due``."""
         self.expect_role(user, "submitter")  # before anything is kept of it
         self._expect_own(experiment, user)
         files = await asyncio.to_thread(_digests, workflow.files)
@@ -297,12 +299,14 @@ class LabService:
             experiment,
             *([place] if place else []),
             *(["propose"] if propose else []),
+            *([f"due {due}"] if due else []),
         )
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
             await self.kernel.flush()
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
             return str(known), ()
+        due_at = parse_due(due, self.kernel.clock.now_ns())
         workcell = await self.workcell_for(workflow, workcell)
         loads = loads_of(self, place, workcell, user)
         compiled = await self.compile(workflow, payload, workcell, loads)
@@ -316,6 +320,7 @@ class LabService:
             request,
             propose,
             compiled.others,
+            due_at=due_at,
         )
         command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
         events = await self.kernel.execute(command, user)

@@ -21,6 +21,7 @@ from labos.core.state import LabState
 from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.http.lab_kernel import LabKernel
+from labos.planning.due import find_time_left
 from labos.planning.obstacle import explain_wait
 from labos.services.interventions import whereabouts
 
@@ -177,7 +178,9 @@ class WaitView(msgspec.Struct, frozen=True):
 class RunView(msgspec.Struct, frozen=True):
     """A run that is alive: how far it is, what it does, and why it does not go on. ``modules`` are those of
     which one does a step, by the step's key, where its workflow leaves a choice: once the run is let in, the
-    one that it has chosen."""
+    one that it has chosen. It should be over when it is ``due_at`` (0: no such time); ``late_by_s`` is by how
+    much it would be late if nothing were in its way from now on: negative if it has time to spare, null if
+    it is not due."""
 
     id: str
     workflow: str
@@ -195,6 +198,8 @@ class RunView(msgspec.Struct, frozen=True):
     doing: list[StepView]
     waits: list[WaitView]
     modules: dict[str, list[str]] = {}
+    due_at: int = 0
+    late_by_s: float | None = None
 
 
 class QuestionView(msgspec.Struct, frozen=True):
@@ -418,6 +423,8 @@ def run_view(
         ],
         waits=waits_view(kernel, run, now) if waits else [],
         modules={key: list(map(local, names)) for key, names in modules_open(state.runs, run).items()},
+        due_at=run.due_at,
+        late_by_s=round((now + find_time_left(state, run) - run.due_at) / 1e9, 1) if run.due_at else None,
     )
 
 

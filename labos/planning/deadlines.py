@@ -5,7 +5,7 @@ Kept in order of time, and worked out anew only for what an event has touched.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from labos.core.decide import Command
 from labos.core.decide.experiments import AskAboutClosing
@@ -20,12 +20,11 @@ from labos.core.state import LabState
 from labos.planning.alarms import Alarms
 from labos.planning.booked import BookingTimes
 from labos.planning.forecast import is_pending
-from labos.planning.touch import EVERYTHING
+from labos.planning.touch import BEGUN, DUE, EVERYTHING, OVER, RUN, WINDOW, Touched
 
 
 class Deadlines:
-    """The deadlines of one state, which only moves forward; ``note_changes`` is told the keys of each
-    event."""
+    """The deadlines of one state, which only moves forward; ``note_changes`` is told what events touch."""
 
     def __init__(self) -> None:
         self._windows: Alarms[RunId] = Alarms()
@@ -35,26 +34,26 @@ class Deadlines:
         self._bookings = BookingTimes()
         self._filled = False
 
-    def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
-        """Recompute the deadlines that these keys concern."""
-        keys = list(keys)
-        if not self._filled or EVERYTHING in keys:
+    def note_changes(self, state: LabState, touched: Touched) -> None:
+        """Recompute the deadlines of what has been touched."""
+        if not self._filled or touched.whole:
             self._fill(state)
             return
-        for key in keys:
-            kind, _, name = key.partition(":")
-            if key.startswith(EVERYTHING):
-                self._note_cell(state, key[len(EVERYTHING) :])
-            elif kind in ("run", "window", "over"):
-                self._note_windows(state, RunId(name))
-                self._note_closing(state, RunId(name))
-            if kind in ("due", "begun", "over"):
-                self._note_action(state, ActionId(name))
-                self._note_question(state, InterventionId(name))
+        for kind, names in touched.named.items():
+            for name in names:
+                if kind == EVERYTHING:
+                    self._note_cell(state, name)
+                if kind in (RUN, WINDOW, OVER):
+                    self._note_windows(state, RunId(name))
+                    self._note_closing(state, RunId(name))
+                if kind in (DUE, BEGUN, OVER):
+                    self._note_action(state, ActionId(name))
+                    self._note_question(state, InterventionId(name))
 
     def due(self, state: LabState, now: int) -> Iterator[Command]:
         """What the time that has come asks for."""
-        self._make_sure(state)
+        if not self._filled:
+            self._fill(state)
         for run in self._windows.due(now):
             for step, window, deadline in list(_windows(state, run)):
                 if now > deadline:
@@ -76,7 +75,8 @@ class Deadlines:
 
     def first(self, state: LabState) -> int | None:
         """The earliest time that is still to come, or has come and nothing followed (UTC ns)."""
-        self._make_sure(state)
+        if not self._filled:
+            self._fill(state)
         while (at := self._actions.first()) is not None:
             # What an action is allowed may have become more since: its device has answered.
             action = self._actions.due(at)[0]
@@ -89,10 +89,6 @@ class Deadlines:
         return min((time for time in times if time is not None), default=None)
 
     # -- working out -------------------------------------------------------------------------
-
-    def _make_sure(self, state: LabState) -> None:
-        if not self._filled:
-            self._fill(state)
 
     def _fill(self, state: LabState) -> None:
         self._filled = True

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from labos.core.ids import ModuleName, Owner, StationName
-from labos.planning.paths import ClosingStep, Motion
+from labos.planning.paths import ClosingStep, Motion, MotionStep, Orders
 
 OTHERS = "others"
 """Holder of what belongs to no actor."""
@@ -27,7 +27,8 @@ class Actor(msgspec.Struct):
     reach its end whatever the others do (paused, needs a dead module, has uncertain labware).
     ``parks``: its experiment is open; only its application knows when it closes. Behind its ``motions``
     the way may fork (``forks``); ``done`` counts the motions, and the forks as one. ``kept``: what must stay
-    free for what it has in flight, as that may fail."""
+    free for what it has in flight, as that may fail. Its motions stand in one order; if there are others
+    (``orders``), it may be given one of them. ``over`` are then the steps that it has begun."""
 
     name: str
     owners: tuple[Owner, ...]
@@ -39,11 +40,19 @@ class Actor(msgspec.Struct):
     parks: bool = False
     forks: tuple[Branch, ...] = ()
     kept: tuple[Motion, ...] = ()
+    orders: Orders | None = None
+    over: frozenset[int] = frozenset()
 
     @property
     def length(self) -> int:
         """What it has to do before it is at its end."""
         return len(self.motions) + bool(self.forks)
+
+    def begin(self, step: MotionStep) -> None:
+        """It has begun a step: what is left is the rest."""
+        self.motions = tuple(motion for motion in self.motions if motion.step != step)
+        if isinstance(step, int):
+            self.over |= {step}
 
 
 Loans = tuple[tuple[StationName, Owner], ...]

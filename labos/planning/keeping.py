@@ -98,13 +98,12 @@ class Windows:
         self._at_rest: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
         self._put_off: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
 
-    def is_due(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> bool:
-        """Whether the plan that keeps the windows has the step start now."""
+    def begins_at(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> int:
+        """When the plan that keeps the windows has the step start (UTC ns); FAR if it does not."""
         cell = state.runs.plan_of(run).workcell
         if not state.runs.windowed_in.get(cell):
-            return False
-        plan = self._plan(state, cell, now, safety)
-        return plan.outcome.starts.get((str(run.id), step), FAR) <= now
+            return FAR
+        return self._plan(state, cell, now, safety).outcome.starts.get((str(run.id), step), FAR)
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """What a start has to wait for so that windows can be kept; None if it may go ahead."""

@@ -34,7 +34,9 @@ class ExpectedRun(msgspec.Struct, frozen=True):
     """What is expected of a run. ``starts`` is when it started if it has; null: not in sight.
     ``starts_alone`` and ``ends_alone`` are what is expected if nobody submits anything more. ``waits`` is why
     it does not come to its end without a person; ``modules`` those that it is expected to choose, by the
-    steps' keys."""
+    steps' keys. It should be over when it is ``due_at`` (UTC ns, 0: no such time); ``late_by_s`` is by how
+    much it is expected to be late, in seconds of wall time: negative if it has time to spare; null if it is
+    not due, or its end is not in sight."""
 
     run: str
     workflow: str
@@ -46,6 +48,8 @@ class ExpectedRun(msgspec.Struct, frozen=True):
     ends_alone: TimeRange | None = None
     waits: str = ""
     modules: dict[str, str] = {}
+    due_at: int = 0
+    late_by_s: float | None = None
 
 
 class ExpectedCampaign(msgspec.Struct, frozen=True):
@@ -158,6 +162,7 @@ class _Forecaster:
         self.request, self.base = request, base
         self.workflows: dict[RunId, str] = {}
         self.ages: dict[RunId, int] = {}
+        self.due: dict[RunId, int] = {}
         self.campaigns: dict[CampaignId, tuple[str, int]] = {}
         self.new, self.refusal = "", ""
 
@@ -187,6 +192,7 @@ class _Forecaster:
         for run in [*state.runs.active.values(), *state.runs.queued.values()]:
             self.workflows[run.id] = run.workflow
             self.ages[run.id] = max(0, asked.now - run.submitted_at)
+            self.due[run.id] = run.due_at
         return lab.go_on()
 
     def expect(
@@ -220,6 +226,7 @@ def _run(forecaster: _Forecaster, play: Play, name: RunId) -> ExpectedRun:
     age = forecaster.ages.get(name, 0)
     starts, starts_alone = forecaster.expect("starts", play.starts.get(name), age)
     ends, ends_alone = forecaster.expect("ends", play.ends.get(name), age)
+    due_at = forecaster.due.get(name, 0)
     return ExpectedRun(
         run=str(name),
         workflow=forecaster.workflows.get(name, ""),
@@ -231,6 +238,8 @@ def _run(forecaster: _Forecaster, play: Play, name: RunId) -> ExpectedRun:
         ends_alone=ends_alone,
         waits=play.failed.get(name, "") or ("" if ends is not None else play.stays.get(name, "")),
         modules=play.modules.get(name, {}),
+        due_at=due_at,
+        late_by_s=(ends.expected_at - due_at) / 1e9 if due_at and ends is not None else None,
     )
 
 

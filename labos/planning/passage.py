@@ -83,6 +83,7 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
         if window.within_s is not None and window.anchor is not None
         if is_pending(run, window.anchor) and (actor.name, window.anchor) not in begun
     ]
+    spans = _chained(spans)
     steps = [motion.step for motion in actor.motions]
     return [
         max((last for first, last in spans if first <= here and there <= last), default=0)
@@ -90,6 +91,18 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
         else 0
         for here, there in zip(steps, [*steps[1:], END], strict=True)
     ]
+
+
+def _chained(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Windows of which each starts with the step that the one before it ends with, as one."""
+    found: list[tuple[int, int]] = []
+    for first, last in sorted(spans):
+        before = next((number for number, span in enumerate(found) if span[1] == first), None)
+        if before is None:
+            found.append((first, last))
+        else:
+            found[before] = (found[before][0], last)
+    return found
 
 
 def _come_to_ends(floor: Floor, actors: Sequence[Actor], ties: Mapping[str, Sequence[int]]) -> bool:
@@ -157,5 +170,5 @@ def _carry_out(floor: Floor, mover: Actor, step: int) -> bool:
         if not may_move(floor, mover, motion):
             return False
         move(floor, mover, motion)
-    mover.motions = tuple(motion for motion in mover.motions if motion.step != step)
+    mover.begin(step)
     return True

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from functools import cache
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
@@ -34,6 +35,10 @@ END: Final = "end"
 
 FORKED: Final = "forked"
 """In place of a step's index in a witness: all that follows an actor's first fork."""
+
+
+MOST_ORDERS = 500
+"""So many orders of one plan are kept with their motions."""
 
 
 class ClosingStep(NamedTuple):
@@ -151,15 +156,41 @@ def _stands(effects: Sequence[Carrying]) -> tuple[StationName, ...]:
     return tuple(needed.elements())
 
 
+class Orders(msgspec.Struct, frozen=True):
+    """A plan whose steps may be done in more orders than one, and what says how the motions of each of them
+    are: see ``path_of``. ``steps`` are those of its one way, as they are written; ``behind`` says which of
+    them have to be done before each."""
+
+    plan: Plan
+    steps: tuple[int, ...]
+    behind: Mapping[int, frozenset[int]]
+    claims: Mapping[StationName, str]
+    rests: Mapping[ModuleName, Values]
+    nests: Mapping[ModuleName, tuple[StationName, ...]]
+    known: dict[tuple[int, ...], tuple[Motion, ...]] = {}
+
+    def motions(self, order: tuple[int, ...]) -> tuple[Motion, ...]:
+        """What these steps do to the bench in this order, and the run's end."""
+        found = self.known.get(order)
+        if found is None:
+            if len(self.known) >= MOST_ORDERS:
+                self.known.clear()
+            found = motions_of_steps(self.plan, order, self.claims, self.rests, self.nests)
+            self.known[order] = found
+        return found
+
+
 class Path(msgspec.Struct, frozen=True):
     """A plan's motions in an order that its ``after`` relations allow, if nothing of it fails; the modules
     that it needs from each step on (to know whether a dead one still matters); the steps of the motions that
-    change anything; and, if it may go more ways than one, the motions on each of them."""
+    change anything; if it may go more ways than one, the motions on each of them; and its ``orders``, if it
+    goes one way, but in more orders than one."""
 
     motions: tuple[Motion, ...]
     modules: tuple[tuple[int, ModuleName], ...]
     changing: frozenset[MotionStep] = frozenset()
     ways: tuple[tuple[Way, tuple[Motion, ...]], ...] = ()
+    orders: Orders | None = None
 
 
 def path_of(
@@ -174,7 +205,22 @@ def path_of(
     found = [(way, motions_of_steps(plan, way.steps, claims, rests, nests)) for way in ways(plan)]
     modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
     changing = frozenset(motion.step for motion in found[0][1] if motion.changes_anything)
-    return Path(found[0][1], modules, changing, tuple(found) if len(found) > 1 else ())
+    if len(found) > 1:
+        return Path(found[0][1], modules, changing, tuple(found))
+    steps = found[0][0].steps
+    behind = _find_behind(plan, steps)
+    if all(before in behind[index] for before, index in pairwise(steps)):
+        return Path(found[0][1], modules, changing)
+    return Path(found[0][1], modules, changing, orders=Orders(plan, steps, behind, claims, rests, nests))
+
+
+def _find_behind(plan: Plan, order: Sequence[int]) -> dict[int, frozenset[int]]:
+    """For each of these steps all that have to be done before it."""
+    found: dict[int, frozenset[int]] = {}
+    for index in order:
+        after = [before for before in plan.steps[index].after if before in found]
+        found[index] = frozenset(after).union(*(found[before] for before in after))
+    return found
 
 
 class RunOnBench(msgspec.Struct):

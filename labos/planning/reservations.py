@@ -42,6 +42,7 @@ from labos.planning.forecast import (
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.keeping import CALM_S, Windows
 from labos.planning.layout import is_down
+from labos.planning.player import FAR
 from labos.planning.safety import Safety
 from labos.planning.touch import cell_key, window_key
 
@@ -121,13 +122,16 @@ class Reservations:
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """The wait of a start for what is reserved for others; None if it may go ahead. The rules must allow
         it."""
-        if self.windows.is_due(state, run, step, now, safety):
+        planned = self.windows.begins_at(state, run, step, now, safety)
+        if planned <= now:
             return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)
         wait = self._in_the_way(state, run, step, now, safety, reservations) if reservations else None
         wait = wait or self._not_in_time(state, run, step, now, safety, reservations)
         wait = wait or self.windows.check_start(state, run, step, now, safety)
         self.refusals += wait is not None
+        if wait is not None and planned < FAR and (wait.until is None or planned < wait.until):
+            return msgspec.structs.replace(wait, until=planned)  # that time comes without an event
         return wait
 
     # -- runs that a start would be in the way of ----------------------------------------------

@@ -43,6 +43,7 @@ from labos.planning.forks import find_branches, find_kept, motions_of
 from labos.planning.layout import find_standing, is_down, keep_after_failure, lay_out
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
+from labos.planning.orders import put_in_order
 from labos.planning.paths import FORKED, ClosingStep, Motion, Path, path_of
 from labos.planning.stuck import find_block, reaches_into
 from labos.planning.witness import Trail, Witness, copy, fresh, greedy, holds, in_order, interleave, replay
@@ -232,7 +233,7 @@ class Safety:
                 if order is not None:
                     return LastResult(_find_stuck(actors), order, frozenset(to_end))
         else:
-            mover.motions = tuple(m for m in mover.motions if m.step != step)
+            mover.begin(step)
         witness, ends = self.find(floor, actors, to_end)
         lost = sorted(to_end - ends)
         return lost or LastResult(_find_stuck(actors), witness, frozenset(ends))
@@ -244,6 +245,7 @@ class Safety:
         stuck = _find_stuck(actors)
         known = self._known.get(view)
         if known is not None:
+            _put_in_order(actors, known.witness)
             known = _with_passers(known, actors)
         if known is not None and known.stuck == stuck and known.ends >= names - stuck:
             # Steps that changed nothing were done without asking.
@@ -332,6 +334,8 @@ class Safety:
             parks=bool(behind) and experiment is not None and experiment.status == ExperimentStatus.OPEN,
             forks=forks,
             kept=tuple(kept),
+            orders=path.orders if run.status != RunStatus.LEAVING else None,
+            over=frozenset(over),
         )
 
     def _tail(self, state: LabState, run: RunState, owners: Sequence[Owner]) -> tuple[Motion, ...]:
@@ -405,6 +409,13 @@ def _rules(state: LabState, cell: str) -> Rules:
 
 def _find_stuck(actors: Sequence[Actor]) -> frozenset[str]:
     return frozenset(actor.name for actor in actors if actor.stuck)
+
+
+def _put_in_order(actors: Sequence[Actor], witness: Witness) -> None:
+    """Give actors whose steps may be done in more orders than one the order that a witness has."""
+    for actor in actors:
+        if actor.orders is not None:
+            put_in_order(actor, list(dict.fromkeys(step for name, step in witness if name == actor.name)))
 
 
 def _motions_at_once(actors: Sequence[Actor], name: str, step: int) -> int:

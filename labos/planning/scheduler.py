@@ -30,6 +30,7 @@ from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_may_stay
 from labos.planning.choosing import list_changes, options_in_order
 from labos.planning.deadlines import Deadlines
+from labos.planning.due import UNDATED, DueDates
 from labos.planning.obstacle import obstacle
 from labos.planning.patience import OvertakeCounts
 from labos.planning.reservations import Reservations
@@ -38,16 +39,20 @@ from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import find_block, find_questions
 from labos.planning.suggested import LAST, Adviser
 from labos.planning.touch import (
+    BEGUN,
     BENCH,
     BOOKING,
     EVERYTHING,
     OVER,
+    RUN,
     STANDING,
+    Touched,
     cell_key,
     cell_of_closing,
     cell_of_run,
     list_cell_keys,
     near_key,
+    sort_keys,
 )
 from labos.planning.urgency import is_urgent
 from labos.planning.waiting import Kind, Turn, WaitingRoom, modules_of
@@ -86,18 +91,20 @@ class Scheduler:
         self.room = WaitingRoom()
         self.patience = OvertakeCounts()
         self.adviser = Adviser()
+        self.due_dates = DueDates()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
         self._futile_at: int | None = None
         self._fresh = True
-        self._noted: tuple[Iterable[str], list[str]] = ((), [])
+        self._touched = sort_keys([EVERYTHING])
 
-    def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[StepStart]:
-        """Starts that are legal and safe, one by one. The caller carries each one out before it
-        asks for the next."""
+    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
+        """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
+        one out before it asks for the next."""
         self._standings.clear()
-        for spot in self._order(state, self._wake(state, keys, now), now):
+        self.due_dates.forget()
+        for spot in self._order(state, self._wake(state, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
             else:
@@ -162,8 +169,8 @@ class Scheduler:
 
     def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
         """Take note of the keys of new events, before anything else is asked."""
-        self._noted = keys, self._add_cell_keys(state, keys)
-        self.deadlines.note_changes(state, self._noted[1])
+        self._touched = self._find_touched(state, keys)
+        self.deadlines.note_changes(state, self._touched)
 
     def due(self, state: LabState, now: int) -> Iterator[Command]:
         """What the time that has come asks for, and what becomes of cancelled runs."""
@@ -211,15 +218,13 @@ class Scheduler:
 
     # -- waking ------------------------------------------------------------------------------
 
-    def _wake(self, state: LabState, keys: Iterable[str], now: int) -> list[Spot]:
-        noted, full = self._noted
-        if noted is not keys or self._fresh:
-            full = self._add_cell_keys(state, keys)
+    def _wake(self, state: LabState, now: int) -> list[Spot]:
+        touched, self._touched = self._touched, Touched()
+        named = touched.named
         if self._fresh:
             self._fresh = False
             self.room.fill(state)
             self._cells = _cells(state)
-        named = _by_kind(full)
         for cell in named.get(BENCH, ()):
             self.safety.forget(state, cell)
             self.room.refill(state, cell)
@@ -231,49 +236,42 @@ class Scheduler:
         for name in over:
             self.room.forget(RunId(name), self._cells.pop(name, ""))
             self.patience.forget(RunId(name))
-        cells = list(state.lab.workcells) if EVERYTHING in full else named.get(STANDING, ())
+        cells = list(state.lab.workcells) if touched.whole else named.get(STANDING, ())
         names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
         names.update(dict.fromkeys(self.sleepers.due(now), True))
-        for key in full:
-            names.update(dict.fromkeys(self._list_woken(state, key), True))
-        if EVERYTHING in full:
-            inside = state.runs.active.values()
+        for cell in named.get(EVERYTHING, ()):
+            inside = state.runs.inside(cell)
             names.update({(run.id, step): True for run in inside for step in list_ready_steps(state, run)})
+            names.update({(bundle, 0): True for bundle in self.room.within(cell)})
+        for key in touched.keys:
+            if key.startswith("run:"):
+                names.update(dict.fromkeys(self._list_run_steps(state, RunId(key[4:])), True))
+            else:
+                names |= self.sleepers.find_waiting(key)
+        if touched.whole:
+            active = state.runs.active.values()
+            names.update({(run.id, step): True for run in active for step in list_ready_steps(state, run)})
             names.update({(bundle, 0): True for bundle in self.room})
         seen: dict[Kind, list[Wait]] = {}
         return [
             spot for spot in (self._look_again(state, name, now, seen) for name in names) if spot is not None
         ]
 
-    def _list_woken(self, state: LabState, key: str) -> list[Name]:
-        if key.startswith(EVERYTHING):
-            cell = key[len(EVERYTHING) :]
-            inside = [
-                (run.id, step) for run in state.runs.inside(cell) for step in list_ready_steps(state, run)
-            ]
-            return [*inside, *((bundle, 0) for bundle in self.room.within(cell))]
-        if key.startswith("run:"):
-            return self._list_run_steps(state, RunId(key[4:]))
-        return self.sleepers.list_waiting(key)
-
-    def _add_cell_keys(self, state: LabState, keys: Iterable[str]) -> list[str]:
-        """The keys, in order; with those of the workcells of all that is over: the state does not know any
-        more in which it was. Notes where what has begun is."""
-        full = set(keys)
+    def _find_touched(self, state: LabState, keys: Iterable[str]) -> Touched:
+        """What the keys stand for, with the workcells of all that is over: the state does not know any more
+        in which it was. Notes where what has begun is."""
         if self._fresh:
-            return sorted(full | {EVERYTHING})
-        for key in keys:
-            kind, _, name = key.partition(":")
-            cell = _cell_of(state, name) if kind in ("run", "begun") else None
-            if cell is not None:
-                self._cells[name] = cell
-        for name in [key[len(OVER) + 1 :] for key in full if key.startswith(OVER)]:
-            cell = self._cells.get(name)
-            if cell is None:
-                full.add(EVERYTHING)
-            elif cell:
-                full.update(list_cell_keys(cell))
-        return sorted(full)
+            return sort_keys([*keys, EVERYTHING])
+        touched = sort_keys(keys)
+        for kind in (RUN, BEGUN):
+            for name in touched.named.get(kind, ()):
+                cell = _cell_of(state, name)
+                if cell is not None:
+                    self._cells[name] = cell
+        left = [self._cells.get(name) for name in touched.named.get(OVER, ())]
+        if not left:
+            return touched
+        return sort_keys([*keys, *(key for cell in left for key in _list_keys_of(cell))])
 
     def _look_again(
         self, state: LabState, name: tuple[str, int], now: int, seen: dict[Kind, list[Wait]]
@@ -322,15 +320,16 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], int]:
+        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), run.position)
+                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, run.position)
             calm, share = not is_urgent(state, run, now), self._find_share_used(state, now, run.user)
             orders = state.suggestions.orders
             advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
-            return (deadline, 1, calm, -run.priority, advised, waits, share, run.position)
+            due = self.due_dates.rank(state, run)
+            return (deadline, 1, calm, -run.priority, advised, waits, share, due, run.position)
 
         return sorted(spots, key=rank)
 
@@ -349,7 +348,13 @@ class Scheduler:
         return standing
 
     def _make_turn_key(self, state: LabState, now: int, run: RunState) -> Turn:
-        return (not is_urgent(state, run, now), *self._find_share_used(state, now, run.user), run.position)
+        due = self.due_dates.rank(state, run)
+        return (
+            not is_urgent(state, run, now),
+            *self._find_share_used(state, now, run.user),
+            due,
+            run.position,
+        )
 
     # -- letting new runs in -----------------------------------------------------------------
 
@@ -459,13 +464,12 @@ def list_ready_steps(state: LabState, run: RunState) -> list[int]:
     return found
 
 
-def _by_kind(keys: Iterable[str]) -> dict[str, list[str]]:
-    """The names in the keys, by the kind of the key."""
-    found: dict[str, list[str]] = {}
-    for key in keys:
-        kind, _, name = key.partition(":")
-        found.setdefault(kind, []).append(name)
-    return found
+def _list_keys_of(cell: str | None) -> tuple[str, ...]:
+    """What is touched when something is over that was in a workcell; in none if it is empty, None if nobody
+    knows."""
+    if cell is None:
+        return (EVERYTHING,)
+    return list_cell_keys(cell) if cell else ()
 
 
 def _cells(state: LabState) -> dict[str, str]:

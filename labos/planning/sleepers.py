@@ -57,9 +57,9 @@ class Sleepers:
         for step in list(self._waits.get(who, ())):
             self.wake((who, step))
 
-    def list_waiting(self, key: str) -> list[Name]:
-        """Who waits for a key."""
-        return list(self._by_key.get(key, ()))
+    def find_waiting(self, key: str) -> dict[Name, bool]:
+        """Who waits for a key. Not to be changed, nor kept."""
+        return self._by_key.get(key, {})
 
     def due(self, now: int) -> list[Name]:
         """Who waits for a time that has come (UTC ns)."""

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+import msgspec
+
 from labos.core.actions import (
     ActionEvent,
     ActionFailed,
@@ -79,7 +83,30 @@ EVERYTHING = "*"
 
 
 BENCH, STANDING, OVER, BOOKING = "bench", "standing", "over", "booking"
+RUN, BEGUN, DUE, WINDOW = "run", "begun", "due", "window"
 """Kinds of keys, which stand before the colon."""
+
+
+class Touched(msgspec.Struct, frozen=True):
+    """Keys of events, sorted, and the names in them by kind. Those of ``EVERYTHING`` are the workcells of
+    which every wait is looked at again; with ``whole``, those of the whole lab are."""
+
+    keys: list[str] = []
+    named: dict[str, list[str]] = {}
+    whole: bool = False
+
+
+def sort_keys(keys: Iterable[str]) -> Touched:
+    """These keys, each once."""
+    ordered = sorted(set(keys))
+    named: dict[str, list[str]] = {}
+    for key in ordered:
+        kind, colon, name = key.partition(":")
+        if colon:
+            named.setdefault(kind, []).append(name)
+        elif key != EVERYTHING:
+            named.setdefault(EVERYTHING, []).append(key.removeprefix(EVERYTHING))
+    return Touched(ordered, named, EVERYTHING in ordered)
 
 
 def every_wait_key(cell: str) -> str:
@@ -114,7 +141,7 @@ def list_cell_keys(cell: str) -> tuple[str, ...]:
 
 def started_key(name: str) -> str:
     """Touched when an experiment has begun, or a person is asked."""
-    return f"begun:{name}"
+    return f"{BEGUN}:{name}"
 
 
 def ended_key(name: str) -> str:
@@ -125,7 +152,7 @@ def ended_key(name: str) -> str:
 
 def due_key(name: str) -> str:
     """Touched when the time that an action or a question has may be another than it was."""
-    return f"due:{name}"
+    return f"{DUE}:{name}"
 
 
 def is_key_of_all(key: str) -> bool:
@@ -135,7 +162,7 @@ def is_key_of_all(key: str) -> bool:
 
 def window_key(run: RunId) -> str:
     """Touched when a run whose clock runs, or is about to, has come further."""
-    return f"window:{run}"
+    return f"{WINDOW}:{run}"
 
 
 def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:

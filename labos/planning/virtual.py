@@ -250,7 +250,7 @@ class VirtualLab:
             self._scheduler.note_changes(self.state, keys)
             for command in self._scheduler.due(self.state, self.now):
                 self._ask(command)
-            for start in self._scheduler.proposals(self.state, keys, self.now):
+            for start in self._scheduler.proposals(self.state, self.now):
                 self._count += 1
                 action = ActionId(f"virtual-{self._count}")
                 self._ask(StartStep(start.run, start.step, action, self.now, start.plan))

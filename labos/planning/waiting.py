@@ -1,6 +1,7 @@
 """The waiting room: runs that wait to be let in, in bundles of those that wait for the same.
 
-Runs of one *class* (same priority, shape, user, experiment and campaign) differ in nothing but age. Classes
+Runs of one *class* (same priority, shape, user, experiment, campaign and due date) differ in nothing but age.
+Classes
 of one *bundle* may start under the same conditions: they have the same priority and shape, no
 clock runs for one and not for the others, neither their user nor their experiment has anything on the
 bench where it would make a difference, their user has no quota, and the same is booked for them. So one look
@@ -43,9 +44,9 @@ ever."""
 
 Kind = tuple[Any, ...]
 
-Turn = tuple[bool, float, float, int]
+Turn = tuple[bool, float, float, float, int]
 """Who goes first among runs of the same priority: runs of urgent campaigns (False), then by the share that
-the group has had, the user within it, then by age. The least goes first."""
+the group has had, the user within it, then those that are due soonest, then by age. The least goes first."""
 
 
 class WaitingRoom:

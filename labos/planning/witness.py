@@ -13,6 +13,7 @@ import msgspec
 from labos.planning.floor import Actor, Floor
 from labos.planning.forks import FORK, ActorEnds, finish, unfinish
 from labos.planning.moves import Undo, may_move, move, take_back
+from labos.planning.orders import bring_forward, list_next_steps
 from labos.planning.paths import FORKED, Motion, MotionStep
 
 Witness = tuple[tuple[str, MotionStep], ...]
@@ -64,19 +65,12 @@ def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
     return True
 
 
-def step_ends(actor: Actor) -> list[int]:
-    """For each motion of an actor, how many it has done once it has done the whole step."""
-    ends = list(range(1, len(actor.motions) + 1))
-    for number in range(len(ends) - 2, -1, -1):
-        if actor.motions[number].step == actor.motions[number + 1].step:
-            ends[number] = ends[number + 1]
-    return ends
-
-
-def take_step(floor: Floor, actor: Actor, end: int, trail: Trail) -> bool:
-    """Carry out an actor's motions up to the end of its next step; takes all back if one is not possible."""
+def take_step(floor: Floor, actor: Actor, step: MotionStep, trail: Trail) -> bool:
+    """Carry out the motions of a step that an actor may do next; takes all back if one is not possible."""
+    if not bring_forward(actor, step):
+        return False
     start = len(trail)
-    while actor.done < end:
+    while actor.done < len(actor.motions) and actor.motions[actor.done].step == step:
         motion = actor.motions[actor.done]
         if not may_move(floor, actor, motion):
             take_all_back(floor, trail, start)
@@ -121,24 +115,24 @@ def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
 
 def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, MotionStep]] | None:
     """An interleaving of steps that brings every actor to its end, or None if ``limit`` of them were
-    looked at in vain."""
-    seen: set[tuple[int, ...]] = set()
+    looked at in vain. Where an actor's steps may be done in more orders than one, each of those that may be
+    next is tried, and all that could be next before any that could follow."""
+    seen: set[tuple[object, ...]] = set()
     budget = [limit]
-    ends = [step_ends(actor) for actor in actors]
+    broad = any(actor.orders is not None for actor in actors)
 
     def deeper(trail: Trail) -> bool:
         """Whether a way was found; it is then in ``trail``."""
-        for number, (actor, stops) in enumerate(zip(actors, ends, strict=True)):
+        opened: list[tuple[Actor, MotionStep]] = []
+        for actor, step in [(each, step) for each in actors for step in list_next_steps(each)]:
             if budget[0] <= 0:
                 return False
-            if actor.done >= len(stops):
-                continue
-            end = stops[actor.done]
-            done = [other.done for other in actors]
-            done[number] = end
-            where = tuple(done)
             here = len(trail)
-            if where in seen or not take_step(floor, actor, end, trail):
+            if not take_step(floor, actor, step, trail):
+                continue
+            where = tuple(map(_place, actors))
+            if where in seen:
+                take_all_back(floor, trail, here)
                 continue
             budget[0] -= 1
             seen.add(where)
@@ -146,13 +140,27 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
             if not greedy(floor, actors, trail):
                 return True
             take_all_back(floor, trail, there)
-            if deeper(trail):
+            if broad:
+                opened.append((actor, step))
+            elif deeper(trail):
+                return True
+            take_all_back(floor, trail, here)
+        for actor, step in opened:
+            here = len(trail)
+            if take_step(floor, actor, step, trail) and deeper(trail):
                 return True
             take_all_back(floor, trail, here)
         return False
 
     trail: Trail = []
     return in_order(trail) if deeper(trail) else None
+
+
+def _place(actor: Actor) -> object:
+    """How far an actor has come, whichever order its steps are in."""
+    if actor.orders is None:
+        return actor.done
+    return frozenset(motion.step for motion in actor.motions[: actor.done])
 
 
 def in_order(trail: Trail) -> list[tuple[str, MotionStep]]:

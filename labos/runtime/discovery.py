@@ -94,5 +94,5 @@ class Discovery:
 
 
 def _in_memory(actions: Actions, module: ModuleName, name: ActionId) -> bool:
-    known = (actions.open, actions.settled, actions.discovered, actions.ended.get(module, ()))
-    return any(name in names for names in known)
+    known = name in actions.open or name in actions.settled or name in actions.discovered
+    return known or name in actions.ended.get(module, ())

@@ -39,7 +39,7 @@ from labos.planning.touch import find_touched_keys
 from labos.runtime.follower import Follower
 from labos.runtime.guard import CircuitBreaker, FaultyCommands
 from labos.runtime.kernel_log import KernelLog, KernelSettings
-from labos.runtime.ledger import Entry
+from labos.runtime.ledger import Entry, Ledger
 from labos.runtime.marks import MARK
 from labos.runtime.writer import Writer
 
@@ -56,11 +56,12 @@ _log = structlog.get_logger(__name__)
 
 
 class _Turn(msgspec.Struct):
-    """How far a turn has come: its ``entries`` (the first ``decided`` of them are the command's own); when to
-    wake next (``deadline``, UTC ns). ``part`` is the part of planning that a failure now is put down to,
-    none if it is the command's own; ``planned`` are the parts that were tried."""
+    """How far a turn on a ``ledger`` has come: its ``entries``, of which the first ``decided`` are the
+    command's own; when to wake next (``deadline``, UTC ns). ``part`` is the part of planning that a failure
+    now is put down to, none if it is the command's own; ``planned`` are the parts that were tried."""
 
-    entries: list[Entry]
+    ledger: Ledger
+    entries: list[Entry] = []
     decided: int = 0
     deadline: int | None = None
     part: CircuitBreaker | None = None
@@ -173,7 +174,7 @@ class Kernel(KernelLog):
     def _take_turn(self, command: Command | None, actor: str, causation: str) -> list[Event] | Rejection:
         """Decide and fold a command, plan (without a command, only that), check, and hand everything to the
         writer as one batch. If anything raises on the way, nothing of it has happened."""
-        self._open_ledger()
+        turn = _Turn(self._open_ledger())
         self.turns += 1
         if fault := fault_of(actor, "actor"):
             return Rejection(BAD_TEXT, fault)
@@ -181,26 +182,24 @@ class Kernel(KernelLog):
         if command is not None and (why := self._faulty.why_refused(command, now_s)):
             return Rejection(FAULT, why, FAULT_REMEDY)
         events: list[Event] = []
-        entries: list[Entry] = []
-        turn = _Turn(entries)
         self._is_folded = False
         try:
             if command is not None:
-                decided = self._take_command(command, entries, actor, causation)
+                decided = self._take_command(command, turn, actor, causation)
                 if isinstance(decided, Rejection):
                     return decided
                 events = decided
-            turn.decided = len(entries)
+            turn.decided = len(turn.entries)
             self._plan(turn, is_wake=command is None)
-            if self.settings.check_invariants and entries:
-                self._check([entry.event for entry in entries])
+            if self.settings.check_invariants and turn.entries:
+                self._check(turn)
         except Exception as error:  # whatever it is, memory must not stay ahead of the log
             return self._fail_turn(error, command, turn)
         for part in turn.planned:
             if part.why:
                 _log.info("planning_works_again", part=part.name)
                 part.record_success()
-        self._pass_on(entries)
+        self._pass_on(turn.entries)
         self._set_alarm(turn.deadline)
         return events
 
@@ -226,12 +225,12 @@ class Kernel(KernelLog):
         return Rejection(FAULT, why, FAULT_REMEDY)
 
     def _take_command(
-        self, command: Command, entries: list[Entry], actor: str, causation: str
+        self, command: Command, turn: _Turn, actor: str, causation: str
     ) -> list[Event] | Rejection:
         """Carry out what somebody asks for. The words of a person stand beside the log, and go there with the
         first event that refers to them."""
         if actor == LABOS or "/" in actor:  # a module
-            return self._carry_out(command, entries, actor, causation)
+            return self._carry_out(command, turn, actor, causation)
         kept: dict[str, Kept] = {}
 
         def keep_words(text: str) -> str:
@@ -239,22 +238,22 @@ class Kernel(KernelLog):
             kept[words.reference] = words
             return words.reference
 
-        decided = self._carry_out(command, entries, actor, causation, keep_words)
+        decided = self._carry_out(command, turn, actor, causation, keep_words)
         if kept:
-            _attach(kept, entries)
+            _attach(kept, turn.entries)
         return decided
 
     def _carry_out(
         self,
         command: Command,
-        entries: list[Entry],
+        turn: _Turn,
         actor: str,
         causation: str,
         keep_words: Keep | None = None,
     ) -> list[Event] | Rejection:
-        """Decide a command and fold its events and what follows from them, which are added to ``entries``.
-        The first is caused by ``causation``, the others by the first."""
-        ledger = self._open_ledger()
+        """Decide a command and fold its events and what follows from them, which are added to those of the
+        turn. The first is caused by ``causation``, the others by the first."""
+        ledger, entries = turn.ledger, turn.entries
         begin = len(entries)
 
         def write(event: Event) -> Event:
@@ -271,7 +270,7 @@ class Kernel(KernelLog):
     def _plan(self, turn: _Turn, *, is_wake: bool) -> None:
         """Carry out what is due, and start what may start. A part that keeps failing is suspended: commands
         are carried out without it, and it is tried again by itself."""
-        state, now_s = self.state, self.clock.monotonic()
+        state, now_s = turn.ledger.state, self.clock.monotonic()
         parts = [part for part in (self._deadlines, self._starts) if part.allows(now_s, is_wake)]
         parts = parts if self._may_plan else []
         looked_at = 0
@@ -282,13 +281,13 @@ class Kernel(KernelLog):
             self.scheduler.note_changes(state, keys)
             if self._deadlines in parts:
                 turn.part = self._deadlines
-                self._carry_out_due(turn.entries, looked_at)
+                self._carry_out_due(turn, looked_at)
             looked_at = len(turn.entries)
             if self._starts in parts:
                 turn.part = self._starts
-                self._start_steps(turn.entries, keys)
+                self._start_steps(turn)
                 if len(turn.entries) == before:
-                    self._grant_access(turn.entries)
+                    self._grant_access(turn)
             if len(turn.entries) == before:
                 break
         if self._deadlines in parts:
@@ -300,21 +299,21 @@ class Kernel(KernelLog):
         turn.part = self._starts if len(turn.entries) > turn.decided else None
         turn.planned = parts
 
-    def _start_steps(self, entries: list[Entry], keys: set[str]) -> None:
+    def _start_steps(self, turn: _Turn) -> None:
         now = self.clock.now_ns()
-        for start in self.scheduler.proposals(self.state, keys, now):
+        for start in self.scheduler.proposals(turn.ledger.state, now):
             action = ActionId(self.ids.new())
-            self._decide_follow_up(StartStep(start.run, start.step, action, now, start.plan), entries)
+            self._decide_follow_up(StartStep(start.run, start.step, action, now, start.plan), turn)
 
-    def _carry_out_due(self, entries: list[Entry], looked_at: int) -> None:
+    def _carry_out_due(self, turn: _Turn, looked_at: int) -> None:
         """What the time that has come asks for, and the quarantine of modules that fail too often, in the
         entries from ``looked_at`` on."""
         now = self.clock.now_ns()
-        for command in self.scheduler.due(self.state, now):
-            self._decide_follow_up(command, entries)
-        for suspect in self._list_suspects(entries[looked_at:]):
+        for command in self.scheduler.due(turn.ledger.state, now):
+            self._decide_follow_up(command, turn)
+        for suspect in self._list_suspects(turn.entries[looked_at:]):
             limits = (self.settings.quarantine_after, self.settings.quarantine_within_s)
-            self._decide_follow_up(Quarantine(suspect, *limits, now), entries)
+            self._decide_follow_up(Quarantine(suspect, *limits, now), turn)
 
     def _list_suspects(self, entries: Sequence[Entry]) -> list[ModuleName]:
         """Modules that may have failed once too often."""
@@ -323,22 +322,23 @@ class Kernel(KernelLog):
         found = {e.event.module: True for e in entries if isinstance(e.event, SUSPICIOUS)}
         return list(found)
 
-    def _grant_access(self, entries: list[Entry]) -> None:
+    def _grant_access(self, turn: _Turn) -> None:
         """Nothing is left to start: who waits to reach in may, where nothing moves."""
-        for cell, access in list(self.state.lab.access.items()):
+        for cell, access in list(turn.ledger.state.lab.access.items()):
             if not access.granted:
-                self._decide_follow_up(GrantAccess(cell), entries)
+                self._decide_follow_up(GrantAccess(cell), turn)
 
-    def _decide_follow_up(self, command: Command, entries: list[Entry]) -> None:
-        cause = entries[-1].record.head.id if entries else ""
-        decided = self._carry_out(command, entries, LABOS, cause)
+    def _decide_follow_up(self, command: Command, turn: _Turn) -> None:
+        cause = turn.entries[-1].record.head.id if turn.entries else ""
+        decided = self._carry_out(command, turn, LABOS, cause)
         if isinstance(decided, Rejection):
             # Planning proposes only what the rules allow: a rejection is a fault of ours.
             _log.error("proposal_rejected", command=repr(command), why=decided.message)
             self._record_fault(f"{command!r}: {decided.message}")
 
-    def _check(self, events: Sequence[Event]) -> None:
-        fault = find_broken_by(self.state, events)
+    def _check(self, turn: _Turn) -> None:
+        events = [entry.event for entry in turn.entries]
+        fault = find_broken_by(turn.ledger.state, events)
         if fault:
             names = ", ".join(event.TYPE for event in events)
             raise InvariantBroken(f"[{names}] would break what must always hold: {fault}")

@@ -71,12 +71,10 @@ def correlation(state: LabState, event: Event) -> str:
     """The experiment or campaign of the run an event belongs to, else the run, else the experiment or
     campaign."""
     name = getattr(event, "run", "")
-    belongs = (getattr(event, "experiment", ""), getattr(event, "campaign", ""))
-    if name:
-        run = state.runs.get(name)
-        experiment, campaign = (run.experiment, run.campaign) if run is not None else belongs
-        return experiment or campaign or name
-    return str(belongs[0] or belongs[1])
+    run = state.runs.get(name) if name else None
+    if run is not None:
+        return run.experiment or run.campaign or name
+    return getattr(event, "experiment", "") or getattr(event, "campaign", "") or name
 
 
 def load(

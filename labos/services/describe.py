@@ -230,6 +230,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
         f"{e.user} submitted {e.workflow!r}"
         + _when(e.experiment, f" in experiment {e.experiment}")
         + _when(e.closing, " to clear away its labware")
+        + _when(e.due_at, f", due {show_time(e.due_at)}")
     ),
     r.RunBound: lambda e, _: (
         f"takes {', '.join(f'{local(m)} for {key!r}' for key, m in e.modules.items())}"

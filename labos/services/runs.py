@@ -42,7 +42,8 @@ class StepHistory(msgspec.Struct):
 
 class RunHistory(msgspec.Struct):
     """``status``: queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy``
-    are the times (from, to) in which some action of it was in flight."""
+    are the times (from, to) in which some action of it was in flight. It should be over when it is ``due_at``
+    (UTC ns, 0: no such time)."""
 
     id: str
     workflow: str
@@ -60,6 +61,7 @@ class RunHistory(msgspec.Struct):
     campaign: str = ""
     busy: list[tuple[int, int]] = []
     flying: dict[str, int] = {}
+    due_at: int = 0
 
     @property
     def over(self) -> bool:
@@ -108,6 +110,7 @@ class RunBook:
             submitted_at=at,
             closing=event.closing,
             campaign=event.campaign,
+            due_at=event.due_at,
             steps=[
                 StepHistory(
                     index,

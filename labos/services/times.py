@@ -54,6 +54,15 @@ def parse_until(text: str, now_ns: int, zone: tzinfo | None = None) -> int:
     return 2 * now_ns - parse_time(f"-{text.strip()}", now_ns) if ahead else parse_time(text, now_ns, zone)
 
 
+def parse_due(text: str, now_ns: int) -> int:
+    """When a run should be over, a time to come as ``parse_until`` reads it; 0 for an empty text. Raises
+    BadInput."""
+    found = parse_until(text, now_ns) if text.strip() else 0
+    if text.strip() and found <= now_ns:
+        raise BadInput(f"The due time {text!r} has passed.", remedy="Name a time to come, or none.")
+    return found
+
+
 def parse_moment(text: str, now_ns: int, zone: tzinfo | None = None) -> Moment:
     """A whole number is a position, everything else a time. Raises BadInput."""
     if text.strip().isdigit():

@@ -5,6 +5,7 @@ A test compares each file with what would be written now.
 
 from __future__ import annotations
 
+import inspect
 import re
 import subprocess
 import sys
@@ -18,11 +19,12 @@ from typing import Annotated, Any, Literal, NamedTuple
 import msgspec
 from msgspec import NODEFAULT
 
+from labos.client import LabClient
+from labos.client._generated import GeneratedCalls
 from labos.http import limits, routes
 from labos.http.method import Method
 from labos.http.operation import JSON, Operation
 from labos.http.problems import PROBLEMS
-from tests.docs import client_twin
 from tests.docs.markdown import ROOT
 
 FOLDER = ROOT / "labos" / "client" / "_generated"
@@ -275,7 +277,7 @@ def files() -> dict[Path, str]:
     texts = {FOLDER / f"{name}.py": _module(name, found) for name, found in modules.items()}
     texts = {path: text for path, text in texts.items() if text}
     texts[FOLDER / "__init__.py"] = _all([path.stem for path in texts])
-    texts |= client_twin.files()
+    texts[FOLDER / "twin_calls.py"] = _twin_calls()
     return {path: _format(text, path) for path, text in texts.items()}
 
 
@@ -294,6 +296,19 @@ def _module(name: str, operations: Sequence[Operation]) -> str:
     words = f"The operations of labos/http/routes/{name}.py; written by tests/docs/client_code.py."
     head = f'"""{words}"""\n\n' + "\n".join(imports)
     return f'{head}\n\n\nclass {_class(name)}(Calls):\n    """One method for each operation."""\n\n{body}\n'
+
+
+def _twin_calls() -> str:
+    """A line for each operation that the client for asyncio asks as the client does."""
+    members = inspect.getmembers(LabClient, inspect.isfunction)
+    names = [name for name, member in members if member.__module__.startswith(GeneratedCalls.__module__)]
+    lines = [f"    {name} = ask(LabClient.{name})" for name in names if not name.startswith("_")]
+    head = """The operations of the API, to be awaited; written by tests/docs/client_code.py."""
+    return (
+        f'"""{head}"""\n\nfrom __future__ import annotations\n\n'
+        "from labos.client._lab import LabClient\nfrom labos.client._threads import Twin, ask\n\n\n"
+        'class AsyncCalls(Twin):\n    """One method for each operation."""\n\n' + "\n".join(lines) + "\n"
+    )
 
 
 def _class(name: str) -> str:

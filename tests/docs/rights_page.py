@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 
 from labos.core.decide.rights import RIGHTS
 from labos.http.operation import Operation
-from labos.http.rights import ASKED_BY, GIVES
 from labos.http.routes import OPERATIONS
+from tests.docs.operation_rights import ASKED_BY, GIVES
 
 Table = Callable[[tuple[str, ...], Iterable[tuple[str, ...]]], str]
 

@@ -389,7 +389,7 @@ class Driver:
             self.scheduler.note_changes(self.state, keys)
             for command in self.scheduler.due(self.state, self.now):
                 self.do(command)
-            for start in self.scheduler.proposals(self.state, keys, self.now):
+            for start in self.scheduler.proposals(self.state, self.now):
                 self._carry_out(start.run, start.step, start.plan)
                 started.append(f"{start.run}#{start.step}")
                 assert len(started) < limit, "planning proposes without end"
@@ -457,7 +457,7 @@ class Driver:
         fresh.room._passed_over = copy.deepcopy(self.scheduler.room._passed_over)
         fresh.patience = copy.deepcopy(self.scheduler.patience)
         fresh.reservations.windows.remember(self.scheduler.reservations.windows)
-        start = next(iter(fresh.proposals(self.state, (), self.now)), None)
+        start = next(iter(fresh.proposals(self.state, self.now)), None)
         return [] if start is None else [f"{start.run}#{start.step}"]
 
     def describe_stuck(self) -> str:

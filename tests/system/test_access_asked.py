@@ -150,7 +150,7 @@ def test_the_lab_asks_what_was_changed_and_takes_all_of_it_or_nothing(
     elsewhere = iter(["wc.output.3=P3", ""])
     screen = terminal(*leave)
     screen.answer(lambda asked: "nonsense" if "camera" in asked else answer(asked), b"y\n")
-    screen.until("Nothing was taken from what you said")  # there is no such labware
+    screen.until("None of your answers was recorded")  # there is no such labware
     elsewhere = iter(["wc.output.3=P3", ""])
     screen.answer(answer, b"y\n")
     assert screen.end() == 0
@@ -166,6 +166,6 @@ def test_without_a_terminal_it_says_that_nothing_was_told(lab: Up) -> None:
     assert labos("access", "rpl", "--no-park", "--json", *home).returncode == 0
     done = labos("access", "rpl", "--done", *home)
     assert done.returncode == 0
-    assert "Nothing was told to have changed: the lab believes that all stands as before" in done.stdout
+    assert "No change was reported: the lab assumes that all labware stands as before" in done.stdout
     assert labos("access", "rpl", "--unchanged", *home).returncode == 2
     assert lab.interrupt() == 0

@@ -384,7 +384,7 @@ def test_a_full_hotel_is_waited_for(working: Lab) -> None:
 
 
 def test_at_the_end_the_log_is_whole_and_the_bench_agrees(working: Lab) -> None:
-    assert "The log is whole" in labos("verify", *working.home).stdout
+    assert "The log is intact" in labos("verify", *working.home).stdout
     assert labos("runs", "--json", *working.home).returncode == 0
 
 
@@ -484,7 +484,7 @@ class TestBadDisk:
         made = labos("up", str(lab.cell), "--simulate", "--home", str(new))
         check_refused(made, str(new), "Read-only file system", "written")
         assert not new.exists()
-        assert "The log is whole" in labos("verify", "--home", str(home)).stdout
+        assert "The log is intact" in labos("verify", "--home", str(home)).stdout
         disk("remount,rw,size=3m")
         self.goes_on(home)
 
@@ -502,7 +502,7 @@ class TestBadDisk:
         begun = {path.name: path.stat().st_size for path in new.rglob("*")} if new.exists() else {}
         assert begun.keys() <= {"labos.db", "labos.db-wal", "labos.db-shm"}
         assert not begun.get("labos.db-wal"), f"nothing is half written: {begun}"
-        assert "The log is whole" in labos("verify", "--home", str(home)).stdout
+        assert "The log is intact" in labos("verify", "--home", str(home)).stdout
         filler.unlink()
         self.goes_on(home)
         self.goes_on(new, str(lab.cell))
@@ -526,7 +526,7 @@ def test_a_port_in_use(ended: Callable[[Path], Path], tmp_path: Path) -> None:
         for option in ("--http-port", "--bus-port"):
             check_refused(labos("up", "--no-nodes", "--home", str(home), option, port), port, "in use")
     assert find_kernel(home) is None
-    assert "The log is whole" in labos("verify", "--home", str(home)).stdout
+    assert "The log is intact" in labos("verify", "--home", str(home)).stdout
 
 
 def test_right_after_a_kill_nobody_is_refused(ended: Callable[[Path], Path], tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def test_nothing_moves_an_arm_that_is_guided_by_hand(tmp_path: Path) -> None:
         why = until(lambda: say("explain", run), "it waits")
         assert "pf400 needs free = False" in why
         # Its node is started again with the new pose, and the arm is as free as it was.
-        assert "by version 1" in say("teach", "pf400", "wc.a", "--pose", pose.replace(" ", ""))
+        assert "with version 1" in say("teach", "pf400", "wc.a", "--pose", pose.replace(" ", ""))
         (module,) = client.state(waits=False)["modules"]
         assert module["variables"]["free"] is True
         assert client.state(waits=False)["runs"][0]["status"] == "queued"

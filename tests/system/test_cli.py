@@ -313,7 +313,7 @@ def test_what_is_asked_about_and_is_wrong_ends_with_1(labos: Labos, home: Path, 
 @pytest.mark.parametrize(
     ("words", "first", "code"),
     [
-        pytest.param(("submit", "pcr", "--wait"), "", INTERRUPTED, id="before it was done"),
+        pytest.param(("submit", "pcr", "--wait"), "", INTERRUPTED, id="before the end"),
         pytest.param(("log", "--last", "1", "-f"), "\n", DONE, id="it goes on until then"),
     ],
 )

@@ -141,7 +141,7 @@ def test_the_demonstration(tmp_path: Path) -> None:
     assert "14 simulated modules" in done.stdout
     for module, what in WHAT_THEY_ARE.items():
         assert f"  {module:<16}{what}" in done.stdout.splitlines(), done.stdout
-    assert "Ada submits two PCRs, Bo an application that picks a colour." in done.stdout
+    assert "Ada submits two PCR runs, Bo an application that picks a colour." in done.stdout
     assert "labos verify --home" in done.stdout
     assert find_kernel(home) is None
     up = Up(home)

@@ -96,11 +96,11 @@ def test_import_run_rescue_and_fetch(evening: Up, tmp_path: Path) -> None:
     os.kill(until(lambda: is_carrying(evening), "the arm moves"), signal.SIGKILL)
     with evening.client() as client:
         until(lambda: client.state(waits=False)["interventions"], "somebody is asked")
-    assert "The lab also asks for help: I1. See: labos interventions" in run_command("inbox", *home)
+    assert "Other open questions: I1. See: labos interventions" in run_command("inbox", *home)
     told = run_command("interventions", *home)
     assert "its node was restarted in mid-motion" in told
     assert "labos resolve I1 not_done" in told
-    assert "transfer for R1 (nobody knows how it ended)" in run_command("nodes", *home)
+    assert "transfer for R1 (outcome unknown)" in run_command("nodes", *home)
 
     bench = json.loads(run_command("bench", "show", "--json", *home))["workcells"][0]["places"]
     (plate,) = [place for place, plates in bench.items() if any(each.startswith("P1") for each in plates)]

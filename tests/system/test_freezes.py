@@ -328,7 +328,7 @@ def check_agreed(lab: Up) -> None:
     """Bench and log agree, and no node did what the log does not know."""
     assert lab.disagreements() == []
     told = labos("verify", "--journals", "--home", str(lab.home))
-    assert "know nothing more" in told.stdout, told.stdout + told.stderr
+    assert "contain nothing that the log lacks" in told.stdout, told.stdout + told.stderr
 
 
 @pytest.fixture
@@ -376,7 +376,7 @@ def test_a_database_that_freezes_counts_as_lost(up: Up, server: PostgresServer, 
         server.thaw()
     else:
         assert process.wait(60) == 1
-        assert "its log is whole" not in up.read_log()
+        assert "Its log is intact" not in up.read_log()
         server.thaw()
         up.start()
     until(lambda: not find_refusal(up), "the lab takes commands again")
@@ -429,6 +429,6 @@ def test_a_standby_can_be_ended_although_the_database_is_frozen(up: Up, server: 
     until(lambda: unread_at(server.port), "it asks a server that does not answer")
     process.terminate()
     assert process.wait(60) == 0, up.read_log()
-    assert "Nobody stands by here any more." in up.read_log()
+    assert "The standby has ended." in up.read_log()
     server.thaw()
     store.close()

@@ -80,7 +80,7 @@ def test_a_node_that_comes_back_at_its_work_ends_the_question(corner: Corner) ->
     assert labos("out-of-service", "sealer", "--why", "silent", *home).returncode == 0
     until(lambda: "action.unknown" in lab.types(), "a person is asked")
     entered = labos("access", "corner", "--no-park", *home)
-    assert "BEWARE: nobody knows whether all is at rest: sealer." in entered.stdout, entered
+    assert "WARNING: it is unknown whether everything has stopped: sealer." in entered.stdout, entered
     assert labos("access", "corner", "--done", "--unchanged", *home).returncode == 0
     lab.nodes["sealer"].send_signal(signal.SIGCONT)
     until(lambda: "intervention.resolved" in lab.types(), "the question is withdrawn")

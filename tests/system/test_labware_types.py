@@ -66,7 +66,7 @@ def test_a_type_of_the_labs_own_is_known_to_the_lab(tmp_path: Path) -> None:
         done = labos(*apply, "--yes")
         assert done.stdout.endswith("corner is changed.\n"), done.stderr
         again = labos(*apply, "--yes")
-        assert again.stdout == "corner is as the file says.\n", again.stderr
+        assert again.stdout == "corner agrees with the file.\n", again.stderr
         slip = tmp_path / "slip.yaml"
         slip.write_text(f"{CELL}stations: {{stacker.lidnest1: {{accepts: [six_wel]}}}}\n")
         told = labos(*apply[:2], str(slip), "--dry-run", *apply[3:]).stderr

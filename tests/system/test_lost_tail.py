@@ -154,4 +154,4 @@ def only_after_a_round(lab: Up, run: str) -> None:
         assert statuses(client, [again]) == ["completed"], run_command(lab, "explain", again)
     assert lab.interrupt() == 0, lab.read_log()
     assert crashes(lab) == []
-    assert "is whole" in run_command(lab, "verify")
+    assert "is intact" in run_command(lab, "verify")

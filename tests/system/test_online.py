@@ -73,7 +73,7 @@ def test_the_node_itself_is_asked(lab: Up, tmp_path: Path) -> None:
         check = labos("nodes", "--check", "sciclops", "--home", str(lab.home))
         assert check.returncode == 1
         assert check.stdout.splitlines()[-1] == (
-            "sciclops: being cleaned. When it is right again: labos in-service sciclops"
+            "sciclops: being cleaned. When it works again: labos in-service sciclops"
         )
         (unknown,) = client.ask_nodes(["seeler"])
         assert (unknown["answer"], "Did you mean 'sealer'" in unknown["why"]) == ("absent", True)

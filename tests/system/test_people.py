@@ -160,7 +160,7 @@ def test_on_the_first_day_people_say_what_stands_on_the_bench(tmp_path: Path) ->
         assert told["camera_module.plate_station"] == ["plate96"]
         assert told["sealer.default"] == told["hidex.default"] == []
         again = labos("bench", "declare", "--empty", *home)
-        assert again.stdout == "Everything was declared before.\n"
+        assert again.stdout == "All stations were declared before.\n"
         assert up.interrupt() == 0
     finally:
         up.clean_up()

@@ -101,7 +101,9 @@ def only_after_a_round(lab: Up, database: str, restored: int, ahead: set[str]) -
 def test_a_restored_older_backup_is_discovered_and_nothing_is_repeated(lab: Up, tmp_path: Path) -> None:
     database, safe = f"sqlite:///{lab.home / 'labos.db'}", str(tmp_path / "safe")
     half_done(lab, database, lambda: run_command("backup", safe, "--home", str(lab.home)))
-    assert "know nothing more" in run_command("verify", "--journals", "--home", str(lab.home))
+    assert "contain nothing that the log lacks" in run_command(
+        "verify", "--journals", "--home", str(lab.home)
+    )
     assert "not overwritten" in run_command("restore", safe, "--home", str(lab.home), code=1)
     for file in lab.home.glob("labos.db*"):
         file.rename(tmp_path / file.name)
@@ -111,7 +113,7 @@ def test_a_restored_older_backup_is_discovered_and_nothing_is_repeated(lab: Up, 
     modules = {name.replace(".", "/", 1) for name, more in ahead["journals"].items() if more}
     assert len(modules) >= 3
     only_after_a_round(lab, database, restored["position"], modules)
-    assert "is whole" in run_command("verify", "--home", str(lab.home))
+    assert "is intact" in run_command("verify", "--home", str(lab.home))
 
 
 @pytest.mark.full
@@ -199,7 +201,9 @@ def test_one_file_is_the_whole_log_of_a_lab_that_was_closed(lab: Up, tmp_path: P
     shutil.copy(alone / "labos.db", file)
     lab.start()
     assert lab.interrupt() == 0, lab.read_log()
-    assert "know nothing more" in run_command("verify", "--journals", "--home", str(lab.home))
+    assert "contain nothing that the log lacks" in run_command(
+        "verify", "--journals", "--home", str(lab.home)
+    )
 
 
 def _answer_open(lab: Up, client: LabClient) -> set[str]:

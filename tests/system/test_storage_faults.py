@@ -65,8 +65,8 @@ def run_command(*argv: str, code: int = 0) -> str:
 def whole(lab: Up) -> None:
     """The chain holds, and no node did what the log does not know."""
     told = run_command("verify", "--journals", "--home", str(lab.home))
-    assert "is whole" in told
-    assert "know nothing more" in told
+    assert "is intact" in told
+    assert "contain nothing that the log lacks" in told
     assert lab.disagreements() == []
 
 
@@ -118,7 +118,7 @@ def outlive(lab: Up, database: str, then: str, fail: Callable[[], None], mend: C
         assert process.returncode == 1
         assert "not available" in lab.read_log()
         whole_so_far = run_command("verify", "--journals", "--home", str(lab.home))
-        assert "know nothing more" in whole_so_far
+        assert "contain nothing that the log lacks" in whole_so_far
         mend()
         lab.options = (*SPEED, "--database", database)
         lab.start()
@@ -221,9 +221,9 @@ def test_a_truncated_write_ahead_log_is_found_by_a_checkpoint(tmp_path: Path) ->
     with wal.open("r+b") as file:
         file.truncate(wal.stat().st_size * 2 // 3)
     # The chain alone does not show it: what is left is a whole log.
-    assert "is whole" in run_command("verify", "--home", str(cut))
+    assert "is intact" in run_command("verify", "--home", str(cut))
     told = run_command("verify", "--home", str(cut), "--checkpoint", checkpoint, code=1)
-    assert "its tail was cut off" in told
+    assert "the end was cut off" in told
 
 
 @pytest.mark.full
@@ -241,6 +241,6 @@ def test_a_truncated_write_ahead_log_is_found_by_its_last_position_and_the_nodes
         file.truncate(wal.stat().st_size * 2 // 3)
     assert "its tail is lost" in run_command("verify", "--home", str(lab.home), code=1)
     (lab.home / "labos.head").unlink()  # the disk lost that too
-    assert "is whole" in run_command("verify", "--home", str(lab.home))
+    assert "is intact" in run_command("verify", "--home", str(lab.home))
     told = json.loads(run_command("verify", "--journals", "--json", "--home", str(lab.home), code=1))
     assert "know more than the log" in told["fault"]

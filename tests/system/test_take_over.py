@@ -111,7 +111,7 @@ def sound(lab: Up) -> list[float]:
 
 @pytest.mark.slow
 def test_a_kernel_that_nobody_could_follow_stays(tmp_path: Path, postgres_url: str) -> None:
-    """Nobody stands by; or its nodes would end with it."""
+    """This lab has no standby; or its nodes would end with it."""
     lab = Up(tmp_path / "lab", "--simulate", "--speed", "300", "--database", postgres_url)
     cell = tmp_path / "rpl.yaml"
     cell.write_text(CELL)
@@ -119,7 +119,7 @@ def test_a_kernel_that_nobody_could_follow_stays(tmp_path: Path, postgres_url: s
         lab.start(str(cell))
         refused = labos("take-over", "--home", str(lab.home))
         assert refused.returncode == 1
-        assert "Nobody stands by" in refused.stderr
+        assert "This lab has no standby" in refused.stderr
         assert lab.is_there()
         assert lab.interrupt() == 0
         none = labos("take-over", "--home", str(lab.home))

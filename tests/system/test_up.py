@@ -134,9 +134,9 @@ def test_what_is_cut_short_by_closing_is_said(lab: Up) -> None:
         until(lambda: "action.accepted" in lab.types(), "it moves")
     assert lab.process is not None
     lab.process.send_signal(signal.SIGINT)
-    until(lambda: "for 30 s at the most" in lab.read_log(), "it closes")
+    until(lambda: "for 30 s at most" in lab.read_log(), "it closes")
     assert lab.interrupt() == 0, "in a hurry"
-    assert f"sciclops.home of {run} was cut short: the next start finds out" in lab.read_log()
+    assert f"sciclops.home of {run} was interrupted: the next start finds out" in lab.read_log()
 
 
 def test_a_port_in_use_is_named(lab: Up) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import labos
 from labos.core.decide.rights import RIGHTS
-from labos.http.rights import ASKED_BY, BY_ITSELF, GIVES, find_least_role
 from labos.http.routes import OPERATIONS
 from tests.docs.generate import commands
+from tests.docs.operation_rights import ASKED_BY, BY_ITSELF, GIVES, find_least_role
 
 BY_NOBODY = {"RecordStops"}
 """Commands that no operation gives as such: a stop is recorded by the lab."""

@@ -29,6 +29,7 @@ class GeneratedForecasts(Calls):
         experiment: str = "",
         place: Sequence[Mapping[str, Any]] = (),
         propose: bool = False,
+        due: str = "",
     ) -> dict[str, Any]:
         """When a run would start and end, without submitting it. Nothing is submitted, nothing is kept. It is
         taken as approved. ``workflow``: the workflow, with the files that it names. ``user``: who asks; not
@@ -36,7 +37,8 @@ class GeneratedForecasts(Calls):
         workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
         ``experiment``: the experiment it belongs to; it must be the user's. ``place``: labware that was put
         on the bench for it; recorded with the run, or not at all. ``propose``: it waits for an approval,
-        whatever the policy says. Returns ``forecast``, ``warnings``. Raises NotFound, Refused, BadInput."""
+        whatever the policy says. ``due``: when it should be over: a time, or how long from now (``12h``);
+        empty: never. Returns ``forecast``, ``warnings``. Raises NotFound, Refused, BadInput."""
         return self._post(
             "/runs/forecast",
             {
@@ -48,6 +50,7 @@ class GeneratedForecasts(Calls):
                 "experiment": experiment,
                 "place": place,
                 "propose": propose,
+                "due": due,
             },
             repeat=True,
             timeout_s=180.0,

@@ -48,15 +48,17 @@ class GeneratedPlanning(Calls):
         experiment: str = "",
         place: Sequence[Mapping[str, Any]] = (),
         propose: bool = False,
+        due: str = "",
     ) -> dict[str, Any]:
         """What a run of a workflow would be, without submitting it. Nothing is submitted, nothing is kept.
         ``workflow``: the workflow, with the files that it names. ``user``: who asks; not read in a lab that
         has users: there it is the user who has signed in. ``payload``: values for the workflow. ``workcell``:
         needed if the lab has several. ``priority``: higher goes first; 0. ``experiment``: the experiment it
         belongs to; it must be the user's. ``place``: labware that was put on the bench for it; recorded with
-        the run, or not at all. ``propose``: it waits for an approval, whatever the policy says. Returns
-        ``workflow``, ``workcell``, ``steps``, ``demand``, ``approval``, ``refusal``, ``warnings``. Raises
-        NotFound, Refused, BadInput."""
+        the run, or not at all. ``propose``: it waits for an approval, whatever the policy says. ``due``: when
+        it should be over: a time, or how long from now (``12h``); empty: never. Returns ``workflow``,
+        ``workcell``, ``steps``, ``demand``, ``approval``, ``refusal``, ``warnings``. Raises NotFound,
+        Refused, BadInput."""
         return self._post(
             "/runs/check",
             {
@@ -68,6 +70,7 @@ class GeneratedPlanning(Calls):
                 "experiment": experiment,
                 "place": place,
                 "propose": propose,
+                "due": due,
             },
             repeat=True,
         )

@@ -32,6 +32,7 @@ class GeneratedRuns(Calls):
         experiment: str = "",
         place: Sequence[Mapping[str, Any]] = (),
         propose: bool = False,
+        due: str = "",
         request: str = "",
     ) -> dict[str, Any]:
         """Queue a run of a workflow. ``workflow``: the workflow, with the files that it names. ``user``: who
@@ -39,8 +40,8 @@ class GeneratedRuns(Calls):
         for the workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
         ``experiment``: the experiment it belongs to; it must be the user's. ``place``: labware that was put
         on the bench for it; recorded with the run, or not at all. ``propose``: it waits for an approval,
-        whatever the policy says. Returns ``run``, ``warnings``, ``approval``. Raises NotFound, Refused,
-        BadInput."""
+        whatever the policy says. ``due``: when it should be over: a time, or how long from now (``12h``);
+        empty: never. Returns ``run``, ``warnings``, ``approval``. Raises NotFound, Refused, BadInput."""
         return self._post(
             "/runs",
             {
@@ -52,6 +53,7 @@ class GeneratedRuns(Calls):
                 "experiment": experiment,
                 "place": place,
                 "propose": propose,
+                "due": due,
             },
             request=request or self._ids.new(),
         )
@@ -59,7 +61,7 @@ class GeneratedRuns(Calls):
     def _get_run(self, run: str, *, wait: float = 0.0) -> dict[str, Any]:
         """A run with its steps, or its end. ``wait``: seconds to wait for its end. Returns ``id``,
         ``workflow``, ``workcell``, ``user``, ``experiment``, ``submitted_at``, ``steps``, ``status``,
-        ``started_at``, ``ended_at``, ``why``, ``paused``, ``closing``, ``campaign``, ``busy``."""
+        ``started_at``, ``ended_at``, ``why``, ``paused``, ``closing``, ``campaign``, ``busy``, ``due_at``."""
         return self._get(f"/runs/{in_path(run)}", wait=wait)
 
     def cancel(self, run: str, by: str = "somebody", *, stay: bool = False, why: str = "") -> None:

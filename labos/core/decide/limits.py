@@ -8,7 +8,7 @@ has happened.
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 import msgspec
 
@@ -34,20 +34,20 @@ MOST_REPORTED = 1_000
 def cut_report(report: Report) -> Report:
     """The report with its texts, and lists, cut to their limits."""
     changed: dict[str, object] = {}
-    for name in _texts(type(report))[0]:
+    fields = _fields(type(report))
+    for name in fields.texts:
         text = getattr(report, name)
         if len(text) > LONGEST_REPORT or CONTROL_IN_NOTE.search(text):
             changed[name] = cut(text)
-    for name in report.__struct_fields__:
-        value = getattr(report, name)
-        if isinstance(value, tuple) and len(value) > MOST_REPORTED:
-            changed[name] = value[:MOST_REPORTED]
+    for name in fields.lists:
+        if len(items := getattr(report, name)) > MOST_REPORTED:
+            changed[name] = items[:MOST_REPORTED]
     return msgspec.structs.replace(report, **changed) if changed else report
 
 
 def bare_report(report: Report) -> Report:
     """The report without what makes it too large: short texts, and no result."""
-    texts = _texts(type(report))[0]
+    texts = _fields(type(report)).texts
     changed: dict[str, object] = {name: cut(getattr(report, name), LONGEST_NAME) for name in texts}
     if "result" in report.__struct_fields__:
         changed["result"] = None
@@ -56,9 +56,9 @@ def bare_report(report: Report) -> Report:
 
 def refuse_misfit(command: Command) -> Rejection | None:
     """Why a request cannot be recorded as it is worded; None if it can."""
-    single, several = _texts(type(command))
-    texts = [(getattr(command, field), field) for field in single]
-    texts += [(text, field) for field in several for text in getattr(command, field)]
+    fields = _fields(type(command))
+    texts = [(getattr(command, field), field) for field in fields.texts]
+    texts += [(text, field) for field in fields.several for text in getattr(command, field)]
     texts += words_in(command)
     for text, field in texts:
         if fault := fault_of(text, field):
@@ -77,13 +77,22 @@ def fault_of(text: str, field: str) -> str:
     return ""
 
 
+class _Fields(msgspec.Struct, frozen=True):
+    """The fields of a command that are a text, those that are several texts, and all that are lists."""
+
+    texts: list[str]
+    several: list[str]
+    lists: list[str]
+
+
 @cache
-def _texts(kind: type[Command]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The fields of a command that are a text, and those that are several texts."""
+def _fields(kind: type[Command]) -> _Fields:
     fields = [(field.name, field.type) for field in msgspec.structs.fields(kind)]
-    single = tuple(name for name, kind in fields if _is_text(kind))
-    several = tuple(name for name, kind in fields if any(map(_is_text, get_args(kind)[:1])))
-    return single, several
+    return _Fields(
+        [name for name, kind in fields if _is_text(kind)],
+        [name for name, kind in fields if any(map(_is_text, get_args(kind)[:1]))],
+        [name for name, kind in fields if get_origin(kind) is tuple],
+    )
 
 
 def _is_text(kind: Any) -> bool:

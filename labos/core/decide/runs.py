@@ -61,8 +61,9 @@ NOBODYS = CampaignId("")
 class SubmitRun(Command, frozen=True):
     """Queue a run of a compiled plan. ``request`` is an idempotency key: the same key twice is
     one run. ``pins`` are digests by name. ``propose``: it waits for an approval, whatever the policy.
-    ``others`` are plans of the same steps on other modules: it may choose one of them in place of ``plan``
-    when it is let in. ``apart``: the campaign that shares its plans with nobody."""
+    ``others`` are plans of the same steps on other modules, from which it may choose one in place of ``plan``
+    when it is let in. ``apart``: the campaign that shares its plans with nobody. ``due_at`` is when it
+    should be over (UTC ns, 0: no such time)."""
 
     plan: Plan
     user: str
@@ -74,6 +75,7 @@ class SubmitRun(Command, frozen=True):
     propose: bool = False
     others: tuple[Plan, ...] = ()
     apart: CampaignId = NOBODYS
+    due_at: int = 0
 
     @property
     def plans(self) -> tuple[Plan, ...]:
@@ -244,6 +246,7 @@ def submit_run(state: LabState, command: SubmitRun) -> Decision:
             anchors=anchors,
             planned_by=state.runs.find_plan_stream(name),
             choices=tuple(plans) if len(plans) > 1 else (),
+            due_at=command.due_at,
         ),
     ]
     return events

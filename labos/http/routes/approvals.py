@@ -20,7 +20,7 @@ from labos.http.bodies import Amendment, Amounts, Limit
 from labos.http.campaigns import amend_terms
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, declare
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
 from labos.services.proposals import ChangedPart, differences, sentence
@@ -236,75 +236,62 @@ def _terms(state: LabState, proposal: Proposal) -> Terms | None:
 
 _POLICY = "labos: 1\ntrusted: [lims]\nnewcomers: 3\nabove: {lab_time: 40 h}\n"
 
-OPERATIONS = (
+OPERATIONS = declare(
+    "approvals",
     Operation(
-        method="GET",
-        path="/approvals",
+        route="GET /approvals",
         handler=list_approvals,
         client=Method("_list_approvals"),
         summary="What waits for an approval, and why",
-        tag="approvals",
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/approvals/{subject}",
+        route="GET /approvals/{subject}",
         handler=get_approval,
         client=Method("approval_of"),
         summary="What waits for an approval, and how it differs from what was approved before",
-        tag="approvals",
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/approvals/{subject}/forecast",
+        route="GET /approvals/{subject}/forecast",
         handler=forecast_approval,
         client=Method("approval_forecast", timeout_s=FORECAST_S),
         summary="What a submission that waits for an approval would bring",
-        tag="approvals",
         needs="viewer",
         problems=("refused",),
     ),
     Operation(
-        method="POST",
-        path="/approvals/{subject}/approve",
+        route="POST /approvals/{subject}/approve",
         handler=approve_proposal,
         client=Method("approve", "subject, by, digest", take="digest", repeat=True),
         summary="Let a submission go on, as it is or with changes",
-        tag="approvals",
         needs="operator",
         problems=("refused",),
         example={"by": "olga", "digest": "ab" * 32, "comment": "looked at it", "runs": 20},
         example_answer={"subject": "C1", "digest": "ab" * 32},
     ),
     Operation(
-        method="POST",
-        path="/approvals/{subject}/refuse",
+        route="POST /approvals/{subject}/refuse",
         handler=refuse_proposal,
         client=Method("refuse", take="digest", repeat=True),
         summary="Do not let a submission go on",
-        tag="approvals",
         needs="operator",
         problems=("refused",),
         example={"by": "olga", "comment": "too many plates"},
         example_answer={"subject": "C1", "digest": "ab" * 32},
     ),
     Operation(
-        method="GET",
-        path="/policy",
+        route="GET /policy",
         handler=get_policy,
         client=Method("policy"),
         summary="Which submissions wait for an approval, and how high a priority may be",
-        tag="approvals",
         needs="viewer",
     ),
     Operation(
-        method="POST",
-        path="/policy",
+        route="POST /policy",
         handler=apply_policy,
         client=Method("apply_policy", "text, file=name, by", take=None, repeat=True),
         summary="Let the policy be as a file says",
-        tag="approvals",
         needs="admin",
         problems=("refused", "spec_error", "spec_errors"),
         example={"text": _POLICY, "by": "ada", "name": "policy.yaml"},

@@ -26,7 +26,7 @@ from labos.http.declare import declare_bench
 from labos.http.limits import LARGEST_BODY, check_person
 from labos.http.method import Method
 from labos.http.observing import ObservationResult, give, observe
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, declare
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
@@ -111,26 +111,23 @@ async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
     return SampleCounts(plates)
 
 
-OPERATIONS = (
+OPERATIONS = declare(
+    "bench",
     Operation(
-        method="POST",
-        path="/interventions/{intervention}",
+        route="POST /interventions/{intervention}",
         handler=answer_intervention,
         client=Method("resolve", "intervention, choice, by, note, result", take=None),
         summary="Answer a question",
-        tag="bench",
         needs="submitter",
         problems=("refused",),
         example={"choice": "done", "by": "ada", "note": "it stood askew"},
         example_answer={"intervention": "I1", "choice": "done"},
     ),
     Operation(
-        method="POST",
-        path="/stations/place",
+        route="POST /stations/place",
         handler=place_labware,
         client=Method("place", take="labware"),
         summary="Say that labware was put on an empty station",
-        tag="bench",
         needs="operator",
         status=201,
         problems=("not_found", "refused"),
@@ -138,12 +135,10 @@ OPERATIONS = (
         example_answer={"labware": "P7"},
     ),
     Operation(
-        method="POST",
-        path="/stations/load",
+        route="POST /stations/load",
         handler=load_station,
         client=Method("load", take="labware"),
         summary="Say that labware was loaded",
-        tag="bench",
         needs="operator",
         status=201,
         problems=("not_found", "refused"),
@@ -151,36 +146,30 @@ OPERATIONS = (
         example_answer={"labware": []},
     ),
     Operation(
-        method="POST",
-        path="/stations/unload",
+        route="POST /stations/unload",
         handler=unload_station,
         client=Method("unload"),
         summary="Say that labware was taken away",
-        tag="bench",
         needs="operator",
         problems=("not_found", "refused"),
         example={"station": "sciclops.tower1", "by": "ada", "count": 3},
         example_answer={"labware": ["P7"], "nameless": 2},
     ),
     Operation(
-        method="POST",
-        path="/stations/observe",
+        route="POST /stations/observe",
         handler=observe_station,
         client=Method("observe", "station, what, by"),
         summary="Say what stands at a station",
-        tag="bench",
         needs="operator",
         status=201,
         problems=("not_found", "refused"),
         example={"station": "sealer.default", "by": "ada", "what": "empty"},
     ),
     Operation(
-        method="POST",
-        path="/stations/declare",
+        route="POST /stations/declare",
         handler=declare_stations,
         client=Method("declare", "stations, by", take="declared"),
         summary="Declare what stands at stations",
-        tag="bench",
         needs="operator",
         status=201,
         problems=("not_found", "refused"),
@@ -188,21 +177,17 @@ OPERATIONS = (
         example_answer={"declared": {"sealer.default": ["plate96"]}},
     ),
     Operation(
-        method="GET",
-        path="/round",
+        route="GET /round",
         handler=get_round,
         client=Method("round"),
         summary="What has to be said of the bench after the log lost its end",
-        tag="bench",
         needs="viewer",
     ),
     Operation(
-        method="POST",
-        path="/round",
+        route="POST /round",
         handler=report_round,
         client=Method("say", "by, stations, as_recorded", repeat=True),
         summary="Say on the round what stands where",
-        tag="bench",
         needs="operator",
         status=201,
         example={"by": "ada", "stations": {"sealer.default": []}, "as_recorded": ["ot2_pcr_alpha.deck1"]},
@@ -213,12 +198,10 @@ OPERATIONS = (
         },
     ),
     Operation(
-        method="POST",
-        path="/labware/{labware}/barcode",
+        route="POST /labware/{labware}/barcode",
         handler=label_labware,
         client=Method("barcode", take=None, repeat=True),
         summary="Say which barcode labware bears",
-        tag="bench",
         needs="submitter",
         status=201,
         problems=("refused",),
@@ -226,12 +209,10 @@ OPERATIONS = (
         example_answer={"labware": "P7"},
     ),
     Operation(
-        method="POST",
-        path="/labware/{labware}/owner",
+        route="POST /labware/{labware}/owner",
         handler=hand_over_labware,
         client=Method("give", take=None, repeat=True),
         summary="Hand labware over",
-        tag="bench",
         needs="submitter",
         status=201,
         problems=("refused",),
@@ -239,12 +220,10 @@ OPERATIONS = (
         example_answer={"labware": "P7", "owner": "user:bo"},
     ),
     Operation(
-        method="POST",
-        path="/samples",
+        route="POST /samples",
         handler=register_sheet,
         client=Method("_register_sheet", take="plates", repeat=True),
         summary="Say which samples are in the wells of plates",
-        tag="bench",
         needs="submitter",
         status=201,
         problems=("not_found", "refused", "spec_error", "spec_errors"),

@@ -31,7 +31,7 @@ from labos.http.bookings import (
     view,
 )
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, declare
 from labos.services.shown import texts_of
 
 MEDIA_TYPE = "text/calendar"
@@ -119,25 +119,22 @@ _BOOKING = {
 }
 _TIME = {name: _BOOKING[name] for name in ("target", "begins_at", "ends_at", "user", "group", "why", "now")}
 
-OPERATIONS = (
+OPERATIONS = declare(
+    "bookings",
     Operation(
-        method="GET",
-        path="/bookings",
+        route="GET /bookings",
         handler=list_bookings,
         client=Method("bookings", "target", take="bookings"),
         summary="Which bookings there are",
-        tag="bookings",
         needs="viewer",
         problems=("not_found",),
         example_answer={"bookings": [_BOOKING]},
     ),
     Operation(
-        method="POST",
-        path="/bookings",
+        route="POST /bookings",
         handler=make_booking,
         client=Method("book", "target, begins_at, ends_at, by", key="new"),
         summary="Book a module or a workcell",
-        tag="bookings",
         needs="submitter",
         status=201,
         problems=("refused", "not_found"),
@@ -154,46 +151,38 @@ OPERATIONS = (
         example_answer=_BOOKING,
     ),
     Operation(
-        method="GET",
-        path="/bookings/{booking}",
+        route="GET /bookings/{booking}",
         handler=get_booking,
         client=Method("booking"),
         summary="A booking",
-        tag="bookings",
         needs="viewer",
         example_answer=_BOOKING,
     ),
     Operation(
-        method="POST",
-        path="/bookings/{booking}/change",
+        route="POST /bookings/{booking}/change",
         handler=change_booking,
         client=Method("change_booking", repeat=True),
         summary="Change when or for whom a booking is",
-        tag="bookings",
         needs="submitter",
         problems=("refused",),
         example={"begins_at": _AT, "ends_at": _AT + 7_200_000_000_000, "by": "ada"},
         example_answer=_BOOKING,
     ),
     Operation(
-        method="POST",
-        path="/bookings/{booking}/cancel",
+        route="POST /bookings/{booking}/cancel",
         handler=cancel_booking,
         client=Method("cancel_booking", take=None, key="new"),
         summary="Give a booking back, or one time of it",
-        tag="bookings",
         needs="submitter",
         problems=("refused",),
         example={"by": "ada", "why": "not needed"},
         example_answer={"booking": "B3", "begins_at": 0},
     ),
     Operation(
-        method="GET",
-        path="/calendar",
+        route="GET /calendar",
         handler=show_calendar,
         client=Method("calendar", "since, until, target"),
         summary="When what is booked",
-        tag="bookings",
         needs="viewer",
         problems=("not_found",),
         example_answer={
@@ -203,14 +192,12 @@ OPERATIONS = (
         },
     ),
     Operation(
-        method="GET",
-        path="/calendar.ics",
+        route="GET /calendar.ics",
         handler=export_calendar,
         client=Method("calendar_file", "target", without=("token",)),
         answer=bytes,
         media=(MEDIA_TYPE,),
         summary="The calendar for calendar programs",
-        tag="bookings",
         needs="viewer",
         by_link=True,
         problems=("not_found",),

@@ -10,7 +10,7 @@ from labos.audit.find import MOST_FOUND, SearchQuery, SearchResult
 from labos.errors import Refused
 from labos.http.limits import Line, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, declare
 from labos.http.queries import Several
 
 
@@ -68,14 +68,13 @@ async def find_entries(call: Call, query: FindQuery) -> SearchResult:
     )
 
 
-OPERATIONS = (
+OPERATIONS = declare(
+    "log",
     Operation(
-        method="GET",
-        path="/find",
+        route="GET /find",
         handler=find_entries,
         client=Method("find", "words", timeout_s=90.0),
         summary="What can be found by words",
-        tag="log",
         needs="viewer",
         problems=("refused",),
     ),

@@ -16,6 +16,7 @@ from labos.http.method import Method
 from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
 from labos.planning.lab_forecast import LabForecast
+from labos.services.times import parse_due
 from labos.spec.findings import Finding
 
 
@@ -63,6 +64,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
         ExperimentId(body.experiment),
         body.priority,
         others=compiled.others,
+        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
     forecast = await service.forecasts.forecast_run(command, body.user)
@@ -102,8 +104,7 @@ FORECAST_S = 180.0
 
 OPERATIONS = (
     Operation(
-        method="GET",
-        path="/forecast",
+        route="GET /forecast",
         handler=get_forecast,
         client=Method("forecast", timeout_s=FORECAST_S),
         summary="When runs start and end, and when a person is needed",
@@ -112,8 +113,7 @@ OPERATIONS = (
         problems=("refused",),
     ),
     Operation(
-        method="POST",
-        path="/runs/forecast",
+        route="POST /runs/forecast",
         handler=forecast_run,
         client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
         summary="When a run would start and end, without submitting it",
@@ -124,8 +124,7 @@ OPERATIONS = (
         largest_body=LARGEST_BODY,
     ),
     Operation(
-        method="POST",
-        path="/campaigns/forecast",
+        route="POST /campaigns/forecast",
         handler=forecast_campaign_file,
         client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
         summary="What a campaign would need and bring, without submitting it",

@@ -13,7 +13,7 @@ from labos.http.bodies import EmergencyStop
 from labos.http.control import ControlRequest, ControlResult, control
 from labos.http.limits import name_in_emergency
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, declare
 from labos.http.queries import NodesQuery, StateQuery
 from labos.http.views import LabView
 from labos.runtime.stop import StopReport
@@ -93,90 +93,75 @@ _NODE = {"module": "rpl/sealer", "name": "rpl/sealer", "answer": "IDLE", "why": 
 _CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}
 _CONTROLLED = {"kind": "module", "target": "rpl/ot2_pcr_alpha", "runs": []}
 
-OPERATIONS = (
+OPERATIONS = declare(
+    "lab",
     Operation(
-        method="GET",
-        path="/health",
+        route="GET /health",
         handler=get_health,
         client=Method("health"),
         at_kernel=True,
         summary="Whether the kernel works",
-        tag="lab",
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/state",
+        route="GET /state",
         handler=get_state,
         client=Method("state"),
         answer=LabView,
         summary="Everything that is alive",
-        tag="lab",
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/inventory",
+        route="GET /inventory",
         handler=get_inventory,
         client=Method("inventory"),
         summary="What is left, and what runs out when",
-        tag="lab",
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/nodes",
+        route="GET /nodes",
         handler=list_nodes,
         client=Method("_list_nodes", take="modules"),
         summary="What the nodes of modules answer now",
-        tag="lab",
         needs="viewer",
         example_answer={"modules": [_NODE]},
     ),
     Operation(
-        method="POST",
-        path="/control/pause",
+        route="POST /control/pause",
         handler=pause,
         client=Method("_pause_target", repeat=True),
         summary="Pause a run, an experiment, a module, a workcell or the lab",
-        tag="lab",
         needs="submitter",
         problems=("not_found", "refused"),
         example=_CONTROL,
         example_answer=_CONTROLLED,
     ),
     Operation(
-        method="POST",
-        path="/control/resume",
+        route="POST /control/resume",
         handler=resume,
         client=Method("_resume_target", repeat=True),
         summary="Resume what is paused",
-        tag="lab",
         needs="submitter",
         problems=("not_found", "refused"),
         example={"target": "rpl/ot2_pcr_alpha", "by": "ada"},
         example_answer=_CONTROLLED,
     ),
     Operation(
-        method="POST",
-        path="/control/cancel",
+        route="POST /control/cancel",
         handler=cancel,
         client=Method("_cancel_target", repeat=True),
         summary="Cancel a run, an experiment, or the runs of a module, a workcell or the lab",
-        tag="lab",
         needs="submitter",
         problems=("not_found", "refused"),
         example={"target": "R1", "by": "ada", "why": "wrong plate"},
         example_answer={"kind": "run", "target": "R1", "runs": ["R1"]},
     ),
     Operation(
-        method="POST",
-        path="/estop",
+        route="POST /estop",
         handler=stop_modules,
         recall=recall_stop,
         client=Method("emergency_stop", "target, by='somebody'", repeat=True, timeout_s=5.0),
         summary="Stop modules at once, in an emergency",
-        tag="lab",
         needs="submitter",
         by_home=True,
         problems=("not_found",),

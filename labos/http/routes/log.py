@@ -12,7 +12,7 @@ from labos.http.answers import EventPage
 from labos.http.files import send_file
 from labos.http.limits import WHOLE_NUMBERS
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, declare
 from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
 from labos.http.viewers import Follow
@@ -101,32 +101,28 @@ def _log_query(query: EventFilter) -> LogQuery:
     )
 
 
-OPERATIONS = (
+OPERATIONS = declare(
+    "log",
     Operation(
-        method="GET",
-        path="/events",
+        route="GET /events",
         handler=list_events,
         client=Method("events", by_hand=True),
         answer=EventPage,
         summary="Committed events in order",
-        tag="log",
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/events/stream",
+        route="GET /events/stream",
         handler=follow_events,
         client=Method("events", by_hand=True),
         answer=str,
         media=(STREAM_TYPE,),
         headers=("Last-Event-ID",),
         summary="Committed events as they come",
-        tag="log",
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/files/{sha256}",
+        route="GET /files/{sha256}",
         handler=get_file,
         client=Method("file", by_hand=True),
         answer=bytes,
@@ -135,7 +131,6 @@ OPERATIONS = (
         other_statuses={206: "The part that was asked for", 304: "It is the file that you have"},
         problems=("range_not_satisfiable", "log_damaged"),
         summary="The content of a file",
-        tag="log",
         needs="viewer",
     ),
 )

@@ -107,8 +107,7 @@ _CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\
 
 OPERATIONS = (
     Operation(
-        method="POST",
-        path="/modules/{module}/out-of-service",
+        route="POST /modules/{module}/out-of-service",
         handler=take_out_of_service,
         client=Method("take_out", "module, why, by, until_ns=until", take=None),
         summary="Take a module out of service",
@@ -119,8 +118,7 @@ OPERATIONS = (
         example_answer={"module": "rpl/sealer"},
     ),
     Operation(
-        method="POST",
-        path="/modules/{module}/in-service",
+        route="POST /modules/{module}/in-service",
         handler=put_in_service,
         client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
         summary="Put a module back in service",
@@ -131,8 +129,7 @@ OPERATIONS = (
         example_answer={"module": "rpl/sealer"},
     ),
     Operation(
-        method="POST",
-        path="/modules/{module}/trace",
+        route="POST /modules/{module}/trace",
         handler=trace_wires,
         client=Method("trace", "module, by='somebody'", take="file", repeat=True),
         summary="Begin or end the transcript of a device's wires",
@@ -143,8 +140,7 @@ OPERATIONS = (
         example_answer={"module": "rpl/sealer", "file": "/lab/traces/sealer.jsonl"},
     ),
     Operation(
-        method="POST",
-        path="/modules/{module}/replenish",
+        route="POST /modules/{module}/replenish",
         handler=replenish_resource,
         client=Method("replenish", take="amount"),
         summary="Say that more of a resource was put in",
@@ -155,8 +151,7 @@ OPERATIONS = (
         example_answer={"module": "rpl/sealer", "resource": "foil", "amount": 96},
     ),
     Operation(
-        method="GET",
-        path="/modules/{module}/locations",
+        route="GET /modules/{module}/locations",
         handler=list_locations,
         client=Method("locations", take="locations"),
         summary="Where a manipulator finds stations",
@@ -167,8 +162,7 @@ OPERATIONS = (
         },
     ),
     Operation(
-        method="POST",
-        path="/modules/{module}/locations",
+        route="POST /modules/{module}/locations",
         handler=teach_location,
         client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
         summary="Teach a manipulator a station",
@@ -180,8 +174,7 @@ OPERATIONS = (
         example_answer={"version": 3},
     ),
     Operation(
-        method="POST",
-        path="/modules/{module}/calibrations",
+        route="POST /modules/{module}/calibrations",
         handler=calibrate_module,
         client=Method("calibrate", "module, by", key="new"),
         summary="Record a calibration of a module",
@@ -200,8 +193,7 @@ OPERATIONS = (
         largest_body=LARGEST_BODY,
     ),
     Operation(
-        method="POST",
-        path="/workcells",
+        route="POST /workcells",
         handler=change_workcell,
         client=Method("_change_workcell", "text, by", repeat=True),
         summary="Change a workcell to what its file says",
@@ -212,8 +204,7 @@ OPERATIONS = (
         largest_body=LARGEST_BODY,
     ),
     Operation(
-        method="POST",
-        path="/workcells/{workcell}/access",
+        route="POST /workcells/{workcell}/access",
         handler=request_workcell_access,
         client=Method("enter", "workcell, by, why", take="parking", repeat=True),
         summary="Ask to reach into a workcell",
@@ -225,8 +216,7 @@ OPERATIONS = (
         example_answer={"workcell": "rpl", "parking": ["R7"]},
     ),
     Operation(
-        method="POST",
-        path="/workcells/{workcell}/access/end",
+        route="POST /workcells/{workcell}/access/end",
         handler=end_workcell_access,
         client=Method("_end_workcell_access", take=None),
         summary="Say that everybody is out of a workcell",

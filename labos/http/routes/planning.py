@@ -23,6 +23,7 @@ from labos.http.operation import Call, Operation
 from labos.http.placing import loads_of
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
+from labos.services.times import parse_due
 from labos.spec.about import find_description
 from labos.spec.choices import list_choices
 from labos.spec.findings import Finding
@@ -131,6 +132,7 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         service.pins_of(body.workflow, *compiled.plans),
         propose=body.propose,
         others=compiled.others,
+        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
     )
     answer = decide(state, command, body.user)
     refusal = f"{answer.message} {answer.remedy}".strip() if isinstance(answer, Rejection) else ""
@@ -218,8 +220,7 @@ _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, acti
 
 OPERATIONS = (
     Operation(
-        method="GET",
-        path="/modules/{module}/actions",
+        route="GET /modules/{module}/actions",
         handler=list_actions,
         client=Method("actions"),
         summary="What a module can do",
@@ -227,8 +228,7 @@ OPERATIONS = (
         needs="viewer",
     ),
     Operation(
-        method="GET",
-        path="/workcells/{workcell}/order",
+        route="GET /workcells/{workcell}/order",
         handler=show_order,
         client=Method("suggested_order"),
         summary="In which order a planner suggests that the next steps of a workcell start",
@@ -237,8 +237,7 @@ OPERATIONS = (
         problems=("not_found",),
     ),
     Operation(
-        method="POST",
-        path="/workcells/{workcell}/order",
+        route="POST /workcells/{workcell}/order",
         handler=suggest_order,
         client=Method("suggest_order", "workcell, steps, until, position", take="steps", repeat=True),
         summary="Suggest in which order the next steps of a workcell start",
@@ -253,8 +252,7 @@ OPERATIONS = (
         example_answer={"steps": 1},
     ),
     Operation(
-        method="POST",
-        path="/runs/check",
+        route="POST /runs/check",
         handler=check_run,
         client=Method("_check_run", "workflow, user=''", repeat=True),
         summary="What a run of a workflow would be, without submitting it",

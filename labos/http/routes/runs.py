@@ -82,6 +82,7 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
         place=body.place,
         request=call.key,
         propose=body.propose,
+        due=body.due,
     )
     return RunSubmission(run, findings, sentence(call.kernel.state, run))
 
@@ -168,8 +169,7 @@ _RUN = {
 
 OPERATIONS = (
     Operation(
-        method="GET",
-        path="/runs",
+        route="GET /runs",
         handler=list_runs,
         client=Method("runs", "after"),
         summary="Runs that are alive, and the last that have ended",
@@ -177,8 +177,7 @@ OPERATIONS = (
         needs="viewer",
     ),
     Operation(
-        method="POST",
-        path="/runs",
+        route="POST /runs",
         handler=submit_run,
         client=Method("_submit_run", "workflow, user", key="given"),
         summary="Queue a run of a workflow",
@@ -192,8 +191,7 @@ OPERATIONS = (
         largest_body=LARGEST_BODY,
     ),
     Operation(
-        method="GET",
-        path="/runs/{run}",
+        route="GET /runs/{run}",
         handler=get_run,
         client=Method("_get_run"),
         summary="A run with its steps, or its end",
@@ -201,8 +199,7 @@ OPERATIONS = (
         needs="viewer",
     ),
     Operation(
-        method="POST",
-        path="/runs/{run}/cancel",
+        route="POST /runs/{run}/cancel",
         handler=cancel_run,
         client=Method("cancel", "run, by='somebody'", take=None, repeat=True),
         summary="Cancel a run",
@@ -213,8 +210,7 @@ OPERATIONS = (
         example_answer={"run": "R1"},
     ),
     Operation(
-        method="POST",
-        path="/runs/{run}/pause",
+        route="POST /runs/{run}/pause",
         handler=pause_run,
         client=Method("pause", "run, by='somebody'", take=None, repeat=True),
         summary="Start no more steps of a run",
@@ -225,8 +221,7 @@ OPERATIONS = (
         example_answer={"run": "R1"},
     ),
     Operation(
-        method="POST",
-        path="/runs/{run}/resume",
+        route="POST /runs/{run}/resume",
         handler=resume_run,
         client=Method("resume", "run, by='somebody'", take=None, repeat=True),
         summary="Go on with a run that is paused",
@@ -237,8 +232,7 @@ OPERATIONS = (
         example_answer={"run": "R1"},
     ),
     Operation(
-        method="POST",
-        path="/experiments",
+        route="POST /experiments",
         handler=start_experiment,
         client=Method("_start_experiment", "name, user", key="given"),
         summary="Begin an experiment",
@@ -252,8 +246,7 @@ OPERATIONS = (
         largest_body=LARGEST_BODY,
     ),
     Operation(
-        method="POST",
-        path="/experiments/{experiment}/resume",
+        route="POST /experiments/{experiment}/resume",
         handler=resume_experiment,
         client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
         summary="Go on with an experiment",
@@ -265,8 +258,7 @@ OPERATIONS = (
         example_answer={"experiment": "E1"},
     ),
     Operation(
-        method="POST",
-        path="/experiments/{experiment}/end",
+        route="POST /experiments/{experiment}/end",
         handler=end_experiment,
         client=Method("end_experiment", "experiment, why, user", take=None, repeat=True),
         summary="End an experiment",
@@ -278,8 +270,7 @@ OPERATIONS = (
         example_answer={"experiment": "E1"},
     ),
     Operation(
-        method="POST",
-        path="/experiments/{experiment}/notes",
+        route="POST /experiments/{experiment}/notes",
         handler=note_experiment,
         client=Method("note", "experiment, kind, name, facts, user", take=None),
         summary="Log something of the application's own",
@@ -292,8 +283,7 @@ OPERATIONS = (
         example_answer={"experiment": "E1"},
     ),
     Operation(
-        method="POST",
-        path="/experiments/{experiment}/files",
+        route="POST /experiments/{experiment}/files",
         handler=keep_file,
         client=Method("keep_file", "experiment, content, user", take="sha256", repeat=True),
         summary="Keep a file of an experiment",
@@ -307,8 +297,7 @@ OPERATIONS = (
         example_answer={"sha256": "2cf24dba5fb0a30e26e83b2ac5b9e29e1b161e5c1fa7425e73043362938b9824"},
     ),
     Operation(
-        method="POST",
-        path="/experiments/{experiment}/heartbeat",
+        route="POST /experiments/{experiment}/heartbeat",
         handler=record_heartbeat,
         client=Method("heartbeat", "experiment, user", take=None, repeat=True),
         at_kernel=True,

@@ -78,8 +78,7 @@ def _declare(
     record = f"the record of {'an' if kind == 'experiment' else 'a'} {kind}"
     return (
         Operation(
-            method="POST",
-            path=path,
+            route=f"POST {path}",
             handler=sign_it,
             client=Method(f"sign_{kind}", repeat=True),
             summary=f"Sign {record} that has ended",
@@ -91,8 +90,7 @@ def _declare(
             example_answer=example,
         ),
         Operation(
-            method="GET",
-            path=path,
+            route=f"GET {path}",
             handler=list_its,
             client=Method(signatures, take="signatures"),
             summary=f"Who has signed {record}",

@@ -12,7 +12,7 @@ from labos.errors import NotFound
 from labos.http.erasing import ErasureDone, erase
 from labos.http.limits import Asker, Name, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation
+from labos.http.operation import Call, Operation, declare
 
 _CODES = ", ".join(f"`{code}` ({why})" for code, why in REASONS.items())
 
@@ -97,23 +97,20 @@ def _view(name: str, asked: Erasure) -> ErasureView:
 
 _DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": ""}
 
-OPERATIONS = (
+OPERATIONS = declare(
+    "log",
     Operation(
-        method="GET",
-        path="/words/erasures",
+        route="GET /words/erasures",
         handler=list_erasures,
         client=Method("erasures", take="erasures"),
         summary="What is to be erased, and waits for a second person",
-        tag="log",
         needs="viewer",
     ),
     Operation(
-        method="POST",
-        path="/words/erasures",
+        route="POST /words/erasures",
         handler=erase_words,
         client=Method("erase_words"),
         summary="Erase what people wrote into events",
-        tag="log",
         needs="admin",
         at_kernel=True,
         problems=("not_found", "refused"),
@@ -121,12 +118,10 @@ OPERATIONS = (
         example_answer=_DONE,
     ),
     Operation(
-        method="POST",
-        path="/words/erasures/{erasure}/approve",
+        route="POST /words/erasures/{erasure}/approve",
         handler=approve_erasure,
         client=Method("approve_erasure"),
         summary="Agree, as the second person, that words are erased",
-        tag="log",
         needs="admin",
         at_kernel=True,
         problems=("refused",),
@@ -134,12 +129,10 @@ OPERATIONS = (
         example_answer=_DONE,
     ),
     Operation(
-        method="POST",
-        path="/words/erasures/{erasure}/refuse",
+        route="POST /words/erasures/{erasure}/refuse",
         handler=refuse_erasure,
         client=Method("refuse_erasure", take="erasure", repeat=True),
         summary="Do not erase what waits for a second person",
-        tag="log",
         needs="admin",
         problems=("refused",),
         example={"by": "olga"},

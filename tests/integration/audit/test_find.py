@@ -165,8 +165,8 @@ def test_find_answers_at_the_shell_and_is_rebuilt_by_one_command(
     shown = say("find", "--kind", "run", "--user", "ada", "--facets", "--last", "1")
     assert "1 to 1 of 2; the next ones: --offset 1" in shown
     assert "workflow:    cp_mixcolor 1, cp_newplate 1" in shown
-    assert "Nothing was found." in say("find", "nothing-like-it")
-    assert "Nothing was found." in say("find", "--since", "now")
+    assert "No entry matches." in say("find", "nothing-like-it")
+    assert "No entry matches." in say("find", "--since", "now")
     before = say("find", "--json", "--last", "200")
     say("audit", "rebuild")
     assert say("find", "--json", "--last", "200") == before

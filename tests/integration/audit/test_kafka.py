@@ -214,8 +214,8 @@ def test_bad_targets_and_settings_are_told(
     monkeypatch.setenv("LABOS_HOME", str(tmp_path))
     audit_lab().save(tmp_path)
     for words, said in (
-        (["--to", "amqp://broker/x"], "no target"),
-        (["--settings", str(file)], "are for Kafka"),
+        (["--to", "amqp://broker/x"], "not a target"),
+        (["--settings", str(file)], "are only for Kafka"),
         (["--to", "kafka://broker:1/lab", "--family", "run"], "--to"),
     ):
         assert main(["export", "events", *words]) == 1

@@ -170,7 +170,7 @@ HOUR = ("book", "reader", "--from", "now", "--to", "+1h")
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("book", "reader"), "from when to when"),
+        (("book", "reader"), "has no start or no end"),
         (("book", "raeder", "--from", "now", "--to", "+1h"), "raeder"),
         (("book", "reader", "--from", "soon", "--to", "+1h"), "tomorrow 09:00"),
         ((*HOUR, "--zone", "Mars/Olympus"), "Europe/Zurich"),

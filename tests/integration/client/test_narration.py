@@ -69,7 +69,7 @@ def test_a_run_says_what_it_waits_for(lab: LabThread, monkeypatch: pytest.Monkey
         thread.join(20)
     assert [result.status for result in results] == ["completed"]
     assert "press.squeeze succeeded" in "\n".join(lines)
-    assert lines.count(f"            What can be done: labos explain {run}") == 1, "it is said once"
+    assert lines.count(f"            See what to do: labos explain {run}") == 1, "it is said once"
 
 
 def test_a_long_step_is_told_with_what_is_left(lab: LabThread, monkeypatch: pytest.MonkeyPatch) -> None:

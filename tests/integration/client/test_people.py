@@ -38,7 +38,7 @@ def run_for_json(home: Path, *words: str, user: str = "ada") -> Any:
 
 
 def test_people_are_added_grouped_and_given_roles(home: Path) -> None:
-    assert "may do everything" in run_command(home, "user", "list")
+    assert "has all rights" in run_command(home, "user", "list")
     assert "ada is the admin of this lab" in run_command(home, "user", "add", "ada", user="whoever")
     bo = run_for_json(home, "user", "add", "bo", "--role", "submitter")
     assert (bo["id"], bo["kind"], bo["roles"]) == ("bo", "person", {"*": "submitter"})

@@ -119,7 +119,7 @@ REFUSED_BY_THE_LAB = {
     "approve R99": ("labos approve", "does not wait for an approval"),
     "refuse R99": ("labos refuse", "does not wait for an approval"),
     "erase 1 --because personal": ("labos erase", "No words stand beside the log"),
-    "bench round": ("labos bench round", "not known to have lost its end"),
+    "bench round": ("labos bench round", "has not lost its end"),
     "estop sealer": ("labos estop", "NOT known to be stopped"),
     "run nothing-like-it": ("labos run", "nothing-like-it"),
     "login": ("labos login", "no users"),

@@ -86,7 +86,7 @@ def test_certificates_that_end(lab: Lab) -> None:
 def test_a_lab_that_is_not_there(tmp_path: Path) -> None:
     found = findings(Lab(tmp_path / "none"), code=1)
     assert found["home"]["state"] == "fault"
-    assert found["database"]["remedy"].startswith("labos up makes one")
+    assert found["database"]["remedy"].startswith("labos up creates one")
     assert not (tmp_path / "none").exists()
 
 
@@ -125,7 +125,7 @@ def test_a_kernel_that_was_killed(lab: Lab) -> None:
     )
     found = findings(lab)["kernel"]
     assert found["state"] == "warning"
-    assert "ended without a word" in found["told"]
+    assert "ended unexpectedly" in found["told"]
 
 
 def test_a_database_that_cannot_be_reached(lab: Lab) -> None:

@@ -31,7 +31,7 @@ def test_the_life_of_a_certificate(lab: Lab) -> None:
     assert (shown["kind"], shown["name"], shown["folder"]) == ("node", "rpl/sealer", str(folder))
     assert shown["lab"]
     assert lab.ask("pki", "renew", "rpl/sealer", "--days", "30").strip() == str(folder)
-    assert "may speak no more" in lab.ask("pki", "revoke", "rpl.sealer", "--why", "lost")
+    assert "can no longer connect" in lab.ask("pki", "revoke", "rpl.sealer", "--why", "lost")
     assert "revoked" in lab.ask("pki", "list")
     assert lab.ask("pki", "issue", "node", "rpl/sealer").strip() == str(folder)
 

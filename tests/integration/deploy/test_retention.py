@@ -109,7 +109,7 @@ def test_the_unit_moves_what_is_old_while_the_kernel_runs(retention: Retention) 
     whole = read_backup(retention.backup)
     assert len(whole.segments) >= SEGMENTS - 1
     assert f"{len(whole.segments) - 1} segments were moved" in told[2]
-    assert "The backup is whole" in told[3]
+    assert "The backup is intact" in told[3]
     assert set(blobs.names()) == {*named, young}
     assert segments_in(retention.backup) == {whole.segments[-1].file}
     assert segments_in(retention.archive) == {segment.file for segment in whole.segments[:-1]}
@@ -193,4 +193,4 @@ def test_how_long_ago_it_was_is_noted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("words", [(), ("--backup", "safe", "--detached")])
 def test_an_archive_goes_with_a_backup(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", *words, "--archive", "there"]) == 2
-    assert "--archive goes with --backup FOLDER" in capsys.readouterr().err
+    assert "--archive needs --backup FOLDER" in capsys.readouterr().err

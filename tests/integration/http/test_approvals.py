@@ -170,14 +170,14 @@ def test_what_a_proposal_would_bring_is_shown_before_it_is_approved(people: Peop
     assert told["consumables"]["foil"]["needed"] == 1
     shown = people.labos("olga", "approvals", run).output
     for word in (
-        "If it were approved now",
+        "Forecast for an approval now",
         "starts:      ",
         "uses up:     1 foil",
         "person:",
         "delays:",
     ):
         assert word in shown, shown
-    assert "If it were" not in people.labos("olga", "approvals", run, "--no-forecast").output
+    assert "Forecast for" not in people.labos("olga", "approvals", run, "--no-forecast").output
     name = people.screen("agent")["campaign"]
     found = people["bob"].approval_forecast(name)
     (campaign,) = (each for each in found["forecast"]["campaigns"] if each["campaign"] == name)
@@ -190,7 +190,7 @@ def test_what_a_proposal_would_bring_is_shown_before_it_is_approved(people: Peop
     experiment = people["agent"].start_experiment("app", "")
     with pytest.raises(BadInput, match="cannot be forecast"):
         people["bob"].approval_forecast(experiment)
-    assert "If it were" not in people.labos("olga", "approvals", experiment).output
+    assert "Forecast for" not in people.labos("olga", "approvals", experiment).output
     people["agent"].end_experiment(experiment)
     people["agent"].cancel_campaign(name, "")
     people["agent"].cancel(run)
@@ -239,7 +239,7 @@ def test_another_file_that_a_workflow_uses_is_another_workflow(people: People) -
 
 
 def test_the_policy_is_a_file_that_an_admin_applies(people: People, tmp_path: Path) -> None:
-    assert "Nobody has applied a policy" in people.labos("bob", "policy").output
+    assert "No policy was set" in people.labos("bob", "policy").output
     file = tmp_path / "policy.yaml"
     file.write_text(
         "labos: 1\ntrusted: [agent]\nnewcomers: 1\nabove: {lab_time: 1 h}\npriority: 0\n"

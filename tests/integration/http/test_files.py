@@ -128,7 +128,7 @@ def test_the_command_lists_and_fetches(lab: Lab, tmp_path: Path) -> None:
 
 def test_nothing_is_written_over(lab: Lab, tmp_path: Path) -> None:
     (tmp_path / "plate.png").write_bytes(b"mine")
-    with pytest.raises(BadInput, match="is there already, and is another file"):
+    with pytest.raises(BadInput, match="already exists, and is another file"):
         lab.files(lab.run, "--output", str(tmp_path))
     assert (tmp_path / "plate.png").read_bytes() == b"mine"
     with pytest.raises(NotFound, match=r"has no file 'other\.png'"):

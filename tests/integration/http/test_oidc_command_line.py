@@ -143,7 +143,7 @@ def test_an_address_is_pasted(lab: LabThread, shell: Shell) -> None:
     assert "You are bob" in said
     # The same address another time: it belongs to a sign-in that is over.
     said = shell.run("login", lab.url, "--code", typed=f"{back}\n", fails=True)
-    assert "not the address of the page to which this sign-in leads" in said
+    assert "not the address of the last page of this sign-in" in said
 
 
 def test_whom_the_lab_does_not_know_gets_no_token(lab: LabThread, shell: Shell) -> None:
@@ -263,7 +263,7 @@ def test_the_listener_is_reached_from_this_computer_alone_and_waits_for_one_answ
 
 
 def test_nobody_who_comes_is_waited_for_forever() -> None:
-    with _Listener(0) as listener, pytest.raises(NotSignedIn, match="Nobody has signed in"):
+    with _Listener(0) as listener, pytest.raises(NotSignedIn, match="The sign-in was not completed"):
         listener.wait(0.05)
 
 
@@ -313,8 +313,8 @@ def test_a_lab_gets_no_code_of_another_lab(
     [
         ("file:///etc/passwd", "sends the browser to 'file:"),
         ("http://evil.example/auth", "sends the browser to 'http:"),
-        ("https://evil.example/auth?redirect_uri=https://evil.example/back", "somewhere else"),
-        ("https://evil.example/auth?redirect_uri=http://127.0.0.1:1/login/x", "somewhere else"),
+        ("https://evil.example/auth?redirect_uri=https://evil.example/back", "another site"),
+        ("https://evil.example/auth?redirect_uri=http://127.0.0.1:1/login/x", "another site"),
     ],
 )
 def test_no_browser_is_opened_at_an_odd_address(evil: Any, shell: Shell, address: str, why: str) -> None:

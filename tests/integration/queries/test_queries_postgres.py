@@ -27,7 +27,7 @@ def test_every_question_is_answered(postgres_url: str, capsys: pytest.CaptureFix
         assert "no kernel runs" not in capsys.readouterr().out
         assert main(["verify", "--database", postgres_url]) == 1
         said = capsys.readouterr().out
-        assert f"The log is whole: {two_users().position} records" in said
+        assert f"The log is intact: {two_users().position} records" in said
         assert "names the blob" in said, "these records came without their blobs"
         store.release(head.epoch)
     finally:

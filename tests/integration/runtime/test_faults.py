@@ -8,7 +8,7 @@ event can tell, and what the kernel is given from outside (ids, a planner, a met
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -146,8 +146,8 @@ class Stumbling(Scheduler):
 
     fails = False
 
-    def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[StepStart]:
-        yield from super().proposals(state, keys, now)
+    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
+        yield from super().proposals(state, now)
         if Stumbling.fails:
             Stumbling.fails = False
             raise ArithmeticError("a planner that stumbles")

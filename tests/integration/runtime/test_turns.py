@@ -44,10 +44,10 @@ class Flawed(Scheduler):
     proposing = False
     deadlines = False
 
-    def proposals(self, state: LabState, keys: Iterable[str], now: int) -> Iterator[StepStart]:
+    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
         if Flawed.proposing:
             raise ZeroDivisionError("a fault in planning")
-        return super().proposals(state, keys, now)
+        return super().proposals(state, now)
 
     def next_deadline(self, state: LabState) -> int | None:
         if Flawed.deadlines:

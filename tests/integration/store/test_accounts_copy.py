@@ -108,7 +108,7 @@ def test_a_backup_is_verified_with_its_accounts(
     sealing = ("--key", str(key)) if attack == "seal" else ()
     fill(f"sqlite:///{lab.home / 'labos.db'}")
     lab.ask("backup", str(safe), *sealing)
-    assert "The accounts of 2 users are whole" in lab.ask("verify", "--backup", str(safe), *sealing)
+    assert "The accounts of 2 users are intact" in lab.ask("verify", "--backup", str(safe), *sealing)
     told = json.loads(lab.ask("verify", "--backup", str(safe), *sealing, "--json"))
     assert (told["whole"], told["accounts"]["users"]) == (True, 2)
     text = (safe / FILE).read_text()
@@ -126,4 +126,4 @@ def test_a_backup_is_verified_with_its_accounts(
     told = json.loads(lab.ask("verify", "--backup", str(safe), *sealing, "--json", code=1))
     assert told["whole"] is False
     (safe / FILE).unlink()
-    assert "It holds no accounts" in lab.ask("verify", "--backup", str(safe), *sealing)
+    assert "It contains no accounts" in lab.ask("verify", "--backup", str(safe), *sealing)

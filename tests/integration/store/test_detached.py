@@ -173,10 +173,10 @@ def test_the_command_says_what_it_rests_on(
     assert main(argv) == 0
     told = capsys.readouterr().out
     rest = safe.made.segments[1]
-    assert f"whole from position {rest.first} on: 10 records in 2 segments, 1 blobs." in told
-    assert f"It rests on position {rest.first - 1} with the hash {rest.before}" in told
-    assert f"Not here: {safe.made.segments[0].file}." in told
-    assert "It holds no accounts" in told
+    assert f"intact from position {rest.first} on: 10 records in 2 segments, 1 blobs." in told
+    assert f"It continues position {rest.first - 1} with the hash {rest.before}" in told
+    assert f"Elsewhere: {safe.made.segments[0].file}." in told
+    assert "It contains no accounts" in told
     assert main([*argv, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["whole"], found["detached"]["before"]) == (True, rest.before)
@@ -202,7 +202,7 @@ def test_accounts_and_words_beside_the_later_segments_are_checked_too(
     accounts.close()
     argv = ["verify", "--backup", str(safe.folder), "--detached", "--key", str(key)]
     assert main(argv) == 0
-    assert "The accounts of 2 users are whole" in capsys.readouterr().out
+    assert "The accounts of 2 users are intact" in capsys.readouterr().out
     assert main([*argv, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["accounts"]["users"] == 2
     for name, old, new, fault in (

@@ -130,10 +130,10 @@ def test_who_reads_the_table_meanwhile_is_not_waited_for_for_long(
         assert "labos db scrub" in left
         store.renew(store.head().epoch, LEASE_S)
         done = CliRunner().invoke(db, scrub)
-        assert (done.exit_code, "Something may be left" in done.output) == (1, True)
+        assert (done.exit_code, "Traces may be left" in done.output) == (1, True)
     assert files_with(server, NOBODY)
     done = CliRunner().invoke(db, scrub)
-    assert (done.exit_code, done.output) == (0, "Nothing of erased words stands in the files.\n")
+    assert (done.exit_code, done.output) == (0, "The files contain no traces of erased texts.\n")
     assert files_with(server, NOBODY) == []
 
 

@@ -54,7 +54,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
 def test_a_backup_that_comes_back(lab: Lab, backup: Path, tmp_path: Path) -> None:
     before = contents(lab.home)
     said = lab.ask("restore", str(backup), "--rehearse")
-    assert f"The backup comes back: {HALF + 1} events" in said
+    assert f"The backup can be restored: {HALF + 1} events" in said
     assert f"A restore would lose {END - HALF - 1} events" in said
     assert list((tmp_path / "temporary").iterdir()) == [], "nothing is left behind"
     after = contents(lab.home)
@@ -71,7 +71,7 @@ def test_where_there_is_room_for_it_can_be_said(lab: Lab, backup: Path, tmp_path
     said = lab.ask("restore", str(backup), "--rehearse", "--scratch", str(tmp_path / "large"), "--json")
     assert json.loads(said)["blobs"] >= 1
     assert list((tmp_path / "large").iterdir()) == []
-    assert "--scratch goes with --rehearse" in lab.ask(
+    assert "--scratch needs --rehearse" in lab.ask(
         "restore", str(backup), "--scratch", str(tmp_path / "large"), code=2
     )
 
@@ -89,7 +89,7 @@ def test_the_backup_of_another_log(lab: Lab, backup: Path) -> None:
 def test_a_lab_that_has_lost_its_log(lab: Lab, backup: Path) -> None:
     for path in lab.home.glob("labos.db*"):
         path.unlink()
-    assert "It was compared with no log" in lab.ask("restore", str(backup), "--rehearse")
+    assert "It was not compared with a log" in lab.ask("restore", str(backup), "--rehearse")
 
 
 def test_a_backup_that_does_not_come_back(lab: Lab, backup: Path, tmp_path: Path) -> None:
@@ -112,13 +112,13 @@ def test_a_note_that_cannot_be_read_is_none(tmp_path: Path, noted: bytes) -> Non
 def test_old_segments_move_and_both_parts_verify(lab: Lab, backup: Path, tmp_path: Path) -> None:
     archive = tmp_path / "archive" / "lab"
     words = ("backup", str(backup), "--move-old", str(archive), "--keep-days")
-    assert "No segment is so old." in lab.ask(*words, "100000")
+    assert "No segment is older than --keep-days." in lab.ask(*words, "100000")
     said = lab.ask(*words, "0", "--json")
     first, second, third = (segment.file for segment in read_backup(backup).segments)
     assert json.loads(said)["moved"] == [first, second]
     assert [path.name for path in backup.glob("log-*")] == [third], "the newest stays"
     assert verify_detached(backup).after == HALF + 1
-    assert "No segment is so old." in lab.ask(*words, "0")
+    assert "No segment is older than --keep-days." in lab.ask(*words, "0")
     for name in (first, second):
         (backup / name).write_bytes((archive / name).read_bytes())
     assert verify_backup(backup)[0].position == END

@@ -50,7 +50,7 @@ def test_what_the_log_names_stays_and_what_is_young_stays(lab: Lab) -> None:
     assert found == {"unused": sorted((old, young)), "removed": []}
     said = lab.ask("files", "--unused", "--remove")
     assert f"{old} removed" in said
-    assert "2 files are there that nothing in the log names; 1 were removed." in said
+    assert "2 files without a reference in the log; 1 were removed." in said
     assert set(blobs.names()) == {*named, young}
     assert "are there and whole" in lab.ask("verify")
 

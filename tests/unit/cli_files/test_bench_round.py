@@ -94,6 +94,6 @@ def test_what_cannot_be_confirmed_in_passing_is_said_in_full() -> None:
 def test_what_the_log_believes_in_words() -> None:
     assert describe_recorded(station("a", "P1+P2", types={"P1": "plate96"})) == "P1+P2 (plate96)"
     assert describe_recorded(station("a")) == "empty"
-    assert describe_recorded(station("a", known=False)) == "nothing: nobody has ever said"
+    assert describe_recorded(station("a", known=False)) == "nothing: it was never declared"
     assert describe_recorded(station("a", "plate96", "plate96", kind="stack")) == "2xplate96"
     assert describe_recorded(station("a", "labware", "labware", kind="waste")) == "2 thrown away"

@@ -71,7 +71,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
     lab, out = folder(tmp_path), tmp_path / "out"
     out.mkdir()
     (out / "own.yaml").write_text("mine")
-    with pytest.raises(BadInput, match=r"own\.yaml would be overwritten.*--force"):
+    with pytest.raises(BadInput, match=r"already has .*own\.yaml.*--force"):
         call("import", str(lab), "-o", str(out))
     assert [path.name for path in out.iterdir()] == ["own.yaml"], "and nothing else was written"
     call("import", str(lab), "-o", str(out), "--force", code=1)
@@ -147,7 +147,7 @@ def test_what_was_assumed_is_listed_by_consequence(tmp_path: Path) -> None:
         "  - {name: b, module: oven, action: bake, args: {minutes: 3}}\n"
     )
     told = call("import", str(lab), "-o", str(tmp_path / "out"))
-    listed = told.partition("most consequential first:")[2]
+    listed = told.partition("most important first:")[2]
     order = ["serves the module 'oven'", "taken for the driver a4s_sealer", "does not know what mood"]
     assert [listed.index(text) for text in order] == sorted(listed.index(text) for text in order)
     shown = json.loads(call("import", str(lab), "-o", str(tmp_path / "out"), "--force", "--json"))

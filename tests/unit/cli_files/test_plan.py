@@ -38,7 +38,7 @@ def test_the_packaged_workflow() -> None:
     steps = [step for step in plan["steps"] if not step["on_cancel"]]
     assert plan["total_s"] == sum(step["duration_s"] for step in steps)
     assert plan["critical"] == [step["key"] for step in steps]
-    assert "If the run is cancelled, what is needed of: 'Open the cycler' (biometra.open_lid)" in told
+    assert "If the run is cancelled, the necessary steps of: 'Open the cycler' (biometra.open_lid)" in told
     mix = plan["steps"][2]
     assert (mix["stations"], mix["after"]) == (["ot2_pcr_alpha.deck1_cooler"], ["Move to OT-2"])
     assert plan["outputs"] == ["wc.output"]
@@ -95,10 +95,10 @@ def test_what_may_go_wrong_is_told(tmp_path: Path) -> None:
     told = call("plan", str(flow), "--workcell", "rpl")
     for line in (
         "forks on rpl: 5 steps, 2 min 25 s alone",
-        "If 'Open' fails for good, a person is asked.",
-        "'Seal' counts as unknown if it has not ended after 10 min 00 s.",
-        "'Seal' is tried up to 1 times more if it fails, sealer being reset before.",
-        "If 'Seal' fails for good: 'Look' (biometra.close_lid); then the run fails.",
+        "If 'Open' finally fails, a person is asked.",
+        "'Seal' has an unknown outcome if it has not ended after 10 min 00 s.",
+        "'Seal' is tried up to 1 times more if it fails, after a reset of sealer.",
+        "If 'Seal' finally fails: 'Look' (biometra.close_lid); then the run fails.",
         "'To output' is done only if steps.Seal.result == null.",
         "Kept from others: biometra, from the start of 'Open' to the end of 'Seal'.",
     ):
@@ -132,10 +132,10 @@ def test_what_a_module_says_for_its_steps_is_told(tmp_path: Path) -> None:
     flow.write_text(SEALED)
     told = call("plan", str(flow), "--workcell", str(cell))
     for line in (
-        "'Over' counts as unknown if it has not ended after 2 min 00 s.",
-        "'Seal' counts as unknown if it has not ended after 10 min 00 s.",
+        "'Over' has an unknown outcome if it has not ended after 2 min 00 s.",
+        "'Seal' has an unknown outcome if it has not ended after 10 min 00 s.",
         "'Seal' is tried up to 1 times more if it fails.",
-        "If 'Seal' fails for good, a person is asked.",
+        "If 'Seal' finally fails, a person is asked.",
     ):
         assert line in told
 
@@ -168,7 +168,7 @@ def test_who_looks_afterwards(tmp_path: Path) -> None:
     cell.write_text(WATCHED)
     flow.write_text(CARRY)
     told = call("plan", str(flow), "--workcell", str(cell))
-    assert "After 'Over' somebody looks: eye at wc.a, eye at wc.b (in doubt)." in told
+    assert "After 'Over' its result is observed: eye at wc.a, eye at wc.b (in doubt)." in told
     plan = json.loads(call("plan", str(flow), "--workcell", str(cell), "--json"))
     assert plan["steps"][1]["looks"] == ["eye at wc.b (in doubt)"]
 

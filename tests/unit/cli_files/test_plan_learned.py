@@ -44,9 +44,9 @@ def test_a_new_lab_and_no_lab_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyP
     book = Logbook()
     book.furnish()
     book.save(tmp_path)
-    assert "has seldom carried out any of these steps." in call(*PLAN, "--home", str(tmp_path))
+    assert "has too few executions of these steps." in call(*PLAN, "--home", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    assert "Times are as the drivers say: no lab was asked (--home)." in call(*PLAN)
+    assert "Times are those of the drivers: no lab was asked (--home)." in call(*PLAN)
     plan = json.loads(call(*PLAN, "--json"))
     assert (plan["lab"], plan["steps"][0]["learned"]) == ("", False)
 

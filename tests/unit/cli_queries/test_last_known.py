@@ -93,7 +93,7 @@ def test_why_a_run_was_cancelled_is_told_wherever_the_run_is(ask: Ask, home: Pat
 
 def test_an_experiment_is_explained_run_by_run(ask: Ask, home: Path) -> None:
     append(home, ExperimentStarted(ExperimentId("E1"), "colours", "bo"))
-    assert "None of its runs" in ask("explain", "E1").stdout
+    assert "It has no active" in ask("explain", "E1").stdout
     like = next(e.event for e in two_users().entries if isinstance(e.event, RunSubmitted))
     append(home, msgspec.structs.replace(like, run=RunId("R7"), experiment=ExperimentId("E1")))
     told = ask("explain", "E1").stdout

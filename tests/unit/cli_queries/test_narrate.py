@@ -16,7 +16,7 @@ STEP = {"key": "Mix", "module": "ot2", "action": "run_protocol", "state": "in fl
     [
         ({}, "'Mix': ot2 is at run_protocol, about 1 min 30 s left"),
         ({"left_s": None}, "'Mix': ot2 is at run_protocol"),
-        ({"state": "unknown"}, "'Mix': nobody knows how run_protocol on ot2 ended"),
+        ({"state": "unknown"}, "'Mix': it is unknown how run_protocol on ot2 ended"),
     ],
 )
 def test_how_long_a_step_takes_is_said_only_where_it_is_known(change: dict[str, Any], words: str) -> None:

@@ -84,7 +84,7 @@ def test_log_filters_narrow_each_other(ask: Ask) -> None:
     assert len(ask("log", *args, "--last", "1").stdout.splitlines()) == 1
     nobody = ask("log", "--user", "nobody-at-all")
     assert nobody.stdout == ""
-    nothing = "labos: Nothing in this log is by 'nobody-at-all' or was done for them."
+    nothing = "labos: This log has no events by 'nobody-at-all' or for 'nobody-at-all'."
     assert nobody.stderr.splitlines()[1:] == [nothing]
     ada = ask("log", "--user", "ada", "--type", "lab.created")
     assert (ada.stdout, "Nothing" in ada.stderr) == ("", False), "ada is known"
@@ -199,7 +199,7 @@ def test_stations_at_any_past_moment(ask: Ask) -> None:
     assert now[0]["id"] == "P1"
     assert now[0]["owner"] == "user:ada"
     assert now[0]["since"] == iso_time(START_NS + 250 * 10**9)
-    assert "No station or module" in ask("stations", "fridge", code=2).output
+    assert "This lab has no station or module" in ask("stations", "fridge", code=2).output
     assert "there was no log yet" in ask("stations", "--at", "2001-01-01", code=1).stdout
     assert "no position 99999" in ask("stations", "--at", "99999", code=1).stdout
 
@@ -238,7 +238,7 @@ def test_explain_names_what_a_run_waits_for(ask: Ask, home: Path) -> None:
     append(home, ModuleTakenOut(ModuleName("rpl/pf400"), "smoke"))
     told = ask("explain", "R2").stdout
     assert "#5 'Move to Biometra' waits: pf400 is out of service (smoke)." in told
-    assert "A person or a device has to come back first." in told
+    assert "It continues after a person or a device has acted." in told
     assert "It ended at" in ask("explain", "R1").stdout
     assert json.loads(ask("explain", "R2", "--json").stdout)["kernel"] is False
 
@@ -297,7 +297,7 @@ QUESTIONS = (
 
 
 def test_what_the_lab_asks(ask: Ask, home: Path) -> None:
-    assert ask("interventions").stdout == "The lab asks nothing.\n"
+    assert ask("interventions").stdout == "No question is open.\n"
     append(home, *QUESTIONS)
     told = ask("interventions").stdout.splitlines()
     at = "2025-06-15 15:12:30"
@@ -324,8 +324,8 @@ def test_what_the_lab_asks(ask: Ask, home: Path) -> None:
 def test_the_inbox_says_that_the_lab_asks_for_help_too(ask: Ask, home: Path) -> None:
     append(home, QUESTIONS[0])
     assert ask("inbox").stdout.splitlines() == [
-        "No work is planned for anybody now.",
-        "The lab also asks for help: I1. See: labos interventions",
+        "No planned work waits now.",
+        "Other open questions: I1. See: labos interventions",
     ]
     append(home, *QUESTIONS[1:])
     assert ask("inbox").stdout.splitlines()[-1].endswith("I1. See: labos interventions")
@@ -356,7 +356,7 @@ def test_what_the_lab_asked_and_who_answered(ask: Ask, home: Path) -> None:
         InterventionResolved(InterventionId("I2"), "withdrawn", "labos", "the run was cancelled"),
     )
     assert ask("interventions").stdout.splitlines() == [
-        "The lab asks nothing.",
+        "No question is open.",
         "2 more are answered: labos interventions --all",
     ]
     assert json.loads(ask("interventions", "--json").stdout) == []
@@ -383,7 +383,7 @@ def test_twh_as_table_and_json(ask: Ask) -> None:
 def test_twh_tells_where_the_time_went(ask: Ask) -> None:
     told = ask("twh", "--losses").stdout.splitlines()
     assert told[1].split("  ")[0] == "lab"
-    assert "What the lab lost" in told
+    assert "Losses of the lab" in told
     assert "A person is needed next" in told
     (run,) = json.loads(ask("twh", "--losses", "--run", "R2", "--json").stdout)["scopes"]
     why = run["why"]
@@ -406,9 +406,9 @@ def test_the_summary_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_whole_log_is_said_to_be_whole(ask: Ask) -> None:
     told = ask("verify").stdout
     head = two_users().records[-1]
-    assert f"The log is whole: {head.head.position} records" in told
+    assert f"The log is intact: {head.head.position} records" in told
     assert f"head position {head.head.position}, head hash {head.hash.hex()}" in told
-    assert "A chain alone cannot show that its tail was cut off" in told
+    assert "does not show that the end was cut off" in told
 
 
 @pytest.mark.parametrize(
@@ -507,7 +507,7 @@ def test_journals_are_checked(ask: Ask, home: Path) -> None:
     journal.write_bytes(b"this is none\nat all\n")
     told = ask("verify", "--journals", code=1).stdout
     assert f"The journal {journal} is damaged" in told
-    assert "were not looked at (--journals)" in ask("verify").stdout
+    assert "were not checked (--journals)" in ask("verify").stdout
 
 
 def test_a_checkpoint_shows_a_tail_that_was_cut(ask: Ask, home: Path, tmp_path: Path) -> None:
@@ -529,7 +529,7 @@ def test_a_checkpoint_shows_a_tail_that_was_cut(ask: Ask, home: Path, tmp_path: 
     once = cut.head.position + 10
     assert f"but it once reached {once}: its tail is lost" in ask("verify", code=1).stdout
     (home / "labos.head").unlink()
-    assert "The log is whole" in ask("verify").stdout, "a chain alone does not show it"
+    assert "The log is intact" in ask("verify").stdout, "a chain alone does not show it"
     told = ask("verify", "--checkpoint", str(file), code=1).stdout
     assert f"The log ends at position {cut.head.position}" in told.replace("the log ends", "The log ends")
     assert "its tail was cut off" in told
@@ -581,13 +581,13 @@ def test_the_state_of_the_database(ask: Ask, home: Path) -> None:
 
 def test_a_database_that_is_not_there_or_not_ready(ask: Ask, tmp_path: Path) -> None:
     missing = f"sqlite:///{tmp_path / 'none.db'}"
-    assert "no such file yet" in ask("db", "status", "--database", missing, code=1).stdout
+    assert "does not exist yet" in ask("db", "status", "--database", missing, code=1).stdout
     assert not (tmp_path / "none.db").exists()
     assert "There is no SQLite database" in ask("log", "--database", missing, code=1).stdout
-    assert "was brought from nothing to revision" in ask("db", "upgrade", "--database", missing).stdout
+    assert "was upgraded from no revision to revision" in ask("db", "upgrade", "--database", missing).stdout
     assert ask("log", "--database", missing).stdout == ""
     told = ask("verify", "--database", missing, code=1).stdout
-    assert "The log is whole: 0 records" in told
+    assert "The log is intact: 0 records" in told
     assert "The log is empty, but the one of this lab's folder once reached" in told
     for name in ("runs", "labware", "stations", "experiments", "twh"):
         ask(name, "--database", missing)
@@ -607,7 +607,7 @@ def test_a_living_kernel_is_seen_and_its_database_not_upgraded(ask: Ask, home: P
         assert "no kernel runs" not in ask("explain", "R2").stdout
         assert len(ask("log").stdout.splitlines()) == two_users().position
         raw(home, "UPDATE labos_version SET version_num = ''")
-        assert "A kernel (pid 1) lives" in ask("db", "upgrade", code=1).stdout
+        assert "A kernel (pid 1) is running" in ask("db", "upgrade", code=1).stdout
     finally:
         store.release(head.epoch)
         store.close()

@@ -46,8 +46,8 @@ def test_a_sound_workflow_tells_what_it_needs_and_how_often_it_fits() -> None:
     assert told == [
         "pcr on rpl: 14 steps, no errors.",
         "Labware needed at the start: none.",
-        "Labware stands at the end: wc.output.",
-        "6 copies may be under way at once; one more would wait: sciclops.exchange is occupied by P6.",
+        "Labware at the end: wc.output.",
+        "6 copies can be active at once; one more would wait: sciclops.exchange is occupied by P6.",
     ]
 
 

@@ -27,6 +27,7 @@ from tests.support.bench import (
     hold,
     module,
     move,
+    needs,
     plan,
     releases,
     station,
@@ -58,7 +59,8 @@ class Count(msgspec.Struct):
 
 class SmallCell:
     """Three stations and two or three short runs. ``kinds``: ``holds`` of a module of which some of them
-    need steps, ``decks``, ``setpoints`` beside labware, ``forks`` where a step fails or not."""
+    need steps, ``decks``, ``setpoints`` beside labware, ``forks`` where a step fails or not, two branches
+    ``beside`` each other in a run, which may have to use the same places."""
 
     def __init__(self, rng: random.Random, *kinds: str) -> None:
         self.rng, self.kinds = rng, kinds
@@ -79,9 +81,28 @@ class SmallCell:
         )
         lab.careful = False
         lab.stock("stack", 5)
-        for _ in range(2 if "forks" in self.kinds else self.rng.randint(2, 3)):
-            lab.submit(self.some_plan())
+        for _ in range(2 if {"forks", "beside"} & {*self.kinds} else self.rng.randint(2, 3)):
+            lab.submit(self.two_branches() if "beside" in self.kinds else self.some_plan())
         return lab
+
+    def two_branches(self) -> Plan:
+        """Two plates go their ways beside each other; now and then a step of one waits for the other."""
+        steps: list[PlanStep] = []
+        for arm in ("arm", "arm2"):
+            route = [self.rng.choice(self.places)]
+            if self.rng.random() < 0.5:
+                route.append(self.rng.choice([place for place in self.places if place != route[0]]))
+            first = len(steps)
+            steps.append(step(arm, take("stack", route[0])))
+            for here, there in pairwise([*route, "trash"]):
+                if here == "dev.n" and self.rng.random() < 0.5:
+                    steps.append(step("dev", needs("dev.n"), after=(len(steps) - 1,)))
+                steps.append(step(arm, move(here, there), after=(len(steps) - 1,)))
+            if first and self.rng.random() < 0.3:
+                late = self.rng.randrange(first, len(steps))
+                after = (*steps[late].after, self.rng.randrange(first))
+                steps[late] = msgspec.structs.replace(steps[late], after=after)
+        return plan(*steps, name=f"w{self.rng.random()}", parallel=True)
 
     def some_plan(self) -> Plan:
         rng = self.rng

@@ -10,6 +10,7 @@ from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.nodes import LoseNode
 from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ModuleName
+from labos.core.model import Plan
 from labos.planning.obstacle import obstacle
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
@@ -109,6 +110,65 @@ def test_who_does_not_know_how_a_motion_ended_is_hoped_to_go_on() -> None:
     assert Safety().comes_out(lab.state, lab.run(first))
     settles = lab.submit(route("stack", "c", arm="arm2"))
     assert Safety().traps(lab.state, lab.run(settles), 0) == [first]
+
+
+# -- branches of one run ---------------------------------------------------------------------------
+
+
+def two_branches() -> Plan:
+    """Two plates of one run, each of which goes to ``x`` and from there to a place of its own."""
+    return plan(
+        step("arm", take("stack", "x"), key="first in"),
+        step("arm", move("x", "y"), key="first on", after=(0,)),
+        step("arm", move("y", "trash"), key="first out", after=(1,)),
+        step("arm2", take("stack", "x"), key="second in"),
+        step("arm2", move("x", "z"), key="second on", after=(3,)),
+        step("arm2", move("z", "trash"), key="second out", after=(4,)),
+        parallel=True,
+    )
+
+
+def test_of_two_branches_that_use_one_place_the_one_written_later_may_go_first() -> None:
+    lab = nests("x", "y", "z")
+    run = lab.submit(two_branches())
+    assert Safety().traps(lab.state, lab.run(run), 3) == []
+    lab.step(run, 3)
+    safety = Safety()
+    assert safety.traps(lab.state, lab.run(run), 4) == [], "the order in which it goes on is found again"
+    assert works(lab), lab.describe_stuck()
+
+
+def test_a_branch_that_only_another_run_could_set_free_may_not_go_first() -> None:
+    """R1 stands at z and wants to y by way of x: where R2 has a plate at x that has to go to z."""
+    lab = nests("x", "y", "z")
+    first = lab.submit(route("stack", "z", "x", "trash"))
+    second = lab.submit(two_branches())
+    lab.step(first)
+    assert Safety().traps(lab.state, lab.run(second), 3) == [first, second]
+    assert Safety().traps(lab.state, lab.run(second), 0) == []
+    assert works(lab), lab.describe_stuck()
+
+
+def test_two_runs_find_an_order_of_their_branches_together() -> None:
+    """R1 has its later branch at x, R2 stands at z: R1's plate has to wait until R2 has gone to w."""
+    lab = nests("x", "y", "z", "w")
+    first = lab.submit(two_branches())
+    second = lab.submit(
+        plan(
+            step("arm", take("stack", "w"), key="a"),
+            step("arm", move("w", "x"), key="b", after=(0,)),
+            step("arm", move("x", "trash"), key="c", after=(1,)),
+            step("arm", take("stack", "z"), key="d"),
+            step("arm", move("z", "w"), key="e", after=(3,)),
+            step("arm", move("w", "trash"), key="f", after=(4,)),
+            parallel=True,
+        )
+    )
+    lab.step(second, 3)
+    assert Safety().traps(lab.state, lab.run(first), 3) == []
+    lab.step(first, 3)
+    assert Safety().traps(lab.state, lab.run(second), 0) == [first, second], "w is the only way out"
+    assert works(lab), lab.describe_stuck()
 
 
 # -- interleaving ----------------------------------------------------------------------------------
@@ -458,8 +518,8 @@ def test_a_judge_that_only_asks_changes_nothing() -> None:
     for _ in range(2):
         for run in lab.state.runs.active.values():
             asked.waits(lab.state, run, lab.now)
-    first = next(iter(asked.proposals(lab.state, (), lab.now)))
-    assert first == next(iter(Scheduler().proposals(lab.state, (), lab.now)))
+    first = next(iter(asked.proposals(lab.state, lab.now)))
+    assert first == next(iter(Scheduler().proposals(lab.state, lab.now)))
 
 
 def test_nobody_inside_waits_for_an_application_to_end() -> None:

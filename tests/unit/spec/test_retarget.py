@@ -86,7 +86,7 @@ def test_what_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     flow.write_text(SEAL)
     there.write_text("mine")
     assert main(["retarget", str(flow), "--from", "rpl", "--to", "bio"]) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert there.read_text() == "mine"
     assert main(["retarget", str(flow), "--from", "rpl", "--to", "bio", "--force"]) == 0
     assert there.read_text() != "mine"
@@ -122,8 +122,8 @@ def test_what_does_not_fit_is_said(step: str, misfit: str, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("pair", "said"),
     [
-        ("pf400", "is no pair of modules"),
-        ("=solo", "is no pair of modules"),
+        ("pf400", "is not a pair of modules"),
+        ("=solo", "is not a pair of modules"),
         ("pf401=platecrane", "the workcell rpl has no module 'pf401'"),
         ("pf400=platecran", "the workcell bio has no module 'platecran'"),
     ],

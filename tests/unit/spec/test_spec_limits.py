@@ -21,7 +21,7 @@ READER = """\
 import json, os, resource, signal, sys, traceback
 from labos.errors import SpecError
 from labos.spec import read_workflow, validate_workcell, validate_workflow
-from labos.spec.findings import finding_of
+from labos.spec.findings import make_finding
 from labos.core.model import Workcell
 
 def read(path):
@@ -30,7 +30,7 @@ def read(path):
         found = validate_workflow(source, {{}}, Workcell("w", "", (), ()), {{}})
         found += validate_workcell(source, {{}})
     except SpecError as error:
-        found = [finding_of(error)]
+        found = [make_finding(error)]
     assert any(finding.severity == "error" for finding in found), found
     assert all(finding.remedy and len(str(finding)) < 5000 for finding in found), found
     assert len(found) <= 1000, len(found)

@@ -41,15 +41,15 @@ class Driver:
             why, remedy = REFUSALS[answer]
             raise DeviceError(f"{self.name}: {why}.", effects="none", remedy=remedy)
         if answer != "OK":
-            raise Garbled(f"{self.name}: {answer!r} is no answer to WORK.")
+            raise Garbled(f"{self.name}: {answer!r} is not a valid answer to WORK.")
         with under_way():
             self._await_rest()
             if self._works_done() != before + 1:  # a device that has restarted rests, too
-                raise DeviceError(f"{self.name} rests, but has not done it: did it restart?")
+                raise DeviceError(f"{self.name} is idle, but has not done the work. It may have restarted.")
 
     def reset(self) -> None:
         if (answer := self._ask("RESET")) != "OK":
-            raise DeviceError(f"{self.name}: {answer!r} is no answer to RESET.")
+            raise DeviceError(f"{self.name}: {answer!r} is not a valid answer to RESET.")
 
     def is_idle(self) -> bool:
         return self._ask("STAT") == "IDLE"
@@ -57,14 +57,14 @@ class Driver:
     def sees_a_plate(self) -> bool:
         answer = self._ask("PLATE")
         if answer not in ("YES", "NO"):
-            raise Garbled(f"{self.name}: {answer!r} is no answer to PLATE.")
+            raise Garbled(f"{self.name}: {answer!r} is not a valid answer to PLATE.")
         return answer == "YES"
 
     def _works_done(self) -> int:
         """How often it has worked since it was switched on."""
         answer = self._ask("COUNT")
         if not answer.isdecimal():
-            raise Garbled(f"{self.name}: {answer!r} is no count.")
+            raise Garbled(f"{self.name}: {answer!r} is not a number.")
         return int(answer)
 
     def _await_rest(self) -> None:
@@ -77,7 +77,7 @@ class Driver:
             why, remedy = FAULTS[state]
             raise DeviceError(f"{self.name}: {why}.", remedy=remedy)
         if state != "IDLE":
-            raise Garbled(f"{self.name}: {state!r} is no state.")
+            raise Garbled(f"{self.name}: {state!r} is not a state.")
 
     def _ask(self, question: str) -> str:
         return self.line.exchange(question.encode("ascii"), ANSWER_S).decode("ascii", "replace")

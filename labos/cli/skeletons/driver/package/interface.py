@@ -45,7 +45,7 @@ class CLASS(Node):
         await asyncio.to_thread(self.device.reset)
 
     async def stop(self) -> None:
-        raise DeviceError("It takes no stop over its line.", remedy="Use the switch on the device.")
+        raise DeviceError("It cannot be stopped over its line.", remedy="Use the switch on the device.")
 
     async def observe(self) -> dict[str, Any]:
         """What it sees: it has a sensor under its nest."""

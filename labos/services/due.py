@@ -1,0 +1,61 @@
+"""Whether runs will be over when they are due, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from labos.core.state import LabState, picture
+from labos.planning.hindsight import TimeRange
+from labos.planning.lab_forecast import ForecastRequest, forecast_lab
+from labos.services.runs import RunHistory
+from labos.services.times import show_time
+
+MOST_STEPS = 5_000
+"""So many steps are looked ahead: what comes later is not in sight."""
+
+
+def tell_due(state: LabState, stories: Iterable[RunHistory], now: int) -> dict[str, str]:
+    """When those of these runs are due that are due at some time, and whether that was kept or, of those that
+    are alive, will be: for these the lab is carried on in virtual time, without rows that campaigns have not
+    submitted."""
+    dated = [story for story in stories if story.due_at]
+    alive = {story.id for story in dated if not story.over}
+    found = {story.id: _tell_past(story) for story in dated if story.over}
+    if not alive:
+        return found
+    forecast = forecast_lab(ForecastRequest(picture(state), now, most_steps=MOST_STEPS))
+    ends = {run.run: run.ends for run in forecast.runs}
+    for story in dated:
+        if story.id in alive:
+            kept = tell_whether_kept(story.due_at, ends.get(story.id))
+            found[story.id] = f"{show_time(story.due_at)}: {kept}"
+    return found
+
+
+def _tell_past(story: RunHistory) -> str:
+    if story.status != "completed":
+        return show_time(story.due_at)
+    late = story.ended_at > story.due_at
+    return f"{show_time(story.due_at)}: {'was late' if late else 'was kept'}"
+
+
+def tell_whether_kept(due_at: int, ends: TimeRange | None) -> str:
+    """Whether a run will be over when it is due, as a forecast sees its end (None: not in sight)."""
+    if ends is None:
+        return "its end is not in sight"
+    late_s = (ends.expected_at - due_at) / 1e9
+    if late_s >= 1:
+        return f"late by about {_show_about(late_s)}"
+    if ends.latest_at > due_at:
+        return f"may be late, by up to {_show_about((ends.latest_at - due_at) / 1e9)}"
+    return f"kept, with about {_show_about(-late_s)} to spare"
+
+
+def _show_about(seconds: float) -> str:
+    if seconds < 60:
+        return f"{max(1, round(seconds))} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+__all__ = ["tell_due", "tell_whether_kept"]
