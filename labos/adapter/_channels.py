@@ -16,7 +16,7 @@ from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 from labos.spec.signals import Condition
 
-__all__ = ["Channels", "NoResponse", "Reading", "fits", "leaves_open", "report_missing_package"]
+__all__ = ["ChannelReading", "Channels", "NoResponse", "fits", "leaves_open", "report_missing_package"]
 
 SETTLED = 3
 """How often in a row a device must say that it does nothing before its silence on an action is believed."""
@@ -25,7 +25,7 @@ SEVERITIES = ("none", "minor", "major", "invalid")
 """By number."""
 
 
-class Reading(msgspec.Struct, frozen=True):
+class ChannelReading(msgspec.Struct, frozen=True):
     """What a process variable tells: its value, the label of an enumeration's value, and the severity of
     its alarm (0 none, 1 minor, 2 major, 3 invalid)."""
 
@@ -37,10 +37,10 @@ class Reading(msgspec.Struct, frozen=True):
 class Channels(Protocol):
     """One protocol's process variables, by their whole names."""
 
-    def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
+    def watch(self, name: str, changed: Callable[[ChannelReading | None], None]) -> None:
         """Tell every change; None while nobody answers for the name."""
 
-    async def get(self, name: str, timeout_s: float) -> Reading:
+    async def get(self, name: str, timeout_s: float) -> ChannelReading:
         """The value now. Raises DeviceError (``none``)."""
 
     async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
@@ -55,7 +55,7 @@ class Channels(Protocol):
         """Let go of all names."""
 
 
-def fits(condition: Condition, told: Reading) -> bool:
+def fits(condition: Condition, told: ChannelReading) -> bool:
     """Whether a condition holds for a reading."""
     if condition.is_ is not None:
         return _is_among(told, condition.is_)
@@ -67,7 +67,7 @@ def fits(condition: Condition, told: Reading) -> bool:
     return (low is None or told.value >= low) and (high is None or told.value <= high)
 
 
-def leaves_open(condition: Condition, told: Reading) -> bool:
+def leaves_open(condition: Condition, told: ChannelReading) -> bool:
     """Whether a reading neither fits a condition nor says the opposite: no number where one is wanted,
     or a value that is not among those that do."""
     if fits(condition, told):
@@ -77,12 +77,12 @@ def leaves_open(condition: Condition, told: Reading) -> bool:
     return condition.is_ is None and not _is_number(told)
 
 
-def _is_among(told: Reading, wanted: Any) -> bool:
+def _is_among(told: ChannelReading, wanted: Any) -> bool:
     values = wanted if isinstance(wanted, list) else [wanted]
     return told.value in values or (bool(told.label) and told.label in values)
 
 
-def _is_number(told: Reading) -> bool:
+def _is_number(told: ChannelReading) -> bool:
     return isinstance(told.value, int | float) and math.isfinite(told.value)
 
 

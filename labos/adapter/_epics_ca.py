@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import NoResponse, Reading, number_of, report_missing_package, text_of
+from labos.adapter._channels import ChannelReading, NoResponse, number_of, report_missing_package, text_of
 from labos.errors import DeviceError
 
 PUT_FAILED, NO_ACCESS = 160, 376
@@ -38,7 +38,7 @@ class CaChannels:
         self._gone = (cadef.Disconnected, cadef.CAException)
         self._watched: list[Any] = []
 
-    def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
+    def watch(self, name: str, changed: Callable[[ChannelReading | None], None]) -> None:
         def pass_on(value: Any) -> None:
             changed(self._read_value(name, value) if getattr(value, "ok", False) else None)
 
@@ -46,7 +46,7 @@ class CaChannels:
         watched = self._ca.camonitor(name, pass_on, format=self._ca.FORMAT_CTRL, **options)
         self._watched.append(watched)
 
-    async def get(self, name: str, timeout_s: float) -> Reading:
+    async def get(self, name: str, timeout_s: float) -> ChannelReading:
         try:
             value = await self._ca.caget(name, format=self._ca.FORMAT_CTRL, timeout=timeout_s)
         except (self._ca.CANothing, *self._gone) as error:
@@ -90,10 +90,10 @@ class CaChannels:
             )
         return (text + "\0", self._ca.DBR_CHAR_STR) if is_array else (text, None)
 
-    def _read_value(self, name: str, value: Any) -> Reading:
+    def _read_value(self, name: str, value: Any) -> ChannelReading:
         is_text = getattr(value, "datatype", None) == self._ca.DBR_CHAR and name not in self._numbers
         if is_text and hasattr(value, "tobytes") and (text := text_of(value.tobytes())) is not None:
-            return Reading(text, severity=int(getattr(value, "severity", 0)))
+            return ChannelReading(text, severity=int(getattr(value, "severity", 0)))
         return _read_value(value)
 
     def why_silent(self) -> str:
@@ -106,10 +106,10 @@ class CaChannels:
         self._ca.purge_channel_caches()  # else the library calls into a loop that has ended
 
 
-def _read_value(value: Any) -> Reading:
+def _read_value(value: Any) -> ChannelReading:
     plain = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(plain, int | float | str):
         plain = next(kind(plain) for kind in (int, float, str) if isinstance(plain, kind))
     labels = getattr(value, "enums", None)
     label = labels[plain] if labels and isinstance(plain, int) and 0 <= plain < len(labels) else ""
-    return Reading(plain, label, int(getattr(value, "severity", 0)))
+    return ChannelReading(plain, label, int(getattr(value, "severity", 0)))

@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import NoResponse, Reading, number_of, report_missing_package, text_of
+from labos.adapter._channels import ChannelReading, NoResponse, number_of, report_missing_package, text_of
 from labos.errors import DeviceError
 
 READ_S = 5.0
@@ -33,13 +33,13 @@ class PvaChannels:
         self._Disconnected, self._RemoteError = Disconnected, RemoteError
         self._watched: list[Any] = []
 
-    def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
+    def watch(self, name: str, changed: Callable[[ChannelReading | None], None]) -> None:
         async def pass_on(value: Any) -> None:
             changed(None if isinstance(value, Exception) else self._read_value(name, value))
 
         self._watched.append(self._context.monitor(name, pass_on, notify_disconnect=True))
 
-    async def get(self, name: str, timeout_s: float) -> Reading:
+    async def get(self, name: str, timeout_s: float) -> ChannelReading:
         try:
             return self._read_value(name, await asyncio.wait_for(self._context.get(name), timeout_s))
         except (TimeoutError, self._Disconnected, self._RemoteError) as error:
@@ -79,11 +79,11 @@ class PvaChannels:
             return np.frombuffer(value.encode() + b"\0", dtype=told.dtype)
         return value
 
-    def _read_value(self, name: str, told: Any) -> Reading:
+    def _read_value(self, name: str, told: Any) -> ChannelReading:
         if _is_bytes(told.value) and name not in self._numbers:
             text = text_of(told.value.tobytes())
             if text is not None:
-                return Reading(text, severity=_severity(told))
+                return ChannelReading(text, severity=_severity(told))
         return _read_value(told)
 
     def why_silent(self) -> str:
@@ -121,7 +121,7 @@ def _fields(value: Any) -> list[str]:
     return list(value.keys()) if hasattr(value, "keys") else []
 
 
-def _read_value(told: Any) -> Reading:
+def _read_value(told: Any) -> ChannelReading:
     value, label = told.value, ""
     if "index" in _fields(value):
         labels = list(value.choices)
@@ -129,7 +129,7 @@ def _read_value(told: Any) -> Reading:
         label = labels[value] if 0 <= value < len(labels) else ""
     elif hasattr(value, "tolist"):
         value = value.tolist()
-    return Reading(value, label, _severity(told))
+    return ChannelReading(value, label, _severity(told))
 
 
 def _severity(told: Any) -> int:

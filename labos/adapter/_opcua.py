@@ -11,9 +11,9 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import NoResponse, Reading, report_missing_package
+from labos.adapter._channels import ChannelReading, NoResponse, report_missing_package
 from labos.adapter._opcua_security import OpcuaAccess
-from labos.adapter._opcua_types import Kind, Types, plain
+from labos.adapter._opcua_types import OpcuaKind, Types, plain
 from labos.errors import DeviceError
 
 READ_S = 5.0
@@ -52,16 +52,16 @@ class UaChannels:
         self._asyncua: Any = asyncua
         self._ua: Any = ua
         self._url, self._namespace, self._access = url, namespace, access
-        self._watched: dict[str, Callable[[Reading | None], None]] = {}
+        self._watched: dict[str, Callable[[ChannelReading | None], None]] = {}
         self._names: dict[Any, str] = {}
-        self._kinds: dict[str, Kind] = {}
+        self._kinds: dict[str, OpcuaKind] = {}
         self._client: Any = None
-        self._known: dict[Any, Kind] = {}
+        self._known: dict[Any, OpcuaKind] = {}
         self._why = ""
         self._leaving: set[asyncio.Task[None]] = set()
         self._keeping: asyncio.Task[None] | None = None
 
-    def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
+    def watch(self, name: str, changed: Callable[[ChannelReading | None], None]) -> None:
         self._watched[name] = changed
         if self._keeping is None:
             self._keeping = asyncio.create_task(self._keep())
@@ -114,7 +114,7 @@ class UaChannels:
             node = await self._node(client, name)
             try:
                 if await node.read_node_class() == self._ua.NodeClass.Method:
-                    changed(Reading("a method"))
+                    changed(ChannelReading("a method"))
                     continue
                 self._kinds[name] = await types.find(node)
                 changed(self._read_value(name, await node.read_data_value(raise_on_bad_status=False)))
@@ -137,7 +137,7 @@ class UaChannels:
 
     # -- values ------------------------------------------------------------------------------
 
-    async def get(self, name: str, timeout_s: float) -> Reading:
+    async def get(self, name: str, timeout_s: float) -> ChannelReading:
         client = self._client
         if client is None:
             raise DeviceError(f"{self._url} does not answer.", effects="none")
@@ -208,7 +208,7 @@ class UaChannels:
             raise ValueError(f"several objects share the method: {names}; write one of them as `object:`")
         return objects[0] if objects else await method.get_parent()
 
-    def _read_value(self, name: str, told: Any) -> Reading:
+    def _read_value(self, name: str, told: Any) -> ChannelReading:
         value = plain(told.Value.Value) if told.Value is not None else None
         kind = self._kinds.get(name)
         label = kind.labels.get(value, "") if kind is not None and isinstance(value, int) else ""
@@ -216,7 +216,7 @@ class UaChannels:
             value = [kind.labels.get(each, each) for each in value]
         status = told.StatusCode
         severity = 0 if status is None or status.is_good() else 1 if status.is_uncertain() else 3
-        return Reading(value, label, severity)
+        return ChannelReading(value, label, severity)
 
 
 async def _let_go(client: Any) -> None:

@@ -20,7 +20,7 @@ ENUMERATION, STRUCTURE = 29, 22
 INTEGERS = ("SByte", "Byte", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 
 
-class Kind(msgspec.Struct, frozen=True):
+class OpcuaKind(msgspec.Struct, frozen=True):
     """What a data type is: ``variant``, the built-in type that goes over the wire (None: that of the value
     which the variable holds now); ``labels`` of an enumeration by number, ``fields`` of a structure by name,
     of which some are ``optional``."""
@@ -28,7 +28,7 @@ class Kind(msgspec.Struct, frozen=True):
     data_type: Any
     variant: Any = None
     labels: dict[int, str] = {}
-    fields: dict[str, Kind] = {}
+    fields: dict[str, OpcuaKind] = {}
     optional: frozenset[str] = frozenset()
 
 
@@ -36,12 +36,12 @@ class Types:
     """The data types of the server at the other end of a connection; ``known`` are those already read, ``ua``
     is asyncua's module of that name."""
 
-    def __init__(self, client: Any, ua: Any, known: dict[Any, Kind] | None = None) -> None:
+    def __init__(self, client: Any, ua: Any, known: dict[Any, OpcuaKind] | None = None) -> None:
         self._client, self._ua = client, ua
         self._known = {} if known is None else known
         self._loaded = False
 
-    async def find(self, node: Any) -> Kind:
+    async def find(self, node: Any) -> OpcuaKind:
         """The type of a variable. Raises UaError, OSError, TimeoutError."""
         kind = await self.kind(await node.read_data_type())
         if kind.variant is not None:
@@ -49,24 +49,24 @@ class Types:
         held = await node.read_data_value(raise_on_bad_status=False)
         return msgspec.structs.replace(kind, variant=held.Value.VariantType if held.Value else None)
 
-    async def kind(self, data_type: Any) -> Kind:
+    async def kind(self, data_type: Any) -> OpcuaKind:
         """A data type by its node id. Raises as ``of`` does."""
         if data_type not in self._known:
             self._known[data_type] = await self._read(data_type)
         return self._known[data_type]
 
-    async def _read(self, data_type: Any) -> Kind:
+    async def _read(self, data_type: Any) -> OpcuaKind:
         from asyncua.common.ua_utils import get_base_data_type
 
         node = self._client.get_node(data_type)
         base = (await get_base_data_type(node)).nodeid.Identifier
         if base == ENUMERATION:
-            return Kind(data_type, self._ua.VariantType.Int32, labels=await self._labels(node))
+            return OpcuaKind(data_type, self._ua.VariantType.Int32, labels=await self._labels(node))
         if base == STRUCTURE and data_type != self._ua.NodeId(STRUCTURE):
             return await self._structure(node)
         if base in (24, 26, 27, 28):  # BaseDataType, Number, Integer, UInteger: the value itself says which
-            return Kind(data_type)
-        return Kind(data_type, self._ua.VariantType(base))
+            return OpcuaKind(data_type)
+        return OpcuaKind(data_type, self._ua.VariantType(base))
 
     async def _labels(self, node: Any) -> dict[int, str]:
         """An enumeration's labels, wherever the server keeps them."""
@@ -82,12 +82,12 @@ class Types:
             return {int(field.Value): str(field.Name) for field in definition.Fields}
         return {}
 
-    async def _structure(self, node: Any) -> Kind:
+    async def _structure(self, node: Any) -> OpcuaKind:
         if not self._loaded:
             await self._client.load_data_type_definitions(overwrite_existing=True)
             self._loaded = True
         definition = await node.read_data_type_definition()
-        return Kind(
+        return OpcuaKind(
             node.nodeid,
             self._ua.VariantType.ExtensionObject,
             fields={field.Name: await self.kind(field.DataType) for field in definition.Fields},
@@ -96,11 +96,11 @@ class Types:
 
     # -- there -------------------------------------------------------------------------------
 
-    def variant(self, kind: Kind, value: Any) -> Any:
+    def variant(self, kind: OpcuaKind, value: Any) -> Any:
         """A value as it is sent. Raises ValueError, TypeError."""
         return self._ua.Variant(self._encode(kind, value), kind.variant)
 
-    def _encode(self, kind: Kind, value: Any) -> Any:
+    def _encode(self, kind: OpcuaKind, value: Any) -> Any:
         if isinstance(value, list | tuple):
             return [self._encode(kind, each) for each in value]
         if kind.labels:
@@ -118,7 +118,7 @@ class Types:
             return datetime.datetime.fromisoformat(value)
         return value
 
-    def _fill(self, kind: Kind, value: Any) -> Any:
+    def _fill(self, kind: OpcuaKind, value: Any) -> Any:
         if not isinstance(value, dict):
             raise ValueError(f"it is a structure, and wants a table of {', '.join(kind.fields)}")
         unknown = [name for name in value if name not in kind.fields]

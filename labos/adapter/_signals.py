@@ -18,9 +18,9 @@ import msgspec
 from labos.adapter._channels import (
     SETTLED,
     SEVERITIES,
+    ChannelReading,
     Channels,
     NoResponse,
-    Reading,
     fits,
     leaves_open,
     report_missing_package,
@@ -58,7 +58,7 @@ class SignalNode(ForeignNode):
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self._channels: dict[Protocol, Channels] = {}
-        self._now: dict[str, Reading | None] = {}
+        self._now: dict[str, ChannelReading | None] = {}
         self._changed = asyncio.Event()
         self._losses = 0
 
@@ -98,7 +98,7 @@ class SignalNode(ForeignNode):
             self._channels[protocol] = self.client(protocol)
         return self._channels[protocol]
 
-    def _note_reading(self, name: str, told: Reading | None) -> None:
+    def _note_reading(self, name: str, told: ChannelReading | None) -> None:
         if told is None and self._now.get(name) is not None:
             self._losses += 1
         self._now[name] = told
@@ -179,10 +179,10 @@ class SignalNode(ForeignNode):
         told = [(condition, self._last(condition.pv)) for condition in self.mapping.state.busy]
         return any(now is not None and fits(condition, now) for condition, now in told)
 
-    def _last(self, name: str) -> Reading | None:
+    def _last(self, name: str) -> ChannelReading | None:
         return self._now.get(self.mapping.find(name)[1])
 
-    async def _get(self, name: str) -> Reading:
+    async def _get(self, name: str) -> ChannelReading:
         """The value now, not as it was last told. Raises DeviceError."""
         protocol, whole = self.mapping.find(name)
         return await self._find_client(protocol).get(whole, CONNECT_S)
@@ -369,7 +369,7 @@ class SignalNode(ForeignNode):
         return result
 
 
-def array_file(name: str, told: Reading) -> Attachment:
+def array_file(name: str, told: ChannelReading) -> Attachment:
     """An array as numpy writes it. Raises DeviceError for what is no array of numbers."""
     try:
         import numpy
@@ -398,7 +398,7 @@ def _names(mapping: SignalMapping) -> set[str]:
     return {name for name in (*names, mapping.boot, state.why) if name}
 
 
-def _plain(told: Reading) -> Any:
+def _plain(told: ChannelReading) -> Any:
     return told.label or told.value
 
 

@@ -28,7 +28,7 @@ from labos.http.link import KernelLink
 from labos.http.server import HttpServer
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
-from labos.pki import PROCESS_NAME, Identity
+from labos.pki import PROCESS_NAME, PartyIdentity
 from labos.ports import BlobStore, Bus
 from labos.runtime.followed import FollowedKernel, SendOn
 from labos.runtime.log_check import LogCheck
@@ -202,7 +202,7 @@ async def _link(api: ApiRuntime, stack: AsyncExitStack) -> None:
     settings, kernel = api.settings.lab, api.kernel
     guard = None
     if settings.is_secure:
-        who = Identity("api", api.settings.name, kernel.lab)
+        who = PartyIdentity("api", api.settings.name, kernel.lab)
         own: Path | None = settings.certificate
         guard = Guard(who, settings, runs_bus=False, own=own)
     security = await asyncio.to_thread(guard.prepare) if guard is not None else None

@@ -13,7 +13,7 @@ from labos.bootstrap._secure import Guard
 from labos.bus import SCHEME, Security, ZenohBus, open_bus
 from labos.errors import BusError
 from labos.node.protocol import Keys
-from labos.pki import Identity
+from labos.pki import PartyIdentity
 from labos.runtime.announcer import Announcer
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.files import FileDesk
@@ -43,7 +43,7 @@ async def secure_bus(settings: Settings, lab: LabRuntime, modules: Sequence[str]
         return list(lab.supervised.nodes) if lab.supervised is not None else []
 
     lab.guard = Guard(
-        Identity("kernel", lab=lab.kernel.lab),
+        PartyIdentity("kernel", lab=lab.kernel.lab),
         settings,
         runs_bus=not settings.bus,
         own=settings.certificate,

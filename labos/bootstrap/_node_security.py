@@ -11,7 +11,7 @@ import structlog
 
 from labos.clock import SystemClock
 from labos.errors import BadInput, LabosError, NotFound
-from labos.pki import Authority, Credentials, Identity
+from labos.pki import Authority, Credentials, PartyIdentity
 from labos.settings import Settings
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def _own_certificate(settings: Settings, module: str, lab: str) -> Path:
             remedy="Issue one where the lab's authority is (labos pki issue node WORKCELL/MODULE), copy its "
             "folder here, and name it: --cert FOLDER.",
         )
-    return authority.credentials(Identity("node", module, lab)).folder
+    return authority.credentials(PartyIdentity("node", module, lab)).folder
 
 
 async def keep_certificate(bus: ZenohBus, security: Security, is_at_work: Callable[[], bool]) -> None:

@@ -15,7 +15,7 @@ from labos.bus import SCHEME, Onlooker, Security, Unheard, ZenohBus
 from labos.clock import SystemClock
 from labos.core.ids import ModuleName
 from labos.errors import BadInput, LabosError, NotFound
-from labos.pki import MEMBERS, Authority, Credentials, Identity, Members, ReceivedList
+from labos.pki import MEMBERS, Authority, Credentials, Members, PartyIdentity, ReceivedList
 from labos.settings import Settings, last_kernel
 
 POLL_S = 1.0
@@ -37,7 +37,7 @@ class Guard:
 
     def __init__(
         self,
-        who: Identity,
+        who: PartyIdentity,
         settings: Settings,
         *,
         runs_bus: bool,
@@ -98,12 +98,12 @@ class Guard:
 
     def find_node_folder(self, module: str) -> Path:
         """Where the certificate of a node is that runs here."""
-        return self.authority.credentials(Identity("node", module, self.who.lab)).folder
+        return self.authority.credentials(PartyIdentity("node", module, self.who.lab)).folder
 
     def issue_for(self, modules: Iterable[str]) -> None:
         """Certificates for nodes that run here and have none. Blocks. Raises Refused, BadInput."""
         if self.authority.issues:
-            self.authority.issue_all(Identity("node", module, self.who.lab) for module in modules)
+            self.authority.issue_all(PartyIdentity("node", module, self.who.lab) for module in modules)
 
     def _find_authority(self) -> None:
         """One is made for a lab that never had one and runs its bus itself. Raises NotFound."""

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from labos.node.protocol import ANY_KERNEL, Keys
-from labos.pki import PROCESS_NAME, CertificateEntry, Identity
+from labos.pki import PROCESS_NAME, CertificateEntry, PartyIdentity
 
 ROUND_TRIP = "labos/@round-trip"
 """What nobody shows: asked for to learn that everything before it has arrived."""
@@ -73,7 +73,7 @@ def _rule(name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequen
     }
 
 
-def _rules(who: Identity) -> Iterator[Rule]:
+def _rules(who: PartyIdentity) -> Iterator[Rule]:
     if who.kind == "bus":
         return
     keys = Keys(who.lab)

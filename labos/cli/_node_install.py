@@ -96,7 +96,7 @@ def install(
 def _certificate(settings: Settings, module: str, connect: str) -> Path | None:
     """The folder of the node's own certificate, which is issued if there is none; None for a bus that is not
     secure."""
-    from labos.pki import Authority, Identity
+    from labos.pki import Authority, PartyIdentity
 
     if not connect.startswith("tls/"):
         return None
@@ -106,4 +106,4 @@ def _certificate(settings: Settings, module: str, connect: str) -> Path | None:
             f"{settings.pki} has no certificate authority to issue a certificate for {module}.",
             remedy="Name the node's certificate: --cert FOLDER; or the lab's folder: --home DIR.",
         )
-    return authority.ensure(Identity("node", module, known.lab)).folder
+    return authority.ensure(PartyIdentity("node", module, known.lab)).folder

@@ -61,7 +61,7 @@ def command(
     """
     from labos.bootstrap import Guard
     from labos.cli._lab import orderly
-    from labos.pki import Identity
+    from labos.pki import PartyIdentity
     from labos.settings import Settings, keep_private
     from labos.telemetry.logs import configure_logs
 
@@ -71,7 +71,7 @@ def command(
         keep_private()
         settings = Settings.make(home, addresses=address, authority=pki)
         own = cert.absolute() if cert is not None else None
-        guard = Guard(Identity("bus"), settings, runs_bus=True, own=own)
+        guard = Guard(PartyIdentity("bus"), settings, runs_bus=True, own=own)
     where = listen or (f"{'tls' if guard is not None else 'tcp'}/{LISTEN}",)
     with orderly():
         try:

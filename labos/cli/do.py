@@ -134,12 +134,12 @@ def _carry_out(
     quiet: bool,
 ) -> None:
     from labos.cli._remote import lab_of
-    from labos.cli.run import Job, carry_out, show_result
+    from labos.cli.run import RunRequest, carry_out, show_result
     from labos.client import step_text
     from labos.settings import Settings
 
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
-    job = Job(
+    job = RunRequest(
         step_text(module, action, arguments),
         user=find_user(user),
         workcell=workcell or module.rpartition("/")[0],

@@ -72,7 +72,7 @@ def _stop(
     from labos.cli._remote import lab_of
     from labos.client import LabClient, LabUnreachable
     from labos.errors import NotFound
-    from labos.pki import Authority, Identity
+    from labos.pki import Authority, PartyIdentity
     from labos.settings import Settings, find_kernel, last_kernel
 
     if not connect and (url := lab_of(home)):
@@ -91,7 +91,7 @@ def _stop(
     if connect or last is None:
         return _past_the_kernel(connect, cert, target, by)
     if cert is None and last.bus.startswith("tls/"):
-        cert = Authority(Settings.make(home).pki).credentials(Identity("kernel", lab=last.lab)).folder
+        cert = Authority(Settings.make(home).pki).credentials(PartyIdentity("kernel", lab=last.lab)).folder
     return _past_the_kernel((last.bus,), cert, target, by, last.lab)
 
 

@@ -12,7 +12,7 @@ from labos.cli._options import json_option, pki_option, why_option
 from labos.cli._out import show_json, tell
 from labos.cli._query import Where, log_options, now_ns, open_database
 from labos.errors import LabosError, NotFound
-from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, Identity
+from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
 from labos.services.times import show_time
 from labos.settings import Settings
 
@@ -206,7 +206,7 @@ def _authority(where: Where, pki: Path | None) -> Authority:
     return Authority(Settings(where.home, "", authority=pki).pki)
 
 
-def _identity(where: Where, kind: Any, name: str, lab: str | None) -> Identity:
+def _identity(where: Where, kind: Any, name: str, lab: str | None) -> PartyIdentity:
     if (kind in ("node", "api", "viewer", "stop")) is not bool(name):
         what = f"An {kind}" if kind == "api" else f"A {kind}"
         raise click.UsageError(f"{what} needs a name." if not name else f"{what} has no name.")
@@ -214,7 +214,7 @@ def _identity(where: Where, kind: Any, name: str, lab: str | None) -> Identity:
         raise click.UsageError(f"{name!r} is not a name for an API process: use a-z, 0-9 and -.")
     if kind == "node" and name.count("/") != 1:
         raise click.UsageError(f"{name!r} is not a node's name: write WORKCELL/MODULE.")
-    return Identity(kind, name, "" if kind == "bus" else lab or _lab_in(where))
+    return PartyIdentity(kind, name, "" if kind == "bus" else lab or _lab_in(where))
 
 
 def _lab_in(where: Where) -> str:

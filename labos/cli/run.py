@@ -84,7 +84,7 @@ def command(
     values = read_payload(payloads)
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     text = workflow_text(workflow, values)
-    job = Job(text, values, find_user(user), workcell or "", placed, priority, simulate, workflow)
+    job = RunRequest(text, values, find_user(user), workcell or "", placed, priority, simulate, workflow)
     url = "" if database else lab_of(home)
     if dry_run:
         forecast(job, home, as_json=as_json)
@@ -92,7 +92,7 @@ def command(
     show_result(carry_out(job, settings, url=url, quiet=quiet or as_json), as_json=as_json)
 
 
-def forecast(job: Job, home: str | None, *, as_json: bool) -> None:
+def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
     """Say what a job would bring in the running lab. Raises Exit(1) if it would be refused."""
     from labos.cli._forecast import show_change, show_ways
     from labos.cli._lab import need_lab
@@ -123,7 +123,7 @@ Put = tuple[str, str, dict[str, bool]]
 """A station, the type of labware that is put there, and what it is: ``{"sealed": True}``."""
 
 
-class Job(msgspec.Struct, frozen=True):
+class RunRequest(msgspec.Struct, frozen=True):
     """What is to be run: a workflow's text with its files, where it was read, and how."""
 
     text: dict[str, Any]
@@ -137,7 +137,7 @@ class Job(msgspec.Struct, frozen=True):
 
 
 def carry_out(
-    job: Job, settings: Settings, *, url: str = "", quiet: bool, say_waits: bool = False
+    job: RunRequest, settings: Settings, *, url: str = "", quiet: bool, say_waits: bool = False
 ) -> RunResult:
     """Run a job to its end, in the lab at ``url`` or the running one of the home folder, else in a lab of its
     own."""
@@ -231,7 +231,7 @@ def _place_starting_labware(compiled: Compiled, cell: Workcell, placed: Sequence
     return found
 
 
-def submit(client: LabClient, job: Job, workcell: str, placed: Sequence[Put]) -> str:
+def submit(client: LabClient, job: RunRequest, workcell: str, placed: Sequence[Put]) -> str:
     """Queue the job with the labware that was put there for it; returns the run's id."""
     run = client.submit(
         job.text,

@@ -55,7 +55,7 @@ Why = TypeVar("Why", covariant=True)
 """How a store says that something is in the way."""
 
 
-class Bench(Protocol[Asked, Why]):
+class BenchLookup(Protocol[Asked, Why]):
     """Where things stand. Each question is answered with what is in the way; None if nothing is."""
 
     def stock(self, what: Asked, stack: StationName) -> Why | None:
@@ -74,7 +74,7 @@ class Bench(Protocol[Asked, Why]):
         """Whether there is room for one piece more."""
 
 
-class Store(Bench[Carrying, Why], Protocol[Why]):
+class Store(BenchLookup[Carrying, Why], Protocol[Why]):
     """A bench that can be asked about every kind of effect, and that knows what labware is like."""
 
     def fits(self, what: Carrying) -> Why | None:
@@ -98,7 +98,7 @@ Thing = TypeVar("Thing", bound=Carried)
 Reason = TypeVar("Reason")
 
 
-def check_standing(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+def check_standing(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | None:
     """Why there is nothing to carry; None if there is."""
     if what.stock:
         why = bench.stock(what, what.stock)
@@ -111,7 +111,7 @@ def check_standing(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
     return None
 
 
-def check_reaching(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+def check_reaching(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | None:
     """Why something that is there cannot be carried to where it goes; None if it can."""
     why = bench.hand(what)
     if why is not None:
@@ -127,7 +127,7 @@ def check_reaching(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
     return None
 
 
-def check_carrying(bench: Bench[Thing, Reason], what: Thing) -> Reason | None:
+def check_carrying(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | None:
     """Why something cannot be carried, whatever it is like; None if it can."""
     why = check_standing(bench, what)
     return check_reaching(bench, what) if why is None else why

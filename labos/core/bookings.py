@@ -64,7 +64,7 @@ class BookingChanged(BookingTerms, frozen=True):
 
 @event("booking.cancelled")
 class BookingCancelled(BookingEvent, frozen=True):
-    """A booking is no more; of one that is repeated, all that was to come."""
+    """A booking is cancelled; of a repeated one, all times that were still to come."""
 
     by: str
     why: Words = ""
@@ -72,7 +72,7 @@ class BookingCancelled(BookingEvent, frozen=True):
 
 @event("booking.skipped")
 class BookingSkipped(BookingEvent, frozen=True):
-    """One time of a booking that is repeated falls out: the one that begins at ``begins`` (UTC ns)."""
+    """One time of a repeated booking is left out: the one that begins at ``begins`` (UTC ns)."""
 
     begins: int
     by: str

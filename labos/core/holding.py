@@ -1,4 +1,4 @@
-"""Who keeps a module from others: by labware that stands there, by the word of a plan, or by a door
+"""Which run keeps a module from others: by labware that stands there, by a hold of its plan, or by a door
 or lid left away from rest."""
 
 from __future__ import annotations

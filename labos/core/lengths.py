@@ -20,10 +20,10 @@ KINDS = 1_000
 """Kinds of actions that are kept: those that were carried out last."""
 
 ENOUGH = 3
-"""Times from which on what was learned goes before what a driver says of itself."""
+"""From so many times on, the learned duration is used in place of the driver's nominal one."""
 
 OUTLIER = 2.0
-"""A time above so many times the usual one is taken for an interruption, and counts as that much."""
+"""A time of more than so many times the usual one counts as an interruption, and as exactly that much."""
 
 SHARED = 4096
 
@@ -55,7 +55,7 @@ class Times(msgspec.Struct, array_like=True):
 
 
 class Length(msgspec.Struct, frozen=True):
-    """How long a step takes: at the least, as a rule, at the most (ns of wall time)."""
+    """How long a step takes: shortest, usual and longest (ns of wall time)."""
 
     low: int
     usual: int

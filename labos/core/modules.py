@@ -118,8 +118,8 @@ class EmergencyStopped(ModuleEvent, frozen=True):
 
 @event("lab.stop_reported")
 class StopReported(Event, frozen=True):
-    """What came of somebody's request to stop modules in an emergency: those that said that they stopped, and
-    when (UTC ns), and the others, each with a reason. Written after it."""
+    """The result of a request to stop modules in an emergency: the modules that confirmed that they stopped,
+    and when (UTC ns), and the others, each with a reason. Written after it."""
 
     by: str
     target: str

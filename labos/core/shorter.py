@@ -42,7 +42,7 @@ class StationsChecked(Event, frozen=True):
 
 @event("log.bench_compared")
 class BenchCompared(Event, frozen=True):
-    """The round is over: all was said, and the log goes on from what was said."""
+    """The round is over: every station was reported, and the log goes on from these reports."""
 
     by: str
     note: Words = ""

@@ -12,7 +12,7 @@ from labos.core.effects import AnyEffect, Draws, Transfers
 from labos.core.model import LabwareSpec
 
 MOST_WELLS = 1536
-"""So many wells has the finest plate; what is said of more is not kept."""
+"""The number of wells of the finest plate; reports on further wells are not kept."""
 
 _WELL = re.compile(r"([A-Za-z]{1,2})0*([1-9][0-9]{0,2})")
 _SLACK_UL = 1e-6

@@ -17,49 +17,51 @@ from labos.spec.findings import Finding, SpecErrors, make_finding
 MEDIA_TYPE = "application/problem+json"
 
 
-class Kind(msgspec.Struct, frozen=True):
+class ProblemKind(msgspec.Struct, frozen=True):
     """A kind of problem: its HTTP status, and what it says in general."""
 
     status: int
     title: str
 
 
-PROBLEMS: dict[str, Kind] = {
-    "bad_input": Kind(400, "The request cannot be used"),
-    "not_signed_in": Kind(401, "Nobody knows who asks"),
-    "forbidden": Kind(403, "Not allowed"),
-    "not_found": Kind(404, "Nothing bears that name"),
-    "method_not_allowed": Kind(405, "The path does not take this method"),
-    "too_slow": Kind(408, "The body did not come in time"),
-    "refused": Kind(409, "The rules forbid this here and now"),
-    "key_reused": Kind(409, "The Idempotency-Key belongs to another request"),
-    "already_done": Kind(409, "The request was carried out before, and its answer is not known any more"),
-    "too_large": Kind(413, "The request is too large"),
-    "uri_too_long": Kind(414, "The path or the query is too long"),
-    "unsupported_media_type": Kind(415, "The body is not JSON"),
-    "range_not_satisfiable": Kind(416, "The file has no such bytes"),
-    "spec_error": Kind(422, "A file has an error"),
-    "spec_errors": Kind(422, "A file has errors"),
-    "too_many_tries": Kind(429, "Somebody has tried to sign in too often"),
-    "internal": Kind(500, "LabOS failed on this request"),
-    "labos_error": Kind(500, "Something in LabOS went wrong"),
-    "internal_fault": Kind(500, "LabOS failed on a command; nothing of it was done"),
-    "invariant_broken": Kind(500, "The command would break what must always hold; nothing was done"),
-    "bus_error": Kind(502, "The message bus failed"),
-    "no_answer": Kind(502, "A node did not answer"),
-    "node_error": Kind(502, "A node or its device failed"),
-    "device_error": Kind(502, "A device reported a failure"),
-    "store_error": Kind(503, "The event store failed"),
-    "store_unavailable": Kind(503, "The event store cannot be reached or written"),
-    "log_damaged": Kind(503, "A record or a file of the log is wrong"),
-    "fenced": Kind(503, "Another kernel has taken over"),
-    "commit_in_doubt": Kind(
+PROBLEMS: dict[str, ProblemKind] = {
+    "bad_input": ProblemKind(400, "The request cannot be used"),
+    "not_signed_in": ProblemKind(401, "Nobody knows who asks"),
+    "forbidden": ProblemKind(403, "Not allowed"),
+    "not_found": ProblemKind(404, "Nothing bears that name"),
+    "method_not_allowed": ProblemKind(405, "The path does not take this method"),
+    "too_slow": ProblemKind(408, "The body did not come in time"),
+    "refused": ProblemKind(409, "The rules forbid this here and now"),
+    "key_reused": ProblemKind(409, "The Idempotency-Key belongs to another request"),
+    "already_done": ProblemKind(
+        409, "The request was carried out before, and its answer is not known any more"
+    ),
+    "too_large": ProblemKind(413, "The request is too large"),
+    "uri_too_long": ProblemKind(414, "The path or the query is too long"),
+    "unsupported_media_type": ProblemKind(415, "The body is not JSON"),
+    "range_not_satisfiable": ProblemKind(416, "The file has no such bytes"),
+    "spec_error": ProblemKind(422, "A file has an error"),
+    "spec_errors": ProblemKind(422, "A file has errors"),
+    "too_many_tries": ProblemKind(429, "Somebody has tried to sign in too often"),
+    "internal": ProblemKind(500, "LabOS failed on this request"),
+    "labos_error": ProblemKind(500, "Something in LabOS went wrong"),
+    "internal_fault": ProblemKind(500, "LabOS failed on a command; nothing of it was done"),
+    "invariant_broken": ProblemKind(500, "The command would break what must always hold; nothing was done"),
+    "bus_error": ProblemKind(502, "The message bus failed"),
+    "no_answer": ProblemKind(502, "A node did not answer"),
+    "node_error": ProblemKind(502, "A node or its device failed"),
+    "device_error": ProblemKind(502, "A device reported a failure"),
+    "store_error": ProblemKind(503, "The event store failed"),
+    "store_unavailable": ProblemKind(503, "The event store cannot be reached or written"),
+    "log_damaged": ProblemKind(503, "A record or a file of the log is wrong"),
+    "fenced": ProblemKind(503, "Another kernel has taken over"),
+    "commit_in_doubt": ProblemKind(
         503,
         "What was asked may have been done, or not",
     ),
-    "kernel_away": Kind(503, "The kernel gave no answer to this process"),
-    "behind": Kind(503, "This process does not know yet what the asker knows"),
-    "too_many": Kind(503, "The lab is being sent too much at once"),
+    "kernel_away": ProblemKind(503, "The kernel gave no answer to this process"),
+    "behind": ProblemKind(503, "This process does not know yet what the asker knows"),
+    "too_many": ProblemKind(503, "The lab is being sent too much at once"),
 }
 
 

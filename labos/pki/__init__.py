@@ -8,7 +8,7 @@ not.
 from labos.pki._authority import CA_KEY, Authority
 from labos.pki._credentials import KEY, MEMBERS, Credentials, read_members
 from labos.pki._lists import NUMBER, ReceivedList
-from labos.pki._party import KINDS, PROCESS_NAME, CertificateEntry, Identity, Kind, Members, folder_name
+from labos.pki._party import KINDS, PROCESS_NAME, CertificateEntry, Kind, Members, PartyIdentity, folder_name
 
 __all__ = [
     "CA_KEY",
@@ -20,9 +20,9 @@ __all__ = [
     "Authority",
     "CertificateEntry",
     "Credentials",
-    "Identity",
     "Kind",
     "Members",
+    "PartyIdentity",
     "ReceivedList",
     "folder_name",
     "read_members",

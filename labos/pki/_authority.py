@@ -23,7 +23,7 @@ import msgspec
 from labos.clock import Clock, SystemClock
 from labos.errors import BadInput, NotFound, Refused
 from labos.pki._credentials import CA, CERTIFICATE, KEY, MEMBERS, Credentials, Stamp, read_members, stamp_of
-from labos.pki._party import SERVERS, CertificateEntry, Identity, Members, folder_name
+from labos.pki._party import SERVERS, CertificateEntry, Members, PartyIdentity, folder_name
 from labos.private import create_file, make_folder, sync_folder
 
 CA_KEY, REVOKED = "ca.key", "crl.pem"
@@ -75,11 +75,11 @@ class Authority:
         """What nobody else may read."""
         return [self.folder, self.folder / CA_KEY, *sorted(self.folder.glob(f"issued/**/{KEY}"))]
 
-    def credentials(self, identity: Identity) -> Credentials:
+    def credentials(self, identity: PartyIdentity) -> Credentials:
         """Where the certificate of a party is, or would be."""
         return Credentials(self.folder / "issued" / identity.lab / folder_name(identity))
 
-    def ensure(self, identity: Identity, *, addresses: Sequence[str] = ()) -> Credentials:
+    def ensure(self, identity: PartyIdentity, *, addresses: Sequence[str] = ()) -> Credentials:
         """The certificate of a party: issued if there is none, renewed if it is due or does not bear all
         ``addresses``. Raises Refused if the site issues them and has issued none."""
         entry = self.members().find(identity)
@@ -131,7 +131,7 @@ class Authority:
 
     def issue(
         self,
-        identity: Identity,
+        identity: PartyIdentity,
         *,
         addresses: Sequence[str] = (),
         days: int = DAYS,
@@ -150,7 +150,7 @@ class Authority:
             self._keep(Members((*members.entries, entry)))
             return entry
 
-    def issue_all(self, identities: Iterable[Identity]) -> None:
+    def issue_all(self, identities: Iterable[PartyIdentity]) -> None:
         """Certificates for those that have none; those that are due are renewed. Raises Refused if the site
         issues them, BadInput, NotFound."""
         now = self._clock.now_ns()
@@ -191,7 +191,7 @@ class Authority:
             self._keep(Members((*rest, renewed)))
             return renewed
 
-    def admit(self, identity: Identity, certificate: Path, key: Path) -> CertificateEntry:
+    def admit(self, identity: PartyIdentity, certificate: Path, key: Path) -> CertificateEntry:
         """Take over a certificate that the site issued: copy it to the party's folder and let its CN speak
         for the party. Raises Refused, BadInput."""
         from labos.pki._signing import entry_of, fits, is_issued_by, read_certificate
@@ -237,13 +237,13 @@ class Authority:
 
     # -- inside ------------------------------------------------------------------------------
 
-    def _new_name(self, identity: Identity) -> str:
+    def _new_name(self, identity: PartyIdentity) -> str:
         from labos.pki._signing import LONGEST_COMMON_NAME
 
         return f"{folder_name(identity)[: LONGEST_COMMON_NAME - 9]}.{os.urandom(4).hex()}"
 
     def _sign(
-        self, identity: Identity, common_name: str, addresses: Sequence[str], days: int
+        self, identity: PartyIdentity, common_name: str, addresses: Sequence[str], days: int
     ) -> CertificateEntry:
         from labos.pki._signing import entry_of, make_certificate, read_certificate
 
@@ -261,7 +261,7 @@ class Authority:
             )
         return _read(self.folder / CA), _read(self.folder / CA_KEY)
 
-    def _hand_out(self, identity: Identity, certificate: bytes, key: bytes) -> None:
+    def _hand_out(self, identity: PartyIdentity, certificate: bytes, key: bytes) -> None:
         """Write a party's folder; the certificate last, so that its key is already there when the certificate
         is found."""
         folder = self.credentials(identity).folder

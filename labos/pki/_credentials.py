@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.errors import BadInput, NotFound
-from labos.pki._party import CertificateEntry, Identity, Members
+from labos.pki._party import CertificateEntry, Members, PartyIdentity
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -59,7 +59,7 @@ class Credentials(msgspec.Struct, frozen=True):
         if sys.platform != "win32" and self.key.stat().st_mode & 0o077:
             raise BadInput(f"Others may read {self.key}.", remedy=f"chmod 600 {self.key}")
 
-    def identity(self) -> Identity | None:
+    def identity(self) -> PartyIdentity | None:
         """The party that the certificate is for; None if the site issued it. Raises BadInput."""
         from labos.pki._signing import identity_of
 
@@ -69,7 +69,9 @@ class Credentials(msgspec.Struct, frozen=True):
         """What stands in the certificate. Raises BadInput."""
         from labos.pki._signing import entry_of
 
-        return entry_of(self._read(), self.identity() or Identity("node"), own=self.identity() is not None)
+        return entry_of(
+            self._read(), self.identity() or PartyIdentity("node"), own=self.identity() is not None
+        )
 
     def stamp(self) -> Stamp:
         """Changes whenever a file is replaced."""

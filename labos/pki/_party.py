@@ -22,7 +22,7 @@ PROCESS_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 """The name of an API process: a part of keys on the bus."""
 
 
-class Identity(msgspec.Struct, frozen=True):
+class PartyIdentity(msgspec.Struct, frozen=True):
     """The party that a certificate is for. ``name`` is ``workcell/module`` of a node, and a name that a
     person chose for an API process, a viewer and who may stop; ``lab`` is the lab's id, empty for a bus,
     which may serve several."""
@@ -41,17 +41,17 @@ class Identity(msgspec.Struct, frozen=True):
         return f"{self.kind} {self.name}" if self.name else self.kind
 
 
-def identity_in(uri: str) -> Identity | None:
+def identity_in(uri: str) -> PartyIdentity | None:
     """The identity that a URI tells; None if it tells none."""
     if not uri.startswith(URN):
         return None
     parts = [unquote(part) for part in uri[len(URN) :].split(":")]
     if len(parts) != 3 or parts[0] not in KINDS:
         return None
-    return Identity(parts[0], parts[2], parts[1])
+    return PartyIdentity(parts[0], parts[2], parts[1])
 
 
-def folder_name(identity: Identity) -> str:
+def folder_name(identity: PartyIdentity) -> str:
     """The folder of a party's certificate. A node's is ``rpl.sealer``, others begin with what they are."""
     name = identity.name.replace("/", ".")
     return name if identity.kind == "node" else f"{identity.kind}.{name}" if name else identity.kind
@@ -62,7 +62,7 @@ class CertificateEntry(msgspec.Struct, frozen=True):
     ``common_name`` only, so each name is given once: renewal keeps it, and a new certificate after a
     revocation has a new one. Times are UTC nanoseconds. ``own``: issued here, not by the site."""
 
-    identity: Identity
+    identity: PartyIdentity
     common_name: str
     serial: str
     not_before: int
@@ -100,6 +100,6 @@ class Members(msgspec.Struct, frozen=True):
         """Those that are not revoked."""
         return tuple(entry for entry in self.entries if not entry.revoked_at)
 
-    def find(self, identity: Identity) -> CertificateEntry | None:
+    def find(self, identity: PartyIdentity) -> CertificateEntry | None:
         """The certificate of a party that is not revoked."""
         return next((entry for entry in self.admitted if entry.identity == identity), None)

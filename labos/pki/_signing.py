@@ -15,7 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID as Usage
 from cryptography.x509.oid import NameOID
 
 from labos.errors import BadInput
-from labos.pki._party import SERVERS, CertificateEntry, Identity, identity_in
+from labos.pki._party import SERVERS, CertificateEntry, PartyIdentity, identity_in
 
 DAY_NS = 86_400 * 10**9
 BEFORE_NS = 600 * 10**9
@@ -40,7 +40,7 @@ def make_ca(name: str, now_ns: int, days: int) -> tuple[bytes, bytes]:
 
 def make_certificate(
     ca: tuple[bytes, bytes],
-    identity: Identity,
+    identity: PartyIdentity,
     common_name: str,
     addresses: Sequence[str],
     now_ns: int,
@@ -118,7 +118,7 @@ def common_name_of(certificate: x509.Certificate) -> str:
     return str(names[0].value) if names else ""
 
 
-def identity_of(certificate: x509.Certificate) -> Identity | None:
+def identity_of(certificate: x509.Certificate) -> PartyIdentity | None:
     """The party that a certificate is for, if LabOS issued it."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
@@ -128,7 +128,7 @@ def identity_of(certificate: x509.Certificate) -> Identity | None:
     return next((identity for identity in found if identity is not None), None)
 
 
-def entry_of(certificate: x509.Certificate, identity: Identity, *, own: bool) -> CertificateEntry:
+def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: bool) -> CertificateEntry:
     """What is kept of a certificate. Raises BadInput if it bears no common name."""
     common_name = common_name_of(certificate)
     if not common_name:

@@ -30,8 +30,8 @@ DOWN = (reasons.NoModule, reasons.ModuleDown, reasons.OutOfService)
 
 
 def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) -> Wait | None:
-    """What a run inside waits for if it had better stay where it is than start a step; None if it may go on.
-    One whose clock runs goes on as far as it can."""
+    """The wait of a run inside that should stay where it is instead of starting a step; None if it may go on.
+    A run with a running clock goes on as far as it can."""
     if run.status != RunStatus.ACTIVE or run.id in state.runs.windowed:
         return None
     wait = find_block(state, run)

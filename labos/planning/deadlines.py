@@ -24,7 +24,7 @@ from labos.planning.touch import BEGUN, DUE, EVERYTHING, OVER, RUN, WINDOW, Touc
 
 
 class Deadlines:
-    """The times of one state that only moves forward; ``note_changes`` takes what each event has touched."""
+    """The deadlines of one state, which only moves forward; ``note_changes`` is told what events touch."""
 
     def __init__(self) -> None:
         self._windows: Alarms[RunId] = Alarms()
@@ -35,7 +35,7 @@ class Deadlines:
         self._filled = False
 
     def note_changes(self, state: LabState, touched: Touched) -> None:
-        """Work out anew what has been touched."""
+        """Recompute the deadlines of what has been touched."""
         if not self._filled or touched.whole:
             self._fill(state)
             return

@@ -28,7 +28,7 @@ FOR_EVER = 2**62
 
 
 def find_longest_time(state: LabState, step: PlanStep) -> int:
-    """How long a step takes at the most, if nothing is in its way (ns of wall time)."""
+    """The longest time that a step takes if nothing is in its way (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
         return max(known.high, int(known.usual * MARGIN))
@@ -36,13 +36,13 @@ def find_longest_time(state: LabState, step: PlanStep) -> int:
 
 
 def find_usual_time(state: LabState, step: PlanStep) -> int:
-    """How long a step takes as a rule (ns of wall time)."""
+    """The usual time that a step takes (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     return known.usual if known is not None else lab_ns(state, step.duration_s)
 
 
 def find_spread(state: LabState, step: PlanStep) -> int:
-    """How much sooner than that a step may end (ns of wall time)."""
+    """The difference between a step's longest and shortest time (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
         margin = int(known.usual * (MARGIN - 1))

@@ -231,7 +231,7 @@ def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
 
 
 def _by_doors(module: Module, flying: list[tuple[str, ModuleSettings]]) -> set[str]:
-    """Who will have left a door or lid away from rest."""
+    """The runs that will have left a door or lid away from rest."""
     if not module.spec.rest:
         return set()
     values = module.values

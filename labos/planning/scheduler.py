@@ -63,7 +63,7 @@ MOST_BUNDLES = 50
 """So many are asked for what they need: a decision costs no more with a longer queue."""
 
 
-class Start(msgspec.Struct, frozen=True):
+class StepStart(msgspec.Struct, frozen=True):
     """Start this step of this run; ``plan`` is the one to which it binds a run that has several."""
 
     run: RunId
@@ -102,7 +102,7 @@ class Scheduler:
         self._fresh = True
         self._touched = sort_keys([EVERYTHING])
 
-    def proposals(self, state: LabState, now: int) -> Iterator[Start]:
+    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
         """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
         one out before it asks for the next."""
         self._standings.clear()
@@ -116,7 +116,7 @@ class Scheduler:
                 wait = self.check_start(state, state.runs.active.get(spot.run.id), spot.step, now)
                 if wait is None:
                     self.patience.count_start(state, spot.run, spot.step, self.sleepers)
-                    yield Start(spot.run.id, spot.step)
+                    yield StepStart(spot.run.id, spot.step)
                 else:
                     self.sleepers.sleep((spot.run.id, spot.step), wait)
 
@@ -183,7 +183,7 @@ class Scheduler:
         return None
 
     def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
-        """Take note of what the keys of events have touched, before anything else is asked."""
+        """Take note of the keys of new events, before anything else is asked."""
         self._touched = self._find_touched(state, keys)
         self.deadlines.note_changes(state, self._touched)
 
@@ -382,7 +382,9 @@ class Scheduler:
             return first
         return self.adviser.find_next(state, first, now)
 
-    def _admissions(self, state: LabState, bundle: str, first: RunState | None, now: int) -> Iterator[Start]:
+    def _admissions(
+        self, state: LabState, bundle: str, first: RunState | None, now: int
+    ) -> Iterator[StepStart]:
         run = first
         while run is not None:
             start, waits = self._free_start(state, run, now)
@@ -399,7 +401,7 @@ class Scheduler:
             free = chosen.step
             self.room.let_in(state, option, urgent=is_urgent(state, run, now))
             self.patience.count_start(state, option, free, self.sleepers)
-            yield Start(run.id, free, option.plan if run.choices else "")
+            yield StepStart(run.id, free, option.plan if run.choices else "")
             if run.id in state.runs.queued:
                 return  # the start was rejected: to propose it again would be for ever
             run = self._find_first(state, bundle, now)
@@ -590,4 +592,4 @@ def _cell_of(state: LabState, name: str) -> str | None:
     return cell_of_run(state, name) or None
 
 
-__all__ = ["Scheduler", "Start", "list_ready_steps"]
+__all__ = ["Scheduler", "StepStart", "list_ready_steps"]

@@ -92,7 +92,8 @@ def _check_modules(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
 
 
 def _check_stopped_devices(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
-    """A device that a run's labware has to come to or from, and that stopped in the midst of something."""
+    """The wait for a device that a run's labware has to come to or from, and that stopped during an
+    action."""
     for name in state.modules.in_cell.get(state.runs.plan_of(run).workcell, ()):
         module = state.modules.by_name[name]
         if module.cut_off and any(reaches_into(state, name, places(s.effects)) for s in left):
@@ -107,7 +108,7 @@ def reaches_into(state: LabState, module: ModuleName, reached: Iterable[StationN
 
 
 def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
-    """A zone that a run has to pass and in which another arm stands still."""
+    """The wait for a zone that a run has to pass, while another arm stands still there."""
     zones = find_barred_zones(state, state.runs.plan_of(run).workcell)
     for step in left if zones else ():
         if step.exclusive and not step.recovers:
@@ -133,8 +134,9 @@ def _check_supplies(state: LabState, run: RunState) -> Wait | None:
 
 
 def _check_labware(state: LabState, run: RunState) -> Wait | None:
-    """A step whose turn it is, but whose labware is not as the step or the place needs it: of a type that
-    the place does not take or the arm cannot hold, the wrong way round, sealed or lidded."""
+    """The wait of a step that could start but for its labware, which is not as the step or the place needs
+    it: of a type that the place does not take or the arm cannot hold, the wrong way round, sealed or
+    lidded."""
     if not run.has_started:
         return _check_labware_ahead(state, run)
     if run.has(IN_FLIGHT):
@@ -151,8 +153,8 @@ def _check_labware(state: LabState, run: RunState) -> Wait | None:
 
 
 def _check_labware_ahead(state: LabState, run: RunState) -> Wait | None:
-    """Labware that a run will find on the bench once it is let in, and that is not as one of its steps needs
-    it."""
+    """The wait for labware that a run will find on the bench once it is let in, and that is not as one of its
+    steps needs it."""
     way = _LabwareAhead(state, run)
     for step in state.runs.plan_of(run).steps:
         if step.part == MAIN and step.when is None:

@@ -317,8 +317,8 @@ class VirtualLab:
     # -- what is noted -----------------------------------------------------------------------
 
     def _pass_over_doubts(self) -> None:
-        """What a play does not know of: results are read by nobody, nobody looks whether a motion is done as
-        it was said, and devices are at rest when their actions have ended."""
+        """Set aside what virtual time cannot know: no results are read, no motion is checked by an observer,
+        and devices are at rest when their actions have ended."""
         state = self.state
         for known in state.runs.plans.values():
             known.plan = strip_results(known.plan)

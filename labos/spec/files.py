@@ -62,7 +62,7 @@ def _is_workcell(path: Path) -> bool:
     return _WORKCELL.search(text) is not None and not _STEPS.search(text)
 
 
-class FoundFile(msgspec.Struct, frozen=True):
+class FileLookup(msgspec.Struct, frozen=True):
     """A file's content and digest, or why there is none."""
 
     content: bytes | None = None
@@ -104,11 +104,11 @@ class FileFinder:
             return given[0] if len(given) == 1 else name
         return next((full for f in self.folders if (full := find_logical(name, f)) != name), name)
 
-    def find(self, name: str) -> FoundFile:
+    def find(self, name: str) -> FileLookup:
         """The file of that name. A path that leads out of a folder, and out of the lab's folder around it, is
         not followed."""
         if name in self.given:
-            return FoundFile(self.given[name], digest(self.given[name]))
+            return FileLookup(self.given[name], digest(self.given[name]))
         problem = "was not found"
         for folder in self.folders:
             try:
@@ -119,10 +119,10 @@ class FileFinder:
                 if not path.is_file():
                     continue
                 if path.stat().st_size > MAX_BYTES:
-                    return FoundFile(problem=f"is larger than {MAX_BYTES // 1024 // 1024} MB")
+                    return FileLookup(problem=f"is larger than {MAX_BYTES // 1024 // 1024} MB")
                 content = path.read_bytes()
             except (OSError, ValueError, RuntimeError) as error:
                 problem = f"cannot be read ({error})"
                 continue
-            return FoundFile(content, digest(content))
-        return FoundFile(problem=problem)
+            return FileLookup(content, digest(content))
+        return FileLookup(problem=problem)

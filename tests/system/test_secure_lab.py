@@ -15,7 +15,7 @@ import pytest
 
 from labos.client import LabClient
 from labos.node.protocol import Ask, Keys
-from labos.pki import Authority, Credentials, Identity
+from labos.pki import Authority, Credentials, PartyIdentity
 from labos.settings import find_kernel, free_port
 from tests.support.lab_process import Up, labos, statuses, until
 from tests.support.stranger import Stranger
@@ -76,9 +76,13 @@ def test_a_secure_lab(lab: Up, cell: str, stranger: Stranger, tmp_path: Path) ->
         assert found is not None
         endpoint, keys = found.bus, Keys(found.lab)
         assert endpoint.startswith("tls/")
-        issuing, own = authority(lab), Identity("node", PF400, found.lab)
+        issuing, own = authority(lab), PartyIdentity("node", PF400, found.lab)
         listed = {entry.identity for entry in issuing.members().entries}
-        assert listed == {Identity("kernel", "", found.lab), Identity("node", SCICLOPS, found.lab), own}
+        assert listed == {
+            PartyIdentity("kernel", "", found.lab),
+            PartyIdentity("node", SCICLOPS, found.lab),
+            own,
+        }
         # Somebody has got hold of a node's key, and plays a kernel of a later epoch.
         stolen = copy(issuing.credentials(own), tmp_path / "stolen")
         stranger("open", "thief", endpoint, str(stolen))
@@ -97,7 +101,7 @@ def test_a_secure_lab(lab: Up, cell: str, stranger: Stranger, tmp_path: Path) ->
         works(lab, client)
         assert stranger("get", "thief", keys.setup_of(PF400), json.dumps({"module": PF400})) == []
         # An emergency stop past the kernel takes a certificate.
-        door = Identity("stop", "door", found.lab)
+        door = PartyIdentity("stop", "door", found.lab)
         issuing.issue(door)
         folder = str(issuing.credentials(door).folder)
         stop = ("estop", "--all", "--connect", endpoint, "--json", "--home", str(lab.home))
@@ -114,7 +118,7 @@ def test_a_secure_lab(lab: Up, cell: str, stranger: Stranger, tmp_path: Path) ->
     assert found is not None
     assert found.bus.startswith("tls/"), "it stays secure"
     # Zenoh says nothing of what it refuses: who is connected and not heard is told to the operator.
-    issued = issuing.credentials(Identity("node", SCICLOPS, found.lab))
+    issued = issuing.credentials(PartyIdentity("node", SCICLOPS, found.lab))
     stranger("open", "silent", found.bus, str(issued.folder))
     with lab.client() as client:
         until(lambda: "has not shown itself" in problem(client, SCICLOPS), "the operator is told")
@@ -129,8 +133,8 @@ def test_a_bus_by_itself_and_nodes_of_other_computers(lab: Up, cell: str, tmp_pa
     home = ("--home", str(lab.home))
     issuing = authority(lab)
     issuing.init("test")
-    issuing.issue(Identity("bus"), addresses=["127.0.0.1"])
-    bus = copy(issuing.credentials(Identity("bus")), tmp_path / "bus")
+    issuing.issue(PartyIdentity("bus"), addresses=["127.0.0.1"])
+    bus = copy(issuing.credentials(PartyIdentity("bus")), tmp_path / "bus")
     lab.options = (*lab.options, "--no-nodes", "--bus", endpoint)
     with contextlib.ExitStack() as stack:
         bus_log = tmp_path / "bus.log"
@@ -142,7 +146,7 @@ def test_a_bus_by_itself_and_nodes_of_other_computers(lab: Up, cell: str, tmp_pa
         found = find_kernel(lab.home)
         assert found is not None
         for module in (SCICLOPS, PF400):
-            issuing.issue(who := Identity("node", module, found.lab))
+            issuing.issue(who := PartyIdentity("node", module, found.lab))
             own = copy(issuing.credentials(who), tmp_path / module.partition("/")[2])
             words = ("node", "start", "--simulate", "--workcell", "rpl", "--name", own.name)
             stack.enter_context(

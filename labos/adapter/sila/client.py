@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from labos.adapter._channels import report_missing_package
 from labos.adapter._http import NoResponse
-from labos.adapter.sila.features import Basic, Command, Element, Feature, ListOf, Property, read_feature
+from labos.adapter.sila.features import Basic, Element, Feature, ListOf, Property, SilaCommand, read_feature
 from labos.adapter.sila.messages import Messages
 from labos.errors import DeviceError
 
@@ -29,7 +29,7 @@ SERVICE = Feature(
     category="core",
     version=1,
     commands=(
-        Command(
+        SilaCommand(
             *_SERVICE,
             "GetFeatureDefinition",
             parameters=(Element("FeatureIdentifier", Basic("String")),),
@@ -155,16 +155,16 @@ class Client:
 
     # -- commands ----------------------------------------------------------------------------
 
-    def encode(self, command: Command, values: dict[str, Any]) -> bytes:
+    def encode(self, command: SilaCommand, values: dict[str, Any]) -> bytes:
         """The parameters of a command. Raises DeviceError (``none``)."""
         name = f"{command.name}_Parameters"
         return self._messages.encode(command.package, name, command.parameters, values)
 
-    async def call(self, command: Command, data: bytes, *, limit_s: float | None) -> dict[str, Any]:
+    async def call(self, command: SilaCommand, data: bytes, *, limit_s: float | None) -> dict[str, Any]:
         """Carry out an unobservable command; its responses. Raises SilaError, Lost."""
         return self._responses(command, await self._call(self._path(command), data, limit_s))
 
-    async def initiate(self, command: Command, data: bytes, *, limit_s: float) -> str:
+    async def initiate(self, command: SilaCommand, data: bytes, *, limit_s: float) -> str:
         """Start an observable command; the UUID of its execution. Raises SilaError, Lost."""
         told = await self._call(self._path(command), data, limit_s)
         try:
@@ -175,7 +175,9 @@ class Client:
             raise NoResponse("the server gave no UUID")
         return execution
 
-    async def infos(self, command: Command, execution: str, *, limit_s: float) -> AsyncGenerator[int, None]:
+    async def infos(
+        self, command: SilaCommand, execution: str, *, limit_s: float
+    ) -> AsyncGenerator[int, None]:
         """The status of an execution, now and whenever it changes: 0 waiting, 1 running, 2 finished, 3
         failed. Raises SilaError, Lost; Lost also when the time is up."""
         path, asked = f"{self._path(command)}_Info", self._execution(execution)
@@ -183,7 +185,9 @@ class Client:
             async for data in told:
                 yield self._messages.framework("ExecutionInfo", data).commandStatus if data else 0
 
-    async def intermediate(self, command: Command, execution: str) -> AsyncGenerator[dict[str, Any], None]:
+    async def intermediate(
+        self, command: SilaCommand, execution: str
+    ) -> AsyncGenerator[dict[str, Any], None]:
         """What an execution tells on its way. Raises SilaError, Lost."""
         path, asked = f"{self._path(command)}_Intermediate", self._execution(execution)
         name = f"{command.name}_IntermediateResponses"
@@ -191,12 +195,12 @@ class Client:
             async for data in told:
                 yield self._messages.decode(command.package, name, command.intermediate, data)
 
-    async def result(self, command: Command, execution: str) -> dict[str, Any]:
+    async def result(self, command: SilaCommand, execution: str) -> dict[str, Any]:
         """The responses of an execution that has ended. Raises SilaError, Lost."""
         data = await self._call(f"{self._path(command)}_Result", self._execution(execution), READ_S)
         return self._responses(command, data)
 
-    def _responses(self, command: Command, data: bytes) -> dict[str, Any]:
+    def _responses(self, command: SilaCommand, data: bytes) -> dict[str, Any]:
         """Raises DeviceError (``all``): it was carried out."""
         name = f"{command.name}_Responses"
         try:
@@ -205,7 +209,7 @@ class Client:
             words = f"{command.full_name} was done, but its responses cannot be read ({error})."
             raise DeviceError(words, effects="all") from error
 
-    def _path(self, command: Command) -> str:
+    def _path(self, command: SilaCommand) -> str:
         return f"/{command.package}.{command.feature}/{command.name}"
 
     def _execution(self, uuid: str) -> bytes:

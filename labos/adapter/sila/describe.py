@@ -9,13 +9,13 @@ from typing import Any
 
 from labos.adapter.sila.features import (
     Basic,
-    Command,
     Constrained,
     Element,
     Feature,
     Limits,
     ListOf,
     Property,
+    SilaCommand,
     Structure,
     unwrap,
 )
@@ -42,7 +42,7 @@ def alike(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def find_command(features: Iterable[Feature], name: str) -> Command | None:
+def find_command(features: Iterable[Feature], name: str) -> SilaCommand | None:
     """The command that a name means: ``Feature.Command``, or ``Command`` where one feature only has it, in
     any way of writing; or the whole identifier ``originator/category/Feature/v1/Command/Command``."""
     offered = list(features)

@@ -63,7 +63,7 @@ class Element(msgspec.Struct, frozen=True):
     description: str = ""
 
 
-class Command(msgspec.Struct, frozen=True):
+class SilaCommand(msgspec.Struct, frozen=True):
     """A command of a feature, which is in ``package``. An observable one is answered at once, with the UUID
     of its execution."""
 
@@ -104,7 +104,7 @@ class Feature(msgspec.Struct, frozen=True):
     originator: str
     category: str
     version: int
-    commands: tuple[Command, ...] = ()
+    commands: tuple[SilaCommand, ...] = ()
     properties: tuple[Property, ...] = ()
     types: tuple[Element, ...] = ()
 
@@ -160,9 +160,9 @@ def read_feature(text: str) -> Feature:
         ) from error
 
 
-def _command(package: str, feature: str, found: ET.Element) -> Command:
+def _command(package: str, feature: str, found: ET.Element) -> SilaCommand:
     errors = _all(found, "DefinedExecutionErrors")
-    return Command(
+    return SilaCommand(
         package=package,
         feature=feature,
         name=_text(found, "Identifier"),

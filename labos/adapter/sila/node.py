@@ -13,12 +13,12 @@ import contextlib
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from typing import Any, ClassVar
 
-from labos.adapter._channels import SETTLED, Reading, fits, leaves_open
+from labos.adapter._channels import SETTLED, ChannelReading, fits, leaves_open
 from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
 from labos.adapter._http import NoResponse
 from labos.adapter.sila.client import Client, SilaError, certificate_in
 from labos.adapter.sila.describe import actions_of, alike, find_command, find_property
-from labos.adapter.sila.features import Command
+from labos.adapter.sila.features import SilaCommand
 from labos.adapter.sila.results import as_lines, result_with_files, with_files
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -179,8 +179,8 @@ class SilaNode(ForeignNode):
     async def _holds(self, condition: Condition) -> bool:
         return fits(condition, await self._read_value(condition))
 
-    async def _read_value(self, condition: Condition) -> Reading:
-        return Reading(await self._value(condition.pv))
+    async def _read_value(self, condition: Condition) -> ChannelReading:
+        return ChannelReading(await self._value(condition.pv))
 
     async def _value(self, name: str) -> Any:
         """A property's value now, or an element of it. Raises DeviceError (``none``)."""
@@ -255,7 +255,7 @@ class SilaNode(ForeignNode):
         await self._until(self._is_known, 1)
         return await self._outcome(spec, self._command(name), handle)
 
-    def _command(self, name: str) -> Command:
+    def _command(self, name: str) -> SilaCommand:
         """Raises DeviceError (``none``)."""
         command = find_command(self.client.features, name)
         if command is None:
@@ -266,7 +266,7 @@ class SilaNode(ForeignNode):
             )
         return command
 
-    def _values(self, command: Command, given: dict[str, Any]) -> dict[str, Any]:
+    def _values(self, command: SilaCommand, given: dict[str, Any]) -> dict[str, Any]:
         """Arguments by the names of parameters: SiLA's have no defaults, and all must be given. Raises
         DeviceError (``none``)."""
         meant = {alike(element.name): element.name for element in command.parameters}
@@ -278,7 +278,7 @@ class SilaNode(ForeignNode):
             raise DeviceError(f"{command.full_name} {', '.join(wrong)}.", effects="none")
         return values
 
-    async def _answer(self, spec: ActionSpec, command: Command, data: bytes) -> dict[str, Any]:
+    async def _answer(self, spec: ActionSpec, command: SilaCommand, data: bytes) -> dict[str, Any]:
         """The responses of an unobservable command; while they are awaited the server is asked whether it is
         there, and at work. Raises SilaError, Lost, OutcomeUnknown."""
 
@@ -295,7 +295,7 @@ class SilaNode(ForeignNode):
             ended=NO_RECORD,
         )
 
-    async def _outcome(self, spec: ActionSpec, command: Command, execution: str) -> Any:
+    async def _outcome(self, spec: ActionSpec, command: SilaCommand, execution: str) -> Any:
         """The result of an execution, and what it told on its way, if that is to be kept."""
         if spec.name not in self.mapping.intermediate or not command.intermediate:
             return result_with_files(await self._end(command, execution))
@@ -309,7 +309,7 @@ class SilaNode(ForeignNode):
             listening.cancel()
         return with_files(result, {"intermediate": as_lines(told)})
 
-    async def _listen(self, command: Command, execution: str, told: list[dict[str, Any]]) -> None:
+    async def _listen(self, command: SilaCommand, execution: str, told: list[dict[str, Any]]) -> None:
         """Keep what an execution tells; what it tells while the line is broken is lost."""
         while True:
             try:
@@ -324,7 +324,7 @@ class SilaNode(ForeignNode):
             except (NoResponse, ValueError):
                 await asyncio.sleep(self.poll_s)
 
-    async def _end(self, command: Command, execution: str) -> dict[str, Any]:
+    async def _end(self, command: SilaCommand, execution: str) -> dict[str, Any]:
         """Watch an execution until it has ended; its responses. Raises DeviceError, OutcomeUnknown."""
         silence = Silence(self.patience_s, self.where)
         while True:
@@ -353,7 +353,7 @@ class SilaNode(ForeignNode):
                 silence.go_on(refused)  # the question was refused, which says nothing of the execution
             await asyncio.sleep(self.poll_s)
 
-    def _infos(self, command: Command, execution: str) -> AsyncGenerator[int, None]:
+    def _infos(self, command: SilaCommand, execution: str) -> AsyncGenerator[int, None]:
         return self.client.infos(command, execution, limit_s=WATCH_S)
 
     async def _until_at_rest(self) -> None:

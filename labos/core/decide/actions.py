@@ -95,7 +95,8 @@ class RefuseAction(Report, frozen=True):
 class FinishAction(Report, frozen=True):
     """The node says how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown).
     ``collided``: something was hit, dropped or jammed. ``journal`` is the journal that says so: of an open
-    action it has to be the one that was asked. Empty: somebody else's word, which is not a node's."""
+    action it has to be the one that was asked. Empty: the report comes from somebody else, not from a
+    node."""
 
     action: ActionId
     attempt: int

@@ -79,7 +79,7 @@ class ChangeBooking(Command, frozen=True):
 
 
 class CancelBooking(Command, frozen=True):
-    """Give a booking back; of one that is repeated only the time that begins at ``begins`` (UTC ns), if that
+    """Cancel a booking; of a repeated one only the time that begins at ``begins`` (UTC ns), if that
     is named."""
 
     booking: str

@@ -1,4 +1,4 @@
-"""Submitting, pausing and resuming runs; and what follows when one is late."""
+"""Submitting, pausing and resuming runs; and the events when a step misses its window."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ HIGHEST = 2**53
 """No log comes to more events: a node that names a higher position is not taken at its word."""
 
 MOST_EFFECTS = 100
-"""An action that claims to have done more to the bench is taken for one that does not say what it did."""
+"""An action that claims more effects on the bench than this counts as one that does not say what it did."""
 
 MANY_FOUND = 100
 """Actions of one journal that are told at once."""
@@ -241,7 +241,7 @@ def say_contents(state: LabState, command: SayContents) -> Decision:
 
 
 def _withdraw_answered(state: LabState, command: SayContents) -> list[Event]:
-    """Questions about what stands there are older than what is said now: they are not asked any more."""
+    """Questions about these stations are older than this report: they are withdrawn."""
     words = {word for item in command.contents for word in parts(item)}
     here = words | {*state.bench.stations[command.station].labware}
     found: list[Event] = []

@@ -203,7 +203,7 @@ def answer_failed(state: LabState, topic: FailedStep, choice: str, by: str) -> I
 
 
 def can_be_repeated(step: PlanStep) -> bool:
-    """Whether a step may be done again after nobody knows how far it went: its driver says so, it
+    """Whether a step may be repeated although nobody knows how far it went: its driver allows it, it
     carries nothing, and it changes nothing that it needs itself."""
     if not step.safe_to_repeat or list_carried(step.effects):
         return False

@@ -190,7 +190,7 @@ def _request_for_experiment(
 
 
 def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Event], actor: str) -> Decision:
-    """A campaign that waits for an approval waits anew under its new terms. Of one that goes on, a change by
+    """If a campaign waits for an approval, it waits again with its new terms. If it goes on, a change by
     which it may do more waits, and the campaign goes on as before."""
     campaign = state.campaigns.open[command.campaign]
     waiting = state.approvals.open.get(campaign.id)

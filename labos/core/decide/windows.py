@@ -1,4 +1,4 @@
-"""Windows: which clock of another run is meant, and what follows when a step starts too late."""
+"""Windows: which run starts the clock, and the events when a step starts too late."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def refer_to_words(command: S, keep: Keep) -> S:
 
 @cache
 def _own_words(kind: type[msgspec.Struct]) -> tuple[tuple[str, Any], ...]:
-    """The fields that hold words, and what each is if nobody says anything."""
+    """The fields that hold words, and the value of each when it is empty."""
     named = fields_of_words(kind)
     return tuple((each.name, each.default) for each in msgspec.structs.fields(kind) if each.name in named)
 

@@ -122,7 +122,7 @@ class Contact(Part):
         return "email" if self.email else "webhook"
 
 
-class Level(Part):
+class EscalationLevel(Part):
     """Who is told next when nobody has answered for so long."""
 
     notify: list[str] = Field(min_length=1)
@@ -138,11 +138,11 @@ class Book(Part):
     module_grace: Annotated[Seconds, Field(ge=0)] = 60.0
     smtp: Smtp | None = None
     contacts: dict[ContactName, Contact] = Field(min_length=1)
-    escalation: list[Level] = []
+    escalation: list[EscalationLevel] = []
 
     @property
-    def levels(self) -> list[Level]:
-        return self.escalation or [Level(notify=list(self.contacts))]
+    def levels(self) -> list[EscalationLevel]:
+        return self.escalation or [EscalationLevel(notify=list(self.contacts))]
 
     def zone(self, contact: Contact) -> tzinfo | None:
         """The contact's time zone, else the lab's; None for the machine's."""

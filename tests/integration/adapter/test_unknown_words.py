@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from labos.adapter import adapter_class
-from labos.adapter._channels import Channels, Reading, fits, leaves_open
+from labos.adapter._channels import ChannelReading, Channels, fits, leaves_open
 from labos.adapter._signals import SignalNode
 from labos.adapter.ros import RosNode
 from labos.adapter.wei import levels_in
@@ -153,22 +153,22 @@ HEAVY = {"pv": "Weight", "minimum": 20.0}
 @pytest.mark.parametrize(
     ("condition", "told", "holds", "is_open"),
     [
-        (RUNS, Reading(1), True, False),
-        (RUNS, Reading(7), False, False),
-        (SURE, Reading(1), True, False),
-        (SURE, Reading(3, "REST"), False, False),
-        (SURE, Reading(7), False, True),
-        (SURE, Reading(float("nan")), False, True),
-        (AT_5, Reading(5.2), True, False),
-        (AT_5, Reading(float("nan")), False, True),
-        (AT_5, Reading(float("inf")), False, True),
-        (HEAVY, Reading(float("nan")), False, True),
-        (HEAVY, Reading("heavy"), False, True),
-        (HEAVY, Reading(3.0), False, False),
+        (RUNS, ChannelReading(1), True, False),
+        (RUNS, ChannelReading(7), False, False),
+        (SURE, ChannelReading(1), True, False),
+        (SURE, ChannelReading(3, "REST"), False, False),
+        (SURE, ChannelReading(7), False, True),
+        (SURE, ChannelReading(float("nan")), False, True),
+        (AT_5, ChannelReading(5.2), True, False),
+        (AT_5, ChannelReading(float("nan")), False, True),
+        (AT_5, ChannelReading(float("inf")), False, True),
+        (HEAVY, ChannelReading(float("nan")), False, True),
+        (HEAVY, ChannelReading("heavy"), False, True),
+        (HEAVY, ChannelReading(3.0), False, False),
     ],
 )
 def test_a_value_that_says_neither(
-    condition: dict[str, Any], told: Reading, holds: bool, is_open: bool
+    condition: dict[str, Any], told: ChannelReading, holds: bool, is_open: bool
 ) -> None:
     meant = Condition.model_validate(condition)
     assert (fits(meant, told), leaves_open(meant, told)) == (holds, is_open)
@@ -180,11 +180,11 @@ class Values(Channels):
     def __init__(self, values: dict[str, Any]) -> None:
         self.values = values
 
-    def watch(self, name: str, changed: Callable[[Reading | None], None]) -> None:
-        changed(Reading(self.values[name]))
+    def watch(self, name: str, changed: Callable[[ChannelReading | None], None]) -> None:
+        changed(ChannelReading(self.values[name]))
 
-    async def get(self, name: str, timeout_s: float) -> Reading:
-        return Reading(self.values[name])
+    async def get(self, name: str, timeout_s: float) -> ChannelReading:
+        return ChannelReading(self.values[name])
 
     async def put(self, name: str, value: Any, *, callback: bool, on: str = "") -> None:
         self.values[name] = value

@@ -13,11 +13,11 @@ from labos.bootstrap._node_security import check_lab, node_security
 from labos.bus import Security
 from labos.bus._security import check_endpoints
 from labos.errors import BadInput, NotFound, Refused
-from labos.pki import Authority, Identity
+from labos.pki import Authority, PartyIdentity
 from labos.settings import KernelInfo, Settings, announce
 
 LAB, MODULE = "lab-1", "rpl/sealer"
-KERNEL, BUS, NODE = Identity("kernel", lab=LAB), Identity("bus"), Identity("node", MODULE, LAB)
+KERNEL, BUS, NODE = PartyIdentity("kernel", lab=LAB), PartyIdentity("bus"), PartyIdentity("node", MODULE, LAB)
 TLS = ("tls/127.0.0.1:7447",)
 
 
@@ -67,13 +67,13 @@ def test_an_authority_that_is_gone_is_not_replaced_by_another(settings: Settings
 def test_a_kernel_uses_the_folder_that_was_made_for_it(settings: Settings, tmp_path: Path) -> None:
     authority = Authority(tmp_path / "pki")
     authority.init("elsewhere")
-    for identity in (KERNEL, NODE, Identity("kernel", lab="lab-2")):
+    for identity in (KERNEL, NODE, PartyIdentity("kernel", lab="lab-2")):
         authority.issue(identity)
     own = authority.credentials(KERNEL).folder
     security = Guard(KERNEL, settings, runs_bus=True, own=own).prepare([MODULE])
     assert len(security.members) == 3, "the list is in its folder"
     assert not settings.pki.exists()
-    for wrong in (NODE, Identity("kernel", lab="lab-2")):
+    for wrong in (NODE, PartyIdentity("kernel", lab="lab-2")):
         with pytest.raises(BadInput, match=r"is that of the .*, not of the kernel of lab lab-1"):
             Guard(KERNEL, settings, runs_bus=False, own=authority.credentials(wrong).folder).prepare()
 
@@ -94,7 +94,7 @@ def test_a_node_is_told_which_certificate_it_needs(settings: Settings) -> None:
         node(settings, None)
     authority = Authority(settings.pki)
     authority.init("test")
-    other = Identity("node", "rpl/peeler", LAB)
+    other = PartyIdentity("node", "rpl/peeler", LAB)
     authority.issue(other)
     with pytest.raises(BadInput, match="is that of the node rpl/peeler, not of the node rpl/sealer"):
         node(settings, authority.credentials(other).folder)

@@ -18,15 +18,15 @@ import pytest
 from labos.bootstrap import Guard
 from labos.bus import MEMBERS as KEY
 from labos.bus import Security, ZenohBus, open_bus
-from labos.pki import MEMBERS, Authority, Credentials, Identity, Members, ReceivedList
+from labos.pki import MEMBERS, Authority, Credentials, Members, PartyIdentity, ReceivedList
 from labos.settings import Settings, free_port
 from tests.support.lab_process import until
 
 pytestmark = pytest.mark.slow
 
 LAB = "lab-1"
-BUS, KERNEL = Identity("bus"), Identity("kernel", lab=LAB)
-NODE, OTHER = Identity("node", "rpl/sealer", LAB), Identity("node", "rpl/peeler", LAB)
+BUS, KERNEL = PartyIdentity("bus"), PartyIdentity("kernel", lab=LAB)
+NODE, OTHER = PartyIdentity("node", "rpl/sealer", LAB), PartyIdentity("node", "rpl/peeler", LAB)
 
 
 class Site:
@@ -151,7 +151,7 @@ def test_a_node_cannot_send_a_list_and_a_stranger_neither_hears_one(site: Site) 
     evil = Authority(site.folder / "evil")
     evil.init("test")
     for number in range(5):
-        evil.issue(Identity("node", f"rpl/m{number}", LAB))
+        evil.issue(PartyIdentity("node", f"rpl/m{number}", LAB))
 
     async def lead() -> None:
         node = await join(Security(Credentials(site.authority.credentials(NODE).folder)), site)

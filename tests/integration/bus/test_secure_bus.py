@@ -24,7 +24,7 @@ from labos.node.journal import Journal
 from labos.node.journal_file import FileJournalFile
 from labos.node.protocol import Ask, Keys
 from labos.node.server import NodeServer
-from labos.pki import Authority, Credentials, Identity
+from labos.pki import Authority, Credentials, PartyIdentity
 from labos.settings import free_port
 from tests.integration.bus.contract import until
 from tests.support.attacked import Device
@@ -34,15 +34,15 @@ from tests.support.stranger import ANSWER, Stranger
 LAB, OTHER_LAB = "lab-1", "lab-2"
 KEYS = Keys(LAB)
 SEALER, PEELER = "cell/sealer", "cell/peeler"
-BUS, KERNEL = Identity("bus"), Identity("kernel", lab=LAB)
-NODE = Identity("node", SEALER, LAB)
+BUS, KERNEL = PartyIdentity("bus"), PartyIdentity("kernel", lab=LAB)
+NODE = PartyIdentity("node", SEALER, LAB)
 STRANGERS = {
-    "peeler": Identity("node", PEELER, LAB),
-    "kernel": Identity("kernel", lab=OTHER_LAB),
-    "viewer": Identity("viewer", "wall", LAB),
-    "stop": Identity("stop", "door", LAB),
-    "api": Identity("api", "web", LAB),
-    "nobody": Identity("node", "cell/away", LAB),
+    "peeler": PartyIdentity("node", PEELER, LAB),
+    "kernel": PartyIdentity("kernel", lab=OTHER_LAB),
+    "viewer": PartyIdentity("viewer", "wall", LAB),
+    "stop": PartyIdentity("stop", "door", LAB),
+    "api": PartyIdentity("api", "web", LAB),
+    "nobody": PartyIdentity("node", "cell/away", LAB),
 }
 """The stranger's certificates. That of ``nobody`` is valid and was revoked."""
 
@@ -65,7 +65,7 @@ class Site:
         self.heard: list[str] = []
         self.living: set[str] = set()
 
-    def security(self, who: Identity, *, runs_bus: bool = False) -> Security | None:
+    def security(self, who: PartyIdentity, *, runs_bus: bool = False) -> Security | None:
         if not self.secure:
             return None
         members = self.authority.members().admitted if runs_bus else ()
@@ -443,9 +443,9 @@ def test_who_is_refused_at_the_door(site: Site, tmp_path: Path) -> None:
         pytest.skip("an open bus has no door")
     authority, other = site.authority, Authority(tmp_path / "other")
     other.init("another one")
-    stranger = other.issue(Identity("node", SEALER, LAB))
+    stranger = other.issue(PartyIdentity("node", SEALER, LAB))
     past = Authority(authority.folder, Past(10 * 86_400.0))
-    expired = past.issue(Identity("node", "cell/expired", LAB), days=1)
+    expired = past.issue(PartyIdentity("node", "cell/expired", LAB), days=1)
     mixed = tmp_path / "mixed"  # the other authority's certificate, but it believes ours
     mixed.mkdir()
     theirs = other.credentials(stranger.identity)
@@ -480,7 +480,7 @@ def test_a_certificate_that_ends_while_it_is_used(site: Site) -> None:
     if not site.secure:
         pytest.skip("an open bus asks for no certificate")
     ending = Authority(site.authority.folder, Past(86_400 - 2.0))
-    entry = ending.issue(Identity("node", "cell/ending", LAB), days=1)
+    entry = ending.issue(PartyIdentity("node", "cell/ending", LAB), days=1)
     folder = str(site.authority.credentials(entry.identity).folder)
     site.run(site.router.reopen(site.security(BUS, runs_bus=True)))
     site.does("open", "ending", site.endpoint, folder)

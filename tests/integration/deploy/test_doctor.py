@@ -14,7 +14,7 @@ from labos.cli.app import main
 from labos.core.ids import ModuleName
 from labos.core.lengths import Drift
 from labos.http.asking import _ahead_s
-from labos.pki import Authority, Identity
+from labos.pki import Authority, PartyIdentity
 from labos.services.doctor import (
     check_certificates,
     check_durations,
@@ -69,7 +69,7 @@ def test_certificates_that_end(lab: Lab) -> None:
     assert found["certificates"]["state"] == "ok"
     assert found["permissions"]["state"] == "ok"
     authority = Authority(lab.home / "pki")
-    key = authority.credentials(Identity("viewer", "wall", "lab-1")).key
+    key = authority.credentials(PartyIdentity("viewer", "wall", "lab-1")).key
     key.chmod(0o644)
     assert str(key) in findings(lab, code=1)["permissions"]["told"]
     key.chmod(0o600)

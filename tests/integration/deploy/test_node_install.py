@@ -19,7 +19,7 @@ from labos.bootstrap import LabThread, descriptions
 from labos.cli.app import main
 from labos.core.ids import ModuleName
 from labos.errors import BadInput
-from labos.pki import Authority, Identity
+from labos.pki import Authority, PartyIdentity
 from labos.services.node_package import NodePackage, pack_node
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
@@ -98,7 +98,7 @@ def test_what_is_where(installed: Path, lab: LabThread) -> None:
     assert sorted(path.name for path in place.iterdir()) == ["ca.pem", "cert.pem", "key.pem"]
     assert stat.S_IMODE((place / "key.pem").stat().st_mode) == 0o600
     authority = Authority(lab.runtime.settings.pki)
-    own = authority.credentials(Identity("node", "rpl/sealer", lab.runtime.kernel.lab))
+    own = authority.credentials(PartyIdentity("node", "rpl/sealer", lab.runtime.kernel.lab))
     assert (place / "key.pem").read_bytes() == own.key.read_bytes()
     assert (installed / "etc" / "labos" / "labos.env").read_text() == "LABOS_HOME=/srv/other\n"
     assert (installed / "usr" / "lib" / "sysusers.d" / "labos.conf").is_file()

@@ -28,7 +28,7 @@ from labos.core.lab import WHOLE_LAB
 from labos.core.labware import LabwarePlaced
 from labos.core.state import LabState
 from labos.errors import InternalFault
-from labos.planning.scheduler import Scheduler, Start
+from labos.planning.scheduler import Scheduler, StepStart
 from labos.runtime.kernel import Kernel
 from tests.integration.runtime.test_turns import PLAN, await_reopened, in_kernel
 from tests.support.bench import full, module, station, workcell
@@ -146,7 +146,7 @@ class Stumbling(Scheduler):
 
     fails = False
 
-    def proposals(self, state: LabState, now: int) -> Iterator[Start]:
+    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
         yield from super().proposals(state, now)
         if Stumbling.fails:
             Stumbling.fails = False

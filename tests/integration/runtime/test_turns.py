@@ -23,7 +23,7 @@ from labos.core.runs import RunPaused, RunResumed
 from labos.core.state import LabState
 from labos.errors import InternalFault, StoreUnavailable
 from labos.http.views import run_view
-from labos.planning.scheduler import Scheduler, Start
+from labos.planning.scheduler import Scheduler, StepStart
 from labos.runtime import kernel as kernel_module
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
@@ -44,7 +44,7 @@ class Flawed(Scheduler):
     proposing = False
     deadlines = False
 
-    def proposals(self, state: LabState, now: int) -> Iterator[Start]:
+    def proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
         if Flawed.proposing:
             raise ZeroDivisionError("a fault in planning")
         return super().proposals(state, now)

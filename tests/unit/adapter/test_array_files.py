@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labos.adapter._channels import Reading
+from labos.adapter._channels import ChannelReading
 from labos.adapter._signals import array_file
 from labos.errors import DeviceError
 from labos.spec.flaws import flaw_in
@@ -17,7 +17,7 @@ from labos.spec.signals import SignalMapping
 
 
 def read(values: Any) -> Any:
-    attachment = array_file("series", Reading(values))
+    attachment = array_file("series", ChannelReading(values))
     assert attachment.name == "series.npy"
     assert not isinstance(attachment.content, Path)
     return np.load(io.BytesIO(attachment.content), allow_pickle=False)
@@ -36,7 +36,7 @@ def test_numbers_come_back_as_they_were() -> None:
 @pytest.mark.parametrize("values", ["a picture", ["a", "b"], None])
 def test_what_is_no_array_of_numbers_is_told(values: Any) -> None:
     with pytest.raises(DeviceError, match="series is no array of numbers") as told:
-        array_file("series", Reading(values))
+        array_file("series", ChannelReading(values))
     assert told.value.effects == "all", "the action itself is over"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from labos.adapter.sila.describe import actions_of, find_command, find_property, our_name
-from labos.adapter.sila.features import Basic, Command, Element, Feature, ListOf, Structure, read_feature
+from labos.adapter.sila.features import Basic, Element, Feature, ListOf, SilaCommand, Structure, read_feature
 from labos.adapter.sila.messages import LARGEST_INLINE, Messages
 from labos.errors import DeviceError
 
@@ -36,8 +36,8 @@ def test_arguments_have_types_units_bounds_and_choices() -> None:
 
 def test_a_command_is_found_by_any_name_that_means_one_only() -> None:
     commands = (
-        Command("sila2.a.b.door.v1", "Door", "Reset"),
-        Command("sila2.a.b.door.v1", "Door", "OpenDoor"),
+        SilaCommand("sila2.a.b.door.v1", "Door", "Reset"),
+        SilaCommand("sila2.a.b.door.v1", "Door", "OpenDoor"),
     )
     other = Feature("Door", "a", "b", 1, commands)
     features = [SHAKER, other]
@@ -50,7 +50,7 @@ def test_a_command_is_found_by_any_name_that_means_one_only() -> None:
         assert find_command(features, name) is SHAKER.commands[0]
     assert find_command(features, "reset") is None
     assert find_command(features, "Door.Reset") is other.commands[0]
-    namesake = Feature("Door", "c", "b", 1, (Command("sila2.c.b.door.v1", "Door", "Reset"),))
+    namesake = Feature("Door", "c", "b", 1, (SilaCommand("sila2.c.b.door.v1", "Door", "Reset"),))
     assert find_command([*features, namesake], "Door.Reset") is None
     assert find_command([*features, namesake], "c/b/Door/v1/Command/Reset") is namesake.commands[0]
     names = [action.name for action in actions_of(features)]
@@ -81,7 +81,7 @@ def test_what_cannot_be_read_says_why(written: str, instead: str, said: str) -> 
 
 def echo(kind: Any) -> tuple[Messages, Feature, tuple[Element, ...]]:
     elements = (Element("It", kind),)
-    command = Command("sila2.a.b.echo.v1", "Echo", "Say", parameters=elements)
+    command = SilaCommand("sila2.a.b.echo.v1", "Echo", "Say", parameters=elements)
     feature = Feature("Echo", "a", "b", 1, (command,))
     return Messages([feature]), feature, elements
 

@@ -10,11 +10,11 @@ from cryptography import x509
 
 from labos.bus import access_control
 from labos.errors import BadInput, NotFound, Refused
-from labos.pki import Authority, Credentials, Identity
+from labos.pki import Authority, Credentials, PartyIdentity
 
 LAB = "01a20fbf-d293-7267-ade9-190a714eeabf"
-NODE = Identity("node", "rpl/ot2 (left)", LAB)
-KERNEL = Identity("kernel", lab=LAB)
+NODE = PartyIdentity("node", "rpl/ot2 (left)", LAB)
+KERNEL = PartyIdentity("kernel", lab=LAB)
 DAY = 86_400 * 10**9
 
 
@@ -51,7 +51,7 @@ def test_a_certificate_says_whose_it_is(authority: Authority, clock: Clock) -> N
     assert credentials.entry() == entry
     credentials.check(clock.now)
     assert credentials.folder == authority.folder / "issued" / LAB / "rpl.ot2 (left)"
-    assert len(authority.issue(Identity("node", "rpl/" + "x" * 100, LAB)).common_name) == 64
+    assert len(authority.issue(PartyIdentity("node", "rpl/" + "x" * 100, LAB)).common_name) == 64
 
 
 def test_only_a_kernel_and_a_bus_can_be_connected_to(authority: Authority) -> None:
@@ -104,7 +104,7 @@ def test_renewal_keeps_the_name_and_changes_the_key(authority: Authority, clock:
 
 
 def test_many_at_once_are_made_renewed_or_left_as_they_are(authority: Authority, clock: Clock) -> None:
-    identities = [Identity("node", f"rpl/m{number}", LAB) for number in range(3)]
+    identities = [PartyIdentity("node", f"rpl/m{number}", LAB) for number in range(3)]
     authority.issue(identities[0], days=3000)
     authority.issue_all(identities[:2])
     before = authority.members()
@@ -153,9 +153,9 @@ def test_a_revoked_certificate_speaks_for_nobody_and_its_name_is_not_given_again
 
 
 def test_a_bus_on_another_computer_has_the_list_in_its_folder(authority: Authority) -> None:
-    authority.issue(Identity("bus"), addresses=["bus.example.org"])
+    authority.issue(PartyIdentity("bus"), addresses=["bus.example.org"])
     entry = authority.issue(NODE)
-    folder = authority.credentials(Identity("bus")).folder
+    folder = authority.credentials(PartyIdentity("bus")).folder
     assert entry.common_name in (folder / "members.json").read_text()
     authority.revoke(entry, "lost")
     assert (folder / "members.json").read_bytes() == authority.members_file.read_bytes()
@@ -164,7 +164,7 @@ def test_a_bus_on_another_computer_has_the_list_in_its_folder(authority: Authori
 def test_what_the_site_issues_is_taken_over(tmp_path: Path, clock: Clock) -> None:
     site = Authority(tmp_path / "site", clock)
     site.init("the site")
-    theirs = [site.issue(Identity("viewer", name)) for name in ("one", "two")]
+    theirs = [site.issue(PartyIdentity("viewer", name)) for name in ("one", "two")]
     files = [site.credentials(entry.identity) for entry in theirs]
     authority = Authority(tmp_path / "pki", clock)
     authority.init("", site=site.folder / "ca.pem")
@@ -195,7 +195,7 @@ def test_what_the_site_issues_is_taken_over(tmp_path: Path, clock: Clock) -> Non
 
 def test_two_labs_may_share_an_authority(authority: Authority) -> None:
     """On one router, or on two: whose certificate is meant has to be said by its CN."""
-    entry, other = authority.issue(NODE), authority.issue(Identity("node", NODE.name, "lab-2"))
+    entry, other = authority.issue(NODE), authority.issue(PartyIdentity("node", NODE.name, "lab-2"))
     assert authority.credentials(NODE).folder != authority.credentials(other.identity).folder
     with pytest.raises(BadInput, match="Several certificates") as caught:
         authority.find(NODE.name)
@@ -219,9 +219,9 @@ def test_what_is_not_there_is_said(tmp_path: Path, authority: Authority, clock: 
 
 def test_nothing_is_allowed_that_no_rule_allows(authority: Authority) -> None:
     """A bus is no party; nobody's rule reaches another lab, and no node's another module."""
-    authority.issue(Identity("bus"))
+    authority.issue(PartyIdentity("bus"))
     for kind, name in (("kernel", ""), ("node", "rpl/a"), ("viewer", "v"), ("stop", "s"), ("api", "w")):
-        authority.issue(Identity(kind, name, LAB))  # type: ignore[arg-type]
+        authority.issue(PartyIdentity(kind, name, LAB))  # type: ignore[arg-type]
     found = access_control(authority.members().entries)
     assert found["default_permission"] == "deny"
     assert len(found["policies"]) == 6
@@ -244,5 +244,5 @@ def test_nothing_is_allowed_that_no_rule_allows(authority: Authority) -> None:
 def test_the_name_of_an_api_process_is_one_part_of_a_key(authority: Authority) -> None:
     """Whatever its certificate says, it asks under no other name."""
     for name in ("*", "a/b", "**", "$*", "@x", ""):
-        authority.issue(Identity("api", name, LAB))
+        authority.issue(PartyIdentity("api", name, LAB))
     assert not [r for r in access_control(authority.members().entries)["rules"] if "query" in r["messages"]]

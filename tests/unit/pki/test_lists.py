@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from labos.errors import BadInput
-from labos.pki import MEMBERS, NUMBER, Authority, Identity, Members, ReceivedList
+from labos.pki import MEMBERS, NUMBER, Authority, Members, PartyIdentity, ReceivedList
 
-BUS, NODE = Identity("bus"), Identity("node", "rpl/sealer", "lab-1")
+BUS, NODE = PartyIdentity("bus"), PartyIdentity("node", "rpl/sealer", "lab-1")
 
 
 @pytest.fixture
@@ -81,7 +81,12 @@ def test_what_the_authority_has_not_signed_is_not_kept(
     members = authority.members()
     evil = Authority(tmp_path / "evil")
     evil.init("test")
-    for who in (BUS, NODE, Identity("node", "rpl/peeler", "lab-1"), Identity("kernel", lab="lab-1")):
+    for who in (
+        BUS,
+        NODE,
+        PartyIdentity("node", "rpl/peeler", "lab-1"),
+        PartyIdentity("kernel", lab="lab-1"),
+    ):
         evil.issue(who)
     changed = {
         "entries": msgspec.structs.replace(members, entries=members.entries[:1]),

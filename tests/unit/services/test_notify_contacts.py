@@ -8,7 +8,7 @@ import pytest
 
 from labos.errors import Undelivered
 from labos.services.notify import load_contacts
-from labos.services.notify.contacts import Book, Contact, Level, Smtp
+from labos.services.notify.contacts import Book, Contact, EscalationLevel, Smtp
 from labos.spec import SpecErrors, parse_source
 from tests.docs.markdown import REFERENCE, blocks, first_codes, section
 
@@ -108,6 +108,6 @@ def test_the_reference_is_right() -> None:
     page = (REFERENCE / "contacts.md").read_text()
     (example,) = (block for block in blocks(page) if block.language == "yaml")
     assert list(load_contacts(parse_source(example.text)).contacts) == ["anna", "ben", "duty"]
-    parts = {"Top level": Book, "smtp": Smtp, "contacts": Contact, "escalation": Level}
+    parts = {"Top level": Book, "smtp": Smtp, "contacts": Contact, "escalation": EscalationLevel}
     for heading, model in parts.items():
         assert first_codes(section(page, heading)) == list(model.model_fields), heading
