@@ -42,13 +42,13 @@ class StepOnPaper:
 
     def carry_out(self) -> None:
         """Tell what of the step cannot work, and note what it leaves."""
-        for kind in (Needs, Requires):
-            for effect in self.step.effects:
-                if isinstance(effect, kind):
-                    check_effect(self, effect)
-        for effect in list_carried(self.step.effects):
-            check_effect(self, effect)
-            self._hauls.append((effect, *self._haul(effect)))
+        needs = [effect for effect in self.step.effects if isinstance(effect, Needs)]
+        others = [effect for effect in self.step.effects if not isinstance(effect, Needs | Carrying)]
+        for asked in (*needs, *others):  # whatever else there is may be about the labware that it needs
+            check_effect(self, asked)
+        for carried in list_carried(self.step.effects):
+            check_effect(self, carried)
+            self._hauls.append((carried, *self._haul(carried)))
         self._room_for_all()
         for what, piece, plate in self._hauls:
             self._carry(what, piece, plate)
