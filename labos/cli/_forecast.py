@@ -37,10 +37,14 @@ def describe_learning(count: int) -> str:
     from labos.planning.hindsight import ENOUGH
 
     if count < ENOUGH:
-        return f"Only {count} earlier forecasts can be compared with the result yet: the width of "
-        "the ranges is partly assumed."
-    return "Four of five runs start and end within their range. The ranges come from the errors "
-    f"of the last {count} forecasts."
+        return (
+            f"Only {count} earlier forecasts can be compared with the result yet: the width of "
+            "the ranges is partly assumed."
+        )
+    return (
+        "Four of five runs start and end within their range. The ranges come from the errors "
+        f"of the last {count} forecasts."
+    )
 
 
 def _clock(ns: int, now_ns: int) -> str:
