@@ -24,9 +24,9 @@ async def forecast_proposal(service: LabService, proposal: Proposal) -> Proposal
     """Raises BadInput for an experiment, as nobody knows what it will ask for; Refused."""
     if proposal.kind == "experiment":
         raise BadInput(
-            f"What the experiment {proposal.subject} will bring cannot be forecast: its application decides "
-            "as it goes.",
-            remedy="Each of its runs waits for an approval; look at those.",
+            f"There is no forecast for the experiment {proposal.subject}, because its application decides "
+            "during the experiment.",
+            remedy="Each of its runs waits for an approval. Check those.",
         )
     (cell,) = cells_of(service.kernel.state, proposal.subject)
     needed = proposal.demand.consumables

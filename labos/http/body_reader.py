@@ -75,14 +75,14 @@ class BodyReader:
                     await drain(pieces)
                     raise _too_large(most)
                 if self._bytes > LARGEST_BODIES and self._bytes > len(body):
-                    raise TooMany("The lab is being sent too much at once.", remedy="Ask again.")
+                    raise TooMany("The lab gets too many requests at once.", remedy="Ask again.")
         except TimeoutError:
             raise TooSlow(
-                f"The request's body did not come within {loop.time() - begun:.0f} s.",
-                remedy="Send it at once.",
+                f"The request's body was not sent within {loop.time() - begun:.0f} s.",
+                remedy="Send the whole body at once.",
             ) from None
         except ClientDisconnect:
-            raise BadInput("The request broke off.") from None
+            raise BadInput("The connection ended before the whole request was sent.") from None
         finally:
             self._bytes -= len(body)
 

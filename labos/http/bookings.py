@@ -176,7 +176,7 @@ def the_booking(state: LabState, name: str) -> Booking:
     """Raises NotFound."""
     found = state.bookings.open.get(name)
     if found is None:
-        raise NotFound(f"There is no booking {name!r} that is not over.", remedy="List them: labos bookings")
+        raise NotFound(f"There is no current or future booking {name!r}.", remedy="List them: labos bookings")
     return found
 
 
@@ -197,14 +197,16 @@ def calendar(service: LabService, query: CalendarQuery, now: int) -> CalendarVie
     until = query.until or since + 7 * DAY_NS
     if not since < until <= since + LONGEST_CALENDAR_DAYS * DAY_NS:
         raise BadInput(
-            f"A calendar shows 1 to {LONGEST_CALENDAR_DAYS} days.", remedy="Ask for a shorter time at once."
+            f"A calendar shows 1 to {LONGEST_CALENDAR_DAYS} days.", remedy="Ask for a shorter period."
         )
     found: list[tuple[BookingSpan, Booking]] = []
     for booking in bookings_of(service, query.target):
         found += [(span, booking) for span in booking.spans(since, until)]
     found.sort(key=lambda pair: (pair[0].begins, pair[0].ends, pair[1].id))
     if len(found) > MOST_TIMES:
-        raise BadInput(f"These are more than {MOST_TIMES} times.", remedy="Ask for a shorter time at once.")
+        raise BadInput(
+            f"The calendar would have more than {MOST_TIMES} times.", remedy="Ask for a shorter period."
+        )
     return CalendarView(since, until, [_time(span, booking) for span, booking in found])
 
 
@@ -230,7 +232,10 @@ def target_of(service: LabService, name: str) -> str:
 def terms_of(state: LabState, body: NewBooking) -> NewTerms:
     user, group = _find_owner(state, body.whom, body.by)
     if body.maintenance and body.whom:
-        raise BadInput("Maintenance is for nobody's runs.", remedy="Leave out for whom it is.")
+        raise BadInput(
+            "A booking for maintenance cannot be for a group or a user.",
+            remedy="Leave out the group or user.",
+        )
     if body.maintenance:
         user = group = ""
     return NewTerms(
@@ -282,6 +287,9 @@ def _find_owner(state: LabState, said: str, by: str) -> tuple[str, str]:
         return (name, "") if kind == "user" else ("", name)
     if said in state.shares.groups:
         if said in state.users.known:
-            raise BadInput(f"{said!r} is a group and a user.", remedy=f"Say group:{said} or user:{said}.")
+            raise BadInput(
+                f"{said!r} is the name of a group and of a user.",
+                remedy=f"Write group:{said} or user:{said}.",
+            )
         return "", said
     return said, ""

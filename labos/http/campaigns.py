@@ -212,7 +212,9 @@ def _deadline(service: LabService, told: CampaignSource) -> int:
     except BadInput as error:
         raise told.source.error(error.message, ("deadline",), remedy=error.remedy) from None
     if found <= now:
-        raise told.source.error("The deadline has passed.", ("deadline",), remedy="Name a time to come.")
+        raise told.source.error(
+            "The deadline has passed.", ("deadline",), remedy="Give a time in the future."
+        )
     return found
 
 

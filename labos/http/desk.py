@@ -77,7 +77,7 @@ class Desk:
 
     async def _carry_out(self, asked: SentOn) -> KernelAnswer:
         if self._working >= AT_ONCE or asked.path == STREAM or not asked.path.startswith(f"{PREFIX}/"):
-            return _refusal("The kernel is asked for too much at once.")
+            return _refusal("The kernel gets too many requests at once.")
         self._working += 1
         try:
             async with asyncio.timeout(LONGEST_S):

@@ -59,8 +59,8 @@ class RequestFilter:
             return None
         return problem(
             "forbidden",
-            f"The request is meant for {host[:100]!r}, which is no name of this lab's server.",
-            f"Ask for an address, or for {' or '.join(sorted(self._names))}.",
+            f"The request has the host {host[:100]!r}, which is not a name of this lab's server.",
+            f"Use an address, or {' or '.join(sorted(self._names))}.",
         )
 
 
@@ -94,7 +94,7 @@ def _foreign_page(headers: dict[str, str]) -> Problem | None:
     return problem(
         "forbidden",
         f"The request comes from a web page of {(origin or 'another site')[:100]!r}.",
-        "Ask from a program, or from a page of this server.",
+        "Send it from a program, or from a page of this server.",
     )
 
 

@@ -29,7 +29,7 @@ async def send_file(request: Request, digest: str, blobs: BlobStore) -> Response
         return Response(data, headers=headers, media_type="application/octet-stream")
     part = part_of(len(data), *asked.groups())
     if part is None:
-        words = f"The file has {len(data)} bytes, and none of those that were asked for."
+        words = f"The file has {len(data)} bytes, and none of the requested range."
         refusal = send_problem(problem("range_not_satisfiable", words, "Ask for others."))
         refusal.headers["content-range"] = f"bytes */{len(data)}"
         return refusal

@@ -41,7 +41,7 @@ class Finder:
         """Raises BadInput for a question that cannot be answered, Refused for an index that cannot."""
         if self._asked >= MOST_ASKED:
             raise Refused(
-                f"{self._asked} questions to the search index wait already.",
+                f"{self._asked} requests to the search index are already waiting.",
                 remedy="Ask again when they have been answered.",
             )
         self._asked += 1
@@ -70,7 +70,7 @@ class Finder:
     def _expect_open(self) -> None:
         if self._is_closed:
             self._kill()
-            raise Refused("The lab is being closed.", remedy="Ask again when it has been started.")
+            raise Refused("The lab is closing.", remedy="Ask again when it has been started.")
 
     async def wait_closed(self) -> None:
         """Until nothing is left of the processes that were killed, nor of their pipes."""

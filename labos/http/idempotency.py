@@ -151,7 +151,7 @@ async def _carry_out_marked(logged: LoggedRequest, work: Callable[[], Awaitable[
 def _refuse_reused(key: str, more: str = "") -> KeyReused:
     return KeyReused(
         f"The key {key!r} belongs to another request.{more}",
-        remedy="Give each request a key of its own, and the same one only to say the same again.",
+        remedy="Give each request its own key. Use the same key only to repeat a request.",
     )
 
 

@@ -24,7 +24,7 @@ SECURE_COOKIE = f"__Host-{COOKIE}"
 
 BEHALF = "labos-on-behalf-of"
 
-SIGN_IN = "Sign in with `labos login`, or show a token (LABOS_TOKEN)."
+SIGN_IN = "Sign in with `labos login`, or send a token (LABOS_TOKEN)."
 
 IN_LINK = "Make one for it: labos token create --scope viewer"
 
@@ -122,7 +122,9 @@ class Gate:
         NotSignedIn, Forbidden."""
         users = self.users()
         if who.how == "home" or (who.how == "open") is not users.is_open:
-            raise NotSignedIn("The API process and the kernel disagree on who asks.", remedy="Ask again.")
+            raise NotSignedIn(
+                "The API process and the kernel find different users for this request.", remedy="Ask again."
+            )
         if who.how != "open":
             if who.credential is None or who.credential.user != who.user or users.get(who.user) is None:
                 raise NotSignedIn(f"The user {who.user[:100]!r} may not act.", remedy=SIGN_IN)
@@ -136,10 +138,10 @@ class Gate:
         if not shown or request.headers.get("authorization"):
             return await self.identify(request)
         if shown.startswith(HOME):
-            raise NotSignedIn("The key in the lab's folder does not belong into an address.", remedy=IN_LINK)
+            raise NotSignedIn("The key in the lab's folder is not allowed in an address.", remedy=IN_LINK)
         credential = await self.accounts.find(shown)
         if credential.how != "token" or credential.scope != "viewer":
-            raise Forbidden("Only a token of scope viewer may stand in an address.", remedy=IN_LINK)
+            raise Forbidden("Only a token with the role viewer is allowed in an address.", remedy=IN_LINK)
         return Who("token", credential.user, "", credential)
 
     async def identify(self, request: Request) -> Who:
@@ -153,12 +155,12 @@ class Gate:
         if not shown and not cookie:
             if self.users().is_open:
                 return Who("open")
-            raise NotSignedIn("This lab has users, and the request does not say whose it is.", remedy=SIGN_IN)
+            raise NotSignedIn("This lab has users, and the request is not authenticated.", remedy=SIGN_IN)
         if cookie and request.method not in ("GET", "HEAD"):
             _expect_own_page(request)
         credential = await self.accounts.find(shown or cookie)
         if credential.how != ("token" if shown else "session"):
-            raise NotSignedIn("A token is shown in the header Authorization.", remedy=SIGN_IN)
+            raise NotSignedIn("Send the token in the header Authorization.", remedy=SIGN_IN)
         return Who(credential.how, credential.user, self._behalf(request, credential.user), credential)
 
     def _behalf(self, request: Request, user: str) -> str:
@@ -174,27 +176,26 @@ class Gate:
         known = self.users().get(user)
         if known is None or known.kind != "service":
             raise Forbidden(
-                f"{user} is no service account, and cannot act on behalf of {named[:100]!r}.",
+                f"{user} is not a service account, and cannot act on behalf of {named[:100]!r}.",
                 remedy="Leave the header LabOS-On-Behalf-Of out.",
             )
         if self.users().get(named) is None:
             raise Forbidden(
-                f"There is no user {named[:100]!r} on whose behalf anybody could act.",
+                f"There is no user {named[:100]!r}, so nobody can act on behalf of this name.",
                 remedy="List them: labos user list",
             )
 
     def _check(self, who: Who, need: Need, by_home: bool) -> None:
         if who.how == "home" and not (self.users().is_open or need == "viewer" or by_home):
             raise NotSignedIn(
-                "The key in the lab's folder is good for looking, for stopping modules, and for helping "
-                "users to sign in.",
+                "The key in the lab's folder allows only reading, stopping modules, and help with sign-in.",
                 remedy=SIGN_IN,
             )
         if who.credential is not None and not allows(who.credential.scope, need):
             raise Forbidden(
-                f"The token {who.credential.token} is good for what a {who.credential.scope} may do; this "
-                f"needs {need}.",
-                remedy="Make one with a wider scope: labos token create --scope " + need,
+                f"The token {who.credential.token} has the rights of a {who.credential.scope} at most; this "
+                f"request needs the role {need}.",
+                remedy="Create one with a higher role: labos token create --scope " + need,
             )
 
     def _tell(self, request: Request, error: LabosError) -> None:
@@ -223,6 +224,6 @@ def _expect_own_page(request: Request) -> None:
     if headers.get("origin") or headers.get("sec-fetch-site") == "same-origin":
         return
     raise Forbidden(
-        "The request has the cookie of a session, and does not say from which page it comes.",
-        remedy="Programs show a token (Authorization: Bearer …).",
+        "The request has the cookie of a session, but no header that names its page.",
+        remedy="Programs send a token (Authorization: Bearer …).",
     )

@@ -94,7 +94,7 @@ Variables = Annotated[dict[Name, bool], msgspec.Meta(max_length=MOST_VARIABLES)]
 Named = Annotated[dict[Name, Names], msgspec.Meta(max_length=MOST_ENTRIES)]
 
 OWN_NAME = "labos"
-SAY_WHO = "Say which person or program asks."
+SAY_WHO = "Give the name of the requesting person or program."
 
 
 def check_person(name: str, field: str) -> str:

@@ -47,10 +47,10 @@ PASSED_ON = re.compile(rb"content-type|idempotency-key|labos-user|last-event-id|
 OWN = (b"content-length", b"labos-position")
 """The headers of an answer that are made anew."""
 
-AGAIN = "Ask again in a moment, with the same Idempotency-Key: nothing is done twice."
+AGAIN = "Repeat the request in a moment, with the same Idempotency-Key: nothing is done twice."
 NO_KEY = (
-    "See what was done before you ask again (labos log), and send an Idempotency-Key: with one nothing is "
-    "done twice."
+    "Check what was done before you repeat the request (labos log). Send an Idempotency-Key: then nothing "
+    "is done twice."
 )
 
 _log = structlog.get_logger(__name__)

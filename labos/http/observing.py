@@ -68,8 +68,8 @@ def _sight(service: LabService, place: str, what: str, by: str) -> ObserveStatio
     if what in types:
         return ObserveStation(seen.station, by, kind=what)
     raise NotFound(
-        f"{what!r} is no labware on the bench and no labware type.",
-        remedy=f"Say empty, a number, an id such as P7, a barcode, or one of {', '.join(types)}.",
+        f"{what!r} is neither labware on the bench nor a labware type.",
+        remedy=f"Give empty, a number, an id such as P7, a barcode, or one of {', '.join(types)}.",
     )
 
 

@@ -65,7 +65,7 @@ def _in_full(service: LabService, placing: Placing) -> tuple[str, dict[str, bool
     variables, labware = dict(placing.variables), placing.labware
     is_lidded = variables.pop("lidded", None)
     if is_lidded is False and parts(labware)[1]:
-        raise BadInput(f"{labware} has a lid, and is said not to be lidded.", remedy="Leave one of them out.")
+        raise BadInput(f"{labware} has a lid, but is given as not lidded.", remedy="Leave one of them out.")
     if is_lidded and not parts(labware)[1]:
         labware = f"{labware}+{DEFAULT_LID}"
     known = {*_list_variables(service), *FOLLOWS}

@@ -26,25 +26,25 @@ class ProblemKind(msgspec.Struct, frozen=True):
 
 PROBLEMS: dict[str, ProblemKind] = {
     "bad_input": ProblemKind(400, "The request cannot be used"),
-    "not_signed_in": ProblemKind(401, "Nobody knows who asks"),
-    "forbidden": ProblemKind(403, "Not allowed"),
-    "not_found": ProblemKind(404, "Nothing bears that name"),
-    "method_not_allowed": ProblemKind(405, "The path does not take this method"),
-    "too_slow": ProblemKind(408, "The body did not come in time"),
-    "refused": ProblemKind(409, "The rules forbid this here and now"),
+    "not_signed_in": ProblemKind(401, "The request is not authenticated"),
+    "forbidden": ProblemKind(403, "The user does not have this right"),
+    "not_found": ProblemKind(404, "There is nothing with this name"),
+    "method_not_allowed": ProblemKind(405, "The path does not support this method"),
+    "too_slow": ProblemKind(408, "The body was not sent in time"),
+    "refused": ProblemKind(409, "The rules forbid this in the present state"),
     "key_reused": ProblemKind(409, "The Idempotency-Key belongs to another request"),
     "already_done": ProblemKind(
-        409, "The request was carried out before, and its answer is not known any more"
+        409, "The request was carried out before, and its answer is no longer stored"
     ),
     "too_large": ProblemKind(413, "The request is too large"),
     "uri_too_long": ProblemKind(414, "The path or the query is too long"),
     "unsupported_media_type": ProblemKind(415, "The body is not JSON"),
-    "range_not_satisfiable": ProblemKind(416, "The file has no such bytes"),
+    "range_not_satisfiable": ProblemKind(416, "The file does not have these bytes"),
     "spec_error": ProblemKind(422, "A file has an error"),
     "spec_errors": ProblemKind(422, "A file has errors"),
-    "too_many_tries": ProblemKind(429, "Somebody has tried to sign in too often"),
+    "too_many_tries": ProblemKind(429, "There were too many attempts to sign in"),
     "internal": ProblemKind(500, "LabOS failed on this request"),
-    "labos_error": ProblemKind(500, "Something in LabOS went wrong"),
+    "labos_error": ProblemKind(500, "LabOS has failed"),
     "internal_fault": ProblemKind(500, "LabOS failed on a command; nothing of it was done"),
     "invariant_broken": ProblemKind(500, "The command would break what must always hold; nothing was done"),
     "bus_error": ProblemKind(502, "The message bus failed"),
@@ -57,11 +57,11 @@ PROBLEMS: dict[str, ProblemKind] = {
     "fenced": ProblemKind(503, "Another kernel has taken over"),
     "commit_in_doubt": ProblemKind(
         503,
-        "What was asked may have been done, or not",
+        "The outcome of the request is unknown",
     ),
     "kernel_away": ProblemKind(503, "The kernel gave no answer to this process"),
-    "behind": ProblemKind(503, "This process does not know yet what the asker knows"),
-    "too_many": ProblemKind(503, "The lab is being sent too much at once"),
+    "behind": ProblemKind(503, "This process has not reached the position of the request yet"),
+    "too_many": ProblemKind(503, "The lab gets too many requests at once"),
 }
 
 

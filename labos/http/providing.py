@@ -100,9 +100,8 @@ async def user_meant(api: Api, provider: Provider, claims: ProviderClaims) -> st
         await api.kernel.execute(AddUser(user), LABOS)
     if not user:
         raise NotSignedIn(
-            "The identity provider knows you, and this lab does not.",
-            remedy="Tell an admin of the lab what it calls you: labos user link NAME "
-            f"{told.issuer} {claims.subject}",
+            "The identity provider knows you, but this lab does not.",
+            remedy=f"Ask an admin of the lab to run: labos user link NAME {told.issuer} {claims.subject}",
         )
     if state.users.get(user) is None:
         raise NotSignedIn(f"The user {user} is disabled.", remedy="Ask an admin of the lab.")

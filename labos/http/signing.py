@@ -129,8 +129,8 @@ def expect_self_or_admin(call: Call, user: str) -> None:
         raise NotFound(f"This lab has no user {user!r}.", remedy="List them: labos user list")
     if who != user and _is_program(call):
         raise Forbidden(
-            f"{who} is a service account, and gets at how nobody else signs in: a program that could sign in "
-            "as a person could approve what it has asked for, and as another program could act in its name.",
+            f"{who} is a service account, and cannot change credentials of others: a program that signs in "
+            "as a person could approve its own requests, and as another program could act in its name.",
             remedy="Ask an admin who is a person.",
         )
 

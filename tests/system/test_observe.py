@@ -54,7 +54,9 @@ def test_a_plate_is_missed_found_and_given(tmp_path: Path) -> None:
         assert "where nothing should stand" in told
         assert "labos resolve I2 new" in told
         say("resolve", "I2", "new")
-        assert "is no labware on the bench and no labware type" in say("observe", "wc.shelf", "x", fails=True)
+        assert "is neither labware on the bench nor a labware type" in say(
+            "observe", "wc.shelf", "x", fails=True
+        )
 
         say("give", plate, "--to", "user", "bob", "--user", "ada")
         assert "belongs to user bob, not to ada" in say(

@@ -68,7 +68,7 @@ def test_what_labware_is_may_be_said_with_it(lab: Up) -> None:
     home = ("--home", str(lab.home), "--user", "ada")
     for words, why in (
         ("peeler.default=plate96,sealled", "'sealled'. Did you mean 'sealed'?"),
-        ("hidex.default=plate96+lid96,not lidded", "has a lid, and is said not to be lidded"),
+        ("hidex.default=plate96+lid96,not lidded", "has a lid, but is given as not lidded"),
         ("peeler.default=plate96,", "is not STATION=TYPE"),
     ):
         refused = labos("do", "peeler", "peel", "--place", words, *home)

@@ -188,7 +188,7 @@ def test_what_a_proposal_would_bring_is_shown_before_it_is_approved(people: Peop
     people["agent"].amend_campaign(name, "", runs=3)
     assert people["bob"].approval_forecast(name)["forecast"]["refusal"] == ""
     experiment = people["agent"].start_experiment("app", "")
-    with pytest.raises(BadInput, match="cannot be forecast"):
+    with pytest.raises(BadInput, match="There is no forecast"):
         people["bob"].approval_forecast(experiment)
     assert "Forecast for" not in people.labos("olga", "approvals", experiment).output
     people["agent"].end_experiment(experiment)

@@ -149,7 +149,7 @@ def test_an_address_is_pasted(lab: LabThread, shell: Shell) -> None:
 def test_whom_the_lab_does_not_know_gets_no_token(lab: LabThread, shell: Shell) -> None:
     browser = BROWSER.replace("bob", "eve-heads")
     said = shell.run("login", lab.url, fails=True, BROWSER=browser)
-    assert "knows you, and this lab does not" in said
+    assert "knows you, but this lab does not" in said
     assert "labos user link" in said
 
 

@@ -283,7 +283,7 @@ def test_a_cookie_is_good_for_own_pages_only(lab: LabThread) -> None:
         del browser.headers["origin"]
         assert browser.get("/state").status_code == 200
         told = is_problem(browser.post("/tokens", json={}), 403, "forbidden")
-        assert "from which page" in told["detail"]
+        assert "names its page" in told["detail"]
         own = {"sec-fetch-site": "same-origin"}
         assert browser.post("/tokens", json={}, headers=own).status_code == 201
         for foreign in (
@@ -399,7 +399,7 @@ def test_the_actor_is_who_has_signed_in(lab: LabThread, folder: Path) -> None:
 def test_only_a_service_account_acts_for_others(lab: LabThread, folder: Path) -> None:
     behalf = {"labos-on-behalf-of": "bob"}
     with client_of(lab, token_of(folder, "ada"), **behalf) as ada:
-        assert "no service account" in is_problem(ada.get("/whoami"), 403, "forbidden")["detail"]
+        assert "not a service account" in is_problem(ada.get("/whoami"), 403, "forbidden")["detail"]
     token = token_of(folder, "agent")
     with client_of(lab, token, **{"labos-on-behalf-of": "nobody"}) as agent:
         is_problem(agent.get("/whoami"), 403, "forbidden")
