@@ -51,6 +51,7 @@ from labos.planning.touch import (
 )
 from labos.planning.urgency import is_urgent
 from labos.planning.waiting import Kind, Turn, WaitingRoom, modules_of
+from labos.planning.work_behind import WorkBehind
 
 MOST_BUNDLES = 50
 """So many are asked for what they need: a decision costs no more with a longer queue."""
@@ -86,6 +87,7 @@ class Scheduler:
         self.room = WaitingRoom()
         self.patience = Patience()
         self.adviser = Adviser()
+        self.behind = WorkBehind()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
@@ -316,15 +318,16 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], int]:
+        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], int, float]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
+            behind = 0.0 if waits else -self.behind.of(state, run.plan, spot.step)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), run.position)
+                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), run.position, behind)
             calm, share = not is_urgent(state, run, now), self._standing(state, now, run.user)
             orders = state.suggestions.orders
             advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
-            return (deadline, 1, calm, -run.priority, advised, waits, share, run.position)
+            return (deadline, 1, calm, -run.priority, advised, waits, share, run.position, behind)
 
         return sorted(spots, key=rank)
 
@@ -380,7 +383,7 @@ class Scheduler:
         them waits for."""
         waits: list[Wait] = []
         for option in options_in_order(state, run, now):
-            for step in state.runs.plans[option.plan].starts:
+            for step in self.behind.in_order(state, option.plan, state.runs.plans[option.plan].starts):
                 wait = self.judge(state, option, step, now)
                 if wait is None:
                     return (option, step), []
