@@ -321,7 +321,7 @@ class Scheduler:
         def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], int, float]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
-            behind = 0.0 if waits else -self.behind.of(state, run.plan, spot.step)
+            behind = 0.0 if waits else -self.behind.measure(state, run.plan, spot.step)
             if not waits and self.patience.is_over(run.id):
                 return (deadline, 0, False, 0, 0, False, (0.0, 0.0), run.position, behind)
             calm, share = not is_urgent(state, run, now), self._standing(state, now, run.user)
@@ -383,7 +383,7 @@ class Scheduler:
         them waits for."""
         waits: list[Wait] = []
         for option in options_in_order(state, run, now):
-            for step in self.behind.in_order(state, option.plan, state.runs.plans[option.plan].starts):
+            for step in self.behind.sort(state, option.plan, state.runs.plans[option.plan].starts):
                 wait = self.judge(state, option, step, now)
                 if wait is None:
                     return (option, step), []

@@ -17,7 +17,7 @@ class WorkBehind:
     def __init__(self) -> None:
         self._known: dict[str, tuple[float, ...]] = {}
 
-    def of(self, state: LabState, plan: str, step: int) -> float:
+    def measure(self, state: LabState, plan: str, step: int) -> float:
         """The longest way from a step's start (seconds)."""
         found = self._known.get(plan)
         if found is None:
@@ -26,11 +26,11 @@ class WorkBehind:
             found = self._known[plan] = _longest_ways(state.runs.plans[plan].plan)
         return found[step]
 
-    def in_order(self, state: LabState, plan: str, steps: Sequence[int]) -> Sequence[int]:
+    def sort(self, state: LabState, plan: str, steps: Sequence[int]) -> Sequence[int]:
         """Steps of a plan, the one with the longest way first."""
         if len(steps) < 2:
             return steps
-        return sorted(steps, key=lambda step: -self.of(state, plan, step))
+        return sorted(steps, key=lambda step: -self.measure(state, plan, step))
 
 
 def _longest_ways(plan: Plan) -> tuple[float, ...]:
