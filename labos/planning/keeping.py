@@ -98,7 +98,7 @@ class Windows:
         self._at_rest: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
         self._put_off: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
 
-    def begins_at(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> int:
+    def find_planned_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> int:
         """When the plan that keeps the windows has the step start (UTC ns); FAR if it does not."""
         cell = state.runs.plan_of(run).workcell
         if not state.runs.windowed_in.get(cell):

@@ -32,7 +32,7 @@ def bring_forward(actor: Actor, step: MotionStep) -> bool:
         return bool(here)
     done = list(dict.fromkeys(motion.step for motion in actor.motions[: actor.done]))
     rest = [other for other in dict.fromkeys(motion.step for motion in here) if other != step]
-    motions = _in_order(actor, [*done, step, *rest])
+    motions = _arrange(actor, [*done, step, *rest])
     if motions is None or motions[: actor.done] != actor.motions[: actor.done]:
         return False
     actor.motions = motions
@@ -44,12 +44,12 @@ def put_in_order(actor: Actor, order: Sequence[MotionStep]) -> None:
     mine = list(dict.fromkeys(motion.step for motion in actor.motions))
     if actor.orders is None or order == mine or set(order) != set(mine):
         return
-    motions = _in_order(actor, order)
+    motions = _arrange(actor, order)
     if motions is not None:
         actor.motions = motions
 
 
-def _in_order(actor: Actor, order: Sequence[MotionStep]) -> tuple[Motion, ...] | None:
+def _arrange(actor: Actor, order: Sequence[MotionStep]) -> tuple[Motion, ...] | None:
     """The motions that an actor has left in this order of its steps; None if its plan does not allow it, or
     if other steps move something then."""
     orders = actor.orders

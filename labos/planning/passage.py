@@ -83,7 +83,7 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
         if window.within_s is not None and window.anchor is not None
         if is_pending(run, window.anchor) and (actor.name, window.anchor) not in begun
     ]
-    spans = _chained(spans)
+    spans = _join_spans(spans)
     steps = [motion.step for motion in actor.motions]
     return [
         max((last for first, last in spans if first <= here and there <= last), default=0)
@@ -93,7 +93,7 @@ def _ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
     ]
 
 
-def _chained(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+def _join_spans(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Windows of which each starts with the step that the one before it ends with, as one."""
     found: list[tuple[int, int]] = []
     for first, last in sorted(spans):

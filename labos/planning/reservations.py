@@ -122,7 +122,7 @@ class Reservations:
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """The wait of a start for what is reserved for others; None if it may go ahead. The rules must allow
         it."""
-        planned = self.windows.begins_at(state, run, step, now, safety)
+        planned = self.windows.find_planned_start(state, run, step, now, safety)
         if planned <= now:
             return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)

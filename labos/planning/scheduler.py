@@ -58,6 +58,7 @@ from labos.planning.touch import (
 )
 from labos.planning.urgency import is_urgent
 from labos.planning.waiting import Kind, Turn, WaitingRoom, modules_of
+from labos.planning.work_behind import WorkBehind
 
 MOST_BUNDLES = 50
 """So many are asked for what they need: a decision costs no more with a longer queue."""
@@ -95,6 +96,7 @@ class Scheduler:
         self.adviser = Adviser()
         self.due_dates = DueDates()
         self.pilot = Pilot()
+        self.behind = WorkBehind()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
@@ -338,16 +340,19 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int]:
+        def rank(
+            spot: Spot,
+        ) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int, float]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
+            behind = 0.0 if waits else -self.behind.measure(state, run.plan, spot.step)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, run.position)
+                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, run.position, behind)
             calm, share = not is_urgent(state, run, now), self._find_share_used(state, now, run.user)
             orders = state.suggestions.orders
             advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
             due = self.due_dates.rank(state, run)
-            return (deadline, 1, calm, -run.priority, advised, waits, share, due, run.position)
+            return (deadline, 1, calm, -run.priority, advised, waits, share, due, run.position, behind)
 
         return sorted(spots, key=rank)
 
@@ -413,7 +418,7 @@ class Scheduler:
         them waits for."""
         waits: list[Wait] = []
         for option in options_in_order(state, run, now):
-            for step in state.runs.plans[option.plan].starts:
+            for step in self.behind.sort(state, option.plan, state.runs.plans[option.plan].starts):
                 wait = self.check_start(state, option, step, now)
                 if wait is None:
                     return (option, step), []

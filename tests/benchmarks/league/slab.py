@@ -35,9 +35,7 @@ MINUTE_S = 60.0
 class Protocol(msgspec.Struct, frozen=True):
     """One job: (type of instrument, minutes) of each operation; pairs of operations (numbered from 1) of
     which the first ends before the second starts; and (first, second, minutes) of time constraints. The steps
-    of a run are written down as they are numbered, or ``in_time``: deadlock avoidance asks whether a run
-    comes to its end in the order in which its steps are written, so of two branches that use one instrument
-    the later one may not go first."""
+    of a run are written down as they are numbered, or ``in_time``."""
 
     operations: tuple[tuple[str, int], ...]
     before: tuple[tuple[int, int], ...]
