@@ -163,11 +163,9 @@ class Scheduler:
                     # It protects nothing any more once it has to wait for a booking.
                     until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
                     return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
-                early = (
-                    check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
-                    if not at_once
-                    else None
-                )
+                early = None
+                if not at_once and not self.adviser.is_time(state, run, step, now):
+                    early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
                 waited = early is not None and any(
                     run.id == other.id for other in self.room.list_overtaken(state, plan.workcell)
                 )

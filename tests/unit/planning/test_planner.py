@@ -11,10 +11,12 @@ from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
 from labos.core.lengths import Times, kind_of
 from labos.core.model import Plan
+from labos.core.runs import RunState
 from labos.planner.planner import Planner
-from labos.planner.problem import SchedulingProblem, problem_of
+from labos.planner.problem import SchedulingProblem, choose_runs, problem_of
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import list_waiting
+from labos.planning.waiting import PATIENCE
 from tests.support.bench import SECOND, Driver, plan, step
 from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
 
@@ -43,6 +45,10 @@ class Fixed:
     def __call__(self, problem: SchedulingProblem, seconds: float, hint: Mapping[int, float]) -> Schedule:
         starts = [100.0 * self.order.index(task.run) + task.step for task in problem.tasks]
         return Schedule(tuple(starts), 0.0, 0.0, False)
+
+
+def chosen(lab: Driver) -> list[RunState]:
+    return choose_runs(lab.state, "cell", waiting_in(lab.state, "cell"))
 
 
 def find_order(planner: Planner, lab: Driver) -> SuggestOrder | None:
@@ -91,7 +97,7 @@ def test_durations_are_those_of_a_quantile_of_the_last_times(level: float, took_
     times = lab.state.lengths.by_kind[kind_of(work)] = Times()
     for seconds in (80, 60, 100):
         times.add(int(seconds * 1e9))
-    problem = problem_of(lab.state, "cell", list_waiting(lab.state, "cell"), lab.now, level)
+    problem = problem_of(lab.state, "cell", chosen(lab), lab.now, level)
     found = {(task.run, task.step): task.duration_s for task in problem.tasks}
     assert found[run, 2] == took_s
     assert found[run, 0] == pytest.approx(10.0 * (0.9 + 0.2 * level)), "of which nothing is known"
@@ -102,7 +108,7 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     lab, first, second = waits()
     begins, ends = lab.now + 700 * SECOND, lab.now + 1500 * SECOND
     lab.do(MakeBooking("cell/dev", NewTerms(begins=begins, ends=ends, maintenance=True), "op", lab.now))
-    problem = problem_of(lab.state, "cell", list_waiting(lab.state, "cell"), lab.now)
+    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
     shut = {(task.run, task.step): task.shut for task in problem.tasks}
     assert shut[first, 0] == ((700.0, 1500.0),)
     assert shut[second, 1] == (), "the other module is free"
@@ -113,3 +119,17 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     assert found.makespan_s == 2700.0
     order = find_order(Planner(), lab)
     assert order is None or order.steps[0].run == second
+
+
+def test_a_search_lets_nobody_be_passed_over_more_often_than_the_lab_allows() -> None:
+    """One long run and twelve short ones: each ends sooner if the long one is last, and it is not."""
+    pytest.importorskip("ortools")
+    lab = Driver(CELL)
+    long = lab.submit(plan(step("dev", key="a", duration_s=6000.0), name="long"))
+    for number in range(12):
+        lab.submit(plan(step("dev", key="a", duration_s=60.0), name=f"short {number}"))
+    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    found = solve(problem, 5.0)
+    assert found is not None
+    starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
+    assert sum(start < starts[long] for start in starts.values()) == PATIENCE
