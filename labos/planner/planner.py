@@ -1,4 +1,4 @@
-"""Suggests an order for one workcell after the other, and remembers the last for the next search.
+"""Suggests an order for one workcell after the other.
 
 An order is suggested only if a rehearsal of the lab comes out better with it than without any, and better
 than with what was suggested before.
@@ -14,7 +14,7 @@ from labos.core.rules import lab_ns
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import Suggested
-from labos.planner.problem import Problem, problem_of
+from labos.planner.problem import Problem, choose_runs, problem_of
 from labos.planner.rehearsal import Rehearsal
 from labos.planner.solve import Schedule, solve
 
@@ -33,7 +33,6 @@ class Planner:
     ) -> None:
         self.name, self.seconds, self.level = name, seconds, level
         self._solve = solver
-        self._last: dict[str, dict[tuple[RunId, int], int]] = {}
 
     def suggest(
         self, state: LabState, cell: str, waiting: Iterable[RunState], now: int
@@ -41,23 +40,31 @@ class Planner:
         """The order that it suggests for a workcell; None if there is nothing to put in order, or what counts
         now is as good. An order without steps takes back what was suggested before. ``waiting`` are the runs
         that wait, in the order in which they would go."""
-        problem = problem_of(state, cell, waiting, now, self.level)
+        runs = choose_runs(state, cell, waiting)
+        problem = problem_of(state, cell, runs, now, self.level)
         if _is_one_line(problem):
             return None
-        found = self._search(state, cell, problem, now)
-        rehearsal = Rehearsal(state, cell, now, self.level)
-        without = rehearsal.score(None)
-        before = rehearsal.score(rehearsal.order) if rehearsal.order is not None else without
-        if found is not None and rehearsal.score(found) < min(without, before):
+        rehearsal = Rehearsal(state, cell, now, self.level, runs)
+        best = without = rehearsal.go(None)
+        if rehearsal.order is not None:
+            before = rehearsal.go(rehearsal.order)
+            best = without if rehearsal.is_better(without, before) else before
+        found = self._search(state, cell, problem, now, rehearsal.starts(best))
+        if found is not None and rehearsal.is_better(rehearsal.go(found), best):
             return found
-        return None if before <= without else SuggestOrder(cell, self.name, now, (), state.position)
+        if rehearsal.order is None or best is not without:
+            return None
+        return SuggestOrder(cell, self.name, now, (), state.position)
 
-    def _search(self, state: LabState, cell: str, problem: Problem, now: int) -> SuggestOrder | None:
-        last, pace = self._last.get(cell, {}), state.lab.pace
+    def _search(
+        self, state: LabState, cell: str, problem: Problem, now: int, known: dict[tuple[RunId, int], int]
+    ) -> SuggestOrder | None:
+        """The order that is found, from how it would go otherwise (``known`` starts, UTC ns)."""
+        pace = state.lab.pace
         hint = {
-            number: max(0.0, (last[task.run, task.step] - now) / 1e9 * pace)
+            number: max(0.0, (known[task.run, task.step] - now) / 1e9 * pace)
             for number, task in enumerate(problem.tasks)
-            if (task.run, task.step) in last
+            if (task.run, task.step) in known
         }
         found = self._solve(problem, self.seconds, hint)
         if found is None:
@@ -66,7 +73,6 @@ class Planner:
             (task.run, task.step): now + lab_ns(state, start)
             for task, start in zip(problem.tasks, found.starts_s, strict=True)
         }
-        self._last[cell] = starts
         steps = tuple(
             Suggested(task.run, task.step, starts[task.run, task.step])
             for task in problem.tasks

@@ -8,10 +8,11 @@ start of the task that brings it to the end of the task that carries it away, an
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 
 import msgspec
+from msgspec.structs import replace
 
 from labos.core.actions import ActionStatus
 from labos.core.booked import contacts, find_blocked, is_exempt
@@ -23,6 +24,7 @@ from labos.core.state import LabState
 from labos.core.suggestions import MOST_STEPS
 from labos.core.waits import station_key
 from labos.planner.lengths import at_level
+from labos.planner.measure import rate
 from labos.planning.suggested import list_taken
 
 MOST_WAITING = 30
@@ -30,9 +32,9 @@ MOST_WAITING = 30
 
 DECK = "deck:"
 
-GOES_ON = 1
-"""An experiment's end of a run counts so many times the end of all that is known: more runs follow, which
-nobody knows yet. With more than that, experiments go before what takes longer by itself."""
+MOST_WINDOWED = 20
+"""Where windows have to be kept, so many runs are looked at in all, and those inside: the others are planned
+as these come to their ends. Rehearsals of more take long."""
 
 AHEAD_NS = 24 * 3600 * 10**9
 """So far ahead bookings are looked at (wall time)."""
@@ -78,7 +80,9 @@ class Stay(msgspec.Struct, frozen=True):
 class Problem(msgspec.Struct, frozen=True):
     """All tasks, those of a run together, and how many have room where. ``like`` are pairs of runs' first
     tasks that are alike: the first goes first. Of each run ``ends`` are the tasks that no other follows, and
-    ``more`` says whether further runs follow that nobody knows yet: it is part of an experiment."""
+    ``more`` says whether further runs follow that nobody knows yet: it is part of an experiment; ``ranks``
+    by how many classes it goes before others, and ``due_s`` is the deadline of its campaign, if it has one
+    (lab seconds from now)."""
 
     tasks: tuple[Task, ...]
     stays: tuple[Stay, ...]
@@ -86,21 +90,38 @@ class Problem(msgspec.Struct, frozen=True):
     like: tuple[tuple[int, int], ...]
     ends: tuple[tuple[int, ...], ...]
     more: tuple[bool, ...]
+    ranks: tuple[int, ...] = ()
+    due_s: tuple[float | None, ...] = ()
 
 
-def problem_of(
-    state: LabState, cell: str, waiting: Iterable[RunState], now: int, level: float = 0.5
-) -> Problem:
-    """What is to be done in a workcell: by the runs inside, and the first of those that are ``waiting``.
-    ``level`` is the quantile of durations, between 0 and 1."""
-    reader = _Reader(state, now, level)
+def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
+    """The runs that are looked at together: those inside, and the first of those that wait."""
     inside = [run for run in state.runs.inside(cell) if _goes_on(run)]
     outside = [run for run in islice(waiting, MOST_WAITING) if not find_holds(run)]
+    found: list[RunState] = []
+    steps, windowed = 0, False
     for run in [*inside, *outside]:
-        if len(reader.tasks) + len(state.runs.plan_of(run).steps) > MOST_STEPS:
+        steps += len(state.runs.plan_of(run).steps)
+        windowed = windowed or bool(state.runs.plans[run.plan].windowed)
+        if steps > MOST_STEPS or (windowed and len(found) >= max(MOST_WINDOWED, len(inside))):
             break
+        found.append(run)
+    return found
+
+
+def problem_of(state: LabState, cell: str, runs: Sequence[RunState], now: int, level: float = 0.5) -> Problem:
+    """What is to be done in a workcell by these runs. ``level`` is the quantile of durations, between 0 and
+    1."""
+    reader = _Reader(state, now, level)
+    for run in runs:
         reader.read(run)
-    return reader.problem(cell)
+    rated = rate(state, runs, now)
+    due = [rated[run.id].deadline for run in runs]
+    return replace(
+        reader.problem(cell),
+        ranks=tuple(rated[run.id].rank for run in runs),
+        due_s=tuple((at - now) / 1e9 * state.lab.pace if at else None for at in due),
+    )
 
 
 def _goes_on(run: RunState) -> bool:

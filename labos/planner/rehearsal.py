@@ -6,72 +6,90 @@ what the lab would do without, and is sent only if it is better.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
-from msgspec.structs import replace
 
 from labos.core.actions import Action
 from labos.core.decide.suggestions import SuggestOrder
+from labos.core.fold import evolve
+from labos.core.ids import RunId
 from labos.core.lengths import Lengths
 from labos.core.model import PlanStep
+from labos.core.runs import RunCancelled, RunState
 from labos.core.state import LabState, from_picture, picture
 from labos.core.suggestions import OrderSuggested
 from labos.planner.lengths import at_level, draw
-from labos.planner.problem import GOES_ON, MOST_WAITING
-from labos.planning.virtual import Lasts, Play, VirtualLab, keep_first
+from labos.planner.measure import Score, judge, rate
+from labos.planning.virtual import Lasts, Play, VirtualLab
 
 DRAWN = 3
 """So many plays with durations that were drawn are added where windows have to be kept."""
 
+Order = SuggestOrder | OrderSuggested
 
-class Score(msgspec.Struct, frozen=True, order=True):
-    """How good a play was, the less the better: runs that did not come to their ends, windows that were
-    missed, and seconds of wall time: the end of all with that of each run of an experiment, and all ends."""
 
-    stays: int
-    missed: int
-    cost_s: float
-    ends_s: float
+class Way(msgspec.Struct):
+    """One way to go on: with an order, or none. ``plays`` are those made so far; the first takes the
+    durations that are planned with."""
+
+    order: Order | None
+    plays: list[Play]
 
 
 class Rehearsal:
-    """Carries copies of a workcell on. ``level`` is the quantile of durations with which it is planned."""
+    """Carries copies of a workcell on with these runs; others that wait are left out. ``level`` is the
+    quantile of durations with which it is planned."""
 
-    def __init__(self, state: LabState, cell: str, now: int, level: float) -> None:
+    def __init__(self, state: LabState, cell: str, now: int, level: float, runs: Sequence[RunState]) -> None:
         self.cell, self.now, self.level = cell, now, level
         copy = from_picture(picture(state))
         copy.lab.paused.clear()  # what is paused goes on some time, and in the same order
-        keep_first(copy, MOST_WAITING)
+        known = {run.id for run in runs}
+        for name in [name for name in copy.runs.queued if name not in known]:
+            evolve(copy, RunCancelled(name), copy.position + 1, copy.recorded_at)
         copy.recorded_at = max(copy.recorded_at, now)
-        self.order = copy.suggestions.orders.get(cell)
-        self.has_windows = any(
-            step.windows for known in copy.runs.plans.values() for step in known.plan.steps
-        )
+        order = copy.suggestions.orders.get(cell)
+        self.order = order if order is not None and order.steps and order.until > now else None
+        windowed = any(state.runs.plans[run.plan].windowed for run in runs)
+        self._most = 1 + DRAWN * windowed
+        self._rated = rate(copy, runs, now)
         self._base = picture(copy)
 
-    def score(self, order: SuggestOrder | OrderSuggested | None) -> Score:
-        """How it would go with this order; with none if there is none."""
-        plays = [self._play(order, number) for number in range(1 + DRAWN * self.has_windows)]
-        scores = [self._judge(play) for play in plays]
-        return replace(
-            scores[0],
-            stays=sum(score.stays for score in scores),
-            missed=sum(score.missed for score in scores),
-        )
+    def go(self, order: Order | None) -> Way:
+        """A way with this order, played once; with none if there is none."""
+        way = Way(order, [])
+        self._play(way)
+        return way
 
-    def _play(self, order: SuggestOrder | OrderSuggested | None, number: int) -> Play:
-        state = from_picture(self._base)
+    def starts(self, way: Way) -> dict[tuple[RunId, int], int]:
+        """When steps would start (UTC ns)."""
+        return way.plays[0].begun
+
+    def is_better(self, one: Way, other: Way) -> bool:
+        """Whether one way is better than another: with the durations that are planned with, and where windows
+        have to be kept with drawn ones added, one play after the other. The first plays that show that it is
+        not are the last."""
+        for plays in range(1, self._most + 1):
+            for way in (one, other):
+                if len(way.plays) < plays:
+                    self._play(way)
+            if not self._score(one, plays) < self._score(other, plays):
+                return False
+        return True
+
+    def _score(self, way: Way, plays: int) -> Score:
+        return judge(way.plays[:plays], self._rated, self.now)
+
+    def _play(self, way: Way) -> None:
+        state, order = from_picture(self._base), way.order
         state.suggestions.orders.pop(self.cell, None)
         if order is not None:
             state.suggestions.orders[self.cell] = OrderSuggested(
                 order.workcell, order.by, order.until, order.steps
             )
-        return VirtualLab(state, self.now, _lasts(state.lengths, state.lab.pace, self.level, number)).go_on()
-
-    def _judge(self, play: Play) -> Score:
-        ends = {run: (end - self.now) / 1e9 for run, end in play.ends.items()}
-        goes_on = sum(end for run, end in ends.items() if run in play.experiments)
-        cost_s = max(ends.values(), default=0.0) + GOES_ON * goes_on
-        return Score(len(play.stays), play.missed, cost_s, sum(ends.values()))
+        lasts = _lasts(state.lengths, state.lab.pace, self.level, len(way.plays))
+        way.plays.append(VirtualLab(state, self.now, lasts).go_on())
 
 
 def _lasts(lengths: Lengths, pace: float, level: float, number: int) -> Lasts:

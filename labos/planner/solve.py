@@ -10,13 +10,18 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.errors import SystemFailed
-from labos.planner.problem import GOES_ON, Problem
+from labos.planner.measure import GOES_ON
+from labos.planner.problem import Problem, Task, TimeLag
 
 if TYPE_CHECKING:
     from ortools.sat.python import cp_model
 
 TIDY = 0.3
-"""This part of the time is for ending each run sooner, once the whole is as short as was found."""
+"""This part of the time is for ending each run sooner, from what was found for the whole."""
+
+FIRST = 8
+"""The end of a run counts so many times for each class that it goes before, and so does each second after its
+campaign's deadline."""
 
 BOOKED_UNIT_S = 10.0
 
@@ -44,9 +49,9 @@ def solve(
     problem: Problem, seconds: float, hint: Mapping[int, float] | None = None, *, counted: bool = False
 ) -> Schedule | None:
     """The best schedule that is found in so many seconds of wall time; None if there is none. ``hint`` are
-    starts (lab seconds) of a schedule that is known, by task. Windows are kept where that is possible.
-    ``counted``: the seconds are those of a computer that does nothing else, counted by the work that is done;
-    then the same problem gives the same schedule."""
+    starts (lab seconds) of a schedule that is known, by task; it is begun with. Windows are kept where that
+    is possible. ``counted``: the seconds are those of a computer that does nothing else, counted by the work
+    that is done; then the same problem gives the same schedule."""
     from ortools.sat.python import cp_model
 
     tasks = problem.tasks
@@ -81,6 +86,8 @@ def solve(
                 missed = model.new_bool_var(f"late{number}")
                 late.append(missed)
                 latest = anchor + math.floor(lag.within_s / unit)
+                if hint and number in hint:
+                    model.add_hint(missed, _is_late(hint, number, lag, tasks))
                 model.add(begin[number] <= latest).only_enforce_if(~missed)
     for intervals in using.values():
         model.add_no_overlap(intervals)
@@ -106,7 +113,13 @@ def solve(
             model.add(over[-1] >= end[last])
     # Of an experiment more runs follow, which nobody knows yet: the sooner it goes on, the better.
     goes_on = sum(last for last, more in zip(over, problem.more, strict=True) if more)
-    cost = whole + GOES_ON * goes_on + 4 * horizon * sum(late)
+    first = sum(rank * last for last, rank in zip(over, problem.ranks, strict=False) if rank)
+    overdue: list[cp_model.IntVar] = []
+    for last, due_s in zip(over, problem.due_s, strict=False):
+        if due_s is not None:
+            overdue.append(model.new_int_var(0, 4 * horizon, f"overdue{len(overdue)}"))
+            model.add(overdue[-1] >= last - max(-horizon, math.floor(due_s / unit)))
+    cost = whole + GOES_ON * goes_on + FIRST * (first + sum(overdue)) + 4 * horizon * sum(late)
     model.minimize(cost)
     solver = cp_model.CpSolver()
     solver.parameters.num_workers = 2
@@ -117,9 +130,8 @@ def solve(
         return None
     proven, bound = status == cp_model.OPTIMAL, solver.best_objective_bound
     starts = [solver.value(start) for start in begin]
-    # As good as that, and each run over as soon as may be.
-    model.add(cost <= round(solver.objective_value))
-    model.minimize(sum(over))
+    # From there on, each run's end counts too: on average as much as the end of all.
+    model.minimize(len(over) * cost + sum(over))
     model.clear_hints()
     for start, value in zip(begin, starts, strict=True):
         model.add_hint(start, value)
@@ -128,6 +140,14 @@ def solve(
         starts = [solver.value(start) for start in begin]
     makespan = max((start + takes for start, takes in zip(starts, length, strict=True)), default=0)
     return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
+
+
+def _is_late(hint: Mapping[int, float], number: int, lag: TimeLag, tasks: Sequence[Task]) -> bool:
+    """Whether a task starts too late after the end of another in a schedule that is known."""
+    if lag.within_s is None or (lag.anchor is not None and lag.anchor not in hint):
+        return False
+    anchor_s = -lag.ago_s if lag.anchor is None else hint[lag.anchor] + tasks[lag.anchor].duration_s
+    return hint[number] > anchor_s + lag.within_s
 
 
 def _closed(

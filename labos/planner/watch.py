@@ -24,12 +24,18 @@ MOST_DOUBLINGS = 7
 hour: what stands still over night (a module that is down, a question) is not suggested again and again."""
 
 
+MOST_UNSEEN = 10
+"""So many runs that waited too far behind to be looked at may move up before an order is looked for anew."""
+
+
 class _Seen(msgspec.Struct):
-    runs: tuple[tuple[RunId, bool], ...]
+    runs: dict[RunId, bool]
+    position: int
     order: SuggestOrder | None
     looked_at: int
     has_found: bool
     repeated: int = 0
+    in_vain: int = 0
 
 
 class Watch:
@@ -39,27 +45,34 @@ class Watch:
         self._seen: dict[str, _Seen] = {}
 
     def is_due(self, state: LabState, cell: str, waiting: Iterable[RunState], now: int) -> bool:
-        """Whether runs have come or gone since, are not where they should be, or nothing was found so far."""
+        """Whether runs have come since, or gone before their time, are not where they should be, or nothing
+        was found so far. What goes as it was planned is not looked at again."""
         seen = self._seen.get(cell)
-        if seen is None or seen.runs != _runs(state, cell, waiting):
+        if seen is None or _has_changed(state, seen, _list_runs(state, cell, waiting)):
             return True
-        patience = lab_ns(state, DRIFT_S * 2**seen.repeated)
-        if not seen.has_found and seen.looked_at + patience < now:
+        if not seen.has_found and seen.looked_at + lab_ns(state, DRIFT_S * 2**seen.in_vain) < now:
             return True  # on a busy computer, a search may end before it has found anything
-        return seen.order is not None and any(
-            one.start + patience < now and _is_open(state, one.run, one.step) for one in seen.order.steps
+        patience = lab_ns(state, DRIFT_S * 2**seen.repeated)
+        steps = seen.order.steps if seen.order is not None else ()
+        return any(
+            state.runs.get(one.run) is None
+            if one.start > now + patience
+            else one.start + patience < now and _is_open(state, one.run, one.step)
+            for one in steps
         )
 
     def note(
         self, state: LabState, cell: str, waiting: Iterable[RunState], order: SuggestOrder | None, now: int
     ) -> None:
         """An order was looked for; None: what was suggested before still counts."""
-        before, runs = self._seen.get(cell), _runs(state, cell, waiting)
-        repeated = 0
+        before, runs = self._seen.get(cell), _list_runs(state, cell, waiting)
+        repeated = in_vain = 0
         if before is not None and before.runs == runs:
             repeated = min(before.repeated + 1, MOST_DOUBLINGS)
+        if before is not None and order is None and not _has_changed(state, before, runs):
+            in_vain = min(before.in_vain + 1, MOST_DOUBLINGS)
         known = before.order if order is None and before is not None else order
-        self._seen[cell] = _Seen(runs, known, now, order is not None, repeated)
+        self._seen[cell] = _Seen(runs, state.position, known, now, order is not None, repeated, in_vain)
 
 
 def waiting_in(state: LabState, cell: str) -> list[RunState]:
@@ -68,9 +81,25 @@ def waiting_in(state: LabState, cell: str) -> list[RunState]:
     return sorted(found, key=lambda run: (-run.priority, run.position))
 
 
-def _runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> tuple[tuple[RunId, bool], ...]:
+def _list_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> dict[RunId, bool]:
+    """The runs that are looked at, and whether something keeps each of them from being started."""
     runs = [*state.runs.inside(cell), *islice(waiting, MOST_WAITING)]
-    return tuple((run.id, bool(find_holds(run))) for run in runs)
+    return {run.id: bool(find_holds(run)) for run in runs}
+
+
+def _has_changed(state: LabState, seen: _Seen, runs: dict[RunId, bool]) -> bool:
+    """Whether runs have been submitted since, are held back or no longer, or many have moved up."""
+    unseen = 0
+    for name, is_held in runs.items():
+        if name in seen.runs:
+            if seen.runs[name] != is_held:
+                return True
+            continue
+        run = state.runs.get(name)
+        if run is not None and run.position > seen.position:
+            return True
+        unseen += 1
+    return unseen >= MOST_UNSEEN
 
 
 def _is_open(state: LabState, name: RunId, step: int) -> bool:

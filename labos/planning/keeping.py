@@ -268,6 +268,14 @@ class Windows:
         plan = Plan(state, cell, now, obliged, before)
         if obliged:
             trial = Trial(plan, None, -1, set(self._hopeless))
+            suggested = _suggested_advice(state, cell, now)
+            if suggested is not None:
+                # What somebody has planned for all of them comes first, if it keeps all windows.
+                plan.advice = suggested
+                _, plan.outcome = self._search(state, trial, safety, limit=1)
+                if not trial.news(plan.outcome) and plan.outcome.tangle is None:
+                    return plan
+                plan.advice = before
             plan.advice, plan.outcome = self._search(state, trial, safety)
         return plan
 

@@ -143,7 +143,9 @@ class Scheduler:
                     # It protects nothing any more once it has to wait for a booking.
                     until = booked.room_ends(state, RunId(elder), now) if state.bookings.open else None
                     return Wait(reasons.AfterElder(elder), (cell_key(plan.workcell),), until)
-                early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
+                early = None
+                if not self.adviser.is_time(state, run, step, now):
+                    early = check_arrival(state, run, step, now, self._list_plans(state, plan.workcell))
                 waited = early is not None and any(
                     run.id == other.id for other in self.room.impatient(state, plan.workcell)
                 )

@@ -46,12 +46,13 @@ LAST = 2**62
 class Advice(msgspec.Struct):
     """A suggestion, ready to be asked: when each step should start; by resource (the key of a module or
     station) the steps that take it, the earliest first; and by group of runs that wait in line, whose turn it
-    should be in it."""
+    should be in it. ``least`` is the lowest priority of its runs."""
 
     order: OrderSuggested
     starts: dict[tuple[RunId, int], int]
     by_resource: dict[str, list[Suggested]]
     lines: dict[str, list[Suggested]]
+    least: float = float("inf")
 
 
 class Adviser:
@@ -70,6 +71,10 @@ class Adviser:
             return advice.starts.get((run.id, step), LAST)
         starts = state.runs.plans[run.plan].starts
         return min((advice.starts.get((run.id, first), LAST) for first in starts), default=LAST)
+
+    def is_time(self, state: LabState, run: RunState, step: int, now: int) -> bool:
+        """Whether a step should have started by now, by what was suggested."""
+        return bool(state.suggestions.orders) and self.start_of(state, run, step, now) <= now
 
     def find_next(self, state: LabState, run: RunState, now: int) -> RunState:
         """Who should be let in of those who wait in line with this run, the first of them."""
@@ -95,7 +100,8 @@ class Adviser:
             return None
         mine = advice.starts.get((run.id, step), LAST)
         urgent = is_urgent(state, run, now)
-        if now < mine < LAST and not urgent and _starts_clock(state, run, step):
+        goes_first = urgent or run.priority > advice.least
+        if now < mine < LAST and not goes_first and _starts_clock(state, run, step):
             later = reasons.ClockLater(plan.steps[step].key, in_zone(mine, "UTC"))
             return Wait(later, (cell_key(plan.workcell),), mine)
         for resource in _list_resources(state, plan.steps[step]):
@@ -160,6 +166,7 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> Advice:
         if run is None:
             continue
         advice.starts[one.run, one.step] = one.start
+        advice.least = min(advice.least, run.priority)
         if not run.has_started and one.step in state.runs.plans[run.plan].starts:
             advice.lines.setdefault(queue_key(state.runs.shape_of(run), run), []).append(one)
         for resource in _list_resources(state, state.runs.plan_of(run).steps[one.step]):

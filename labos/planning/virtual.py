@@ -81,9 +81,9 @@ class Touch(msgspec.Struct, frozen=True):
 
 class Play(msgspec.Struct):
     """How it went: when runs started and ended (UTC ns), which of them failed, when a person was needed, and
-    why the runs that are left do not go on. ``steps`` were started, and so many windows ``missed``. ``cut``:
-    it was broken off. ``modules`` are those that runs have chosen, by the steps' keys; ``experiments`` those
-    of which runs are parts."""
+    why the runs that are left do not go on. ``steps`` were started, each when ``begun`` says (UTC ns), and
+    so many windows ``missed``. ``cut``: it was broken off. ``modules`` are those that runs have chosen, by
+    the steps' keys; ``experiments`` those of which runs are parts."""
 
     starts: dict[RunId, int] = {}
     ends: dict[RunId, int] = {}
@@ -94,6 +94,7 @@ class Play(msgspec.Struct):
     users: dict[RunId, str] = {}
     levels: dict[str, float] = {}
     steps: int = 0
+    begun: dict[tuple[RunId, int], int] = {}
     cut: bool = False
     modules: dict[RunId, dict[str, str]] = {}
     missed: int = 0
@@ -255,6 +256,7 @@ class VirtualLab:
                 action = ActionId(f"virtual-{self._count}")
                 self._ask(StartStep(start.run, start.step, action, self.now, start.plan))
                 self.play.steps += 1
+                self.play.begun[start.run, start.step] = self.now
                 self._moved_at = self.now
                 if self.play.steps >= self._most_steps:
                     self.play.cut = True

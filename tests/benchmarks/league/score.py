@@ -21,7 +21,7 @@ MUST, MUST_PLANNED = 1.10, 1.03
 """So many times the best known are to be reached without a planner, and with one."""
 
 
-PLANNER_S = 8.0
+PLANNER_S = 1.0
 """So long the planner may look each time."""
 
 
@@ -59,13 +59,14 @@ def known() -> dict[str, Known]:
     return msgspec.json.decode(BEST.read_bytes(), type=dict[str, Known]) if BEST.exists() else {}
 
 
-def played(case: Case, *, planner: bool = False) -> Outcome:
-    return Player(case.cell, case.stock, planner=_planner() if planner else None).play(case.works)
+def played(case: Case, *, planner: bool = False, seconds: float = PLANNER_S) -> Outcome:
+    plans = make_planner(seconds) if planner else None
+    return Player(case.cell, case.stock, planner=plans).play(case.works)
 
 
-def _planner() -> Planner:
+def make_planner(seconds: float) -> Planner:
     """A planner that finds the same orders on every computer."""
-    return Planner(seconds=PLANNER_S, solver=partial(solve, counted=True))
+    return Planner(seconds=seconds, solver=partial(solve, counted=True))
 
 
 def times_of(case: Case, outcome: Outcome) -> Times:
@@ -79,9 +80,9 @@ def times_of(case: Case, outcome: Outcome) -> Times:
     return found
 
 
-def score(case: Case, *, planner: bool = False) -> Score:
+def score(case: Case, *, planner: bool = False, seconds: float = PLANNER_S) -> Score:
     """Play a case. Raises AssertionError if what came of it cannot have happened."""
-    outcome = played(case, planner=planner)
+    outcome = played(case, planner=planner, seconds=seconds)
     problem, done = problem_of(case.cell, case.works), times_of(case, outcome)
     wrong = faults(problem, done)
     assert not wrong, f"{case.name}: {wrong[0]}"

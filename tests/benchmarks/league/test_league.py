@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from tests.benchmarks.league import slab
@@ -10,7 +12,7 @@ from tests.benchmarks.league.check import Times, faults, makespan, missed
 from tests.benchmarks.league.play import Player
 from tests.benchmarks.league.rules import Problem, problem_of
 from tests.benchmarks.league.score import Score, known, played, score, times_of
-from tests.benchmarks.league.table import row, verdicts
+from tests.benchmarks.league.table import Keeper, row, verdicts
 
 SMALL = (
     "one arm, 8 plates, within 120 s",
@@ -147,3 +149,11 @@ def test_the_table_says_side_by_side_what_is_known_and_what_is_reached() -> None
     said = list(verdicts([found], [late]))
     assert said[0].startswith("S-LAB, online: 1.10 × reached (at worst 1.0")
     assert said[1].startswith("S-LAB, with planner: 1.03 × not reached")
+
+
+def test_a_table_that_was_interrupted_goes_on_with_what_it_kept(tmp_path: Path) -> None:
+    case, file = small("4 jobs on 4 machines, seed 0"), tmp_path / "kept"
+    found = Keeper(file, 1.0).score(case, planner=False)
+    assert file.read_text().count("\n") == 1
+    file.write_text(file.read_text().replace(str(found.makespan_s), "1234.0"))
+    assert Keeper(file, 1.0).score(case, planner=False).makespan_s == 1234.0, "it is not played again"

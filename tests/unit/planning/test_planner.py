@@ -11,8 +11,9 @@ from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
 from labos.core.lengths import Times, kind_of
 from labos.core.model import Plan
+from labos.core.runs import RunState
 from labos.planner.planner import Planner
-from labos.planner.problem import Problem, problem_of
+from labos.planner.problem import Problem, choose_runs, problem_of
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import waiting_in
 from tests.support.bench import SECOND, Driver, plan, step
@@ -43,6 +44,10 @@ class Fixed:
     def __call__(self, problem: Problem, seconds: float, hint: Mapping[int, float]) -> Schedule:
         starts = [100.0 * self.order.index(task.run) + task.step for task in problem.tasks]
         return Schedule(tuple(starts), 0.0, 0.0, False)
+
+
+def chosen(lab: Driver) -> list[RunState]:
+    return choose_runs(lab.state, "cell", waiting_in(lab.state, "cell"))
 
 
 def asked(planner: Planner, lab: Driver) -> SuggestOrder | None:
@@ -89,7 +94,7 @@ def test_durations_are_those_of_a_quantile_of_the_last_times(level: float, took_
     times = lab.state.lengths.by_kind[kind_of(work)] = Times()
     for seconds in (80, 60, 100):
         times.add(int(seconds * 1e9))
-    problem = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now, level)
+    problem = problem_of(lab.state, "cell", chosen(lab), lab.now, level)
     found = {(task.run, task.step): task.duration_s for task in problem.tasks}
     assert found[run, 2] == took_s
     assert found[run, 0] == pytest.approx(10.0 * (0.9 + 0.2 * level)), "of which nothing is known"
@@ -100,7 +105,7 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     lab, first, second = waits()
     begins, ends = lab.now + 700 * SECOND, lab.now + 1500 * SECOND
     lab.do(MakeBooking("cell/dev", NewTerms(begins=begins, ends=ends, maintenance=True), "op", lab.now))
-    problem = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
     shut = {(task.run, task.step): task.shut for task in problem.tasks}
     assert shut[first, 0] == ((700.0, 1500.0),)
     assert shut[second, 1] == (), "the other module is free"

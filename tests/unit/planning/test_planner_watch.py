@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.suggestions import Suggested
-from labos.planner.problem import problem_of
+from labos.planner.problem import choose_runs, problem_of
 from labos.planner.watch import DRIFT_S, MOST_DOUBLINGS, Watch, waiting_in
 from tests.support.bench import Driver
 from tests.unit.planning.test_suggested import make_lab, visit
@@ -60,7 +60,9 @@ def test_a_search_that_found_nothing_is_repeated() -> None:
 
 def test_a_problem_has_the_steps_to_come_with_what_they_take() -> None:
     lab, (first, second) = make_lab(visit("dev"), visit("other"))
-    problem = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    problem = problem_of(
+        lab.state, "cell", choose_runs(lab.state, "cell", waiting_in(lab.state, "cell")), lab.now
+    )
     steps = [(task.run, task.step) for task in problem.tasks]
     assert steps[1:] == [(run, step) for run in (first, second) for step in range(4)]
     assert problem.tasks[0].runs, "the clock ticks"
@@ -68,5 +70,7 @@ def test_a_problem_has_the_steps_to_come_with_what_they_take() -> None:
     assert [key.rpartition(".")[2].rpartition("/")[2] for key in reaches.takes] == ["arm", "dev"]
     assert reaches.duration_s == 10.0
     lab.wait(5.0)
-    again = problem_of(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    again = problem_of(
+        lab.state, "cell", choose_runs(lab.state, "cell", waiting_in(lab.state, "cell")), lab.now
+    )
     assert again.tasks[0].duration_s == problem.tasks[0].duration_s - 5.0

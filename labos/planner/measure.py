@@ -1,0 +1,92 @@
+"""How good it is what came of a rehearsal, by what the lab itself puts first.
+
+The less, the better, in this order: runs that do not come to their ends; windows that are missed; how late
+the runs of campaigns with a deadline end; when those end that go before others, class by class: urgent
+campaigns, then each higher priority; and then the end of all together with the ends of runs on average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import msgspec
+
+from labos.core.ids import RunId
+from labos.core.runs import RunState
+from labos.core.state import LabState
+from labos.planning.urgency import is_urgent
+from labos.planning.virtual import Play
+
+GOES_ON = 1
+"""An experiment's end of a run counts so many times the end of all that is known: more runs follow, which
+nobody knows yet. With more than that, experiments go before what takes longer by itself."""
+
+
+class Score(msgspec.Struct, frozen=True, order=True):
+    """How good a play was, the less the better. All but the first two in seconds of wall time: ``overdue_s``
+    of all runs, ``first_s`` the ends of each class that goes before others, the highest first; ``cost_s`` the
+    end of all, with that of each run of an experiment, and the mean of all ends."""
+
+    stays: int
+    missed: int
+    overdue_s: float
+    first_s: tuple[float, ...]
+    cost_s: float
+
+
+class Rated(msgspec.Struct, frozen=True):
+    """What is known of a run before anything is played. ``rank``: 0 for those of the lowest class.
+    ``deadline`` is that of its campaign (UTC ns; 0: none)."""
+
+    rank: int
+    deadline: int
+    more: bool
+
+
+def rate(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId, Rated]:
+    """The classes of runs among one another."""
+    found = {run.id: (is_urgent(state, run, now), run.priority) for run in runs}
+    ranks = {known: rank for rank, known in enumerate(sorted(set(found.values())))}
+    return {
+        name: Rated(ranks[known], _deadline_of(state, name), _goes_on(state, name))
+        for name, known in found.items()
+    }
+
+
+def judge(plays: list[Play], rated: Mapping[RunId, Rated], now: int) -> Score:
+    """Of plays of the same runs with other durations: what stays and is missed counts in all of them, times
+    on average. ``now`` is when they began (UTC ns)."""
+    scores = [_judge_one(play, rated, now) for play in plays]
+    return Score(
+        sum(score.stays for score in scores),
+        sum(score.missed for score in scores),
+        _mean([score.overdue_s for score in scores]),
+        tuple(_mean(list(times)) for times in zip(*(score.first_s for score in scores), strict=True)),
+        _mean([score.cost_s for score in scores]),
+    )
+
+
+def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int) -> Score:
+    ends = {run: (end - now) / 1e9 for run, end in play.ends.items() if run in rated}
+    classes = range(max((known.rank for known in rated.values()), default=0), 0, -1)
+    first_s = tuple(sum(end for run, end in ends.items() if rated[run].rank == rank) for rank in classes)
+    deadlines = {run: (rated[run].deadline - now) / 1e9 for run in ends if rated[run].deadline}
+    overdue_s = sum(max(0.0, ends[run] - deadline) for run, deadline in deadlines.items())
+    goes_on = sum(end for run, end in ends.items() if rated[run].more)
+    cost_s = max(ends.values(), default=0.0) + GOES_ON * goes_on + _mean(list(ends.values()))
+    return Score(sum(run in rated for run in play.stays), play.missed, overdue_s, first_s, cost_s)
+
+
+def _deadline_of(state: LabState, name: RunId) -> int:
+    run = state.runs.get(name)
+    campaign = state.campaigns.open.get(run.campaign) if run is not None and run.campaign else None
+    return campaign.terms.deadline if campaign is not None else 0
+
+
+def _goes_on(state: LabState, name: RunId) -> bool:
+    run = state.runs.get(name)
+    return run is not None and bool(run.experiment)
+
+
+def _mean(numbers: list[float]) -> float:
+    return sum(numbers) / len(numbers) if numbers else 0.0
