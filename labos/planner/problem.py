@@ -82,7 +82,8 @@ class Problem(msgspec.Struct, frozen=True):
     tasks that are alike: the first goes first. Of each run ``ends`` are the tasks that no other follows, and
     ``more`` says whether further runs follow that nobody knows yet: it is part of an experiment; ``ranks``
     by how many classes it goes before others, and ``due_s`` is the deadline of its campaign, if it has one
-    (lab seconds from now)."""
+    (lab seconds from now). ``line`` are the first tasks of the runs that wait to be let in, the one that
+    should go first by its rank and age first."""
 
     tasks: tuple[Task, ...]
     stays: tuple[Stay, ...]
@@ -92,6 +93,7 @@ class Problem(msgspec.Struct, frozen=True):
     more: tuple[bool, ...]
     ranks: tuple[int, ...] = ()
     due_s: tuple[float | None, ...] = ()
+    line: tuple[int, ...] = ()
 
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
@@ -121,6 +123,7 @@ def problem_of(state: LabState, cell: str, runs: Sequence[RunState], now: int, l
         reader.problem(cell),
         ranks=tuple(rated[run.id].rank for run in runs),
         due_s=tuple((at - now) / 1e9 * state.lab.pace if at else None for at in due),
+        line=tuple(reader.line),
     )
 
 
@@ -140,6 +143,7 @@ class _Reader:
         self._like: list[tuple[int, int]] = []
         self._ends: list[tuple[int, ...]] = []
         self._more: list[bool] = []
+        self.line: list[int] = []
 
     def read(self, run: RunState) -> None:
         plan = self.state.runs.plan_of(run)
@@ -166,6 +170,7 @@ class _Reader:
         self._ends.append(tuple(number for number in numbers.values() if number not in before))
         self._more.append(bool(run.experiment))
         if not run.has_started:
+            self.line.append(base)
             look = repr((plan.steps, run.user, run.experiment, run.priority))
             if look in self._looks:
                 self._like.append((self._looks[look], base))

@@ -12,6 +12,7 @@ import msgspec
 from labos.errors import SystemFailed
 from labos.planner.measure import GOES_ON
 from labos.planner.problem import Problem, Task, TimeLag
+from labos.planning.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from ortools.sat.python import cp_model
@@ -106,6 +107,7 @@ def solve(
             model.add_cumulative(intervals, [1] * len(intervals), max(room, 0))
     for one, other in problem.like:
         model.add(begin[one] <= begin[other])
+    _let_nobody_wait_long(model, [begin[first] for first in problem.line])
     over: list[cp_model.IntVar] = []
     for number, last_tasks in enumerate(problem.ends):
         over.append(model.new_int_var(0, 2 * horizon, f"end{number}"))
@@ -140,6 +142,17 @@ def solve(
         starts = [solver.value(start) for start in begin]
     makespan = max((start + takes for start, takes in zip(starts, length, strict=True)), default=0)
     return Schedule(tuple(start * unit for start in starts), makespan * unit, bound * unit, proven)
+
+
+def _let_nobody_wait_long(model: cp_model.CpModel, line: Sequence[cp_model.IntVar]) -> None:
+    """Nobody is let in when more of those behind it went before than the lab allows: it would keep them
+    out."""
+    for number, elder in enumerate(line[: max(0, len(line) - PATIENCE)]):
+        before: list[cp_model.IntVar] = []
+        for younger in line[number + 1 :]:
+            before.append(model.new_bool_var(f"before{number}/{len(before)}"))
+            model.add(elder <= younger).only_enforce_if(~before[-1])
+        model.add(sum(before) <= PATIENCE)
 
 
 def _is_late(hint: Mapping[int, float], number: int, lag: TimeLag, tasks: Sequence[Task]) -> bool:

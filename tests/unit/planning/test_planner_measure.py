@@ -1,0 +1,62 @@
+"""What a planner takes for better: first what the lab puts first, then the end of all and of each."""
+
+from __future__ import annotations
+
+import pytest
+
+from labos.core.ids import RunId
+from labos.planner.measure import Rated, Score, judge
+from labos.planning.virtual import Play
+
+S = 1_000_000_000
+ONE, TWO, THREE = RunId("one"), RunId("two"), RunId("three")
+ALIKE = {ONE: Rated(0, 0, False), TWO: Rated(0, 0, False)}
+
+
+def ends(*seconds: float, missed: int = 0) -> Play:
+    names = (ONE, TWO, THREE)
+    return Play(ends={name: int(at * S) for name, at in zip(names, seconds, strict=False)}, missed=missed)
+
+
+def score(play: Play, rated: dict[RunId, Rated] = ALIKE) -> Score:
+    return judge([play], rated, 0)
+
+
+def test_a_run_that_ends_sooner_is_better_though_all_ends_as_late() -> None:
+    assert score(ends(50, 100)) < score(ends(80, 100))
+
+
+def test_the_end_of_all_counts_as_much_as_the_mean_of_all_ends() -> None:
+    assert score(ends(60, 90)) < score(ends(50, 100))
+    assert score(ends(10, 100)) < score(ends(90, 95))
+
+
+@pytest.mark.parametrize("before", [Rated(1, 0, False), Rated(2, 0, False)])
+def test_who_goes_first_is_not_made_to_wait_though_all_would_end_sooner(before: Rated) -> None:
+    rated = {ONE: before, TWO: Rated(0, 0, False), THREE: Rated(1, 0, False)}
+    assert score(ends(50, 200, 60), rated) < score(ends(55, 100, 60), rated)
+
+
+def test_a_deadline_of_a_campaign_goes_before_the_end_of_all() -> None:
+    rated = {ONE: Rated(0, 60 * S, False), TWO: Rated(0, 0, False)}
+    assert score(ends(60, 200), rated) < score(ends(70, 100), rated)
+    assert score(ends(60, 100), rated) < score(ends(50, 110), rated), "in time is in time"
+
+
+def test_a_window_that_is_kept_goes_before_all_that() -> None:
+    assert score(ends(90, 200)) < score(ends(50, 100, missed=1))
+
+
+def test_of_an_experiment_each_end_counts_as_the_end_of_all() -> None:
+    rated = {ONE: Rated(0, 0, True), TWO: Rated(0, 0, False)}
+    assert score(ends(40, 100), rated) < score(ends(90, 60), rated)
+
+
+def test_runs_that_were_submitted_meanwhile_are_not_counted() -> None:
+    assert score(ends(50, 100, 999)) == score(ends(50, 100))
+
+
+def test_of_several_plays_what_is_missed_counts_in_all_and_times_on_average() -> None:
+    found = judge([ends(50, 100, missed=1), ends(70, 120, missed=2)], ALIKE, 0)
+    assert found.missed == 3
+    assert found.cost_s == 110.0 + 85.0
