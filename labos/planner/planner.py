@@ -15,7 +15,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import Suggested
 from labos.planner.problem import Problem, choose_runs, problem_of
-from labos.planner.rehearsal import Rehearsal
+from labos.planner.rehearsal import DRAWN, Rehearsal
 from labos.planner.solve import Schedule, solve
 
 Solver = Callable[[Problem, float, dict[int, float]], Schedule | None]
@@ -26,12 +26,19 @@ STAYS_GOOD_S = 3600.0
 
 class Planner:
     """``seconds`` is how long it may look for an order each time, ``level`` the quantile of durations with
-    which it plans, between 0 and 1."""
+    which it plans, between 0 and 1. ``exact``: durations are known not to stray, so it does not rehearse with
+    drawn ones."""
 
     def __init__(
-        self, name: str = "planner", seconds: float = 5.0, solver: Solver = solve, level: float = 0.5
+        self,
+        name: str = "planner",
+        seconds: float = 5.0,
+        solver: Solver = solve,
+        level: float = 0.5,
+        *,
+        exact: bool = False,
     ) -> None:
-        self.name, self.seconds, self.level = name, seconds, level
+        self.name, self.seconds, self.level, self.exact = name, seconds, level, exact
         self._solve = solver
 
     def suggest(
@@ -44,7 +51,7 @@ class Planner:
         problem = problem_of(state, cell, runs, now, self.level)
         if _is_one_line(problem):
             return None
-        rehearsal = Rehearsal(state, cell, now, self.level, runs)
+        rehearsal = Rehearsal(state, cell, now, self.level, runs, drawn=0 if self.exact else DRAWN)
         best = without = rehearsal.go(None)
         if rehearsal.order is not None:
             before = rehearsal.go(rehearsal.order)

@@ -39,9 +39,19 @@ class Way(msgspec.Struct):
 
 class Rehearsal:
     """Carries copies of a workcell on with these runs; others that wait are left out. ``level`` is the
-    quantile of durations with which it is planned."""
+    quantile of durations with which it is planned. So many plays have ``drawn`` durations, where windows have
+    to be kept."""
 
-    def __init__(self, state: LabState, cell: str, now: int, level: float, runs: Sequence[RunState]) -> None:
+    def __init__(
+        self,
+        state: LabState,
+        cell: str,
+        now: int,
+        level: float,
+        runs: Sequence[RunState],
+        *,
+        drawn: int = DRAWN,
+    ) -> None:
         self.cell, self.now, self.level = cell, now, level
         copy = from_picture(picture(state))
         copy.lab.paused.clear()  # what is paused goes on some time, and in the same order
@@ -52,7 +62,7 @@ class Rehearsal:
         order = copy.suggestions.orders.get(cell)
         self.order = order if order is not None and order.steps and order.until > now else None
         windowed = any(state.runs.plans[run.plan].windowed for run in runs)
-        self._most = 1 + DRAWN * windowed
+        self._most = 1 + drawn * windowed
         self._rated = rate(copy, runs, now)
         self._base = picture(copy)
 

@@ -40,6 +40,9 @@ CALM_S = 1.0
 """How long (lab seconds) nothing has to have happened before a step is started that cannot be followed in
 time because of what stands in its way."""
 
+PUNCTUAL_S = 5.0
+"""So much later (lab seconds) than was suggested a step may start, and all goes as planned."""
+
 ALONE_LIMIT = 8
 """The same, for a run that has the workcell to itself."""
 
@@ -269,7 +272,7 @@ class Windows:
         if obliged:
             trial = Trial(plan, None, -1, set(self._hopeless))
             suggested = _suggested_advice(state, cell, now)
-            if suggested is not None:
+            if suggested is not None and _is_on_time(state, suggested, now):
                 # What somebody has planned for all of them comes first, if it keeps all windows.
                 plan.advice = suggested
                 _, plan.outcome = self._search(state, trial, safety, limit=1)
@@ -436,6 +439,12 @@ def _suggested_advice(state: LabState, cell: str, now: int) -> Advice | None:
         not_before={(str(run), step): at for (run, step), at in times.items()},
         leaving=frozenset(str(run) for run, _ in times if str(run) in inside),
     )
+
+
+def _is_on_time(state: LabState, suggested: Advice, now: int) -> bool:
+    """Whether everything has started that should have by now. What was planned to the second counts for less
+    where it does not go as planned: then reservations keep their margin."""
+    return all(at >= now - lab_ns(state, PUNCTUAL_S) for at in suggested.not_before.values())
 
 
 def _key(advice: Advice) -> tuple[object, ...]:

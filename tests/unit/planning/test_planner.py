@@ -16,6 +16,7 @@ from labos.planner.planner import Planner
 from labos.planner.problem import Problem, choose_runs, problem_of
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import waiting_in
+from labos.planning.waiting import PATIENCE
 from tests.support.bench import SECOND, Driver, plan, step
 from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
 
@@ -116,3 +117,17 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     assert found.makespan_s == 2700.0
     order = asked(Planner(), lab)
     assert order is None or order.steps[0].run == second
+
+
+def test_a_search_lets_nobody_be_passed_over_more_often_than_the_lab_allows() -> None:
+    """One long run and twelve short ones: each ends sooner if the long one is last, and it is not."""
+    pytest.importorskip("ortools")
+    lab = Driver(CELL)
+    long = lab.submit(plan(step("dev", key="a", duration_s=6000.0), name="long"))
+    for number in range(12):
+        lab.submit(plan(step("dev", key="a", duration_s=60.0), name=f"short {number}"))
+    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    found = solve(problem, 5.0)
+    assert found is not None
+    starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
+    assert sum(start < starts[long] for start in starts.values()) == PATIENCE

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.suggestions import Suggested
-from labos.planner.problem import choose_runs, problem_of
+from labos.planner.problem import MOST_WINDOWED, choose_runs, problem_of
 from labos.planner.watch import DRIFT_S, MOST_DOUBLINGS, Watch, waiting_in
 from tests.support.bench import Driver
-from tests.unit.planning.test_suggested import make_lab, visit
+from tests.unit.planning.test_suggested import dose_and_read, make_lab, visit
 
 
 def look(watch: Watch, lab: Driver, *, finds: bool = True) -> bool:
@@ -29,6 +30,25 @@ def test_it_looks_when_runs_come_and_not_without_a_reason() -> None:
     assert not look(watch, lab)
     lab.submit(visit("dev"))
     assert look(watch, lab)
+
+
+def test_a_run_that_starts_as_planned_is_no_reason_and_one_that_goes_before_its_time_is() -> None:
+    lab, (first, second) = make_lab(visit("dev"), visit("other"))
+    watch, waiting = Watch(), waiting_in(lab.state, "cell")
+    steps = tuple(Suggested(run.id, 0, lab.now + 10**12 * n) for n, run in enumerate(waiting))
+    watch.note(lab.state, "cell", waiting, SuggestOrder("cell", "planner", 10**20, steps), lab.now)
+    assert f"{first}#0" in lab.pump()
+    assert not watch.is_due(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    lab.do(CancelRun(second, "ada"))
+    assert watch.is_due(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+
+
+def test_where_windows_are_kept_fewer_runs_are_looked_at() -> None:
+    lab, _ = make_lab(*[dose_and_read()] * (MOST_WINDOWED + 5))
+    waiting = waiting_in(lab.state, "cell")
+    chosen = choose_runs(lab.state, "cell", waiting)
+    assert len(chosen) == MOST_WINDOWED, "with the one inside"
+    assert len(problem_of(lab.state, "cell", chosen, lab.now).line) == MOST_WINDOWED - 1
 
 
 def test_what_stands_still_over_night_is_looked_at_ever_more_seldom() -> None:

@@ -252,6 +252,16 @@ def test_a_step_that_starts_a_clock_waits_for_its_own_time() -> None:
     assert lab.pump() == [f"{run}#1"]
 
 
+def test_a_clock_of_a_higher_priority_does_not_wait_for_its_time() -> None:
+    lab, (low,) = make_lab(visit("other"))
+    high = lab.submit(dose_and_read(), priority=5)
+    suggest(lab, (high, 0, 0.0), (high, 1, 500.0), (low, 0, 600.0))
+    assert lab.pump() == [f"{high}#0"]
+    lab.wait(10.0)
+    lab.finish(next(a.id for a in lab.state.actions.open.values() if a.run == high))
+    assert f"{high}#1" in lab.pump()
+
+
 def test_where_nothing_moves_no_clock_waits_for_its_time() -> None:
     lab = Driver(CELL)
     lab.stock("stack", 80)
