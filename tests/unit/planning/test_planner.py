@@ -48,7 +48,7 @@ class Fixed:
 
 
 def chosen(lab: Driver) -> list[RunState]:
-    return choose_runs(lab.state, "cell", waiting_in(lab.state, "cell"))
+    return choose_runs(lab.state, "cell", list_waiting(lab.state, "cell"))
 
 
 def find_order(planner: Planner, lab: Driver) -> SuggestOrder | None:

@@ -34,18 +34,18 @@ def test_it_looks_when_runs_come_and_not_without_a_reason() -> None:
 
 def test_a_run_that_starts_as_planned_is_no_reason_and_one_that_goes_before_its_time_is() -> None:
     lab, (first, second) = make_lab(visit("dev"), visit("other"))
-    watch, waiting = CellWatch(), waiting_in(lab.state, "cell")
+    watch, waiting = CellWatch(), list_waiting(lab.state, "cell")
     steps = tuple(Suggested(run.id, 0, lab.now + 10**12 * n) for n, run in enumerate(waiting))
     watch.note(lab.state, "cell", waiting, SuggestOrder("cell", "planner", 10**20, steps), lab.now)
     assert f"{first}#0" in lab.pump()
-    assert not watch.is_due(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    assert not watch.is_due(lab.state, "cell", list_waiting(lab.state, "cell"), lab.now)
     lab.do(CancelRun(second, "ada"))
-    assert watch.is_due(lab.state, "cell", waiting_in(lab.state, "cell"), lab.now)
+    assert watch.is_due(lab.state, "cell", list_waiting(lab.state, "cell"), lab.now)
 
 
 def test_where_windows_are_kept_fewer_runs_are_looked_at() -> None:
     lab, _ = make_lab(*[dose_and_read()] * (MOST_WINDOWED + 5))
-    waiting = waiting_in(lab.state, "cell")
+    waiting = list_waiting(lab.state, "cell")
     chosen = choose_runs(lab.state, "cell", waiting)
     assert len(chosen) == MOST_WINDOWED, "with the one inside"
     assert len(problem_of(lab.state, "cell", chosen, lab.now).line) == MOST_WINDOWED - 1
