@@ -194,7 +194,7 @@ class Gate:
         if who.credential is not None and not allows(who.credential.scope, need):
             raise Forbidden(
                 f"The token {who.credential.token} has the rights of a {who.credential.scope} at most; this "
-                f"request needs the role {need}.",
+                f"request needs {need}.",
                 remedy="Create one with a higher role: labos token create --scope " + need,
             )
 

@@ -178,7 +178,7 @@ HOUR = ("book", "reader", "--from", "now", "--to", "+1h")
         ((*HOUR, "--every", "day", "--rule", "FREQ=DAILY"), "Leave one"),
         ((*HOUR, "--rule", "FREQ=HOURLY"), "FREQ="),
         ((*HOUR, "--for", "group:none"), "no group 'none'"),
-        ((*HOUR, "--for", "ada", "--maintenance"), "nobody's runs"),
+        ((*HOUR, "--for", "ada", "--maintenance"), "cannot be for a group or a user"),
         (("book", "cancel", "B99"), "B99"),
         (("calendar", "nothing"), "nothing"),
     ],

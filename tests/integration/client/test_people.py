@@ -61,7 +61,7 @@ def test_people_are_added_grouped_and_given_roles(home: Path) -> None:
 def test_whoever_is_added_is_told_with_what_to_do_next(home: Path) -> None:
     assert run_command(home, "user", "add", "ada").endswith("Next: labos user password ada\n")
     bo = run_command(home, "user", "add", "bo")
-    assert bo == "bo is a user of this lab: may look.\nNext: labos user password bo\n"
+    assert bo == "bo is a user of this lab: may read.\nNext: labos user password bo\n"
     planner = run_command(home, "user", "add", "planner", "--service", "--role", "operator")
     assert planner.splitlines() == [
         "planner is a service account of this lab: operator.",
