@@ -38,6 +38,7 @@ from labos.planning.forecast import (
     find_usual_time,
     is_pending,
     list_uses,
+    setup_under_way,
 )
 from labos.planning.helpers import Helpers, helpers_of
 from labos.planning.keeping import CALM_S, Windows
@@ -294,10 +295,8 @@ def _list_in_flight(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
     for action in state.actions.within(cell):
         run = state.runs.active.get(action.run)
         if run is not None:
-            yield (
-                action,
-                action.requested_at + find_longest_time(state, state.runs.plan_of(run).steps[action.step]),
-            )
+            takes = find_longest_time(state, state.runs.plan_of(run).steps[action.step])
+            yield action, action.requested_at + takes + setup_under_way(state, action)
 
 
 def _reservation(

@@ -29,6 +29,7 @@ from labos.core.waits import Wait
 from labos.planning import booked
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_may_stay
+from labos.planning.changes import Changes
 from labos.planning.choosing import list_changes, options_in_order
 from labos.planning.deadlines import Deadlines
 from labos.planning.due import UNDATED, DueDates
@@ -97,6 +98,7 @@ class Scheduler:
         self.due_dates = DueDates()
         self.pilot = Pilot()
         self.behind = WorkBehind()
+        self.changes = Changes()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
@@ -109,6 +111,7 @@ class Scheduler:
         one out before it asks for the next."""
         self._standings.clear()
         self.due_dates.forget()
+        self.changes.forget()
         for spot in self._order(state, self._wake(state, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
@@ -340,17 +343,29 @@ class Scheduler:
     def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
         def rank(
             spot: Spot,
-        ) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int, float]:
+        ) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int, int, float]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
             behind = 0.0 if waits else -self.behind.measure(state, run.plan, spot.step)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, run.position, behind)
+                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, 0, run.position, behind)
             calm, share = not is_urgent(state, run, now), self._find_share_used(state, now, run.user)
             orders = state.suggestions.orders
             advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
-            due = self.due_dates.rank(state, run)
-            return (deadline, 1, calm, -run.priority, advised, waits, share, due, run.position, behind)
+            due, change = self._rank_own(state, run, None if waits else spot.step)
+            return (
+                deadline,
+                1,
+                calm,
+                -run.priority,
+                advised,
+                waits,
+                share,
+                due,
+                change,
+                run.position,
+                behind,
+            )
 
         return sorted(spots, key=rank)
 
@@ -369,13 +384,17 @@ class Scheduler:
         return standing
 
     def _make_turn_key(self, state: LabState, now: int, run: RunState) -> Turn:
-        due = self.due_dates.rank(state, run)
+        own = self._rank_own(state, run, None)
         return (
             not is_urgent(state, run, now),
             *self._find_share_used(state, now, run.user),
-            due,
+            *own,
             run.position,
         )
+
+    def _rank_own(self, state: LabState, run: RunState, step: int | None) -> tuple[float, int]:
+        """What goes before age among the runs of one user: due dates, and what need not be set up."""
+        return self.due_dates.rank(state, run), self.changes.rank(state, run, step)
 
     # -- letting new runs in -----------------------------------------------------------------
 
