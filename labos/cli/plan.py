@@ -32,7 +32,8 @@ class Step(msgspec.Struct):
     takes in the lab that was asked, where that knows (``learned``), else ``nominal_s``. ``rescues`` is the
     step for whose failure it is there, if it is for one; ``on_cancel``: it is of the way out of a cancelled
     run. Neither has times. ``looks`` says who looks where afterwards, and when. ``choices`` are the modules
-    of which one does the step, if there are several: all else is told for ``module``."""
+    of which one does the step, if there are several: all else is told for ``module``. ``setup_s`` is the part
+    of ``duration_s`` in which the module is set up for it."""
 
     key: str
     module: str
@@ -57,6 +58,7 @@ class Step(msgspec.Struct):
     on_cancel: bool = False
     looks: list[str] = []
     choices: list[str] = []
+    setup_s: float = 0.0
 
 
 class Resource(msgspec.Struct):
@@ -183,13 +185,22 @@ def outline_of(
     compiled: Compiled, workcell: Workcell, lengths: Lengths | None = None, pace: float = 1.0, lab: str = ""
 ) -> Outline:
     """A compiled workflow with its times, by what a lab has learned of them."""
+    from labos.planning.certificate import find_order
     from labos.planning.certified import certify_all
-    from labos.planning.timetable import consumption, count_taken, timetable, with_learned
+    from labos.planning.timetable import (
+        consumption,
+        count_taken,
+        find_setups,
+        timetable,
+        with_learned,
+        with_setups,
+    )
     from labos.spec.choices import list_choices
 
     choices = list_choices(compiled.plans)
     lengths = lengths or Lengths()
-    plan = with_learned(compiled.plan, lengths, pace)
+    setups = find_setups(compiled.plan, workcell, find_order(compiled.plan))
+    plan = with_setups(with_learned(compiled.plan, lengths, pace), setups)
     nominal = compiled.plan.steps
     times = timetable(plan, workcell)
     stations = _stations(compiled, times.slots, workcell)
@@ -218,6 +229,7 @@ def outline_of(
             on_cancel=step.part == ON_CANCEL,
             looks=_looks(step, workcell),
             choices=choices.get(step.key, []),
+            setup_s=setups.get(index, 0.0),
         )
         for index, (step, slot) in enumerate(zip(plan.steps, times.slots, strict=True))
     ]
@@ -373,6 +385,8 @@ def _terms(outline: Outline, step: Step) -> Iterator[str]:
     """What holds for a step beside its times, in sentences."""
     from labos.services.times import show_span
 
+    if step.setup_s:
+        yield f"{step.module} is set up for {step.key!r} first: {show_span(step.setup_s)} of its time."
     if step.when:
         yield f"{step.key!r} is done only if {step.when}."
     if step.timeout_s is not None:

@@ -89,11 +89,14 @@ _STREAM_ENDS: dict[type[Event], str] = {
 
 
 def _learn(state: LabState, event: ActionSucceeded, at: int) -> None:
-    """How long an action has taken, before it is forgotten."""
+    """How long an action has taken, before it is forgotten. One for which its module was set up first tells
+    nothing: what is learned counts without set-ups."""
     action, run = state.actions.open.get(event.action), state.runs.active.get(event.run)
     if action is not None and run is not None:
         step = state.runs.plan_of(run).steps[event.step]
-        lengths.learn(state.lengths, action, step, at, state.lab.pace)
+        flight = state.modules.by_name[event.module].in_flight.get(event.action)
+        if flight is None or not flight.setup_s:
+            lengths.learn(state.lengths, action, step, at, state.lab.pace)
 
 
 def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> None:

@@ -9,6 +9,7 @@ import msgspec
 
 from labos.core.effects import AnyEffect
 from labos.core.ids import ModuleName, StationName
+from labos.core.setups import Setup
 
 StationKind = Literal["nest", "stack", "hotel", "deck", "exchange", "waste", "gripper"]
 
@@ -125,7 +126,7 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     date, else ``refuse``. What steps on it do not say themselves, it says: ``on_error`` is what follows when
     one fails, ``retry`` how often it is done again before that, ``timeout_s`` the lab seconds after which
     nobody knows how it ended. With ``second_person``, runs that do what is dangerous there wait for an
-    approval."""
+    approval. ``setup`` is what it costs to change it from one kind of work to another."""
 
     name: ModuleName
     driver: str
@@ -142,6 +143,7 @@ class ModuleSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     retry: RetryDefault | None = None
     timeout_s: float | None = None
     second_person: bool = False
+    setup: Setup | None = None
 
 
 class TransferWay(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

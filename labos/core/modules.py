@@ -207,10 +207,12 @@ class Variable(msgspec.Struct):
 
 class Flight(msgspec.Struct, omit_defaults=True):
     """An action under way on a module. ``proving`` are the new poses that it tries slowly: stations, and
-    types if the pose is a type's own."""
+    types if the pose is a type's own. ``setup_s`` is how much longer it takes as the module is set up for it
+    first (lab seconds)."""
 
     exclusive: bool
     proving: tuple[tuple[StationName, str], ...] = ()
+    setup_s: float = 0.0
 
 
 class ModuleStatus(StrEnum):
@@ -233,7 +235,8 @@ class Module(msgspec.Struct):
     is GONE (UTC ns), ``cut_off`` whether that was in the midst of an action: nobody knows where its device
     has stopped. ``error_at`` is since when it says ERROR (UTC ns), ``asked`` whether a person was told that
     an action stands still for that. ``calibrations`` are the
-    last ones, by what was calibrated."""
+    last ones, by what was calibrated. ``set_up_for`` is the value for which it is set up, or being set up, if
+    what it is set up for costs anything; None if nobody knows."""
 
     spec: ModuleSpec
     status: ModuleStatus = ModuleStatus.GONE
@@ -261,6 +264,7 @@ class Module(msgspec.Struct):
     cut_off: bool = False
     error_at: int = 0
     asked: bool = False
+    set_up_for: Any = None
 
     def value(self, variable: str) -> Any:
         """What a variable is at; None if that is not known."""
@@ -432,6 +436,10 @@ def fold_action_requested(modules: Modules, event: ActionRequested, at: int) -> 
         if module.spec.zone:
             reached.add(StationName(event.module))
         module.reached = tuple(sorted(reached))
+    setup = module.spec.setup
+    if setup is not None and setup.argument in event.args:
+        flight.setup_s = setup.cost_s(module.set_up_for, event.args)
+        module.set_up_for = event.args[setup.argument]
     if event.args.get("slow") is True:
         flight.proving = find_unproven(module, event.effects, event.args)
 
@@ -454,6 +462,8 @@ def fold_action_ended(
     flight = module.in_flight.pop(event.action, None) or Flight(False)
     if flight.exclusive and isinstance(event, _CAME_BACK):
         module.reached = ()
+    if module.spec.setup is not None and flight.exclusive and not isinstance(event, ActionSucceeded):
+        module.set_up_for = None
     if isinstance(event, ActionFailed) and event.effects != "none":
         module.doubted = True
     elif isinstance(event, ActionSucceeded) and event.action == module.watched:

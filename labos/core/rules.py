@@ -145,14 +145,17 @@ def due_at(state: LabState, action: Action) -> int | None:
 
 
 def ends_by(state: LabState, action: Action) -> int | None:
-    """When an action should have ended, by the time that its step gives it (UTC ns); None if it sets none."""
+    """When an action should have ended, by the time that its step gives it, and for which its module is set
+    up before (UTC ns); None if it sets none."""
     run = state.runs.active.get(action.run)
     if run is None:
         return None
     step = state.runs.plan_of(run).steps[action.step]
     if step.timeout_s is None or step.by_person:
         return None
-    return action.requested_at + lab_ns(state, step.timeout_s)
+    flight = state.modules.by_name[action.module].in_flight.get(action.id)
+    setup_s = flight.setup_s if flight is not None else 0.0
+    return action.requested_at + lab_ns(state, step.timeout_s + setup_s)
 
 
 def find_give_up_time(state: LabState, action: Action) -> int | None:

@@ -22,6 +22,7 @@ from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.http.lab_kernel import LabKernel
 from labos.planning.due import time_left
+from labos.planning.forecast import setup_under_way
 from labos.planning.obstacle import explain_wait
 from labos.services.interventions import whereabouts
 
@@ -434,7 +435,8 @@ def _step_view(
     left_s = None
     if action is not None and action.status != "unknown":
         gone_s = (now - action.requested_at) / 1e9 * state.lab.pace
-        left_s = round(max(step.duration_s - gone_s, 0.0), 1)
+        takes_s = step.duration_s + setup_under_way(state, action) / 1e9 * state.lab.pace
+        left_s = round(max(takes_s - gone_s, 0.0), 1)
     return StepView(
         step=index,
         key=step.key,

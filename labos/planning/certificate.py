@@ -19,7 +19,7 @@ import msgspec
 
 from labos.core.model import MAIN, Plan, Workcell
 from labos.planning.forecast import MARGIN
-from labos.planning.timetable import find_before, find_occupied
+from labos.planning.timetable import find_before, find_occupied, find_setups
 
 SPREAD = round(MARGIN - 1, 9)
 """By which part of its nominal duration a step may be shorter or longer."""
@@ -113,8 +113,8 @@ def certify(
     others. ``ranges`` are those of all steps, in place of the nominal durations ± ``spread``; the zones are
     the workcell's. ``breaks_by_s`` is what a window has to be wider, all others being as wide as they have
     to be; of several that cannot be kept together, the last one is broken."""
-    limits = ranges or [(s.duration_s * (1 - spread), s.duration_s * (1 + spread)) for s in plan.steps]
     order = find_order(plan)
+    limits = ranges or _find_limits(plan, workcell, order, spread)
     place = {step: position for position, step in enumerate(order)}
     main = [index for index, step in enumerate(plan.steps) if step.part == MAIN]
     known = [
@@ -182,6 +182,22 @@ def certify(
         for number, (index, anchor, window) in enumerate(known)
     ]
     return Certificate(spread, tuple(verdicts), tuple(outer), is_whole)
+
+
+def _find_limits(plan: Plan, workcell: Workcell | None, order: Sequence[int], spread: float) -> list[Range]:
+    """How long steps take, with what has to be set up before them. Only the first step on a module may find
+    it set up already."""
+    setups = find_setups(plan, workcell, order) if workcell is not None else {}
+    first: dict[str, int] = {}
+    for index in order:
+        if index in setups:
+            first.setdefault(plan.steps[index].module, index)
+    found: list[Range] = []
+    for index, step in enumerate(plan.steps):
+        setup_s = setups.get(index, 0.0)
+        sure_s = 0.0 if first.get(step.module) == index else setup_s
+        found.append(((step.duration_s + sure_s) * (1 - spread), (step.duration_s + setup_s) * (1 + spread)))
+    return found
 
 
 def find_order(plan: Plan) -> list[int]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 
+from labos.core.actions import Action
 from labos.core.algebra import away_from_rest, settings_after
 from labos.core.effects import Carrying, list_carried
 from labos.core.ids import StationName
@@ -31,23 +32,40 @@ def length(state: LabState, step: PlanStep) -> int:
     """How long a step takes at the most, if nothing is in its way (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
-        return max(known.high, int(known.usual * MARGIN))
-    return lab_ns(state, step.duration_s * MARGIN)
+        return max(known.high, int(known.usual * MARGIN)) + setup_ns(state, step)
+    return lab_ns(state, step.duration_s * MARGIN) + setup_ns(state, step)
 
 
 def usual(state: LabState, step: PlanStep) -> int:
     """How long a step takes as a rule (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
-    return known.usual if known is not None else lab_ns(state, step.duration_s)
+    own = known.usual if known is not None else lab_ns(state, step.duration_s)
+    return own + setup_ns(state, step)
+
+
+def setup_ns(state: LabState, step: PlanStep) -> int:
+    """How much longer a step would take now, as its module is set up for something else (ns of wall time)."""
+    module = state.modules.by_name.get(step.module)
+    if module is None or module.spec.setup is None:
+        return 0
+    return lab_ns(state, module.spec.setup.cost_s(module.set_up_for, step.args))
+
+
+def setup_under_way(state: LabState, action: Action) -> int:
+    """How much longer an action in flight takes, as its module is set up for it first (ns of wall time)."""
+    flight = state.modules.by_name[action.module].in_flight.get(action.id)
+    return lab_ns(state, flight.setup_s) if flight is not None and flight.setup_s else 0
 
 
 def spread(state: LabState, step: PlanStep) -> int:
-    """How much sooner than that a step may end (ns of wall time)."""
+    """How much sooner than that a step may end (ns of wall time); its module may be set up for it by then."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
         margin = int(known.usual * (MARGIN - 1))
-        return max(known.high, known.usual + margin) - min(known.low, known.usual - margin)
-    return lab_ns(state, step.duration_s * 2 * (MARGIN - 1))
+        own = max(known.high, known.usual + margin) - min(known.low, known.usual - margin)
+    else:
+        own = lab_ns(state, step.duration_s * 2 * (MARGIN - 1))
+    return own + setup_ns(state, step)
 
 
 def is_pending(run: RunState, index: int) -> bool:

@@ -35,6 +35,7 @@ from labos.planning.forecast import (
     find_pending_before,
     is_pending,
     length,
+    setup_under_way,
     spread,
     uses,
     usual,
@@ -289,7 +290,8 @@ def _list_in_flight(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
     for action in state.actions.within(cell):
         run = state.runs.active.get(action.run)
         if run is not None:
-            yield action, action.requested_at + length(state, state.runs.plan_of(run).steps[action.step])
+            takes = length(state, state.runs.plan_of(run).steps[action.step])
+            yield action, action.requested_at + takes + setup_under_way(state, action)
 
 
 def _reservation(

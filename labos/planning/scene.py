@@ -30,7 +30,7 @@ from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import party
 from labos.core.zones import zones_of
-from labos.planning.forecast import usual
+from labos.planning.forecast import setup_under_way, usual
 from labos.planning.layout import down
 from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
@@ -71,7 +71,7 @@ class Scene:
             if run is None or not action.module.startswith(f"{cell}/"):
                 continue
             step = state.runs.plan_of(run).steps[action.step]
-            end = max(now, action.requested_at + usual(state, step))
+            end = max(now, action.requested_at + usual(state, step) + setup_under_way(state, action))
             effects = tuple(_as_planned(state, effect) for effect in action.effects)
             end = FAR if action.status == ActionStatus.UNKNOWN else end
             self.take(run, action.step, step, effects, end)

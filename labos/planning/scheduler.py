@@ -28,6 +28,7 @@ from labos.core.waits import Wait
 from labos.planning import booked
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import better_here
+from labos.planning.changes import Changes
 from labos.planning.choosing import changes, options_in_order
 from labos.planning.deadlines import Deadlines
 from labos.planning.due import UNDATED, DueDates
@@ -88,6 +89,7 @@ class Scheduler:
         self.patience = Patience()
         self.adviser = Adviser()
         self.due_dates = DueDates()
+        self.changes = Changes()
         self._cells: dict[str, str] = {}
         self._standings: dict[str, tuple[float, float]] = {}
         self._futile: dict[tuple[RunId, str], bool] = {}
@@ -100,6 +102,7 @@ class Scheduler:
         asks for the next."""
         self._standings.clear()
         self.due_dates.forget()
+        self.changes.forget()
         for spot in self._order(state, self._wake(state, keys, now), now):
             if spot.bundle:
                 yield from self._admissions(state, spot.bundle, spot.run, now)
@@ -319,16 +322,16 @@ class Scheduler:
     # -- order -------------------------------------------------------------------------------
 
     def _order(self, state: LabState, spots: list[Spot], now: int) -> list[Spot]:
-        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int]:
+        def rank(spot: Spot) -> tuple[int, int, bool, int, int, bool, tuple[float, float], float, int, int]:
             run, waits = spot.run, bool(spot.bundle)
             deadline = self.reservations.urgency(state, run, None if waits else spot.step, now)
             if not waits and self.patience.is_over(run.id):
-                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, run.position)
+                return (deadline, 0, False, 0, 0, False, (0.0, 0.0), UNDATED, 0, run.position)
             calm, share = not is_urgent(state, run, now), self._standing(state, now, run.user)
             orders = state.suggestions.orders
             advised = self.adviser.start_of(state, run, None if waits else spot.step, now) if orders else LAST
-            due = self.due_dates.rank(state, run)
-            return (deadline, 1, calm, -run.priority, advised, waits, share, due, run.position)
+            due, change = self._rank_own(state, run, None if waits else spot.step)
+            return (deadline, 1, calm, -run.priority, advised, waits, share, due, change, run.position)
 
         return sorted(spots, key=rank)
 
@@ -347,8 +350,12 @@ class Scheduler:
         return standing
 
     def _turn(self, state: LabState, now: int, run: RunState) -> Turn:
-        due = self.due_dates.rank(state, run)
-        return (not is_urgent(state, run, now), *self._standing(state, now, run.user), due, run.position)
+        own = self._rank_own(state, run, None)
+        return (not is_urgent(state, run, now), *self._standing(state, now, run.user), *own, run.position)
+
+    def _rank_own(self, state: LabState, run: RunState, step: int | None) -> tuple[float, int]:
+        """What goes before age among the runs of one user: due dates, and what need not be set up."""
+        return self.due_dates.rank(state, run), self.changes.rank(state, run, step)
 
     # -- letting new runs in -----------------------------------------------------------------
 

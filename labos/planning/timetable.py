@@ -7,6 +7,9 @@ Of steps that could start at the same time, the one that is written first goes f
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import msgspec
 
 from labos.core.effects import Consumes, list_carried
@@ -71,6 +74,34 @@ def _with_learned(step: PlanStep, lengths: Lengths, pace: float) -> PlanStep:
     if known is None or step.by_person:
         return step
     return msgspec.structs.replace(step, duration_s=known.usual * pace / 1e9)
+
+
+def find_setups(plan: Plan, workcell: Workcell, order: Sequence[int]) -> dict[int, float]:
+    """How much longer steps take as their module has to be set up for them (lab seconds), if they are carried
+    out in this order. For what it is set up before is not known: its first step takes a change."""
+    setups = {module.name: module.setup for module in workcell.modules if module.setup is not None}
+    values: dict[ModuleName, Any] = {}
+    found: dict[int, float] = {}
+    for index in order if setups else ():
+        step = plan.steps[index]
+        setup = setups.get(step.module)
+        if setup is not None and setup.argument in step.args:
+            cost_s = setup.cost_s(values.get(step.module), step.args)
+            values[step.module] = step.args[setup.argument]
+            if cost_s:
+                found[index] = cost_s
+    return found
+
+
+def with_setups(plan: Plan, setups: Mapping[int, float]) -> Plan:
+    """A plan whose steps last longer by what is set up before them."""
+    if not setups:
+        return plan
+    steps = tuple(
+        msgspec.structs.replace(step, duration_s=step.duration_s + setups.get(index, 0.0))
+        for index, step in enumerate(plan.steps)
+    )
+    return msgspec.structs.replace(plan, steps=steps)
 
 
 def consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:

@@ -46,6 +46,7 @@ from labos.core.steps import WindowBreached
 from labos.core.topics import PlannedWork
 from labos.core.users import LABOS
 from labos.core.waits import Wait
+from labos.planning.forecast import setup_under_way
 from labos.planning.obstacle import explain_wait
 from labos.planning.scheduler import Scheduler
 from labos.planning.sleepers import Name, Sleepers
@@ -307,7 +308,7 @@ class VirtualLab:
         if run is None or action.status == ActionStatus.UNKNOWN or module.status == ModuleStatus.GONE:
             return
         step = self.state.runs.plan_of(run).steps[action.step]
-        end = action.requested_at + self._lasts(action, step)
+        end = action.requested_at + self._lasts(action, step) + setup_under_way(self.state, action)
         if end <= self.now:
             end = self.now + int(OVERDUE * (self.now - action.requested_at)) + 1
         limit = ends_by(self.state, action)

@@ -44,9 +44,10 @@ ever."""
 
 Kind = tuple[Any, ...]
 
-Turn = tuple[bool, float, float, float, int]
+Turn = tuple[bool, float, float, float, int, int]
 """Who goes first among runs of the same priority: runs of urgent campaigns (False), then by the share that
-the group has had, the user within it, then those that are due soonest, then by age. The least goes first."""
+the group has had, the user within it, then those that are due soonest, for which least has to be set up, then
+by age. The least goes first."""
 
 
 class WaitingRoom:

@@ -7,6 +7,7 @@ from typing import Any
 
 from labos.core.ids import ModuleName
 from labos.core.model import ActionSpec, ModuleSpec, RetryDefault, Workcell
+from labos.core.setups import Setup, SetupChange
 from labos.errors import SpecError
 from labos.spec.models import NONE, ModuleEntry, RetryEntry, StepEntry
 from labos.spec.references import fill
@@ -18,6 +19,15 @@ def retry_of(entry: ModuleEntry) -> RetryDefault | None:
     """The retries that a module's entry asks for."""
     written = entry.retry
     return None if written is None else RetryDefault(written.times, written.delay, written.reset)
+
+
+def setup_of(entry: ModuleEntry) -> Setup | None:
+    """What it costs to set a module up for other work, as its entry says."""
+    written = entry.setup
+    if written is None:
+        return None
+    changes = tuple(SetupChange(change.from_, change.to, change.takes) for change in written.changes)
+    return Setup(written.by, written.takes, changes)
 
 
 def timeout_of(entry: StepEntry, action: ActionSpec, remarks: Remarks, path: Path_) -> float | None:

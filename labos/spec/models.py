@@ -35,13 +35,29 @@ class RetryEntry(Part):
     reset: bool = False
 
 
+class SetupChangeEntry(Part):
+    """A change of what a module is set up for that takes another time than most."""
+
+    from_: Any = Field(alias="from")
+    to: Any
+    takes: Seconds = Field(ge=0)
+
+
+class SetupEntry(Part):
+    """What it costs to set a module up for another value of an argument of its actions."""
+
+    by: str = Field(min_length=1)
+    takes: Seconds = Field(ge=0)
+    changes: list[SetupChangeEntry] = []
+
+
 class ModuleEntry(Part):
     """An instrument in a workcell. ``model`` or ``driver`` says which driver serves it;
     ``coordinates`` are x, y, z in metres and a quaternion, from the workcell's origin; ``zone`` is
     where it is whenever it acts. ``retry``, ``timeout`` and ``on_error`` hold for steps on it that do not
     say. ``interface`` names the adapter of a foreign node, ``about`` describes one that no driver does,
     ``extends`` what one offers beyond what its driver knows. With ``second_person``, runs that do what is
-    dangerous there wait for an approval."""
+    dangerous there wait for an approval. ``setup`` is what it costs to change it to other work."""
 
     name: Name
     model: str = ""
@@ -61,6 +77,7 @@ class ModuleEntry(Part):
     timeout: Seconds | None = Field(default=None, gt=0)
     on_error: OnErrorWord | None = None
     second_person: bool = False
+    setup: SetupEntry | None = None
     comment: str = ""
 
 

@@ -87,7 +87,18 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "timeout": "the time after which nobody knows how a step on it that does not say ended",
         "on_error": "what follows when a step on it fails for good that does not say itself",
         "second_person": "true: runs that do what is dangerous there wait for a second person's approval",
+        "setup": "what it costs to set it up for another value of an argument",
         "comment": _PEOPLE,
+    },
+    "SetupEntry": {
+        "by": "the argument of its actions for whose value the module is set up",
+        "takes": "how much longer an action takes with another value than the last one",
+        "changes": "changes that take another time",
+    },
+    "SetupChangeEntry": {
+        "from": "the value before",
+        "to": "the value after",
+        "takes": "how much longer an action takes that makes this change",
     },
     "About": {
         "description": _PEOPLE,

@@ -17,7 +17,7 @@ from labos.spec import rest
 from labos.spec.about import GENERIC, BadEffect, about_of, description_of, extend
 from labos.spec.bench import DEFAULT_LID, Bench, default_stock, read_stock
 from labos.spec.compile_stations import compile_stations
-from labos.spec.defaults import retry_of
+from labos.spec.defaults import retry_of, setup_of
 from labos.spec.dialects import workcell_form
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
 from labos.spec.findings import Finding, Report, SpecErrors, finding_of, near
@@ -333,6 +333,12 @@ class _Modules:
         if entry.retry is not None and entry.retry.reset and description.action("reset") is None:
             message = f"The module {name!r} has no action 'reset'."
             self.remarks.error(message, (*path, "retry", "reset"), "Leave `reset` out.")
+        if entry.setup is not None:
+            arguments = {arg.name: True for action in description.actions for arg in action.args}
+            if entry.setup.by not in arguments:
+                message = f"No action of {name} has the argument {entry.setup.by!r}."
+                remedy = near(entry.setup.by, arguments, "argument")
+                self.remarks.error(message, (*path, "setup", "by"), remedy)
         return ModuleSpec(
             name=ModuleName(f"{self.file.name}/{name}"),
             driver=description.driver,
@@ -349,6 +355,7 @@ class _Modules:
             retry=retry_of(entry),
             timeout_s=entry.timeout,
             second_person=entry.second_person,
+            setup=setup_of(entry),
         )
 
     def _capacities(self, entry: ModuleEntry, description: Description, path: Path_) -> dict[str, float]:

@@ -23,7 +23,19 @@ from labos.audit.tables import VIEWS, Table, view_columns
 from labos.cli._exit import CODES
 from labos.cli.app import group
 from labos.cli.schema import schema_text
-from labos.core import approvals, campaigns, fold, labware, model, policy, runs, shares, suggestions, topics
+from labos.core import (
+    approvals,
+    campaigns,
+    fold,
+    labware,
+    model,
+    policy,
+    runs,
+    setups,
+    shares,
+    suggestions,
+    topics,
+)
 from labos.core.decide.reactions import REACTIONS
 from labos.core.effects import AnyEffect
 from labos.core.registry import TYPES
@@ -148,6 +160,8 @@ def parts() -> str:
                 "Condition",
             )
         ),
+        setups.Setup,
+        setups.SetupChange,
         runs.Anchor,
         suggestions.Suggested,
         campaigns.Terms,

@@ -117,6 +117,7 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: Campaign
         [
             [s.module, s.effects, s.after, s.exclusive, s.windows, s.duration_s, s.recovers, s.retry],
             [s.part, s.on_error, s.when],
+            *_list_setups(state, s),
         ]
         for s in plan.steps
     ]
@@ -138,6 +139,13 @@ def record_plan(state: LabState, plan: Plan, name: str, by: str, apart: Campaign
         steps = plan.steps[first : first + STEPS_PER_EVENT]
         events.append(PlanStepsRecorded(by, name, first, steps, apart))
     return events
+
+
+def _list_setups(state: LabState, step: PlanStep) -> list[Any]:
+    """For what a step's module has to be set up: runs for which that differs do not wait in one line."""
+    module = state.modules.by_name.get(step.module)
+    setup = module.spec.setup if module is not None else None
+    return [] if setup is None or setup.argument not in step.args else [step.args[setup.argument]]
 
 
 def flaw_in(state: LabState, plan: Plan) -> Rejection | None:

@@ -22,6 +22,7 @@ DATA = frozenset(
         "aliases",
         "amount",
         "args",
+        "argument",
         "approved_by",
         "barcode",
         "because",

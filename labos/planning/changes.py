@@ -1,0 +1,72 @@
+"""Which of several runs needs no change of what a module is set up for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from labos.core.ids import ModuleName
+from labos.core.rules import lab_ns
+from labos.core.runs import PENDING, RunState
+from labos.core.setups import Setup
+from labos.core.state import LabState
+from labos.planning.forecast import setup_ns
+
+
+class Changes:
+    """Ranks runs by what has to be changed for them; ``forget`` what was worked out after each turn."""
+
+    def __init__(self) -> None:
+        self._by_plan: dict[str, int] = {}
+        self._setups: dict[str, dict[ModuleName, tuple[Setup, Any]]] = {}
+
+    def forget(self) -> None:
+        """Modules may be set up for something else now."""
+        self._by_plan.clear()
+        self._setups.clear()
+
+    def rank(self, state: LabState, run: RunState, step: int | None) -> int:
+        """How long a step (of a run that waits: its first one on each module) would be held up by set-ups
+        (ns of wall time). The least goes first."""
+        plan = state.runs.plan_of(run)
+        if step is not None:
+            return setup_ns(state, plan.steps[step])
+        setups = self._setups.get(plan.workcell)
+        if setups is None:
+            setups = self._setups[plan.workcell] = _list_setups(state, plan.workcell)
+        if not setups:
+            return 0
+        known = self._by_plan.get(run.plan)
+        if known is None:
+            known = self._by_plan[run.plan] = _count(state, run, setups)
+        return known
+
+
+def _count(state: LabState, run: RunState, setups: dict[ModuleName, tuple[Setup, Any]]) -> int:
+    seen: set[ModuleName] = set()
+    total = 0.0
+    for step in state.runs.plan_of(run).steps:
+        if step.module in setups and step.module not in seen:
+            setup, value = setups[step.module]
+            if setup.argument in step.args:
+                seen.add(step.module)
+                total += setup.cost_s(value, step.args)
+    return lab_ns(state, total)
+
+
+def _list_setups(state: LabState, cell: str) -> dict[ModuleName, tuple[Setup, Any]]:
+    """The modules of a workcell whose set-ups cost anything, and for what they will be set up once those
+    inside have used them: the last of these that was let in counts."""
+    found: dict[ModuleName, tuple[Setup, Any]] = {}
+    for name in state.modules.in_cell.get(cell, ()):
+        module = state.modules.by_name[name]
+        if module.spec.setup is not None:
+            found[name] = module.spec.setup, module.set_up_for
+    for run in state.runs.inside(cell) if found else ():
+        for step, known in zip(state.runs.plan_of(run).steps, run.steps, strict=True):
+            if step.module in found and known.status is PENDING:
+                setup, value = found[step.module]
+                found[step.module] = setup, step.args.get(setup.argument, value)
+    return found
+
+
+__all__ = ["Changes"]
