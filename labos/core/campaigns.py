@@ -70,7 +70,7 @@ class CampaignEvent(Event, frozen=True):
 class CampaignSubmitted(CampaignEvent, frozen=True):
     """A workflow is to be carried out for each of so many ``rows``. ``table`` is the digest of the rows, a
     JSON object a line; ``definition`` that of the workflow's text and files. ``cloned_from`` is the campaign
-    whose rows and workflow it has once more."""
+    whose rows and workflow it has once more. ``due`` is the key of a row that says when its run is due."""
 
     name: str
     user: str
@@ -83,6 +83,7 @@ class CampaignSubmitted(CampaignEvent, frozen=True):
     request: str = ""
     visibility: Visibility = "lab"
     cloned_from: CampaignId = CampaignId("")
+    due: str = ""
 
 
 @event("campaign.paused")
@@ -176,7 +177,7 @@ class Campaign(msgspec.Struct):
     has started. ``spent_ns`` is module time in wall nanoseconds, ``used`` consumables by kind. ``reads``
     and ``results`` of runs alive are for the stop rule, which ``met_by`` has fulfilled;
     ``first_started_at`` in UTC ns. ``danger_seen``: that its rows do what is dangerous was known when it was
-    approved."""
+    approved. ``due`` is the key of a row that says when its run is due, if one does."""
 
     id: CampaignId
     name: str
@@ -203,6 +204,7 @@ class Campaign(msgspec.Struct):
     met_by: str = ""
     first_started_at: int = 0
     danger_seen: bool = False
+    due: str = ""
     cloned_from: CampaignId = CampaignId("")
 
     @property
@@ -300,6 +302,7 @@ def fold_campaign_submitted(campaigns: Campaigns, event: CampaignSubmitted, at: 
         submitted_at=at,
         terms=event.terms,
         cloned_from=event.cloned_from,
+        due=event.due,
     )
     if event.visibility != "lab":
         campaigns.restricted[event.campaign] = RestrictedCampaign(

@@ -14,6 +14,7 @@ from labos.core.ids import CampaignId
 from labos.errors import BadInput
 from labos.http.service import LabService, WorkflowText
 from labos.ports import BlobReader
+from labos.services.times import parse_time
 
 _definition = msgspec.json.Decoder(WorkflowText)
 
@@ -48,6 +49,23 @@ def read_definition(blobs: BlobReader, digest: str) -> WorkflowText:
     return _definition.decode(blobs.get(digest))
 
 
+def take_due(row: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
+    """The payload of a row, and when its run is due by the value of a key (empty: at no time)."""
+    if not key:
+        return row, ""
+    due, payload = row.get(key), {name: value for name, value in row.items() if name != key}
+    return payload, "" if due is None else str(due).strip()
+
+
+def why_no_time(due: str) -> str:
+    """What is wrong with the time at which a row's run is due; empty if nothing is."""
+    try:
+        found = parse_time(due, 0) if due else 1
+    except BadInput as error:
+        return error.message
+    return "" if found > 0 else f"{due!r} is no time of a calendar."
+
+
 class CampaignRows:
     """Plans rows of campaigns for the feeder. Keeps the tables of those that go on."""
 
@@ -57,13 +75,14 @@ class CampaignRows:
 
     async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
         table, workflow = await self._read(campaign)
-        payload = table.row(row)
+        payload, due = take_due(table.row(row), campaign.due)
         try:
             compiled = await self._service.compile(workflow, payload, campaign.workcell)
         except BadInput as error:
             return RefuseRow(campaign.id, row, str(error).replace("\n", " "))
         pins = self._service.pins_of(workflow, *compiled.plans)
-        return SubmitRow(campaign.id, row, compiled.plan, payload, pins, compiled.others)
+        due_at = parse_time(due, 0) if due and not why_no_time(due) else 0
+        return SubmitRow(campaign.id, row, compiled.plan, payload, pins, compiled.others, due_at)
 
     async def _read(self, campaign: Campaign) -> tuple[Table, WorkflowText]:
         if campaign.id not in self._known:

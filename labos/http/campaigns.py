@@ -20,6 +20,7 @@ from labos.core.users import person_of
 from labos.core.viewer import Visibility
 from labos.errors import BadInput, KeyReused, SpecError
 from labos.http.bodies import Amendment, NewCampaign
+from labos.http.campaign_rows import take_due, why_no_time
 from labos.http.service import LabService, WorkflowText
 from labos.planning.certified import check_windows
 from labos.planning.lab_forecast import LabForecast
@@ -185,6 +186,7 @@ def _command(
         propose=new.propose,
         visibility=told.file.visibility,
         cloned_from=cloned_from,
+        due=told.file.due,
     )
 
 
@@ -254,10 +256,19 @@ def _plan_rows(
     source = parse_workflow(new.workflow.text, new.workflow.name)
     for row in rows:
         line = told.lines[row]
+        payload, due = take_due(line.payload, told.file.due)
+        if told.file.due and (wrong := why_no_time(due)):
+            place = line.place_of(f"payload.{told.file.due}")
+            checked.report.error(
+                f"Row {row}: {wrong}",
+                place,
+                field=told.file.due,
+                remedy="Write 2026-05-04T10:30, or nothing.",
+            )
         try:
             compiled = compile_workflow(
                 source,
-                line.payload,
+                payload,
                 cell,
                 service.parts.descriptions,
                 simulate=service.parts.simulated,

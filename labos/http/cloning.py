@@ -37,6 +37,7 @@ async def clone_campaign(
         campaign=asked.name or first.name,
         workflow=workflow.name,
         rows=RowsEntry(),
+        due=first.due,
         visibility=asked.visibility or service.kernel.state.campaigns.visibility_of(first.campaign),
     )
     rows = [Line(table.row(number), f"rows of {name}") for number in range(len(table))]

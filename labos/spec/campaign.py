@@ -84,6 +84,7 @@ class CampaignFile(Part):
     rows: RowsEntry
     priority: int = Field(default=0, ge=-100_000, le=100_000)
     deadline: Annotated[str, BeforeValidator(_plain_time)] = ""
+    due: str = ""
     budget: BudgetEntry = BudgetEntry()
     tags: list[Label] = []
     until: str = ""

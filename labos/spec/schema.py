@@ -336,6 +336,7 @@ DESCRIPTIONS: dict[str, dict[str, str]] = {
         "payload": "values that all rows have",
         "rows": "where the rows come from, each of which is one run",
         "priority": "higher goes first",
+        "due": "the key of a row that says when its run should be over: 2026-05-04T10:30, in the lab's time",
         "deadline": "when it should be over: 2026-05-04T10:30, in the lab's time unless it names a zone, or "
         "12h from now; its runs go first once time is short",
         "budget": "what it may use at most",

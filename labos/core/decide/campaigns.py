@@ -58,7 +58,7 @@ class SubmitCampaign(Command, frozen=True):
     """Carry out a workflow for each row of a table. ``table`` and ``definition`` are digests of blobs;
     the same ``request`` twice is one campaign. ``demand`` is what its rows ask of the lab by their plans.
     ``propose``: it waits for an approval, whatever the policy. ``visibility``: who sees it; ``cloned_from``:
-    the campaign that it repeats."""
+    the campaign that it repeats; ``due``: the key of a row that says when its run is due."""
 
     name: str
     user: str
@@ -73,10 +73,11 @@ class SubmitCampaign(Command, frozen=True):
     propose: bool = False
     visibility: Visibility = "lab"
     cloned_from: CampaignId = CampaignId("")
+    due: str = ""
 
 
 class SubmitRow(Command, frozen=True):
-    """The next row of a campaign becomes a run."""
+    """The next row of a campaign becomes a run, which should be over when it is ``due_at`` (UTC ns)."""
 
     campaign: CampaignId
     row: int
@@ -84,6 +85,7 @@ class SubmitRow(Command, frozen=True):
     payload: dict[str, Any] = {}
     pins: dict[str, str] = {}
     others: tuple[Plan, ...] = ()
+    due_at: int = 0
 
 
 class RefuseRow(Command, frozen=True):
@@ -148,6 +150,7 @@ def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
             request=command.request,
             visibility=command.visibility,
             cloned_from=command.cloned_from,
+            due=command.due,
         )
     ]
 
@@ -173,6 +176,7 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
         priority=campaign.terms.priority,
         pins=command.pins,
         others=command.others,
+        due_at=command.due_at,
         apart=campaign.id if campaign.id in state.campaigns.restricted else NOBODYS,
     )
     answer = submit_run(state, run)

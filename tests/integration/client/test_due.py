@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -76,3 +77,38 @@ def test_a_run_is_due_and_the_lab_says_whether_that_will_be_kept(lab: LabThread,
     assert "it is due at" in alone
     as_data = CliRunner().invoke(runs, ["--home", home, "--json"], catch_exceptions=False).stdout
     assert [("late by" in run["due"]) for run in json.loads(as_data)] == [True, False]
+
+
+CAMPAIGN = """
+labos: 1
+campaign: cuts
+workflow: cut.yaml
+due: ready_by
+rows:
+  list:
+    - {ready_by: 2099-05-04T10:30}
+    - {ready_by: "2099-05-03T10:30Z"}
+    - {}
+"""
+
+
+@pytest.mark.slow
+def test_rows_of_a_campaign_are_due(lab: LabThread, tmp_path: Path) -> None:
+    (tmp_path / "cut.yaml").write_text(CUT["text"])
+    (tmp_path / "cuts.yaml").write_text(CAMPAIGN)
+    with LabClient(lab.url) as client:
+        before = {run["id"] for run in client.state()["runs"]}
+        campaign = client.submit_campaign(tmp_path / "cuts.yaml", user="ada")
+        until(lambda: len(_runs_beside(client, before)) == 3, "the rows are runs", 60.0)
+        due = [run["due_at"] for run in _runs_beside(client, before)]
+        there = int(time.mktime(time.strptime("2099-05-04T10:30", "%Y-%m-%dT%H:%M"))) * 10**9
+        assert due == [there, 4081487400 * 10**9, 0]
+        (tmp_path / "cuts.yaml").write_text(CAMPAIGN.replace("2099-05-04T10:30", "soon"))
+        with pytest.raises(BadInput, match="Row 0: 'soon' is no time"):
+            client.submit_campaign(tmp_path / "cuts.yaml", user="ada")
+        again = client.clone_campaign(campaign["campaign"], "ada")
+        assert again["campaign"] != campaign["campaign"]
+
+
+def _runs_beside(client: LabClient, before: set[str]) -> list[dict[str, Any]]:
+    return [run for run in client.state()["runs"] if run["id"] not in before]

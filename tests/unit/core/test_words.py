@@ -48,6 +48,7 @@ DATA = frozenset(
         "digest",
         "digests",
         "driver",
+        "due",
         "erasure",
         "error",
         "evidence",
