@@ -81,6 +81,7 @@ def sentences(state: LabState, story: RunHistory, now: int) -> list[str]:
         f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
         + (f": {step.error}" if step.error else "")
         + _usual(state, story, step.index)
+        + _setup(state, story, step.index)
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
@@ -120,6 +121,16 @@ def _usual(state: LabState, story: RunHistory, index: int) -> str:
     if abs(usual_s - planned_s) < max(1.0, planned_s / 4):
         return ""
     return f"; it takes {show_span(usual_s)} as a rule, planned {show_span(planned_s)}"
+
+
+def _setup(state: LabState, story: RunHistory, index: int) -> str:
+    """How long the module of a step under way is set up for it first."""
+    for action in state.actions.open.values():
+        if (action.run, action.step) == (story.id, index):
+            flight = state.modules.by_name[action.module].in_flight.get(action.id)
+            if flight is not None and flight.setup_s:
+                return f"; {local(action.module)} is set up for it first, {show_span(flight.setup_s)}"
+    return ""
 
 
 def questions(state: LabState, run: str) -> list[str]:

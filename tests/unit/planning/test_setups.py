@@ -7,6 +7,7 @@ import random
 
 import pytest
 
+from labos.cli.explain import sentences
 from labos.core.lengths import kind_of
 from labos.core.model import Plan, Window
 from labos.core.setups import Setup, SetupChange
@@ -16,6 +17,7 @@ from labos.planning.forecast import setup_ns, usual
 from labos.planning.lab_forecast import ForecastRequest, forecast_lab
 from labos.planning.timetable import find_setups, timetable, with_setups
 from labos.planning.waiting import PATIENCE
+from labos.services.runs import RunHistory, StepHistory
 from tests.support.bench import SECOND, Driver, module, plan, step, workcell
 
 TEN_MIN = Setup("protocol", 600.0, (SetupChange("a", "b", 60.0),))
@@ -213,3 +215,12 @@ def test_a_certificate_knows_of_a_change() -> None:
     assert certify(read_in_time("a"), cell).is_kept
     [broken] = certify(read_in_time("b"), cell).windows
     assert broken.breaks_by_s == pytest.approx(590.0)
+
+
+def test_explain_says_that_a_module_is_set_up_first() -> None:
+    lab = bench()
+    run = lab.submit(does("a"))
+    lab.start(run)
+    steps = [StepHistory(0, "do", "cell/dev", "act", "in flight")]
+    story = RunHistory(run, "do a", "cell", "ada", "", 0, steps)
+    assert "; dev is set up for it first, 10 min 00 s" in sentences(lab.state, story, lab.now)[0]
