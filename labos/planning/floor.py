@@ -25,7 +25,8 @@ class Actor(msgspec.Struct):
     """Somebody with labware and a way to go. ``own`` counts its labware by station; of what the
     owners of its ``inputs`` have it may use what nobody has used before. ``stuck``: it cannot
     reach its end whatever the others do (paused, needs a dead module, has uncertain labware).
-    ``parks``: its experiment is open; only its application knows when it closes. Behind its ``motions``
+    ``parks``: its experiment is open; only its application knows when it closes. ``home``: the experiment
+    whose closing workflow waits for its end. Behind its ``motions``
     the way may fork (``forks``); ``done`` counts the motions, and the forks as one. ``kept``: what must stay
     free for what it has in flight, as that may fail. Its motions stand in one order; if there are others
     (``orders``), it may be given one of them. ``over`` are then the steps that it has begun."""
@@ -42,6 +43,7 @@ class Actor(msgspec.Struct):
     kept: tuple[Motion, ...] = ()
     orders: Orders | None = None
     over: frozenset[int] = frozenset()
+    home: Owner = Owner("")
 
     @property
     def length(self) -> int:

@@ -66,7 +66,7 @@ def _arrange(actor: Actor, order: Sequence[MotionStep]) -> tuple[Motion, ...] | 
     found = tuple(m for m in orders.motions(tuple(whole)) if m.step in open_ or m.step == END)
     if {motion.step for motion in found if motion.step != END} != seen:
         return None
-    return (*found, *(motion for motion in actor.motions if is_closing(motion)))
+    return (*found, *(motion for motion in actor.motions if is_closing(motion) or motion.heir))
 
 
 def _fill_in(orders: Orders, left: Sequence[int], steps: Sequence[int]) -> list[int]:

@@ -34,13 +34,6 @@ class App(NamedTuple):
     words: tuple[str, ...] = ()
     packaged: str = ""
     payload: dict[str, Any] = {}
-    loads_much: bool = False
-    """Its libraries need so long to be loaded that others are started when it has begun."""
-
-    @property
-    def experiments(self) -> int:
-        """How many experiments it begins: one for each liquid handler."""
-        return len(self.payload.get("handlers", ["one"]))
 
 
 COLOR_PICKER = App(
@@ -52,7 +45,6 @@ COLOR_PICKER = App(
     ("--workcell", "rpl", "--seed", "3"),
     "color_picker/payloads/grey.yaml",
     {"samples": 60, "batch": 6, "close": 0.0, "bad_pictures": "leave_out"},
-    loads_much=True,
 )
 PCR = App(
     "pcr",
@@ -81,7 +73,6 @@ POLYMERS = App(
     ("--seed", "1"),
     "polymers/payloads/blue.yaml",
     {"saturated": "thinner"},
-    loads_much=True,
 )
 PENDANT_DROP = App(
     "pendant_drop",
@@ -102,7 +93,7 @@ TWO_PICKERS = COLOR_PICKER._replace(
         "handlers": ["ot2_cp_gamma", "ot2_growth_beta"],
     },
 )
-"""The color picker with two liquid handlers, each with a plate and an experiment of its own."""
+"""The color picker with two liquid handlers, each with a plate of its own."""
 FIVE = (COLOR_PICKER, PCR, GROWTH_ASSAY, POLYMERS, PENDANT_DROP)
 """Of four users: Bo has two of them."""
 

@@ -47,7 +47,7 @@ def go_on(lab: Driver, times: int) -> list[str]:
     started: list[str] = []
     for _ in range(times):
         lab.wait(10.0)
-        lab.finish(lab.flying()[0])
+        lab.finish(lab.list_flying()[0])
         started += lab.pump()
     return started
 
@@ -100,7 +100,7 @@ def test_nobody_waits_where_nothing_moves() -> None:
     go_on(lab, 1)
     lab.submit(way("mill only", ("mill", 300.0)))
     assert lab.pump() == []
-    lab.doubt(lab.flying()[0])
+    lab.doubt(lab.list_flying()[0])
     assert "R2#0" in lab.pump()
 
 

@@ -122,7 +122,7 @@ def test_inside_too_nothing_is_changed_where_that_can_be_avoided() -> None:
     lab.pump()
     for action in [a.id for a in lab.state.actions.open.values() if a.run != hold]:
         lab.finish(action)
-    lab.finish(lab.flying()[0])
+    lab.finish(lab.list_flying()[0])
     assert lab.pump() == [f"{runs[2]}#1"]
 
 
@@ -186,7 +186,7 @@ def test_random_work_comes_to_its_end_with_set_ups(seed: int) -> None:
         if rng.random() < 0.5:
             lab.pump()
             lab.wait(rng.uniform(0, 300))
-            for action in itertools.islice(lab.flying(), 1):
+            for action in itertools.islice(lab.list_flying(), 1):
                 lab.finish(action)
     assert lab.work(rng), lab.describe_stuck()
     assert lab.find_missed() == []
